@@ -12,12 +12,10 @@ __version__ = "0.1.0"
 if TYPE_CHECKING:
     from hybrid_id.errors import InputError as InputError
 
-#: public name -> the module that defines it
+# public name -> the module that defines it; the imports above say the same to type checkers
 _HOME = {
     "InputError": "hybrid_id.errors",
 }
-
-__all__ = [*_HOME, "__version__"]
 
 
 def __getattr__(name: str) -> Any:
@@ -31,4 +29,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """List the public names, imported or not."""
-    return sorted(set(globals()) | set(__all__))
+    return sorted(set(globals()) | set(_HOME))

@@ -1,0 +1,49 @@
+# Two commands are all that a user needs: `make demo` and `make test`. Each builds .venv when it is missing
+# or out of date, and costs nothing extra when it is there.
+
+PYTHON ?= python3
+JOBS ?= 2
+VENV := .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
+
+# The arrays are small: a second thread inside torch or numpy makes them slower, processes make them faster.
+export OMP_NUM_THREADS := 1
+export MPLBACKEND := Agg
+
+.DEFAULT_GOAL := help
+.PHONY: help install demo test check format clean
+
+help:  ## list the commands
+	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
+
+install: $(INSTALLED)  ## make .venv and install everything that the other commands need
+
+demo: $(INSTALLED)  ## identify a drive from its records and show the result (runs/demo)
+	$(BIN)/hybrid-id demo --out runs/demo
+
+test: $(INSTALLED)  ## run all tests
+	$(BIN)/python -m pytest -q -n $(JOBS)
+
+check: $(INSTALLED)  ## lint, format and type checks
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: $(INSTALLED)  ## repair what ruff can repair
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+clean:  ## remove the environment and the caches, keep the results in runs/
+	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis
+
+# PyPI's torch for Linux brings gigabytes of CUDA, so its CPU build is fetched first, from PyTorch's own
+# index; where that index cannot be reached, the second line takes whatever build pip finds.
+$(INSTALLED): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "hybrid_id needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
+	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install -q --retries 0 --timeout 15 --no-deps -c constraints.txt \
+		--index-url https://download.pytorch.org/whl/cpu torch \
+		|| echo "PyTorch's own index was not reached: taking torch from pip's usual index."
+	$(BIN)/pip install -q -c constraints.txt -e '.[dev,blind]'
+	@touch $@
