@@ -43,7 +43,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "hybrid_id needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install -q --retries 0 --timeout 15 --no-deps -c constraints.txt \
-		--index-url https://download.pytorch.org/whl/cpu torch \
+		--index-url https://download.pytorch.org/whl/cpu torch 2>/dev/null \
 		|| echo "PyTorch's own index was not reached: taking torch from pip's usual index."
 	$(BIN)/pip install -q -c constraints.txt -e '.[dev,blind]'
 	@touch $@
