@@ -14,7 +14,6 @@ _SEARCH_POINTS = 16  # grid points per period of the highest tone while optimisi
 _PEAK_POINTS = 64  # and for the peak that is reported
 _SEARCH_POWERS = (4, 16, 64, 256)
 _REFINE_POWERS = (16, 32, 64, 128, 256, 512, 1024, 2048)
-_N_REFINED = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +83,16 @@ def design_multisine(
     Args:
         band: Lowest and highest frequency [Hz]; the tones are spread evenly over it.
         frequencies: Tones [Hz] in place of a band; moved to the nearest multiple of 1 / duration.
-        sample_time, duration: Of the signal [s]; the duration holds a whole number of periods.
+        sample_time: Sample time of the signal [s].
+        duration: Length of the signal [s]; it holds a whole number of periods.
         amplitude_limits: Peak, or (lowest, highest) value of the signal.
         tones: Number of tones spread over the band.
         spectrum: "flat", or relative amplitude of each tone (K,).
         predicted: Pairs (response, peak): a linear response ``G(f)`` of the robot, frequencies (K,) [Hz] to
             complex gain (K,), and the peak that ``G u`` (say, the speed) must not exceed. Peaks of input
             and responses are minimised together, each relative to its limit.
-        starts, seed: Number of phase sets that the search starts from, and seed of the random ones.
+        starts: Number of phase sets that the search starts from, Schroeder's and random ones.
+        seed: Seed of the random ones.
 
     Raises:
         InputError: The tones do not fit into the duration or the sample time, or a limit is not positive.
@@ -208,7 +209,7 @@ def _least_peak_phases(
     ]
     searched.sort(key=lambda phases: _peaks(harmonics, views, phases).max())
     fine = _waves(harmonics, views, _SEARCH_POINTS)
-    refined = [_descend(fine, phases, _REFINE_POWERS, 40) for phases in searched[:_N_REFINED]]
+    refined = [_descend(fine, phases, _REFINE_POWERS, 40) for phases in searched[:8]]
     return min([*refined, searched[0]], key=lambda phases: _peaks(harmonics, views, phases).max())
 
 
