@@ -1,0 +1,68 @@
+"""A small data set with known truth for `hybrid-id demo`, made in a second or two."""
+
+from pathlib import Path
+from typing import Any
+
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.twin.paper import write_link1
+
+#: A 24 V gear motor with an arm: five runs of 5 s for the fit, one to test with.
+DEMO: dict[str, Any] = {
+    "name": "demo_drive",
+    "sample_time": 0.002,
+    "rest": 0.1,
+    "duration": 5.0,
+    "substeps": 4,
+    "gear_ratio": 100.0,
+    "truth": {
+        "J": 2.4e-5,
+        "P_m1": 0.022,
+        "P_m2": 0.031,
+        "f_11": 0.012,
+        "f_12": 0.028,
+        "f_13": 9.0,
+        "f_14": 45.0,
+        "f_21": 0.014,
+        "f_22": 0.033,
+        "f_23": 11.0,
+        "f_24": 55.0,
+        "f_3": 6.0e-5,
+    },
+    "disturbances": {
+        "friction_drift": 0.03,
+        "torque_noise": 0.005,
+        "encoder_counts": 2000,
+        "encoder_noise": 0.001,
+        "start_angle": 1.0,
+    },
+    "excitation": {
+        "starts": 5,
+        "experiments": [
+            {"band": [0.4, 4.0], "tones": 15, "peak": 10.0},
+            {"band": [0.4, 6.0], "tones": 15, "peak": 8.0},
+            {"band": [0.4, 6.0], "tones": 15, "peak": 10.0},
+            {"band": [0.8, 8.0], "tones": 15, "peak": 10.0},
+            {"band": [0.4, 5.0], "tones": 15, "peak": 6.0},
+            {"band": [0.4, 7.0], "tones": 15, "peak": 9.0, "role": "test"},
+        ],
+    },
+    "model": {
+        "start_error": 0.3,
+        "parameters": {
+            "J": {"lower": 1e-6, "upper": 4e-4, "unit": "kg m^2"},
+            "P_m1": {"nominal": 0.0225, "prior_std": 7e-4, "lower": 2e-3, "upper": 0.2, "unit": "N m/V"},
+            "P_m2": {"nominal": 0.0305, "prior_std": 9e-4, "lower": 2e-3, "upper": 0.2, "unit": "V s/rad"},
+            **{
+                name: {"lower": 0.0, "upper": 0.2, "unit": "N m"} for name in ("f_11", "f_12", "f_21", "f_22")
+            },
+            **{name: {"lower": 0.0, "upper": 100.0, "unit": "rad/s"} for name in ("f_13", "f_23")},
+            **{name: {"lower": 2.0, "upper": 500.0, "unit": "rad/s"} for name in ("f_14", "f_24")},
+            "f_3": {"lower": 0.0, "upper": 1e-3, "unit": "N m s/rad"},
+        },
+    },
+}
+
+
+def write_demo(folder: str | Path, seed: int = 0) -> tuple[Dataset, list[dict[str, float]]]:
+    """Make the demonstration data set in a folder: records, `model.yaml`, `model_priors.yaml` and `truth.yaml`."""
+    return write_link1(folder, DEMO, seed)
