@@ -10,12 +10,41 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from hybrid_id.components import AsymmetricStribeck as AsymmetricStribeck
+    from hybrid_id.components import Component as Component
+    from hybrid_id.components import Coulomb as Coulomb
+    from hybrid_id.components import Dahl as Dahl
+    from hybrid_id.components import DCMotor as DCMotor
+    from hybrid_id.components import LinearSpring as LinearSpring
+    from hybrid_id.components import LoadDependent as LoadDependent
+    from hybrid_id.components import LuGre as LuGre
+    from hybrid_id.components import Rigid as Rigid
+    from hybrid_id.components import Stribeck as Stribeck
+    from hybrid_id.components import Viscous as Viscous
     from hybrid_id.errors import InputError as InputError
+    from hybrid_id.parameters import Parameter as Parameter
+    from hybrid_id.records.dataset import Channel as Channel
+    from hybrid_id.records.dataset import Dataset as Dataset
+    from hybrid_id.records.excitation import design_multisine as design_multisine
+    from hybrid_id.records.record import Record as Record
+    from hybrid_id.systems.arms import one_link as one_link
+    from hybrid_id.systems.arms import one_link_flexible as one_link_flexible
+    from hybrid_id.systems.chain import System as System
 
-# public name -> the module that defines it; the imports above say the same to type checkers
-_HOME = {
-    "InputError": "hybrid_id.errors",
+# The same names once more, by the module that defines them; a test keeps the two lists equal.
+_MODULES = {
+    "hybrid_id.components": (
+        "AsymmetricStribeck Component Coulomb Dahl DCMotor LinearSpring LoadDependent LuGre Rigid Stribeck Viscous"
+    ),
+    "hybrid_id.errors": "InputError",
+    "hybrid_id.parameters": "Parameter",
+    "hybrid_id.records.dataset": "Channel Dataset",
+    "hybrid_id.records.excitation": "design_multisine",
+    "hybrid_id.records.record": "Record",
+    "hybrid_id.systems.arms": "one_link one_link_flexible",
+    "hybrid_id.systems.chain": "System",
 }
+_HOME = {name: module for module, names in _MODULES.items() for name in names.split()}
 
 
 def __getattr__(name: str) -> Any:
