@@ -1,0 +1,203 @@
+"""A set of records with the same channels, and the folder that it is kept in."""
+
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.record import Record
+from hybrid_id.records.resample import ResampleReport
+from hybrid_id.records.units import to_si
+
+SAMPLE_TIME_TOLERANCE = 1e-3  # mean step of a record against the dataset's sample time, relative
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One signal of a dataset.
+
+    Attributes:
+        name: `u1`, `q_m1`, ...: an identifier; the table of names is in the documentation of the file format.
+        unit: SI unit, such as `V` or `rad/s`.
+        noise_std: Standard deviation of the sensor's noise, in `unit`; None where it is not known.
+    """
+
+    name: str
+    unit: str
+    noise_std: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier() or self.name == "t":
+            raise InputError(f"channel name '{self.name}' is not usable; give a name such as u1 or q_m1")
+        try:
+            si = to_si(self.unit, self.name)[0]
+        except InputError as error:
+            raise InputError(f"channel '{self.name}': {error}") from None
+        if si != self.unit:
+            raise InputError(
+                f"channel '{self.name}': unit '{self.unit}' is not SI; convert its values to {si}"
+            )
+        if self.noise_std is not None and not 0 < self.noise_std < np.inf:
+            raise InputError(
+                f"channel '{self.name}': noise_std is {self.noise_std}; give one above 0, or none"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """Records of one machine with the same channels, checked on construction.
+
+    Attributes:
+        name: Short name.
+        inputs: What was commanded, in the order of the files.
+        outputs: What was measured.
+        records: At least one; names are unique.
+        sample_time: Step that all records share [s]; None where they differ or are not uniform, so that
+            each record's own stamps count.
+        path: Folder or file that it was loaded from.
+        resampling: One report a record where they were resampled on loading.
+
+    Example:
+        >>> data = Dataset.load("my_robot")  # doctest: +SKIP
+        >>> [record.name for record in data.train]  # doctest: +SKIP
+        ['rec_00', 'rec_01']
+    """
+
+    name: str
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    records: tuple[Record, ...]
+    sample_time: float | None = None
+    path: Path | None = None
+    resampling: tuple[ResampleReport, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("inputs", "outputs", "records", "resampling"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        where = f"dataset '{self.name}'" + (f" ({self.path})" if self.path else "")
+        if not self.outputs or not self.records:
+            missing = "outputs" if not self.outputs else "records"
+            raise InputError(f"{where} has no {missing}; list at least one under '{missing}'")
+        channels = [channel.name for channel in (*self.inputs, *self.outputs)]
+        for kind, names in (("channel", channels), ("record", [record.name for record in self.records])):
+            twice = next((name for name in names if names.count(name) > 1), None)
+            if twice:
+                raise InputError(
+                    f"{where}: {kind} name '{twice}' is used twice; give each {kind} its own name"
+                )
+        if self.sample_time is not None and not 0 < self.sample_time < np.inf:
+            raise InputError(f"{where}: sample_time is {self.sample_time}; give seconds above 0")
+        for record in self.records:
+            for kind, declared in (("inputs", self.inputs), ("outputs", self.outputs)):
+                has, needs = set(getattr(record, kind)), {channel.name for channel in declared}
+                if has != needs:
+                    raise InputError(
+                        f"{record.title} has {kind} {sorted(has)} where {where} has {sorted(needs)}"
+                    )
+            if self.sample_time is not None and not keeps_step(record, self.sample_time):
+                raise InputError(
+                    f"{record.title}: its stamps are {_steps(record)}, but sample_time is {self.sample_time:g} s; "
+                    "correct or remove sample_time, or set 'resample: true'"
+                )
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __iter__(self) -> Iterator[Record]:
+        return iter(self.records)
+
+    def __repr__(self) -> str:
+        steps = f"{self.sample_time:g} s" if self.sample_time else "as stamped"
+        channels = [", ".join(channel.name for channel in group) for group in (self.inputs, self.outputs)]
+        return (
+            f"Dataset({self.name!r}, {len(self.train)} train + {len(self.test)} test records, step {steps}, "
+            f"{channels[0]} -> {channels[1]})"
+        )
+
+    @property
+    def train(self) -> tuple[Record, ...]:
+        """Records for fitting."""
+        return tuple(record for record in self.records if record.role == "train")
+
+    @property
+    def test(self) -> tuple[Record, ...]:
+        """Records that no fit may see."""
+        return tuple(record for record in self.records if record.role == "test")
+
+    def __getitem__(self, name: str) -> Record:
+        """Return the record of a name."""
+        return self.select([name]).records[0]
+
+    def select(self, names: Iterable[str]) -> "Dataset":
+        """Return the dataset with only the named records, in the order of the names."""
+        by_name = {record.name: record for record in self.records}
+        names = list(names)
+        for name in names:
+            if name not in by_name:
+                raise InputError(f"dataset '{self.name}' has no record '{name}'; it has {', '.join(by_name)}")
+        kept = tuple(report for report in self.resampling if report.record in names)
+        return replace(self, records=tuple(by_name[name] for name in names), resampling=kept)
+
+    @staticmethod
+    def load(path: str | Path, *, folder: str | Path | None = None) -> "Dataset":
+        """Read a dataset folder, or a dataset file of any name.
+
+        Args:
+            path: Folder that holds `dataset.yaml`, or the YAML file itself.
+            folder: Where the records lie; None means beside the YAML file.
+
+        Raises:
+            InputError: one sentence that names file, row and column or key of the first fault.
+        """
+        from hybrid_id.records.dataset_file import load_dataset  # brings in pydantic and yaml, only here
+
+        return load_dataset(Path(path), None if folder is None else Path(folder))
+
+    @staticmethod
+    def from_bam(folder: str | Path, *, test: Iterable[str] = (), name: str = "") -> "Dataset":
+        """Make a dataset of a folder of BAM servo logs (`.json`, `.json.gz`), one record a file.
+
+        Args:
+            folder: The folder; its logs are taken in the order of their names.
+            test: Names of the records (file names without ending) that become test records.
+            name: Name of the dataset; the folder's name by default.
+        """
+        from hybrid_id.records.dataset_file import load_bam_folder
+
+        return load_bam_folder(Path(folder), set(test), name)
+
+    def save(self, path: str | Path) -> Path:
+        """Write the dataset as a folder of `dataset.yaml` and one `.csv.gz` a record; returns the folder.
+
+        Values are written with all their digits, so that loading gives the same numbers. The folder appears
+        under its name only when it is complete.
+
+        Raises:
+            InputError: when there is a non-empty folder or a file of that name already.
+        """
+        from hybrid_id.records.dataset_file import write_dataset
+
+        path = Path(path)
+        if path.exists() and not (path.is_dir() and not any(path.iterdir())):
+            raise InputError(f"{path} exists already and is not empty; give another folder or remove it")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
+            complete = Path(temporary) / "complete"
+            complete.mkdir()
+            write_dataset(self, complete)
+            complete.replace(path)
+        return path
+
+
+def keeps_step(record: Record, sample_time: float) -> bool:
+    """Whether a record is uniform and keeps this step (s) on average within 0.1 %."""
+    mean = record.duration / (record.n_samples - 1)
+    return record.is_uniform and abs(mean - sample_time) <= SAMPLE_TIME_TOLERANCE * sample_time
+
+
+def _steps(record: Record) -> str:
+    steps = np.diff(record.time)
+    return f"{steps.min():.6g} to {steps.max():.6g} s apart"

@@ -1,0 +1,215 @@
+"""Reading and writing of a dataset folder: `dataset.yaml` (see `schema.py`) and one file a record."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Channel, Dataset, keeps_step
+from hybrid_id.records.readers import Table, load_any, record_name
+from hybrid_id.records.record import Record, find_fault
+from hybrid_id.records.resample import ResampleReport, resample_record
+from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
+from hybrid_id.records.units import to_si
+from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
+
+FILE_NAME = "dataset.yaml"
+_BAM_INPUTS = {"goal1": "rad", "gain1": "1", "duty1": "1", "supply1": "V", "enable1": "1"}
+_BAM_OUTPUTS = {"q_m1": "rad", "v_m1": "rad/s"}
+
+
+def load_dataset(path: Path, folder: Path | None) -> Dataset:
+    """Read a dataset; `Dataset.load` documents the arguments."""
+    file = path / FILE_NAME if path.is_dir() else path
+    if path.is_dir() and not file.exists():
+        found = sorted(item.name for item in path.iterdir() if item.is_file())
+        shown = (
+            f"only {', '.join(found[:3])}{', ...' if len(found) > 3 else ''}" if found else "no files at all"
+        )
+        raise InputError(f"{path} holds no {FILE_NAME} ({shown}); write one that lists channels and records")
+    spec = validate(DatasetFile, read_yaml(file), file)
+    return _build(spec, file, folder or file.parent, path)
+
+
+def load_bam_folder(folder: Path, test: set[str], name: str) -> Dataset:
+    """Make a dataset of a folder of BAM logs; `Dataset.from_bam` documents the arguments."""
+    logs = sorted([*folder.glob("*.json"), *folder.glob("*.json.gz")])
+    if not logs:
+        raise InputError(f"{folder} holds no .json or .json.gz logs; give the folder that they are in")
+    names = [record_name(log) for log in logs]
+    if strangers := test - set(names):
+        raise InputError(f"{folder} has no log '{min(strangers)}' to test on; it has {', '.join(names)}")
+    spec = DatasetFile(
+        name=name or folder.resolve().name,
+        inputs=[ChannelEntry(name=channel, unit=unit) for channel, unit in _BAM_INPUTS.items()],
+        outputs=[ChannelEntry(name=channel, unit=unit) for channel, unit in _BAM_OUTPUTS.items()],
+        records=[
+            RecordEntry(file=log.name, format="bam", role="test" if record_name(log) in test else "train")
+            for log in logs
+        ],
+    )
+    return _build(spec, folder, folder, folder)
+
+
+def write_dataset(dataset: Dataset, folder: Path) -> None:
+    """Write a dataset into an existing empty folder."""
+    import pandas as pd
+
+    entries = []
+    for record in dataset:
+        file = f"{record.name}.csv.gz"
+        frame = pd.DataFrame({"t": record.time, **record.inputs, **record.outputs})
+        frame.to_csv(folder / file, index=False, compression={"method": "gzip", "mtime": 0})
+        optional = {"note": record.note, "meta": dict(record.meta)}
+        entries.append(
+            {"file": file, "role": record.role} | {key: item for key, item in optional.items() if item}
+        )
+    values = {"name": dataset.name, "sample_time": dataset.sample_time}
+    for group in ("inputs", "outputs"):
+        values[group] = [
+            {key: item for key, item in vars(channel).items() if item is not None}
+            for channel in getattr(dataset, group)
+        ]
+    write_yaml(folder / FILE_NAME, values | {"records": entries})
+
+
+def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:
+    """Read all records of a checked dataset file."""
+    inputs, outputs = _channels(spec, "inputs", file), _channels(spec, "outputs", file)
+    units = {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)} | {"t": "s"}
+    _refuse_strange_columns(spec, units, file)
+    records = tuple(
+        _read_record(entry, spec, units, data_file, file)
+        for index, entry in enumerate(spec.records)
+        for data_file in _files(entry, folder, f"{file}: key 'records[{index}].file'")
+    )
+    sample_time, reports = spec.sample_time, ()
+    if spec.resample:
+        sample_time, records, reports = _resample(records, spec.resample, sample_time, file)
+    elif "sample_time" not in spec.model_fields_set:
+        sample_time = common_sample_time(records)
+    return Dataset(
+        name=spec.name,
+        inputs=inputs,
+        outputs=outputs,
+        records=records,
+        sample_time=sample_time,
+        path=path,
+        resampling=reports,
+    )
+
+
+def common_sample_time(records: tuple[Record, ...]) -> float | None:
+    """Return the step (s) that all records keep, to 9 digits, or None where they have none in common."""
+    step = float(f"{np.median([record.sample_time for record in records]):.9g}")
+    return step if all(keeps_step(record, step) for record in records) else None
+
+
+def _channels(spec: DatasetFile, group: str, file: Path) -> tuple[Channel, ...]:
+    """Convert the channels of one group to SI."""
+    channels = []
+    for index, entry in enumerate(getattr(spec, group)):
+        try:
+            unit, factor = to_si(entry.unit, entry.name)
+            channels.append(Channel(entry.name, unit, entry.noise_std and entry.noise_std * factor))
+        except InputError as error:
+            raise InputError(f"{file}: key '{group}[{index}]': {error}") from None
+    return tuple(channels)
+
+
+def _refuse_strange_columns(spec: DatasetFile, units: Mapping[str, str], file: Path) -> None:
+    """Raise InputError for a key of a column map that is no channel, and for a unit that does not fit it."""
+    maps = {"columns": spec.columns}
+    maps |= {f"records[{index}].columns": entry.columns for index, entry in enumerate(spec.records)}
+    for key, columns in maps.items():
+        for channel, column in columns.items():
+            if channel not in units:
+                raise InputError(
+                    f"{file}: key '{key}.{channel}' is no channel; channels are {', '.join(units)}"
+                )
+            try:
+                to_si(column.unit or units[channel], channel)
+            except InputError as error:
+                raise InputError(f"{file}: key '{key}.{channel}': {error}") from None
+
+
+def _files(entry: RecordEntry, folder: Path, where: str) -> Iterator[Path]:
+    """Yield the files that one entry stands for."""
+    exact = folder / entry.file
+    if exact.exists() or not any(sign in entry.file for sign in "*?["):
+        yield exact
+        return
+    found = sorted(
+        path for path in folder.glob(entry.file) if path.is_file() and not path.name.startswith(".")
+    )
+    if not found:
+        raise InputError(f"{where}: no file fits the pattern '{entry.file}'; correct it or bring the files")
+    if entry.name and len(found) > 1:
+        raise InputError(
+            f"{where}: {len(found)} files fit '{entry.file}', but 'name' names one; remove 'name'"
+        )
+    yield from found
+
+
+def _read_record(
+    entry: RecordEntry, spec: DatasetFile, units: Mapping[str, str], path: Path, file: Path
+) -> Record:
+    """Read one file and bring its signals to SI."""
+    columns = {channel: ColumnEntry(column=channel) for channel in units} | spec.columns | entry.columns
+    wanted = list(dict.fromkeys(column.column for column in columns.values()))
+    table = load_any(path, wanted, file_format=entry.format or spec.format)
+    signals = {
+        channel: _to_channel(table, column, column.unit or units[channel], channel)
+        for channel, column in columns.items()
+    }
+    time = signals.pop("t")
+    if fault := find_fault(time, signals, table.place):
+        raise InputError(f"{path}: {fault}")
+    for channel in spec.outputs:
+        if np.ptp(signals[channel.name]) == 0:
+            raise InputError(
+                f"{path}: output '{channel.name}' is {signals[channel.name][0]:g} in every sample, so nothing can be "
+                "learnt from it; check its column and its sensor, or leave the record out"
+            )
+    meta = {**table.meta, **entry.meta}
+    try:
+        record = Record(
+            name=entry.name or record_name(path),
+            time=time,
+            inputs={channel.name: signals[channel.name] for channel in spec.inputs},
+            outputs={channel.name: signals[channel.name] for channel in spec.outputs},
+            role=entry.role,
+            note=entry.note or str(meta.get("trajectory", "")),
+            source=str(path),
+            meta=meta,
+        )
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from None
+    return record.between(*entry.between) if entry.between else record
+
+
+def _to_channel(table: Table, column: ColumnEntry, unit: str, channel: str) -> np.ndarray:
+    """Bring one column to its channel's SI unit, (T,)."""
+    values = table.columns[column.column]
+    if column.unwrap:
+        values = np.unwrap(values, period=column.unwrap)
+    factor = column.scale * to_si(unit, channel)[1]
+    return values if factor == 1 else factor * values
+
+
+def _resample(
+    records: tuple[Record, ...], options: ResampleEntry, sample_time: float | None, file: Path
+) -> tuple[float, tuple[Record, ...], tuple[ResampleReport, ...]]:
+    """Bring all records to one grid: the step asked for, or the median one to 3 digits."""
+    if options.sample_time and sample_time and options.sample_time != sample_time:
+        raise InputError(
+            f"{file}: key 'resample.sample_time' is {options.sample_time:g} s where 'sample_time' is "
+            f"{sample_time:g} s; give one of them"
+        )
+    step = options.sample_time or sample_time or common_sample_time(records)
+    step = step or float(f"{np.median([record.sample_time for record in records]):.3g}")
+    pairs = [
+        resample_record(record, step, inputs=options.inputs, max_gap=options.max_gap) for record in records
+    ]
+    return step, tuple(pair[0] for pair in pairs), tuple(pair[1] for pair in pairs)

@@ -1,0 +1,45 @@
+"""Readers, one file a format; each takes a path and the names of the wanted columns and returns a `Table`."""
+
+from collections.abc import Callable, Collection
+from pathlib import Path
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.readers.bam import read_bam
+from hybrid_id.records.readers.csv_text import read_csv
+from hybrid_id.records.readers.mat import read_mat
+from hybrid_id.records.readers.parquet import read_parquet
+from hybrid_id.records.readers.table import Table, record_name
+
+READERS: dict[str, Callable[[Path, Collection[str]], Table]] = {
+    "csv": read_csv,
+    "parquet": read_parquet,
+    "mat": read_mat,
+    "bam": read_bam,
+}
+_ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
+
+__all__ = ["READERS", "Table", "load_any", "record_name"]
+
+
+def load_any(path: str | Path, wanted: Collection[str], *, file_format: str | None = None) -> Table:
+    """Read the wanted columns of a file of any known format.
+
+    Args:
+        path: The file.
+        wanted: Names of the columns, as the file has them.
+        file_format: A key of `READERS`; None takes it from the file's ending.
+
+    Raises:
+        InputError: when the file is missing, its format unknown, or its contents are at fault.
+    """
+    path = Path(path)
+    ending = Path(path.name.removesuffix(".gz")).suffix.lower()
+    file_format = file_format or _ENDINGS.get(ending)
+    if file_format not in READERS:
+        raise InputError(f"{path}: ending '{ending}' is unknown; give its 'format' ({', '.join(READERS)})")
+    try:
+        return READERS[file_format](path, wanted)
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; correct 'file' or bring the file") from None
+    except (IsADirectoryError, PermissionError) as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); give a readable file") from None

@@ -1,0 +1,165 @@
+"""Plain text tables, `.csv`, `.tsv` and `.txt`, also gzip-compressed.
+
+The delimiter (comma, semicolon, tab or runs of blanks) is seen from the header line. Numbers beside a
+semicolon may have a decimal comma. Blanks around column names, quotes and a leading `#` (as
+`numpy.savetxt` writes it) are ignored, lines that begin with `#` or `%` before the header are skipped. A
+file with no header line has columns called `1`, `2`, ...
+"""
+
+import csv
+import gzip
+import math
+import zlib
+from collections.abc import Collection, Iterator
+from itertools import chain, islice
+from pathlib import Path
+from typing import NoReturn, TextIO
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.readers.table import Table, require_columns
+
+HEADER_LIMIT = 200  # lines in which the header must come
+
+
+def read_csv(path: Path, wanted: Collection[str]) -> Table:
+    """Read the wanted columns of a text table.
+
+    Raises:
+        InputError: naming file, row and column, for a missing column, a cell that is no finite number, rows
+            of unequal length, or a damaged file.
+    """
+    try:
+        with _open(path) as file:
+            layout = _Layout.of(file, path)
+        require_columns(path, wanted, layout.names)
+        values = _parse(path, layout, wanted)
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(
+            f"{path} is not a text table in UTF-8; save it as CSV, or give its 'format'"
+        ) from None
+    return Table(path, values, lambda k: f"row {_file_row(path, layout, k)}")
+
+
+class _Layout:
+    """How the lines of one text table are cut: names of the columns, delimiter, lines before the data."""
+
+    def __init__(self, names: list[str], delimiter: str, skipped: int, decimal: str) -> None:
+        self.names, self.delimiter, self.skipped, self.decimal = names, delimiter, skipped, decimal
+
+    @classmethod
+    def of(cls, file: TextIO, path: Path) -> "_Layout":
+        """See the layout from the first lines of a file."""
+        remark = None
+        text, number = "", 0
+        for line in islice(file, HEADER_LIMIT):
+            text, number = line.strip(), number + 1
+            if text.startswith(("#", "%")):
+                remark = text.lstrip("#% ") or remark
+            elif text:
+                break
+        else:
+            raise InputError(f"{path} holds no table; its first line names the columns, data follow")
+        delimiter = next((d for d in (";", "\t", ",") if d in text), " ")
+        first = _cut(text, delimiter)
+        decimal = "."
+        if not _is_number(first[0].replace(",", ".") if delimiter == ";" else first[0]):
+            names, skipped, text = first, number, ""
+        elif remark and len(_cut(remark, delimiter)) == len(first):
+            names, skipped = _cut(remark, delimiter), number - 1
+        else:
+            names, skipped = [str(i + 1) for i in range(len(first))], number - 1
+        numbers = text + "".join(islice(file, HEADER_LIMIT))
+        if delimiter == ";" and "," in numbers and "." not in numbers:
+            decimal = ","
+        return cls(names, delimiter, skipped, decimal)
+
+
+def _parse(path: Path, layout: _Layout, wanted: Collection[str]) -> dict[str, np.ndarray]:
+    """Read the wanted columns by pandas; where it fails, find the cell that is at fault."""
+    import pandas as pd  # costs a third of a second, so only those who read text pay it
+
+    try:
+        frame = pd.read_csv(
+            path,
+            sep=r"\s+" if layout.delimiter == " " else layout.delimiter,
+            decimal=layout.decimal,
+            skiprows=layout.skipped,
+            header=None,
+            names=range(len(layout.names)),
+            usecols=[layout.names.index(name) for name in wanted],
+            index_col=False,
+            dtype=np.float64,
+            skipinitialspace=True,
+            skip_blank_lines=True,
+            encoding="utf-8-sig",
+        )
+    except pd.errors.EmptyDataError:
+        raise InputError(f"{path} names columns but holds no samples; record again or remove it") from None
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:  # text in a number's place, or rows of unequal length (ParserError)
+        _raise_for_bad_cell(path, layout, wanted, error)
+    columns = {name: frame[layout.names.index(name)].to_numpy() for name in wanted}
+    if not all(np.isfinite(values).all() for values in columns.values()):
+        _raise_for_bad_cell(path, layout, wanted, "a value is missing")
+    return columns
+
+
+def _raise_for_bad_cell(
+    path: Path, layout: _Layout, wanted: Collection[str], otherwise: Exception | str
+) -> NoReturn:
+    """Raise InputError for the first cell of the wanted columns that is not a finite number."""
+    for row, cells in _rows(path, layout):
+        if len(cells) > len(layout.names) and any(cells[len(layout.names) :]):
+            raise InputError(
+                f"{path}, row {row}: it has {len(cells)} cells where the header has {len(layout.names)}; "
+                "correct the row"
+            )
+        for name in wanted:
+            index = layout.names.index(name)
+            cell = cells[index].strip() if index < len(cells) else ""
+            if not _is_number(cell.replace(layout.decimal, ".")):
+                found = f"holds '{cell[:40]}', which is not a finite number" if cell else "is empty"
+                raise InputError(f"{path}, row {row}: column '{name}' {found}; correct it or remove the row")
+    raise InputError(f"{path} cannot be read as a table ({otherwise}); correct it")
+
+
+def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:
+    """Yield (1-based line of the file, cells) of every data row."""
+    with _open(path) as file:
+        for row, line in enumerate(file, start=1):
+            if row > layout.skipped and line.strip():
+                yield row, _cut(line, layout.delimiter)
+
+
+def _file_row(path: Path, layout: _Layout, sample: int) -> int:
+    """Return the 1-based line of the file that holds sample k."""
+    return next(islice(chain((row for row, _ in _rows(path, layout)), [0]), sample, None), 0)
+
+
+def _cut(line: str, delimiter: str) -> list[str]:
+    """Cut one line into cells, without the blanks around them."""
+    if delimiter == " ":
+        return line.split()
+    return [
+        cell.strip()
+        for cell in next(csv.reader([line.strip("\r\n")], delimiter=delimiter, skipinitialspace=True))
+    ]
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return False
+
+
+def _open(path: Path) -> TextIO:
+    """Open a text file, compressed or not; a byte-order mark at its start is dropped."""
+    if path.suffix == ".gz":
+        return gzip.open(path, "rt", encoding="utf-8-sig")
+    return path.open(encoding="utf-8-sig")

@@ -1,0 +1,54 @@
+"""MATLAB files up to version 7.2 by `scipy.io.loadmat`: vectors, and columns of matrices.
+
+A variable `x` of shape (T, 1) or (1, T) is the column `x`; a matrix of shape (T, m) gives `x(:,1)` to `x(:,m)`.
+Structures, cells and objects are left aside: their contents are never interpreted.
+
+Layout of the EMPS benchmark (Janot, Gautier, Brunot: "Data set and reference models of EMPS", Workshop on
+Nonlinear System Identification Benchmarks, 2019): `t` (s), `qm` motor position (m), `qg` its reference (m), `vir`
+drive command (V) and the scalar `gtau` (N/V). Such a file also has the columns `q_m1` = qm, `goal1` = qg and
+`tau1` = gtau*vir, the force in newtons, so that it needs no column map.
+"""
+
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.readers.table import Table, require_columns
+
+
+def read_mat(path: Path, wanted: Collection[str]) -> Table:
+    """Read the wanted columns of a MATLAB file; its numeric scalars become `meta`.
+
+    Raises:
+        InputError: for a damaged file, one of version 7.3 (HDF5), or a missing column.
+    """
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        variables = loadmat(path)
+    except NotImplementedError:
+        raise InputError(f"{path} is a MATLAB 7.3 file; save it with save(..., '-v7')") from None
+    except (MatReadError, ValueError, TypeError, KeyError, EOFError, OSError) as error:
+        raise InputError(
+            f"{path} is not a readable MATLAB file ({error}); write it again with '-v7'"
+        ) from None
+    columns: dict[str, np.ndarray] = {}
+    scalars: dict[str, float | str] = {}
+    for name, value in variables.items():
+        if name.startswith("__") or not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
+            continue
+        if value.size == 1:
+            scalars[name] = float(value.item())
+        elif value.ndim == 2 and 1 in value.shape:
+            columns[name] = value.ravel().astype(np.float64)
+        elif value.ndim == 2:
+            columns |= {f"{name}(:,{i + 1})": value[:, i].astype(np.float64) for i in range(value.shape[1])}
+    if {"qm", "vir"} <= columns.keys():
+        columns |= {new: columns[old] for new, old in (("q_m1", "qm"), ("goal1", "qg")) if old in columns}
+        if isinstance(gain := scalars.get("gtau"), float):
+            columns["tau1"] = gain * columns["vir"]
+    require_columns(path, wanted, columns)
+    return Table(path, {name: columns[name] for name in wanted}, lambda k: f"sample {k + 1}", scalars)

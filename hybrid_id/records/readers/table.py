@@ -1,0 +1,53 @@
+"""What every reader returns: columns of numbers, and words for the place of each sample."""
+
+import difflib
+import re
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns read from one file.
+
+    Attributes:
+        path: The file.
+        columns: Column name -> values as the file holds them, float64, (T,).
+        place: Sample k -> words for a message, such as `row 17` (1-based line of the file).
+        meta: Facts from the file's header, name -> number or text.
+    """
+
+    path: Path
+    columns: Mapping[str, np.ndarray]
+    place: Callable[[int], str]
+    meta: Mapping[str, float | str] = field(default_factory=dict)
+
+
+def require_columns(path: Path, wanted: Collection[str], available: Iterable[str]) -> None:
+    """Raise InputError for the first wanted column that a file does not have, or has twice."""
+    available = list(available)
+    for name in wanted:
+        if available.count(name) > 1:
+            raise InputError(
+                f"{path}: column '{name}' occurs {available.count(name)} times; rename one of them"
+            )
+        if name not in available:
+            close = difflib.get_close_matches(name, available, n=1)
+            hint = f"did you mean '{close[0]}'? " if close else ""
+            shown = ", ".join(available[:30]) + (", ..." if len(available) > 30 else "")
+            raise InputError(
+                f"{path} has no column '{name}' ({hint}it has {shown or 'none'}); "
+                "name the right one under 'columns' in the dataset file"
+            )
+
+
+def record_name(path: Path) -> str:
+    """Return a record's name for a file: `rec_00.csv.gz` -> `rec_00`; signs that no name may have become `_`."""
+    name = re.sub(r"\.gz$", "", path.name)
+    name = re.sub(r"\.(csv|txt|tsv|json|parquet|mat)$", "", name, flags=re.IGNORECASE)
+    return re.sub(r"^\W|[^\w .+@,=()-]", "_", name)

@@ -1,0 +1,169 @@
+"""One measured (or simulated) experiment: time, what was commanded, what came out."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from types import MappingProxyType
+from typing import Any, Literal
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+
+UNIFORM_TOLERANCE = 0.01  # steps this close to the median step, relative, count as equal
+_NAME = re.compile(r"\w[\w .+@,=()-]*")  # names become file names
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """One experiment, checked on construction; its arrays cannot be written to.
+
+    Attributes:
+        name: Unique in its dataset; letters, digits and `._-+ `.
+        time: Stamps [s], shape (T,), strictly increasing, T >= 2.
+        inputs: Channel name -> values in SI units, (T,); sample k is held until sample k + 1.
+        outputs: Channel name -> values in SI units, (T,), measured at the stamps.
+        role: `train`, or `test` for a record that no fit may see.
+        note: What was done, for people.
+        source: File that it came from, for messages.
+        meta: Facts of the experiment, name -> number or text (payload, controller gain).
+
+    Raises:
+        InputError: when a value is not finite, lengths differ, or time does not increase.
+    """
+
+    name: str
+    time: np.ndarray
+    inputs: Mapping[str, np.ndarray]
+    outputs: Mapping[str, np.ndarray]
+    role: Literal["train", "test"] = "train"
+    note: str = ""
+    source: str = ""
+    meta: Mapping[str, float | str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise InputError(
+                f"record name {self.name!r} cannot be a file name; use letters, digits, '_' and '-'"
+            )
+        if self.role not in ("train", "test"):
+            raise InputError(f"{self.title}: role {self.role!r} is unknown; it is 'train' or 'test'")
+        if twice := set(self.inputs) & set(self.outputs):
+            raise InputError(f"{self.title}: '{min(twice)}' is an input and an output; give one another name")
+        freeze = {name: _read_only(values) for name, values in {**self.inputs, **self.outputs}.items()}
+        time = _read_only(self.time)
+        if fault := find_fault(time, freeze, lambda k: f"sample {k}"):
+            raise InputError(f"{self.title}: {fault}")
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "inputs", MappingProxyType({name: freeze[name] for name in self.inputs}))
+        object.__setattr__(self, "outputs", MappingProxyType({name: freeze[name] for name in self.outputs}))
+        object.__setattr__(self, "meta", MappingProxyType(dict(self.meta)))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Read-only mappings cannot be sent to worker processes; rebuild from plain ones.
+        inputs, outputs = dict(self.inputs), dict(self.outputs)
+        return Record, (
+            self.name, self.time, inputs, outputs, self.role, self.note, self.source, dict(self.meta),
+        )  # fmt: skip
+
+    def __repr__(self) -> str:
+        channels = f"{', '.join(self.inputs)} -> {', '.join(self.outputs)}"
+        return (
+            f"Record({self.name!r}, {self.role}, {self.n_samples} samples, {self.duration:.3g} s, {channels})"
+        )
+
+    @property
+    def title(self) -> str:
+        """Name for messages: the record, and its file where there is one."""
+        return f"record '{self.name}'" + (f" ({self.source})" if self.source else "")
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples T."""
+        return self.time.size
+
+    @property
+    def duration(self) -> float:
+        """Time from the first to the last stamp [s]."""
+        return float(self.time[-1] - self.time[0])
+
+    @cached_property
+    def sample_time(self) -> float:
+        """Median step between stamps [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @cached_property
+    def is_uniform(self) -> bool:
+        """Whether every step lies within 1 % of the median step."""
+        return bool(
+            np.all(np.abs(np.diff(self.time) - self.sample_time) <= UNIFORM_TOLERANCE * self.sample_time)
+        )
+
+    def signal(self, channel: str) -> np.ndarray:
+        """Return an input or output by its name, (T,)."""
+        if channel in self.inputs:
+            return self.inputs[channel]
+        if channel in self.outputs:
+            return self.outputs[channel]
+        known = ", ".join([*self.inputs, *self.outputs])
+        raise InputError(f"{self.title} has no channel '{channel}'; it has {known}")
+
+    def between(self, start: float, stop: float) -> "Record":
+        """Return the part whose stamps lie in [start, stop] (s), the stamps unchanged."""
+        first, last = np.searchsorted(self.time, (start, stop), side="left")
+        last += last < self.n_samples and self.time[last] == stop
+        if last - first < 2:
+            raise InputError(
+                f"{self.title}: fewer than 2 samples lie between {start:g} s and {stop:g} s; "
+                f"its stamps run from {self.time[0]:g} s to {self.time[-1]:g} s"
+            )
+        cut = slice(first, last)
+        return replace(
+            self,
+            time=self.time[cut],
+            inputs={name: values[cut] for name, values in self.inputs.items()},
+            outputs={name: values[cut] for name, values in self.outputs.items()},
+        )
+
+
+def find_fault(
+    time: np.ndarray, signals: Mapping[str, np.ndarray], place: Callable[[int], str]
+) -> str | None:
+    """Say what is wrong with the arrays of a record, or return None.
+
+    Args:
+        time: Stamps (s), shape (T,).
+        signals: Name -> values, to be (T,) and finite.
+        place: Words for sample k in a message, such as `row 17`.
+    """
+    if time.ndim != 1:
+        return f"time has shape {time.shape}; give one number a sample"
+    if time.size < 2:
+        return f"it holds {time.size} sample{'s' * (time.size != 1)}; a record needs at least 2"
+    for name, values in {"time": time, **signals}.items():
+        if values.shape != time.shape:
+            return f"'{name}' has shape {values.shape} where time has {time.shape}; give one value a stamp"
+        if not np.isfinite(values).all():
+            k = int(np.argmin(np.isfinite(values)))
+            return f"{place(k)}, '{name}' is {values[k]:g}, not a finite number; correct or remove the sample"
+    backward = np.diff(time) <= 0
+    if backward.any():
+        k = int(np.argmax(backward)) + 1
+        return (
+            f"{place(k)}, time goes from {time[k - 1]:.9g} s to {time[k]:.9g} s, but it must increase; "
+            "sort the samples or remove the repeated ones"
+        )
+    return None
+
+
+def _read_only(values: Any) -> np.ndarray:
+    """Return values as a float64 array that cannot be written to, without a copy where it already is one."""
+    if isinstance(values, np.ndarray) and values.dtype == np.float64 and not values.flags.writeable:
+        return values
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"a signal is not an array of numbers ({error}); give floats") from None
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,167 @@
+"""Bringing a record with jittered stamps to a uniform grid, with a report of what that did.
+
+Inputs are held between samples, so each new sample takes the time average of the held input over its own
+step (the impulse on the motor is kept), or, by `hold`, the value in force at its start. A switch (`enable1`,
+only 0 and 1) takes the value in force for the longer part of the step. Outputs are read off at the new
+instants by a shape-preserving cubic (modified Akima: Akima, J. ACM 17(4), 1970), which passes through every
+sample and does not ring at quantisation steps.
+
+On aliasing: no low-pass filter is applied to the outputs when the new step is longer. A simulation sampled at
+the same instants folds its fast parts in the same way as the measurement, whereas a filter would act on one of
+them only. What the new grid does not carry is measured instead (`lost`): the RMS of the old samples minus the
+new ones interpolated back.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.record import UNIFORM_TOLERANCE, Record
+
+MAX_GAP = 3.0  # median steps
+
+
+@dataclass(frozen=True)
+class ResampleReport:
+    """What resampling found and did to one record.
+
+    Attributes:
+        record: Name of the record.
+        sample_time: New step (s).
+        n_in: Number of samples before, and `n_out` after.
+        median_step: Median, `min_step` least and `max_step` greatest step of the stamps (s).
+        jitter: Standard deviation of the steps over the median step.
+        gaps: (time, length) of every gap that was bridged (s).
+        lost: Output -> RMS of what the new grid does not carry, in the output's unit.
+        changed: False when the stamps already lay on the grid, so that nothing was touched.
+    """
+
+    record: str
+    sample_time: float
+    n_in: int
+    n_out: int
+    median_step: float
+    min_step: float
+    max_step: float
+    jitter: float
+    gaps: tuple[tuple[float, float], ...]
+    lost: Mapping[str, float]
+    changed: bool
+
+    @property
+    def message(self) -> str:
+        """The report in words, for `check`."""
+        if not self.changed:
+            return f"{self.record}: already uniform at {1e3 * self.sample_time:.4g} ms, left as it is"
+        words = (
+            f"{self.record}: resampled from {self.n_in} samples (step {1e3 * self.min_step:.4g} to "
+            f"{1e3 * self.max_step:.4g} ms, median {1e3 * self.median_step:.4g} ms, jitter {self.jitter:.1%}) "
+            f"to {self.n_out} at {1e3 * self.sample_time:.4g} ms"
+        )
+        if self.lost:
+            words += "; not carried over: " + ", ".join(
+                f"{name} {rms:.2g} RMS" for name, rms in self.lost.items()
+            )
+        if self.gaps:
+            words += "; bridged gaps at " + ", ".join(f"{t:.4g} s ({1e3 * d:.3g} ms)" for t, d in self.gaps)
+        return words
+
+
+def find_gaps(record: Record, max_gap: float = MAX_GAP) -> tuple[tuple[float, float], ...]:
+    """Return (time of the last sample before it, length) of every step above `max_gap` median steps (s)."""
+    steps = np.diff(record.time)
+    return tuple(
+        (float(record.time[k]), float(steps[k])) for k in np.flatnonzero(steps > max_gap * record.sample_time)
+    )
+
+
+def resample_record(
+    record: Record,
+    sample_time: float | None = None,
+    *,
+    inputs: Literal["average", "hold"] = "average",
+    max_gap: float = MAX_GAP,
+) -> tuple[Record, ResampleReport]:
+    """Bring a record to a uniform grid that starts at its first stamp.
+
+    Args:
+        record: The record; one whose stamps lie on the grid within 1 % of a step is returned unchanged.
+        sample_time: New step (s); None takes the median step.
+        inputs: `average` of the held input over each new step, or `hold` its value at the start of the step.
+        max_gap: Longest step that is bridged, in median steps.
+
+    Raises:
+        InputError: when a step is longer than `max_gap` median steps, or the new grid has under 2 samples.
+    """
+    step = record.sample_time if sample_time is None else sample_time
+    # The tolerance keeps a last stamp that misses its grid point by rounding or slight jitter.
+    n_out = int(np.floor(record.duration / step + UNIFORM_TOLERANCE)) + 1
+    if n_out < 2:
+        raise InputError(
+            f"{record.title} lasts {record.duration:g} s, under one step of {step:g} s; shorten the step"
+        )
+    if gaps := find_gaps(record, max_gap):
+        raise InputError(
+            f"{record.title}: after {gaps[0][0]:.6g} s samples are missing for {1e3 * gaps[0][1]:.3g} ms "
+            f"({gaps[0][1] / record.sample_time:.1f} steps, {len(gaps)} gap{'s' * (len(gaps) > 1)} in all); "
+            "cut the record there with 'between', or raise 'max_gap'"
+        )
+    grid = record.time[0] + step * np.arange(n_out)
+    changed = n_out != record.n_samples or bool(np.max(np.abs(grid - record.time)) > UNIFORM_TOLERANCE * step)
+    new = _on_grid(record, grid, step, inputs) if changed else record
+    steps = np.diff(record.time)
+    report = ResampleReport(
+        record=record.name,
+        sample_time=step,
+        n_in=record.n_samples,
+        n_out=n_out,
+        median_step=record.sample_time,
+        min_step=float(steps.min()),
+        max_step=float(steps.max()),
+        jitter=float(steps.std() / record.sample_time),
+        gaps=find_gaps(record),
+        lost=_lost(record, new) if changed else {},
+        changed=changed,
+    )
+    return new, report
+
+
+def _on_grid(record: Record, grid: np.ndarray, step: float, method: str) -> Record:
+    from scipy.interpolate import Akima1DInterpolator  # slow to import, and most datasets are uniform
+
+    instants = np.minimum(grid, record.time[-1])
+    outputs = {
+        name: Akima1DInterpolator(record.time, values, method="makima")(instants)
+        for name, values in record.outputs.items()
+    }
+    in_force = np.searchsorted(record.time, grid, side="right") - 1
+    inputs = {}
+    for name, values in record.inputs.items():
+        if method == "hold":
+            inputs[name] = values[in_force]
+            continue
+        mean = _mean_of_held(record.time, values, grid, step)
+        inputs[name] = np.round(mean) if np.isin(values, (0.0, 1.0)).all() else mean
+    return replace(record, time=grid, inputs=inputs, outputs=outputs)
+
+
+def _mean_of_held(time: np.ndarray, values: np.ndarray, grid: np.ndarray, step: float) -> np.ndarray:
+    """Average a held input over [grid, grid + step); the last value is held on. Shapes (T,), (T,), (N,)."""
+    stamps = np.append(time, max(time[-1], grid[-1] + step) + step)
+    # Offsets from the first value keep a constant input exactly constant.
+    integral = np.concatenate(([0.0], np.cumsum((values - values[0]) * np.diff(stamps))))
+    return values[0] + (np.interp(grid + step, stamps, integral) - np.interp(grid, stamps, integral)) / step
+
+
+def _lost(record: Record, new: Record) -> dict[str, float]:
+    """RMS per output of the old samples minus the new ones interpolated back, over their common time."""
+    common = record.time <= new.time[-1]
+    return {
+        name: float(
+            np.sqrt(np.mean((values - np.interp(record.time, new.time, new.outputs[name]))[common] ** 2))
+        )
+        for name, values in record.outputs.items()
+    }

@@ -1,0 +1,123 @@
+"""Reading, checking and writing of the YAML files of a user, every fault as one sentence."""
+
+import difflib
+import os
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+import yaml
+from pydantic import BaseModel, ValidationError
+
+from hybrid_id.errors import InputError
+
+Schema = TypeVar("Schema", bound=BaseModel)
+MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser
+
+
+def read_yaml(path: str | Path) -> dict[str, Any]:
+    """Read a YAML file whose top level is a mapping.
+
+    Plain data only: tags that name Python objects, aliases (which can blow up a small file without bounds)
+    and keys given twice (of which YAML would keep the last) are refused.
+
+    Raises:
+        InputError: when the file is missing, too large, not UTF-8, no YAML, or holds what is refused.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size > MAX_BYTES:
+            raise InputError(f"{path} is larger than 5 MB, so it is no settings file; give the right file")
+        text = path.read_text(encoding="utf-8")
+        _refuse_aliases_and_repeats(text, path)
+        values = yaml.safe_load(text)
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; correct the path or write the file") from None
+    except UnicodeDecodeError:
+        raise InputError(f"{path} is not a text file in UTF-8; save it as UTF-8") from None
+    except (OSError, RecursionError, ValueError) as error:
+        raise InputError(f"{path} cannot be read ({error}); correct it or give another file") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        row = f", row {mark.line + 1}" if mark else ""
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise InputError(f"{path}{row}: this is not valid YAML ({problem}); correct it") from None
+    if not isinstance(values, dict):
+        raise InputError(f"{path} must hold 'key: value' pairs at its top level; see the documentation")
+    return values
+
+
+def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) -> Schema:
+    """Check a mapping against a pydantic model; the first fault becomes one sentence that names the key.
+
+    Args:
+        schema: The model, with `extra="forbid"` where unknown keys are to be refused.
+        values: What the file holds.
+        path: The file, for the message.
+
+    Raises:
+        InputError: when a key is unknown, missing or has a value out of range.
+    """
+    try:
+        return schema.model_validate(values)
+    except ValidationError as error:
+        faults = error.errors(include_url=False)
+        more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
+        raise InputError(f"{path}: {_sentence(faults[0], schema)}{more}") from None
+
+
+def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
+    """Write a mapping as YAML, innermost ones on one line, under a temporary name first."""
+    path = Path(path)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    with os.fdopen(handle, "w", encoding="utf-8") as file:
+        yaml.safe_dump(
+            dict(values), file, sort_keys=False, allow_unicode=True, width=110, default_flow_style=None
+        )
+    os.chmod(temporary, 0o644)  # mkstemp makes files that nobody else may read
+    os.replace(temporary, path)
+
+
+def _refuse_aliases_and_repeats(text: str, path: Path) -> None:
+    """Raise InputError at the first alias, and at the first key that a mapping holds twice."""
+    for token in yaml.scan(text, Loader=yaml.SafeLoader):
+        if isinstance(token, yaml.AliasToken):
+            row = token.start_mark.line + 1
+            raise InputError(f"{path}, row {row}: YAML aliases (*name) are refused; write the value out")
+    waiting = [yaml.compose(text, Loader=yaml.SafeLoader)]
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, yaml.SequenceNode):
+            waiting.extend(node.value)
+        elif isinstance(node, yaml.MappingNode):
+            seen = set()
+            for key, value in node.value:
+                if str(key.value) in seen:
+                    row = key.start_mark.line + 1
+                    raise InputError(f"{path}, row {row}: key '{key.value}' is given twice; keep one of them")
+                seen.add(str(key.value))
+                waiting.append(value)
+
+
+def _sentence(fault: Any, schema: type[BaseModel]) -> str:
+    """Say one pydantic fault in words, `records[1].role: ...`."""
+    key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
+    if fault["type"] == "missing":
+        return f"key '{key}' is missing; add it"
+    if fault["type"] == "extra_forbidden":
+        close = difflib.get_close_matches(str(fault["loc"][-1]), _all_keys(schema), n=1)
+        hint = f"did you mean '{close[0]}'?" if close else "remove it"
+        return f"key '{key}' is unknown; {hint}"
+    words = fault["msg"].removeprefix("Value error, ")
+    found = repr(fault["input"])
+    found = found if len(found) <= 60 else found[:57] + "..."
+    return f"key '{key}': {words[0].lower()}{words[1:]}, found {found}"
+
+
+def _all_keys(schema: type[BaseModel]) -> list[str]:
+    """List the keys that a model and those inside it know."""
+    parts = schema.model_json_schema()
+    return sorted(
+        {key for part in (parts, *parts.get("$defs", {}).values()) for key in part.get("properties", {})}
+    )
