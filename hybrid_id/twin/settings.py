@@ -1,9 +1,9 @@
 """What a twin of one rigid link is made of: machine, disturbances, experiments, and the model that users start from."""
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationInfo, field_validator
 
 #: Parameters of the rigid link with asymmetric Stribeck friction, in the order of the paper's Table 2.
 PARAMETERS = ("J", "P_m1", "P_m2", "f_11", "f_12", "f_13", "f_14", "f_21", "f_22", "f_23", "f_24", "f_3")
@@ -94,12 +94,12 @@ class Model(Section):
     start_error: Annotated[float, Field(ge=0, lt=1)]
     parameters: dict[str, Knowledge]
 
-    @model_validator(mode="after")
-    def _all_parameters(self) -> Self:
-        if set(self.parameters) != set(PARAMETERS):
-            odd = sorted(set(self.parameters) ^ set(PARAMETERS))
-            raise ValueError(f"parameters must be exactly {', '.join(PARAMETERS)}; see {', '.join(odd)}")
-        return self
+    @field_validator("parameters")
+    @classmethod
+    def _all_and_no_others(cls, parameters: dict[str, Knowledge]) -> dict[str, Knowledge]:
+        if odd := set(parameters) ^ set(PARAMETERS):
+            raise ValueError(f"must hold exactly {', '.join(PARAMETERS)}; see {', '.join(sorted(odd))}")
+        return parameters
 
 
 class LinkTwin(Section):
@@ -115,3 +115,10 @@ class LinkTwin(Section):
     disturbances: Disturbances
     excitation: Excitation
     model: Model
+
+    @field_validator("duration")
+    @classmethod
+    def _leaves_time_to_move(cls, duration: float, info: ValidationInfo) -> float:
+        if duration < info.data.get("rest", 0.0) + 10 * info.data.get("sample_time", 0.0):
+            raise ValueError("must be longer than rest by ten samples or more")
+        return duration
