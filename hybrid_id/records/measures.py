@@ -1,0 +1,113 @@
+"""Figures that a record gives away about its sensors: noise, quantisation, rest at the start, turning points."""
+
+from math import comb
+
+import numpy as np
+
+from hybrid_id.records.record import Record
+from hybrid_id.records.units import stem
+
+ORDER = 6  # of the differences that leave the noise and take the motion away
+BLOCKS = 40
+STUCK = 10  # samples in a row at one extreme
+DRIVES = ("u", "duty", "tau", "i")  # stems of the inputs that push the motor
+
+
+def quantisation_step(values: np.ndarray) -> float:
+    """Return the step of which all differences of a signal are multiples, or 0 for a continuous signal.
+
+    Args:
+        values: Signal, shape (T,).
+    """
+    levels = np.unique(values)
+    steps = np.diff(levels)
+    steps = steps[steps > 1e-9 * max(np.ptp(values), 1e-300)]  # below: rounding of one and the same level
+    if steps.size == 0:
+        return 0.0
+    multiples = steps / steps.min()
+    step = float(steps.sum() / np.round(multiples).sum())
+    on_grid = np.abs(steps / step - np.round(steps / step)) < 0.05
+    return step if np.mean(on_grid) > 0.95 and levels.size < 0.9 * values.size else 0.0
+
+
+def estimate_noise(values: np.ndarray) -> float:
+    """Estimate the standard deviation of a sensor's noise from one signal, in its unit.
+
+    Differences of order n of white noise have the variance C(2n, n)*sigma^2, while those of a motion that is slow
+    against the sampling vanish (Rice, Ann. Statist. 12(4), 1984, for n = 1). The median over blocks keeps spikes
+    and fast moments out. Quantisation error follows the motion where the sensor is fine, so that
+    differences miss it; it counts with the least that it is, step/sqrt(12).
+
+    Args:
+        values: Signal, (T,), about uniformly sampled.
+    """
+    floor = quantisation_step(values) / np.sqrt(12)
+    if values.size < 4 * ORDER:
+        return float(floor)
+    squares = np.diff(values, ORDER) ** 2 / comb(2 * ORDER, ORDER)
+    blocks = np.array_split(squares, min(BLOCKS, squares.size // ORDER))
+    # The median of a block's mean square lies a little under its mean; blocks are long enough to neglect it.
+    return float(max(floor, np.sqrt(np.median([block.mean() for block in blocks]))))
+
+
+def rest_samples(record: Record) -> int:
+    """Count the first samples that are taken at rest; at least 1.
+
+    At rest means: every voltage, duty, torque or current is zero (or its motor is switched off) and no
+    output leaves its noise. Where a motion ends that stretch (an arm let go), only its first quarter counts,
+    in which such a motion has gone a sixteenth of the way. The sample at which the input sets in still
+    shows the rest, but it is left out, since its stamp may lag behind the input.
+    """
+    drives = [name for name in record.inputs if stem(name) in DRIVES]
+    pushed = np.zeros(record.n_samples, dtype=bool)
+    for name in drives:
+        pushed |= record.inputs[name] != 0
+    quiet = int(np.argmax(pushed)) if pushed.any() else record.n_samples
+    if not drives or quiet <= 1:
+        return 1
+    for values in record.outputs.values():
+        start = values[:quiet]
+        left = np.abs(start - np.median(start[:5])) > 6 * max(
+            estimate_noise(values), quantisation_step(values)
+        )
+        if left.any():
+            quiet = min(quiet, max(1, int(np.argmax(left)) // 4))
+    return quiet
+
+
+def start_position(record: Record, channel: str) -> float:
+    """Return the mean of an output over the samples at rest at the start of a record, in its unit."""
+    return float(record.outputs[channel][: rest_samples(record)].mean())
+
+
+def count_turns(values: np.ndarray, threshold: float) -> int:
+    """Count how often a signal changes between rising and falling, by more than `threshold` each time."""
+    blocks = np.array_split(values, min(400, values.size))
+    path = np.array([block.mean() for block in blocks])
+    turns, direction, extreme = 0, 0, path[0]
+    for value in path:
+        if direction * (value - extreme) >= 0 and direction:
+            extreme = value
+        elif abs(value - extreme) > threshold:
+            turns += direction != 0
+            direction, extreme = (1 if value > extreme else -1), value
+    return turns
+
+
+def stretches(mask: np.ndarray) -> np.ndarray:
+    """Return (first, one past the last) sample of every stretch of True in (T,), shape (n, 2)."""
+    return np.flatnonzero(np.diff(np.concatenate(([False], mask, [False])))).reshape(-1, 2)
+
+
+def find_stop(values: np.ndarray, extreme: float, fine: float) -> int | None:
+    """Return the sample at which a signal runs at speed into an extreme and stays there, or None.
+
+    Args:
+        values: Signal, (T,).
+        extreme: Its greatest or least value.
+        fine: Noise or quantisation step, whichever is greater, in the signal's unit.
+    """
+    for start, stop in stretches(values == extreme):
+        if stop - start >= STUCK and start >= 3 and abs(values[start] - values[start - 3]) > 6 * fine:
+            return int(start)
+    return None
