@@ -1,0 +1,40 @@
+"""Goodness of fit of simulated against measured outputs (paper, III.B)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+
+def nrmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """Normalised error ``‖y - ŷ‖ / ‖y - mean y‖`` over the last axis.
+
+    Args:
+        measured: y, (..., T).
+        simulated: ŷ, (..., T); leading axes broadcast, so many simulations may face one measurement.
+
+    Returns:
+        (...): 0 for a perfect simulation, 1 for one that is as good as the mean; +inf for a simulation that
+        diverged (a value that is not finite), nan where the measurement is constant and there is nothing to explain.
+    """
+    y, simulated = np.asarray(measured, float), np.asarray(simulated, float)
+    spread = np.linalg.norm(y - y.mean(axis=-1, keepdims=True), axis=-1)
+    # Rounding leaves a constant signal with a spread of about its size times 1e-16.
+    constant = spread <= 1e-12 * np.linalg.norm(y, axis=-1)
+    diverged = ~np.all(np.isfinite(simulated), axis=-1)
+    error = np.linalg.norm(np.where(np.isfinite(simulated), simulated, 0.0) - y, axis=-1)
+    ratio = np.where(diverged, np.inf, error / np.where(constant, 1.0, spread))
+    return np.where(constant, np.nan, ratio)
+
+
+def fit_percent(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """Fit ``100 (1 - ‖y - ŷ‖ / ‖y - mean y‖)`` in % over the last axis; -inf for a simulation that diverged."""
+    return 100.0 * (1.0 - nrmse(measured, simulated))
+
+
+def fit_by_signal(
+    measured: Mapping[str, np.ndarray], simulated: Mapping[str, np.ndarray]
+) -> dict[str, np.ndarray]:
+    """Fit in % of every signal that is in both; values (T,) or, on the simulated side, (..., T)."""
+    return {name: fit_percent(measured[name], simulated[name]) for name in measured if name in simulated}

@@ -1,0 +1,110 @@
+"""Variation of parameters over experiments (paper, III.A, Tables 2, 4, 6, 7, 8, 10)."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+ACCEPTABLE_PERCENT = 30.0  # "if variations fall under 30 percent, results are acceptable"
+
+
+@dataclass(frozen=True, eq=False)
+class Variation:
+    """Scatter of each parameter over the experiments, one parameter set per experiment.
+
+    Attributes:
+        names: Parameters (p).
+        mean, std: Over the experiments (p,), std with n - 1.
+        percent: 100 std / |mean| (p,); nan for a single experiment, inf for a mean of zero.
+        held: (p,) bool; fixed or held by a prior, so that a small scatter says nothing about the records.
+        acceptable: (p,) bool; percent within the limit and not held.
+        limit: Limit of percent.
+        n_sets: Number of experiments.
+    """
+
+    names: tuple[str, ...]
+    mean: np.ndarray
+    std: np.ndarray
+    percent: np.ndarray
+    held: np.ndarray
+    acceptable: np.ndarray
+    limit: float
+    n_sets: int
+
+    def summary(self) -> str:
+        """One line per parameter: mean, std / mean in %, verdict."""
+        width = max(map(len, self.names))
+        lines = [f"{'':{width}}  {'mean':>11}  std/mean %   over {self.n_sets} experiments"]
+        for name, mean, percent, held, fine in zip(
+            self.names, self.mean, self.percent, self.held, self.acceptable, strict=True
+        ):
+            verdict = "held, no claim" if held else "" if fine else f"above {self.limit:g} %"
+            lines.append(f"{name:{width}}  {mean:11.4g}  {percent:10.2f}   {verdict}".rstrip())
+        return "\n".join(lines)
+
+
+def variation(
+    parameter_sets: np.ndarray,
+    names: Sequence[str],
+    *,
+    held: Collection[str] = (),
+    limit: float = ACCEPTABLE_PERCENT,
+) -> Variation:
+    """std/mean in % of each parameter over the experiments, with the paper's rule of 30 %.
+
+    Args:
+        parameter_sets: (n, p), one row per experiment; rows with a value that is not finite (failed fits) are left out.
+        names: Names of the p parameters.
+        held: Names of parameters that were fixed or held by a prior: they take no part in claims.
+        limit: Acceptable std/mean [%].
+    """
+    sets = np.asarray(parameter_sets, float)
+    sets = sets[np.all(np.isfinite(sets), axis=1)]
+    nothing = np.full(len(names), np.nan)
+    mean = sets.mean(axis=0) if len(sets) else nothing
+    std = sets.std(axis=0, ddof=1) if len(sets) > 1 else nothing
+    with np.errstate(divide="ignore", invalid="ignore"):
+        percent = np.where((mean == 0) & (std > 0), np.inf, 100 * std / np.abs(mean))
+    held_mask = np.isin(names, list(held))
+    return Variation(
+        tuple(names), mean, std, percent, held_mask, (percent <= limit) & ~held_mask, limit, len(sets)
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class MeanInterval:
+    """Mean over experiments with its confidence interval.
+
+    Attributes:
+        mean, std_error, lower, upper: (p,); nan where fewer than two experiments are left.
+        level: Confidence.
+        n_sets: Number of experiments.
+    """
+
+    mean: np.ndarray
+    std_error: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    level: float
+    n_sets: int
+
+
+def mean_interval(parameter_sets: np.ndarray, *, level: float = 0.95) -> MeanInterval:
+    """Student's interval of the mean over experiments (n, p), from the scatter between them alone.
+
+    It asks nothing of the residuals; autocorrelation and small model errors that differ between experiments are
+    in it. What all experiments share (a wrong gear ratio, say) is not.
+    """
+    sets = np.asarray(parameter_sets, float)
+    sets = sets[np.all(np.isfinite(sets), axis=1)]
+    n_sets = len(sets)
+    if n_sets < 2:
+        nothing = np.full(sets.shape[1], np.nan)
+        return MeanInterval(sets[0] if n_sets else nothing, nothing, nothing, nothing, level, n_sets)
+    mean = sets.mean(axis=0)
+    std_error = sets.std(axis=0, ddof=1) / np.sqrt(n_sets)
+    reach = student.ppf(0.5 + level / 2, n_sets - 1) * std_error
+    return MeanInterval(mean, std_error, mean - reach, mean + reach, level, n_sets)

@@ -1,0 +1,47 @@
+"""Fit in %, by hand."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hybrid_id.statistics.fit import fit_by_signal, fit_percent, nrmse
+
+
+def test_perfect_mean_and_by_hand():
+    y = np.array([0.0, 1.0, 2.0, 3.0])
+    assert fit_percent(y, y) == 100
+    assert fit_percent(y, np.full(4, 1.5)) == pytest.approx(0)
+    # ‖error‖ = 0.2, ‖y - mean‖ = sqrt(5)
+    assert fit_percent(y, y + 0.1) == pytest.approx(100 * (1 - 0.2 / np.sqrt(5)))
+
+
+def test_worse_than_the_mean_is_negative():
+    y = np.array([0.0, 1.0, 2.0, 3.0])
+    assert fit_percent(y, -y) < 0
+
+
+def test_divergence_is_minus_infinity_and_a_constant_measurement_has_no_fit():
+    y = np.array([0.0, 1.0, 2.0])
+    assert fit_percent(y, np.array([0.0, np.nan, 2.0])) == -np.inf
+    assert fit_percent(y, np.array([0.0, np.inf, 2.0])) == -np.inf
+    assert np.isnan(fit_percent(np.full(3, 0.1), y))
+
+
+def test_many_simulations_face_one_measurement(rng):
+    y, simulated = rng.standard_normal(50), rng.standard_normal((4, 50))
+    np.testing.assert_allclose(nrmse(y, simulated), [nrmse(y, one) for one in simulated])
+
+
+def test_by_signal_takes_what_both_have():
+    y = np.arange(4.0)
+    assert fit_by_signal({"q_m1": y, "i1": y}, {"q_m1": y}) == {"q_m1": 100}
+
+
+@given(y=arrays(float, 20, elements=st.floats(-10, 10)), scale=st.floats(0.1, 10), offset=st.floats(-5, 5))
+def test_fit_does_not_depend_on_unit_or_origin(y, scale, offset):
+    y = y + np.linspace(0, 1, 20)
+    simulated = 0.9 * y
+    before, after = fit_percent(y, simulated), fit_percent(scale * y + offset, scale * simulated + offset)
+    assert after == pytest.approx(before, abs=1e-6) or np.std(y) < 1e-6

@@ -1,0 +1,93 @@
+"""Cross-validation matrix and the two rules of selection."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hybrid_id.errors import InputError
+from hybrid_id.statistics.cross_validation import cross_validate, cross_validation
+from hybrid_id.statistics.selection import select
+
+
+def matrix(rows, **names):
+    return cross_validation(np.asarray(rows, float)[:, :, None], **names)
+
+
+def test_the_steadiest_of_the_good_ones_is_selected():
+    fits = [[95, 85, 96], [93, 92, 92], [80, 80, 80]]
+    selection = select(matrix(fits, set_names=["a", "b", "c"]))
+    assert selection.name == "b"
+    np.testing.assert_array_equal(selection.candidate, [True, True, False])
+    assert "least std/mean" in selection.reason
+
+
+def test_the_papers_rule_rewards_a_uniformly_bad_set():
+    fits = [[95, 85, 96], [93, 92, 92], [20, 20, 20]]
+    selection = select(matrix(fits, set_names=["a", "b", "c"]))
+    assert selection.paper_name == "c"
+    assert "would select c" in selection.summary()
+
+
+def test_both_rules_agree_where_nothing_is_bad():
+    assert "selects the same set" in select(matrix([[95, 85], [92, 92.5]])).summary()
+
+
+def test_signals_are_averaged():
+    fits = np.array([[[90, 80], [80, 90]], [[90, 84], [88, 80]]], float)  # (2 sets, 2 records, 2 signals)
+    assert select(cross_validation(fits)).index == 0
+
+
+def test_a_set_that_diverges_once_is_never_selected():
+    selection = select(matrix([[99, 99, -np.inf], [60, 70, 50]]))
+    assert selection.index == 1 and selection.paper_index == 1
+    assert selection.mean[0] == -np.inf
+
+
+def test_no_usable_set_is_an_error_in_words():
+    with pytest.raises(InputError, match="no parameter set"):
+        select(matrix([[-5.0, -np.inf], [-1.0, -2.0]]))
+
+
+def test_own_record_can_be_left_out():
+    fits = [[99, 70, 70], [60, 85, 84], [60, 60, 99]]
+    cross = matrix(fits)
+    assert np.isnan(np.diag(cross.other_records())).all()
+    assert select(cross, include_own=False).mean[0] == pytest.approx(70)
+    assert select(cross).mean[0] == pytest.approx(239 / 3)
+
+
+def test_a_constant_signal_leaves_the_others_to_stand_for_the_record():
+    fits = np.array([[[90, np.nan], [80, 90]], [[50, np.nan], [50, 50]]], float)
+    selection = select(cross_validation(fits))
+    assert selection.mean[0] == pytest.approx(87.5)
+
+
+def test_simulation_of_records_of_different_length():
+    def simulate(sets, record):
+        return {"q": sets[:, :1] * np.arange(5 + record)}
+
+    measured = [{"q": 2.0 * np.arange(5)}, {"q": 3.0 * np.arange(6)}]
+    cross = cross_validate(
+        np.array([[2.0], [3.0]]), measured, simulate, signals=["q"], set_names=["two", "three"]
+    )
+    np.testing.assert_allclose(np.diag(cross.matrix("q")), 100)
+    assert np.all(cross.other_records()[[0, 1], [1, 0]] < 100)
+    assert "three" in cross.summary() and "std" in cross.summary()
+
+
+def test_names_must_fit():
+    with pytest.raises(InputError, match="2 names"):
+        matrix(np.ones((3, 3)), set_names=["a", "b"])
+    with pytest.raises(InputError, match="axes"):
+        cross_validation(np.ones((3, 3)))
+    with pytest.raises(InputError, match="own_record"):
+        matrix(np.ones((2, 3)), own_record=[0, 3])
+
+
+@given(arrays(float, (4, 5), elements=st.floats(1, 100)))
+def test_the_selected_set_is_always_within_the_tolerance(fits):
+    selection = select(matrix(fits))
+    assert selection.mean[selection.index] >= selection.mean.max() - 2
+    assert selection.percent[selection.paper_index] == selection.percent.min()

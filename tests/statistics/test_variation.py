@@ -1,0 +1,68 @@
+"""std/mean over experiments and the interval of the mean."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hybrid_id.statistics.variation import mean_interval, variation
+
+SETS = np.array([[9.0, 1.0, 5.0], [10.0, 2.0, 5.0], [11.0, 3.0, 5.0]])
+NAMES = ["J", "f_3", "P_m1"]
+
+
+def test_by_hand():
+    result = variation(SETS, NAMES, held=["P_m1"])
+    np.testing.assert_allclose(result.mean, [10, 2, 5])
+    np.testing.assert_allclose(result.std, [1, 1, 0])
+    np.testing.assert_allclose(result.percent, [10, 50, 0])
+    np.testing.assert_array_equal(result.acceptable, [True, False, False])
+
+
+def test_held_parameters_make_no_claim_although_they_do_not_scatter():
+    text = variation(SETS, NAMES, held=["P_m1"]).summary()
+    assert "P_m1" in text and "held, no claim" in text
+    assert "above 30 %" in text
+
+
+def test_failed_experiments_are_left_out_and_counted():
+    result = variation(np.vstack([SETS, np.full(3, np.nan)]), NAMES)
+    assert result.n_sets == 3
+    np.testing.assert_allclose(result.mean, [10, 2, 5])
+
+
+def test_one_experiment_says_nothing_about_scatter():
+    result = variation(SETS[:1], NAMES)
+    assert np.isnan(result.percent).all() and not result.acceptable.any()
+
+
+def test_no_experiment_at_all():
+    result = variation(np.full((2, 3), np.nan), NAMES)
+    assert result.n_sets == 0 and not result.acceptable.any()
+
+
+def test_mean_of_zero_is_infinite_percent():
+    assert variation(np.array([[-1.0], [1.0]]), ["x"]).percent[0] == np.inf
+
+
+@given(scale=st.floats(1e-6, 1e6), sign=st.sampled_from([-1, 1]))
+def test_percent_does_not_depend_on_unit_or_sign(scale, sign):
+    np.testing.assert_allclose(
+        variation(sign * scale * SETS, NAMES).percent, [10, 50, 0], rtol=1e-9, atol=1e-9
+    )
+
+
+def test_interval_of_the_mean_covers_as_often_as_it_says(rng):
+    samples = 3.0 + rng.standard_normal((5, 4000))  # 4000 "parameters", 5 experiments each
+    interval = mean_interval(samples)
+    coverage = np.mean((interval.lower < 3) & (interval.upper > 3))
+    assert coverage == pytest.approx(0.95, abs=0.012)
+    # A normal interval in its place would be too confident.
+    reach = 1.96 * interval.std_error
+    assert np.mean(np.abs(interval.mean - 3) < reach) < 0.90
+
+
+def test_interval_of_one_experiment_is_unknown():
+    interval = mean_interval(SETS[:1])
+    np.testing.assert_allclose(interval.mean, SETS[0])
+    assert np.isnan(interval.lower).all()
