@@ -1,0 +1,20 @@
+"""Friction laws: speed to a torque of its sign."""
+
+from hybrid_id.components.friction.asymmetric_stribeck import AsymmetricStribeck, AsymmetricStribeckEq8
+from hybrid_id.components.friction.coulomb import Coulomb
+from hybrid_id.components.friction.dahl import Dahl
+from hybrid_id.components.friction.load_dependent import LoadDependent
+from hybrid_id.components.friction.lugre import LuGre
+from hybrid_id.components.friction.stribeck import Stribeck
+from hybrid_id.components.friction.viscous import Viscous
+
+__all__ = [
+    "AsymmetricStribeck",
+    "AsymmetricStribeckEq8",
+    "Coulomb",
+    "Dahl",
+    "LoadDependent",
+    "LuGre",
+    "Stribeck",
+    "Viscous",
+]

@@ -1,0 +1,30 @@
+"""Dahl's presliding friction."""
+
+from hybrid_id.components.base import Bristle, relax
+from hybrid_id.parameters import Parameter
+
+
+class Dahl(Bristle):
+    """Paper, eq. (7): ``dF/dt = sigma (v - |v| F / F_c(v))``, state F [N m], steady state ``F_c(v) sgn v``.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | sigma | N m/rad | stiffness at rest |
+    | F_c(v) | N m | level of the dry laws on the same speed |
+
+    Differs from the paper's letter, whose units disagree (sigma multiplies the first term only). sigma is in no
+    table of the paper: a free parameter.
+    """
+
+    kind = "dahl"
+    states = ("F",)
+    sigma = Parameter(1.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="stiffness at rest")
+
+    def rate(self, p, state, speed, level):
+        return p.sigma * (speed - speed.abs() * state / level)
+
+    def advance(self, p, state, speed, level, step):
+        return p.sigma * relax(state / p.sigma, speed, p.sigma * speed.abs() / level, step)
+
+    def torque(self, p, state, speed, level):
+        return state

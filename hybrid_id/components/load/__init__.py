@@ -1,0 +1,6 @@
+"""Load: masses and torques at the link."""
+
+from hybrid_id.components.load.gravity import Gravity
+from hybrid_id.components.load.one_link import OneLink, TwoInertias
+
+__all__ = ["Gravity", "OneLink", "TwoInertias"]

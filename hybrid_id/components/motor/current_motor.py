@@ -1,0 +1,22 @@
+"""Motor behind a current loop."""
+
+from hybrid_id.components.base import Motor
+from hybrid_id.parameters import Parameter
+
+
+class CurrentMotor(Motor):
+    """``tau_m = k_t i``, for drives that are commanded (or logged) in current.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | k_t | N m/A | torque constant |
+    """
+
+    kind = "current_motor"
+    k_t = Parameter(0.05, lower=1e-9, upper=1e3, unit="N m/A", doc="torque constant")
+
+    def torque(self, p, command, speed):
+        return p.k_t * command
+
+    def current(self, p, command, speed):
+        return command

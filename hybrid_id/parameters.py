@@ -1,0 +1,91 @@
+"""Bounded, unit-bearing physical parameters and the view through which components read them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from hybrid_id.errors import InputError
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """Declaration of one physical parameter in the body of a component class.
+
+    ``F_c = Parameter(0.01, upper=10.0, unit="N m", doc="Coulomb level")`` is all that a component needs.
+
+    Attributes:
+        default: value of a fresh component, in ``unit``.
+        lower, upper: bounds in ``unit``; a value on a bound is legal (a nested fit starts there).
+        unit: SI unit as text, "1" where there is none.
+        doc: meaning, one line.
+        estimate: whether a fit may move it unless told otherwise.
+    """
+
+    default: float
+    lower: float = 0.0
+    upper: float = math.inf
+    unit: str = "1"
+    doc: str = ""
+    estimate: bool = True
+
+    def bounded(self, value: float | None = None) -> Bounded:
+        """The declaration as a concrete parameter with ``value`` (default: its default)."""
+        return Bounded(
+            self.default if value is None else float(value), self.lower, self.upper, self.unit, self.estimate
+        )
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """One concrete parameter of one component: value, bounds, unit, role in a fit, optional Gaussian prior.
+
+    Raises:
+        InputError: empty interval, non-finite value, or value outside the bounds.
+    """
+
+    value: float
+    lower: float = -math.inf
+    upper: float = math.inf
+    unit: str = "1"
+    estimate: bool = True
+    prior_mean: float | None = None
+    prior_std: float | None = None
+
+    def check(self, name: str) -> Bounded:
+        """Return self, or raise with the parameter's name in the message."""
+        if not math.isfinite(self.value):
+            raise InputError(f"Parameter {name} is {self.value}; give a finite number in {self.unit}.")
+        if math.isnan(self.lower) or math.isnan(self.upper) or self.lower > self.upper:
+            raise InputError(f"Parameter {name} has an empty range [{self.lower}, {self.upper}]; swap or widen it.")
+        if not self.lower <= self.value <= self.upper:
+            raise InputError(
+                f"Parameter {name} = {self.value:g} {self.unit} lies outside its bounds "
+                f"[{self.lower:g}, {self.upper:g}]; move it inside or widen the bounds."
+            )
+        if self.prior_std is not None and not self.prior_std > 0.0:
+            raise InputError(f"Parameter {name} has prior_std {self.prior_std}; give a positive number.")
+        return self
+
+    def at(self, value: float) -> Bounded:
+        """The same parameter with another value."""
+        return replace(self, value=float(value))
+
+
+@dataclass(frozen=True)
+class ParameterInfo:
+    """One row of a system's parameter table.
+
+    Attributes:
+        name: name in results, unique in the system (``J``, ``F_c``, ``P_m1m2`` ...).
+        component: key of the component that owns it (``joint1/motor_friction/coulomb_friction``).
+        symbol: name inside that component.
+        doc: meaning.
+        spec: value, bounds, unit, role and prior.
+    """
+
+    name: str
+    component: str
+    symbol: str
+    doc: str
+    spec: Bounded

@@ -1,0 +1,216 @@
+"""A system is a chain of places, and everything that acts is a component in a place."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from hybrid_id.components.base import PLACES, Component
+from hybrid_id.errors import InputError
+from hybrid_id.parameters import Bounded, ParameterInfo
+from hybrid_id.systems.joint import Joint, SpeedBalance
+
+Rows = Sequence[Tensor]
+Channels = Mapping[str, Tensor]
+Views = Mapping[str, SimpleNamespace]
+
+
+class System(nn.Module):
+    """A drive or arm: components in places, a state layout, and the equations of motion that follow.
+
+    Args:
+        gear_ratio: motor turns per joint turn, one a joint.
+        parts: (where, component) pairs, ``where`` as ``"joint1/motor_friction"``.
+        aliases: preferred result names by (component key, symbol), for example ``("joint1/motor", "P_m1"): "P_m1"``.
+        name: kind of system in model files (``one_link`` ...).
+
+    Attributes:
+        state_names: rows of the state, ``(n_x, B)``.
+        table: the parameters, in a fixed order; ``theta`` vectors follow it.
+
+    Raises:
+        InputError: unknown place, a component in a place where it cannot sit, a place that is empty or crowded.
+    """
+
+    def __init__(
+        self,
+        gear_ratio: Sequence[float],
+        parts: Sequence[tuple[str, Component]],
+        aliases: Mapping[tuple[str, str], str] | None = None,
+        name: str = "one_link",
+    ) -> None:
+        super().__init__()
+        self.name = name
+        self.gear_ratio = tuple(float(r) for r in gear_ratio)
+        self.aliases = dict(aliases or {})
+        self.components = nn.ModuleDict()
+        for where, part in parts:
+            self._place(where, part)
+        self._wire()
+
+    def _place(self, where: str, part: Component) -> None:
+        joint, _, place = where.partition("/")
+        joints = [f"joint{i + 1}" for i in range(len(self.gear_ratio))]
+        if joint not in joints or place not in PLACES:
+            raise InputError(
+                f"Place '{where}' is not known; use one of {', '.join(joints)} with one of {', '.join(PLACES)}."
+            )
+        if place not in part.places:
+            raise InputError(f"{part.kind} cannot sit in '{where}'; it belongs in {' or '.join(part.places)}.")
+        if part.single:
+            family = [base for base in type(part).__mro__ if getattr(base, "single", False)][-1]
+            for key, other in list(self.components.items()):
+                if key.startswith(f"{where}/") and isinstance(other, family):
+                    del self.components[key]
+        self.components[f"{where}/{part.kind}"] = part
+
+    def _wire(self) -> None:
+        self.joints: list[Joint] = []
+        self.state_names: list[str] = []
+        for i, ratio in enumerate(self.gear_ratio):
+            parts = {k: cast(Component, c) for k, c in self.components.items() if k.startswith(f"joint{i + 1}/")}
+            joint = Joint(i + 1, ratio, parts, len(self.state_names))
+            self.joints.append(joint)
+            self.state_names += joint.state_names
+        self.speed_rows = [row + 1 for joint in self.joints for row in joint.positions]
+        self.bristle_rows = [row for joint in self.joints for *_, row in joint.bristles.values()]
+        self.table = self._name_parameters()
+
+    def _name_parameters(self) -> list[ParameterInfo]:
+        entries = [(key, s) for key, c in self.components.items() for s in cast(Component, c).declared]
+        symbols = [symbol for _, symbol in entries]
+        table = []
+        for key, symbol in entries:
+            part = cast(Component, self.components[key])
+            name = self.aliases.get((key, symbol))
+            if name is None:
+                joint, place, kind = key.split("/")
+                name = symbol if symbols.count(symbol) == 1 else f"{symbol}_{joint}_{place}_{kind}"
+            table.append(ParameterInfo(name, key, symbol, part.declared[symbol].doc, part.specs[symbol]))
+        return table
+
+    # --- composition ---------------------------------------------------------------------------------------------
+
+    def with_component(self, where: str, component: Component) -> System:
+        """A new system that has ``component`` too (in a place that holds exactly one, instead of the old one)."""
+        system = copy.deepcopy(self)
+        system._place(where, copy.deepcopy(component))
+        system._wire()
+        return system
+
+    def without_component(self, where: str, kind: str) -> System:
+        """A new system that lacks the component of ``kind`` at ``where``."""
+        if f"{where}/{kind}" not in self.components:
+            raise InputError(f"There is no {kind} at '{where}'; the system has {', '.join(self.components)}.")
+        system = copy.deepcopy(self)
+        del system.components[f"{where}/{kind}"]
+        system._wire()
+        return system
+
+    def with_values(self, values: Mapping[str, float]) -> System:
+        """A new system with parameter values (by result name) replaced; bounds stay and are checked."""
+        return self.with_specs({n: self.parameter(n).spec.at(v) for n, v in values.items()})
+
+    def with_specs(self, specs: Mapping[str, Bounded]) -> System:
+        """A new system with whole parameter specifications (value, bounds, role, prior) replaced by result name."""
+        system = copy.deepcopy(self)
+        for name, spec in specs.items():
+            info = system.parameter(name)
+            part = cast(Component, system.components[info.component])
+            part.specs[info.symbol] = spec.check(name)
+            with torch.no_grad():
+                cast(Tensor, getattr(part, info.symbol)).fill_(spec.value)
+        system._wire()
+        return system
+
+    def parameter(self, name: str) -> ParameterInfo:
+        """The table's row of a parameter by its result name."""
+        for info in self.table:
+            if info.name == name:
+                return info
+        raise InputError(f"The system has no parameter '{name}'; it has {', '.join(i.name for i in self.table)}.")
+
+    # --- parameters as vectors -----------------------------------------------------------------------------------
+
+    def theta(self) -> Tensor:
+        """Stored parameter values in table order, ``(n_p,)``; gradients flow to the torch parameters."""
+        return torch.stack([cast(Tensor, getattr(self.components[i.component], i.symbol)) for i in self.table])
+
+    def views(self, theta: Rows) -> dict[str, SimpleNamespace]:
+        """Parameter views by component key from rows in table order, each ``(1,)`` or ``(B,)``."""
+        views: dict[str, SimpleNamespace] = {key: SimpleNamespace() for key in self.components}
+        for info, row in zip(self.table, theta, strict=True):
+            setattr(views[info.component], info.symbol, row)
+        return views
+
+    @property
+    def input_names(self) -> list[str]:
+        """Channels that the system reads (``enable<joint>`` is read where a record has it)."""
+        return [f"{c}{j.number}" for j in self.joints for c in j.input[1].channels]
+
+    # --- equations of motion -------------------------------------------------------------------------------------
+
+    def balances(self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows) -> list[SpeedBalance]:
+        """Torque balance of every speed, in the order of ``speed_rows``."""
+        found: list[SpeedBalance] = []
+        for joint in self.joints:
+            n = slice(len(found), len(found) + len(joint.positions))
+            found += joint.balances(x, u, p, magnitudes[n], forwards[n])
+        return found
+
+    def rates(self, x: Rows, u: Channels, p: Views, directions: Rows | None = None, width: float = 0.5) -> list[Tensor]:
+        """Time derivative of the state rows (bristle rows excepted: zero here, see ``bristle_rates``).
+
+        Args:
+            x: state rows, ``(B,)`` each.
+            u: channels, ``(B,)`` each.
+            p: parameter views.
+            directions: direction of dry friction for each speed, -1, 0 (held at rest) or 1; without it dry friction
+                is smoothed as ``tanh(speed / width)``.
+            width: smoothing speed [rad/s] of the side where the friction acts.
+        """
+        speeds = [x[row] for row in self.speed_rows]
+        if directions is None:
+            signs = [torch.tanh(v / width) for v in speeds]
+            magnitudes, forwards = [v.abs() for v in speeds], [(v > 0).to(v.dtype) for v in speeds]
+        else:
+            signs = list(directions)
+            magnitudes = [(s * v).clamp_min(0.0) for s, v in zip(signs, speeds, strict=True)]
+            forwards = [(s > 0).to(s.dtype) for s in signs]
+        rates = [torch.zeros_like(x[0])] * len(x)
+        for row, sign, balance in zip(
+            self.speed_rows, signs, self.balances(x, u, p, magnitudes, forwards), strict=True
+        ):
+            acceleration = balance.acceleration(sign)
+            rates[row - 1] = x[row]
+            rates[row] = acceleration if directions is None else acceleration * sign.abs()
+        return rates
+
+    def bristle_levels(self, x: Rows, p: Views) -> list[tuple[int, Tensor, Tensor]]:
+        """For each bristle its row, the speed that drives it and the dry level of that speed."""
+        found = []
+        for joint in self.joints:
+            for place, (_, _, row) in joint.bristles.items():
+                motor = place == "motor_friction"
+                v = x[joint.positions[0] + 1] if motor or joint.rigid else x[joint.positions[1] + 1]
+                v = v / joint.gear_ratio if joint.rigid and not motor else v
+                found.append((row, v, joint.dry_level(place, p, v.abs(), (v > 0).to(v.dtype))))
+        return found
+
+    def bristle(self, row: int) -> tuple[str, Component]:
+        """Key and component of the bristle that owns a state row."""
+        return next((key, law) for j in self.joints for key, law, r in j.bristles.values() if r == row)
+
+    def outputs(self, names: Sequence[str], x: Rows, u: Channels, p: Views) -> list[Tensor]:
+        """Measured outputs by name (``q_m1``, ``i1`` ...), ``(B,)`` each."""
+        found = []
+        for name in names:
+            if not name[-1:].isdigit() or not 1 <= int(name[-1]) <= len(self.joints):
+                raise InputError(f"Output '{name}' names no joint of this system; outputs end in the joint's number.")
+            found.append(self.joints[int(name[-1]) - 1].output(name[:-1], x, u, p))
+        return found

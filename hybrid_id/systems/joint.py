@@ -1,0 +1,216 @@
+"""Torque balance of one joint: the drive chain from its command to the accelerations of its speeds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import cast
+
+import torch
+from torch import Tensor
+
+from hybrid_id.components.base import (
+    Bristle,
+    Component,
+    Friction,
+    Inertia,
+    Input,
+    LoadTorque,
+    Motor,
+    Sensor,
+    Transmission,
+)
+from hybrid_id.errors import InputError
+
+Views = Mapping[str, SimpleNamespace]
+
+
+@dataclass
+class SpeedBalance:
+    """Forces on one speed: ``inertia * a = smooth - direction * (level + factor |transmitted|)``.
+
+    ``transmitted = link_share * inertia * a + load`` is the torque through a rigid gear; with a spring the chain
+    knows it beforehand, puts its friction into ``level`` and leaves ``factor`` empty.
+    """
+
+    inertia: Tensor
+    smooth: Tensor
+    level: Tensor
+    factor: Tensor | None = None
+    link_share: Tensor | None = None
+    load: Tensor | None = None
+
+    def acceleration(self, direction: Tensor) -> Tensor:
+        """Acceleration for a direction of dry friction in [-1, 1], the load's loop closed exactly."""
+        net = self.smooth - direction * self.level
+        if self.factor is None or self.link_share is None or self.load is None:
+            return net / self.inertia
+        # with |factor| < 1 the transmitted torque has the sign that it has without load-dependent friction
+        signed = direction * self.factor * torch.sign(self.link_share * net + self.load)
+        return (net - signed * self.load) / (self.inertia * (1.0 + signed * self.link_share))
+
+    def holding_level(self) -> Tensor:
+        """Largest dry friction at rest."""
+        return self.level if self.factor is None else self.level + self.factor * cast(Tensor, self.load).abs()
+
+
+class Joint:
+    """The components of one joint, sorted by place, and the rows of the state that they own.
+
+    State rows: ``q_m, v_m``, with a compliant transmission ``q_a, v_a``, then one row a bristle.
+
+    Args:
+        number: joint number, from 1.
+        gear_ratio: motor turns per joint turn.
+        parts: component key -> component, in the order in which they were added.
+        first_row: row of the joint's q_m in the system's state.
+
+    Raises:
+        InputError: a place that must hold a component is empty.
+    """
+
+    def __init__(self, number: int, gear_ratio: float, parts: Mapping[str, Component], first_row: int) -> None:
+        self.name, self.number, self.gear_ratio = f"joint{number}", number, gear_ratio
+
+        def of(kind: type, place: str | None = None) -> list[tuple[str, Component]]:
+            return [
+                (key, part)
+                for key, part in parts.items()
+                if isinstance(part, kind) and (place is None or key.split("/")[1] == place)
+            ]
+
+        def only(kind: type, what: str) -> tuple[str, Component]:
+            found = of(kind)
+            if len(found) != 1:
+                raise InputError(f"{self.name} has {len(found)} components of type {what}; it needs exactly one.")
+            return found[0]
+
+        self.input = cast("tuple[str, Input]", only(Input, "input"))
+        self.motor = cast("tuple[str, Motor]", only(Motor, "motor"))
+        self.transmission = cast("tuple[str, Transmission]", only(Transmission, "transmission"))
+        self.inertia = cast("tuple[str, Inertia]", only(Inertia, "inertia (one_link, two_inertias)"))
+        self.loads = cast("list[tuple[str, LoadTorque]]", of(LoadTorque))
+        self.sensors = cast("list[tuple[str, Sensor]]", of(Sensor))
+        self.rigid = self.transmission[1].rigid
+        self.frictions = {
+            place: cast("list[tuple[str, Friction]]", of(Friction, place))
+            for place in ("motor_friction", "link_friction")
+        }
+        self.state_names = [f"q_m{number}", f"v_m{number}"]
+        self.state_names += [] if self.rigid else [f"q_a{number}", f"v_a{number}"]
+        self.positions = [first_row + row for row in range(0, len(self.state_names), 2)]
+        self.bristles: dict[str, tuple[str, Bristle, int]] = {}
+        for place, laws in self.frictions.items():
+            for key, law in laws:
+                if isinstance(law, Bristle):
+                    if place in self.bristles or (self.rigid and self.bristles):
+                        raise InputError(f"{self.name} has two bristle frictions on one speed; keep one of them.")
+                    self.bristles[place] = (key, law, first_row + len(self.state_names))
+                    self.state_names.append(f"{law.states[0]}_{place[0].replace('l', 'a')}{number}")
+
+    def command(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Effective command at the motor, ``(B,)``."""
+        key, part = self.input
+        channels = {name: u[f"{name}{self.number}"] for name in part.channels}
+        row = self.positions[0]
+        return part.command(p[key], channels, x[row], x[row + 1])
+
+    def motor_torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Motor torque [N m]; a motor that is switched off is an open circuit (no back-EMF)."""
+        key, motor = self.motor
+        torque = motor.torque(p[key], self.command(x, u, p), x[self.positions[0] + 1])
+        enable = u.get(f"enable{self.number}")
+        return torque if enable is None else torque * enable
+
+    def dry_level(self, place: str, p: Views, magnitude: Tensor, forward: Tensor) -> Tensor:
+        """Sum of the dry levels of a place, ``(B,)``."""
+        terms = [law.dry(p[key], magnitude, forward) for key, law in self.frictions[place]]
+        return sum((t for t in terms if t is not None), torch.zeros_like(magnitude))
+
+    def friction(
+        self, place: str, x: Sequence[Tensor], p: Views, speed: Tensor, magnitude: Tensor, forward: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Smooth torque (bristles included) and dry level of a place at a speed of that side, ``(B,)`` each."""
+        laws = self.frictions[place]
+        terms = [law.smooth(p[key], speed) for key, law in laws]
+        smooth = sum((t for t in terms if t is not None), torch.zeros_like(speed))
+        level = self.dry_level(place, p, magnitude, forward)
+        if place in self.bristles:
+            key, law, row = self.bristles[place]
+            return smooth + law.torque(p[key], x[row], speed, level), torch.zeros_like(speed)
+        return smooth, level
+
+    def balances(
+        self,
+        x: Sequence[Tensor],
+        u: Mapping[str, Tensor],
+        p: Views,
+        magnitudes: Sequence[Tensor],
+        forwards: Sequence[Tensor],
+    ) -> list[SpeedBalance]:
+        """Torque balance of each of the joint's speeds (one when rigid, two with a compliant gear).
+
+        Args:
+            x: state rows, ``(B,)`` each.
+            u: channels, ``(B,)`` each.
+            p: parameter views by component key.
+            magnitudes, forwards: for each speed |speed| and whether dry friction acts forward (1.0 or 0.0).
+        """
+        r = self.gear_ratio
+        q, v = x[self.positions[0]], x[self.positions[0] + 1]
+        motor_smooth, motor_level = self.friction("motor_friction", x, p, v, magnitudes[0], forwards[0])
+        drive = self.motor_torque(x, u, p) - motor_smooth
+        factors = [law.load_factor(p[key]) for key, law in self.frictions["motor_friction"]]
+        factors = [f for f in factors if f is not None]
+        factor = sum(factors[1:], factors[0]) if factors else None
+        key, inertia = self.inertia
+        rotor, link = inertia.rotor(p[key], r), inertia.link(p[key], r)
+        if self.rigid:
+            link_smooth, link_level = self.friction("link_friction", x, p, v / r, magnitudes[0] / r, forwards[0])
+            load = (link_smooth + self.load_torque(q / r, v / r, p)) / r
+            total = rotor + link / r**2
+            return [
+                SpeedBalance(
+                    total, drive - load, motor_level + link_level / r, factor, link / r**2 / total, load
+                )
+            ]
+        qa, va = x[self.positions[1]], x[self.positions[1] + 1]
+        spring_key, spring = self.transmission
+        torque = spring.torque(p[spring_key], q / r - qa, v / r - va)
+        if factor is not None:
+            motor_level = motor_level + factor * (torque / r).abs()
+        link_smooth, link_level = self.friction("link_friction", x, p, va, magnitudes[1], forwards[1])
+        return [
+            SpeedBalance(rotor, drive - torque / r, motor_level),
+            SpeedBalance(link, torque - link_smooth - self.load_torque(qa, va, p), link_level),
+        ]
+
+    def load_torque(self, angle: Tensor, speed: Tensor, p: Views) -> Tensor:
+        """Torque of the load at the link, ``(B,)``."""
+        return sum((part.torque(p[key], angle, speed) for key, part in self.loads), torch.zeros_like(angle))
+
+    def output(self, channel: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """A measured output by channel name (``q_m``, ``v_m``, ``q_a``, ``v_a``, ``i``, ``tau``), ``(B,)``."""
+        row = self.positions[0]
+        if channel in ("q_m", "v_m"):
+            value = x[row + (channel == "v_m")]
+        elif channel in ("q_a", "v_a"):
+            shift = channel == "v_a"
+            value = x[row + shift] / self.gear_ratio if self.rigid else x[self.positions[1] + shift]
+        elif channel == "tau":
+            value = self.motor_torque(x, u, p)
+        elif channel == "i":
+            key, motor = self.motor
+            value = motor.current(p[key], self.command(x, u, p), x[row + 1])
+            enable = u.get(f"enable{self.number}")
+            value = value if enable is None else value * enable
+        else:
+            raise InputError(
+                f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau with the "
+                "joint's number."
+            )
+        for key, sensor in self.sensors:
+            if sensor.channel == channel:
+                value = sensor.read(p[key], value)
+        return value
