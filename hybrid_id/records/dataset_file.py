@@ -77,7 +77,7 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
 def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:
     """Read all records of a checked dataset file."""
     inputs, outputs = _channels(spec, "inputs", file), _channels(spec, "outputs", file)
-    units = {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)} | {"t": "s"}
+    units = {"t": "s"} | {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)}
     _refuse_strange_columns(spec, units, file)
     records = tuple(
         _read_record(entry, spec, units, data_file, file)
@@ -164,8 +164,8 @@ def _read_record(
         for channel, column in columns.items()
     }
     time = signals.pop("t")
-    if fault := find_fault(time, signals, table.place):
-        raise InputError(f"{path}: {fault}")
+    if fault := find_fault(time, signals, str(path), table.place):
+        raise InputError(fault)
     for channel in spec.outputs:
         if np.ptp(signals[channel.name]) == 0:
             raise InputError(

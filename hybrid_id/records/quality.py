@@ -107,20 +107,13 @@ def _excitation(record: Record) -> Iterator[Finding]:
         yield Finding("warning", "no_excitation", words, name)
     moving = [values for values in (*drives.values(), *record.outputs.values()) if np.ptp(values)]
     if drives and max((count_turns(values, 0.05 * np.ptp(values)) for values in moving), default=0) < 2:
-        words = (
-            f"{name}: under two turning points in all signals, so inertia hardly shows; add a faster record"
-        )
+        words = f"{name}: under two turning points in each signal hide the inertia; add a faster record"
         yield Finding("warning", "slow", words, name)
-    for channel, values in drives.items():
+    for channel, values in ((key, values) for key, values in drives.items() if stem(key) in DRIVES):
         at_limit = np.abs(values) == np.abs(values).max()
         runs = stretches(at_limit)
         runs = runs[runs[:, 1] - runs[:, 0] >= 3]
-        if (
-            stem(channel) in DRIVES
-            and at_limit.mean() > 0.02
-            and len(runs) >= 2
-            and np.unique(values).size > 20
-        ):
+        if at_limit.mean() > 0.02 and len(runs) >= 2 and np.unique(values).size > 20:
             words = (
                 f"{name}, {channel}: at its limit of {np.abs(values).max():.4g} in {at_limit.mean():.0%} of the "
                 "samples; make sure that the value after the limit is logged"
@@ -133,11 +126,7 @@ def _output(
 ) -> Iterator[tuple[Literal["error", "warning", "info"], str, str]]:
     """Yield (severity, code, words) for one output."""
     if np.ptp(values) == 0:
-        yield (
-            "error",
-            "constant",
-            f"it is {values[0]:g} throughout; check its column and sensor, or drop the record",
-        )
+        yield "error", "constant", f"it is {values[0]:g} throughout; check its column and its sensor"
         return
     noise, quantum, spread = estimate_noise(values), quantisation_step(values), float(values.std())
     fine = max(noise, quantum)
@@ -201,7 +190,7 @@ def _merged(findings: list[Finding]) -> Iterator[Finding]:
             yield from (first, *others)
         else:
             names = ", ".join(other.record for other in others[:5]) + (", ..." if len(others) > 5 else "")
-            yield replace(first, message=f"{first.message} [likewise {len(others)} more records: {names}]")
+            yield replace(first, message=f"{first.message} [likewise in {len(others)} more records: {names}]")
 
 
 def _roles(dataset: Dataset) -> Iterator[Finding]:

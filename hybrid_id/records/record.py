@@ -53,8 +53,8 @@ class Record:
             raise InputError(f"{self.title}: '{min(twice)}' is an input and an output; give one another name")
         freeze = {name: _read_only(values) for name, values in {**self.inputs, **self.outputs}.items()}
         time = _read_only(self.time)
-        if fault := find_fault(time, freeze, lambda k: f"sample {k}"):
-            raise InputError(f"{self.title}: {fault}")
+        if fault := find_fault(time, freeze, self.title, lambda k: f"sample {k}"):
+            raise InputError(fault)
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "inputs", MappingProxyType({name: freeze[name] for name in self.inputs}))
         object.__setattr__(self, "outputs", MappingProxyType({name: freeze[name] for name in self.outputs}))
@@ -128,30 +128,33 @@ class Record:
 
 
 def find_fault(
-    time: np.ndarray, signals: Mapping[str, np.ndarray], place: Callable[[int], str]
+    time: np.ndarray, signals: Mapping[str, np.ndarray], source: str, place: Callable[[int], str]
 ) -> str | None:
-    """Say what is wrong with the arrays of a record, or return None.
+    """Say in a sentence what is wrong with the arrays of a record, or return None.
 
     Args:
-        time: Stamps (s), shape (T,).
+        time: Stamps [s], shape (T,).
         signals: Name -> values, to be (T,) and finite.
-        place: Words for sample k in a message, such as `row 17`.
+        source: The record or file, to begin the sentence with.
+        place: Words for sample k, such as `row 17`.
     """
     if time.ndim != 1:
-        return f"time has shape {time.shape}; give one number a sample"
+        return f"{source}: time has shape {time.shape}; give one number a sample"
     if time.size < 2:
-        return f"it holds {time.size} sample{'s' * (time.size != 1)}; a record needs at least 2"
+        return f"{source}: it holds {time.size} sample{'s' * (time.size != 1)}; a record needs at least 2"
     for name, values in {"time": time, **signals}.items():
         if values.shape != time.shape:
-            return f"'{name}' has shape {values.shape} where time has {time.shape}; give one value a stamp"
+            return f"{source}: '{name}' has shape {values.shape} where time has {time.shape}; give one value a stamp"
         if not np.isfinite(values).all():
             k = int(np.argmin(np.isfinite(values)))
-            return f"{place(k)}, '{name}' is {values[k]:g}, not a finite number; correct or remove the sample"
+            return (
+                f"{source}, {place(k)}: '{name}' is {values[k]:g}, not a finite number; correct or remove it"
+            )
     backward = np.diff(time) <= 0
     if backward.any():
         k = int(np.argmax(backward)) + 1
         return (
-            f"{place(k)}, time goes from {time[k - 1]:.9g} s to {time[k]:.9g} s, but it must increase; "
+            f"{source}, {place(k)}: time goes from {time[k - 1]:.9g} s to {time[k]:.9g} s, but it must increase; "
             "sort the samples or remove the repeated ones"
         )
     return None

@@ -106,7 +106,7 @@ def resample_record(
     if gaps := find_gaps(record, max_gap):
         raise InputError(
             f"{record.title}: after {gaps[0][0]:.6g} s samples are missing for {1e3 * gaps[0][1]:.3g} ms "
-            f"({gaps[0][1] / record.sample_time:.1f} steps, {len(gaps)} gap{'s' * (len(gaps) > 1)} in all); "
+            f"({gaps[0][1] / record.sample_time:.0f} steps, {len(gaps)} gap{'s' * (len(gaps) > 1)} in all); "
             "cut the record there with 'between', or raise 'max_gap'"
         )
     grid = record.time[0] + step * np.arange(n_out)

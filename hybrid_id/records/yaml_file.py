@@ -69,12 +69,14 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
 
 def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     """Write a mapping as YAML, innermost ones on one line, under a temporary name first."""
-    path = Path(path)
+    path, values = Path(path), dict(values)
+    layout = {"sort_keys": False, "width": 110, "default_flow_style": None}
+    text = yaml.safe_dump(values, allow_unicode=True, **layout)
+    if yaml.safe_load(text) != values:  # PyYAML loses rare line separators unless they are escaped
+        text = yaml.safe_dump(values, **layout)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     with os.fdopen(handle, "w", encoding="utf-8") as file:
-        yaml.safe_dump(
-            dict(values), file, sort_keys=False, allow_unicode=True, width=110, default_flow_style=None
-        )
+        file.write(text)
     os.chmod(temporary, 0o644)  # mkstemp makes files that nobody else may read
     os.replace(temporary, path)
 

@@ -87,7 +87,6 @@ def _column(path: Path, entries: list[Any], key: str) -> np.ndarray:
         for k, entry in enumerate(entries, start=1):
             value = entry.get(key) if isinstance(entry, dict) else None
             if not isinstance(value, int | float):
-                raise InputError(
-                    f"{path}, entry {k}: key '{key}' holds {value!r}, not a number; remove the entry"
-                ) from None
+                found = "missing" if value is None else f"{value!r}, not a number"
+                raise InputError(f"{path}, entry {k}: key '{key}' is {found}; remove the entry") from None
         raise

@@ -11,6 +11,7 @@ import gzip
 import math
 import zlib
 from collections.abc import Collection, Iterator
+from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
 from typing import NoReturn, TextIO
@@ -33,6 +34,11 @@ def read_csv(path: Path, wanted: Collection[str]) -> Table:
     try:
         with _open(path) as file:
             layout = _Layout.of(file, path)
+        if not layout.has_header and not set(wanted) <= set(layout.names):
+            raise InputError(
+                f"{path} has no header line, so its columns are called {', '.join(layout.names)}; "
+                "name them under 'columns' in the dataset file"
+            )
         require_columns(path, wanted, layout.names)
         values = _parse(path, layout, wanted)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
@@ -44,11 +50,15 @@ def read_csv(path: Path, wanted: Collection[str]) -> Table:
     return Table(path, values, lambda k: f"row {_file_row(path, layout, k)}")
 
 
+@dataclass(frozen=True)
 class _Layout:
-    """How the lines of one text table are cut: names of the columns, delimiter, lines before the data."""
+    """How the lines of one text table are cut."""
 
-    def __init__(self, names: list[str], delimiter: str, skipped: int, decimal: str) -> None:
-        self.names, self.delimiter, self.skipped, self.decimal = names, delimiter, skipped, decimal
+    names: list[str]
+    has_header: bool
+    delimiter: str
+    skipped: int  # lines before the data
+    decimal: str
 
     @classmethod
     def of(cls, file: TextIO, path: Path) -> "_Layout":
@@ -67,21 +77,22 @@ class _Layout:
         first = _cut(text, delimiter)
         decimal = "."
         if not _is_number(first[0].replace(",", ".") if delimiter == ";" else first[0]):
-            names, skipped, text = first, number, ""
+            names, has_header, skipped, text = first, True, number, ""
         elif remark and len(_cut(remark, delimiter)) == len(first):
-            names, skipped = _cut(remark, delimiter), number - 1
+            names, has_header, skipped = _cut(remark, delimiter), True, number - 1
         else:
-            names, skipped = [str(i + 1) for i in range(len(first))], number - 1
+            names, has_header, skipped = [str(i + 1) for i in range(len(first))], False, number - 1
         numbers = text + "".join(islice(file, HEADER_LIMIT))
         if delimiter == ";" and "," in numbers and "." not in numbers:
             decimal = ","
-        return cls(names, delimiter, skipped, decimal)
+        return cls(names, has_header, delimiter, skipped, decimal)
 
 
 def _parse(path: Path, layout: _Layout, wanted: Collection[str]) -> dict[str, np.ndarray]:
     """Read the wanted columns by pandas; where it fails, find the cell that is at fault."""
     import pandas as pd  # costs a third of a second, so only those who read text pay it
 
+    index = {name: layout.names.index(name) for name in wanted}
     try:
         frame = pd.read_csv(
             path,
@@ -89,21 +100,22 @@ def _parse(path: Path, layout: _Layout, wanted: Collection[str]) -> dict[str, np
             decimal=layout.decimal,
             skiprows=layout.skipped,
             header=None,
-            names=range(len(layout.names)),
-            usecols=[layout.names.index(name) for name in wanted],
-            index_col=False,
-            dtype=np.float64,
+            # No `names` or `usecols`: with them, pandas drops the surplus cells of a long row in silence.
+            dtype=dict.fromkeys(index.values(), np.float64),
+            low_memory=False,
             skipinitialspace=True,
-            skip_blank_lines=True,
             encoding="utf-8-sig",
         )
     except pd.errors.EmptyDataError:
-        raise InputError(f"{path} names columns but holds no samples; record again or remove it") from None
+        return {name: np.empty(0) for name in wanted}
     except UnicodeDecodeError:
         raise
-    except ValueError as error:  # text in a number's place, or rows of unequal length (ParserError)
+    except ValueError as error:  # text in a number's place, or a row longer than the first
         _raise_for_bad_cell(path, layout, wanted, error)
-    columns = {name: frame[layout.names.index(name)].to_numpy() for name in wanted}
+    surplus = frame.iloc[:, len(layout.names) :]  # a delimiter at the end of each row is harmless
+    if frame.shape[1] <= max(index.values()) or bool(surplus.notna().to_numpy().any()):
+        _raise_for_bad_cell(path, layout, wanted, "rows and header differ in length")
+    columns = {name: frame[i].to_numpy() for name, i in index.items()}
     if not all(np.isfinite(values).all() for values in columns.values()):
         _raise_for_bad_cell(path, layout, wanted, "a value is missing")
     return columns

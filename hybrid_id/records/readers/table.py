@@ -37,7 +37,10 @@ def require_columns(path: Path, wanted: Collection[str], available: Iterable[str
                 f"{path}: column '{name}' occurs {available.count(name)} times; rename one of them"
             )
         if name not in available:
-            close = difflib.get_close_matches(name, available, n=1)
+            by_case = {column.lower(): column for column in available}
+            close = [
+                by_case[key] for key in difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.7)
+            ]
             hint = f"did you mean '{close[0]}'? " if close else ""
             shown = ", ".join(available[:30]) + (", ..." if len(available) > 30 else "")
             raise InputError(

@@ -1,0 +1,167 @@
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+from malformed import SOUND, change_yaml, write_sound_dataset
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@st.composite
+def records(draw: st.DrawFn, name: str, channels: tuple[str, ...]) -> Record:
+    n = draw(st.integers(2, 12))
+    steps = draw(npst.arrays(np.float64, n, elements=st.floats(1e-6, 10.0)))
+    signals = [draw(npst.arrays(np.float64, n, elements=finite)) for _ in channels]
+    signals[-1][0] = 1.0 if signals[-1][1] != 1.0 else 2.0  # a constant output is refused on loading
+    return Record(
+        name=name,
+        time=draw(st.floats(-100, 100)) + np.cumsum(steps),
+        inputs=dict(zip(channels[:-1], signals, strict=False)),
+        outputs={channels[-1]: signals[-1]},
+        role=draw(st.sampled_from(["train", "test"])),
+        note=draw(st.text()),
+        meta=draw(st.dictionaries(st.text(max_size=5), finite | st.text(max_size=5), max_size=3)),
+    )
+
+
+@st.composite
+def datasets(draw: st.DrawFn) -> Dataset:
+    channels = draw(st.sampled_from([("u1", "q_m1"), ("q_a1",), ("duty1", "supply1", "v_m1")]))
+    units = {"u1": "V", "q_m1": "rad", "q_a1": "rad", "duty1": "1", "supply1": "V", "v_m1": "rad/s"}
+    noise = draw(st.none() | st.floats(1e-12, 1e6))
+    names = draw(
+        st.lists(
+            st.from_regex(r"[a-zA-Z0-9_][\w .+-]{0,9}", fullmatch=True),
+            min_size=1,
+            max_size=3,
+            unique_by=str.lower,
+        )
+    )
+    return Dataset(
+        name=draw(st.text(min_size=1)),
+        inputs=tuple(Channel(name, units[name]) for name in channels[:-1]),
+        outputs=(Channel(channels[-1], units[channels[-1]], noise),),
+        records=tuple(draw(records(name, channels)) for name in names),
+    )
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(dataset=datasets())
+def test_saving_and_loading_is_the_identity(dataset: Dataset, tmp_path_factory) -> None:
+    loaded = Dataset.load(dataset.save(tmp_path_factory.mktemp("saved") / "data"))
+    assert (loaded.name, loaded.inputs, loaded.outputs, loaded.sample_time) == (
+        dataset.name, dataset.inputs, dataset.outputs, dataset.sample_time,
+    )  # fmt: skip
+    assert len(loaded) == len(dataset)
+    for new, old in zip(loaded, dataset, strict=True):
+        assert (new.name, new.role, new.note, dict(new.meta)) == (
+            old.name,
+            old.role,
+            old.note,
+            dict(old.meta),
+        )
+        np.testing.assert_array_equal(new.time, old.time)
+        for name in (*old.inputs, *old.outputs):
+            np.testing.assert_array_equal(new.signal(name), old.signal(name))
+
+
+def test_loading_a_sound_folder(tmp_path) -> None:
+    data = Dataset.load(write_sound_dataset(tmp_path))
+    assert [record.name for record in data.train] == ["rec_0"]
+    assert [record.name for record in data.test] == ["rec_1"]
+    assert data.sample_time == 0.002
+    assert data.outputs == (Channel("q_m1", "rad", 0.001),)
+    assert data["rec_1"].source == str(tmp_path / "rec_1.csv")
+    assert [record.name for record in data.select(["rec_1"])] == ["rec_1"]
+    with pytest.raises(InputError, match="has no record 'x'; it has rec_0, rec_1"):
+        data.select(["x"])
+
+
+def test_sample_time_is_found_or_left_to_the_stamps(tmp_path) -> None:
+    write_sound_dataset(tmp_path)
+    change_yaml(tmp_path, lambda values: values.pop("sample_time"))
+    assert Dataset.load(tmp_path).sample_time == pytest.approx(0.002)
+    change_yaml(tmp_path, lambda values: values.update(sample_time=None))
+    assert Dataset.load(tmp_path).sample_time is None
+
+
+def test_columns_are_mapped_scaled_unwrapped_and_brought_to_si(tmp_path) -> None:
+    angle = np.array([170.0, 175.0, -178.0, -170.0])
+    lines = [f"{k}; {100 * k};{value}" for k, value in enumerate(angle)]
+    (tmp_path / "run.csv").write_text("time; command; theta\n" + "\n".join(lines))
+    settings = {
+        "name": "mapped",
+        "inputs": [{"name": "u1", "unit": "mV"}],
+        "outputs": [{"name": "q_m1", "unit": "deg", "noise_std": 0.1}],
+        "columns": {"t": {"column": "time", "unit": "ms"}, "u1": "command"},
+        "records": [{"file": "*.csv", "columns": {"q_m1": {"column": "theta", "scale": -1, "unwrap": 360}}}],
+    }
+    change_yaml(tmp_path, lambda values: values.update(settings))
+    data = Dataset.load(tmp_path)
+    np.testing.assert_allclose(data["run"].time, [0, 0.001, 0.002, 0.003])
+    np.testing.assert_allclose(data["run"].inputs["u1"], [0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(np.rad2deg(data["run"].outputs["q_m1"]), [-170, -175, -182, -190])
+    assert data.outputs[0].unit == "rad"
+    assert data.outputs[0].noise_std == pytest.approx(np.deg2rad(0.1))
+
+
+def test_records_may_lie_elsewhere_and_be_cut(tmp_path) -> None:
+    (tmp_path / "records").mkdir()
+    write_sound_dataset(tmp_path / "records")
+    change_yaml(tmp_path, lambda values: values.update(SOUND))
+    change_yaml(tmp_path, lambda values: values["records"][0].update(between=[0.1, 0.3], name="cut"))
+    data = Dataset.load(tmp_path / "dataset.yaml", folder=tmp_path / "records")
+    assert data["cut"].time[0] == 0.1
+    assert data["cut"].n_samples == 101
+
+
+def test_resampling_on_request_is_reported(tmp_path) -> None:
+    write_sound_dataset(tmp_path)
+    change_yaml(tmp_path, lambda values: values.update(resample={"sample_time": 0.005}, sample_time=None))
+    data = Dataset.load(tmp_path)
+    assert data.sample_time == 0.005
+    assert [report.record for report in data.resampling] == ["rec_0", "rec_1"]
+    assert "300 samples" in data.resampling[0].message
+    assert data.select(["rec_1"]).resampling == data.resampling[1:]
+
+
+def test_saving_never_touches_what_is_there(tmp_path) -> None:
+    data = Dataset.load(write_sound_dataset(tmp_path))
+    with pytest.raises(InputError, match="exists already"):
+        data.save(tmp_path)
+    target = data.save(tmp_path / "new" / "data")
+    assert sorted(path.name for path in target.iterdir()) == ["dataset.yaml", "rec_0.csv.gz", "rec_1.csv.gz"]
+    assert [path.name for path in target.parent.iterdir()] == ["data"]
+
+
+def test_a_failing_save_leaves_nothing_behind(tmp_path, monkeypatch) -> None:
+    data = Dataset.load(write_sound_dataset(tmp_path))
+    monkeypatch.setattr("hybrid_id.records.dataset_file.write_yaml", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        data.save(tmp_path / "out" / "data")
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("t", "s"), "not usable"),
+        (("u1", "mV"), "not SI"),
+        (("u1", "A"), "does not fit"),
+        (("u1", "V", 0.0), "noise_std"),
+    ],
+)
+def test_bad_channels_are_refused(arguments: tuple, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        Channel(*arguments)
+
+
+def test_records_must_have_the_channels_of_the_dataset(tmp_path) -> None:
+    data = Dataset.load(write_sound_dataset(tmp_path))
+    with pytest.raises(InputError, match=r"has outputs \['q_m1'\] where .* has \['q_a1'\]"):
+        Dataset("other", data.inputs, (Channel("q_a1", "rad"),), data.records)

@@ -1,0 +1,171 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.measures import count_turns, quantisation_step, rest_samples
+from hybrid_id.records.quality import check_dataset, check_record, estimate_noise, start_position
+from hybrid_id.records.record import Record
+
+T = 3000
+TIME = 0.002 * np.arange(T)
+VOLTAGE = np.where(TIME < 0.1, 0.0, 3 * np.sin(8 * TIME) + 2 * np.sin(21 * TIME))
+
+
+def motion() -> np.ndarray:
+    """A smooth motion from rest at 0.4 rad, with reversals."""
+    moved = np.clip(TIME - 0.1, 0, None)
+    return 0.4 + 2 * (1 - np.cos(6 * moved)) + 0.5 * (1 - np.cos(15 * moved))
+
+
+def record(name: str = "a", noise: float = 1e-3, seed: int = 1, **changes) -> Record:
+    q = motion() + noise * np.random.default_rng(seed).normal(size=T)
+    return replace(Record(name, TIME, {"u1": VOLTAGE}, {"q_m1": q}), **changes)
+
+
+def codes(findings) -> set[str]:
+    return {finding.code for finding in findings}
+
+
+def test_good_record_has_nothing_to_warn_of() -> None:
+    assert codes(check_record(record())) == {"noise"}
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-2])
+def test_noise_of_a_moving_signal(noise: float) -> None:
+    values = motion() + noise * np.random.default_rng(0).normal(size=T)
+    assert estimate_noise(values) == pytest.approx(noise, rel=0.1)
+    values[500:520] += 3.0  # an outlier does not spoil it
+    assert estimate_noise(values) == pytest.approx(noise, rel=0.15)
+
+
+def test_noise_and_step_of_a_quantised_signal() -> None:
+    step = 2 * np.pi / 4096
+    values = step * np.round(motion() / step)
+    assert quantisation_step(values) == pytest.approx(step)
+    assert step / np.sqrt(12) <= estimate_noise(values) < step
+    assert quantisation_step(motion()) == 0.0
+    assert quantisation_step(np.ones(10)) == 0.0
+
+
+def test_noise_of_the_gap_cases(shared) -> None:
+    """The makers of these records state their encoders' noise."""
+    for folder in sorted((shared / "gapcases" / "dev").glob("c*"))[::6]:
+        data = Dataset.load(folder)
+        for channel in data.outputs:
+            estimates = [estimate_noise(rec.outputs[channel.name]) for rec in data]
+            assert np.median(estimates) == pytest.approx(channel.noise_std, rel=0.05)
+
+
+def test_start_position_is_the_mean_at_rest() -> None:
+    rec = record(noise=0.01)
+    assert rest_samples(rec) == 50
+    assert start_position(rec, "q_m1") == pytest.approx(0.4, abs=4 * 0.01 / np.sqrt(50))
+
+
+def test_an_arm_let_go_without_voltage_is_not_at_rest_for_long() -> None:
+    q = np.cos(5 * TIME) + 1e-3 * np.random.default_rng(2).normal(size=T)
+    rec = record(inputs={"u1": np.zeros(T)}, outputs={"q_m1": q})
+    assert 1 <= rest_samples(rec) < 10
+    assert start_position(rec, "q_m1") == pytest.approx(1.0, abs=3e-3)
+
+
+def test_start_without_rest_is_the_first_sample() -> None:
+    rec = record(inputs={"u1": np.full(T, 2.0)})
+    assert start_position(rec, "q_m1") == rec.outputs["q_m1"][0]
+
+
+def test_turns_are_counted_above_the_threshold() -> None:
+    assert count_turns(np.sin(2 * np.pi * np.linspace(0, 3, 2000)), 0.1) == 6
+    assert count_turns(np.linspace(0, 1, 2000), 0.1) == 0
+
+
+def spike(q: np.ndarray) -> np.ndarray:
+    q[[700, 1400]] += 0.5
+    return q
+
+
+def end_stop(q: np.ndarray) -> np.ndarray:
+    return np.minimum(q, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [
+        (spike, "spikes"),
+        (end_stop, "clipped"),
+        (lambda q: (3 * q + np.pi) % (2 * np.pi) - np.pi, "wrapped"),
+        (lambda q: np.full(T, 0.3), "constant"),
+        (lambda q: 0.5 * np.round(q / 0.5), "coarse"),
+        (lambda q: q + 0.5 * np.random.default_rng(3).normal(size=T), "noisy"),
+        (lambda q: 0.4 + np.clip(TIME - 0.1, 0, None) ** 2, "one_direction"),
+    ],
+)
+def test_faults_of_an_output(change, code: str) -> None:
+    q = change(record().outputs["q_m1"].copy())
+    findings = check_record(record(outputs={"q_m1": q}))
+    finding = next(finding for finding in findings if finding.code == code)
+    assert finding.severity in ("warning", "error")
+    assert finding.message.startswith("a, q_m1: ")
+
+
+def test_faults_of_sampling() -> None:
+    keep = np.r_[0:1000, 1010:T]
+    part = {"time": TIME[keep], "inputs": {"u1": VOLTAGE[keep]}, "outputs": {"q_m1": motion()[keep]}}
+    assert {"gap", "jitter"} <= codes(check_record(Record("a", **part)))
+    assert "short" in codes(check_record(record().between(1.0, 1.1)))
+
+
+def test_faults_of_excitation() -> None:
+    assert "no_excitation" in codes(check_record(record(inputs={"u1": np.full(T, 2.0)})))
+    ramp = record(inputs={"u1": TIME}, outputs={"q_m1": 0.1 * TIME**2})
+    assert "slow" in codes(check_record(ramp))
+    assert "clipped_input" in codes(check_record(record(inputs={"u1": np.clip(VOLTAGE, -4, 4)})))
+
+
+def test_moving_start_is_seen_and_an_accelerating_one_is_not() -> None:
+    noise = 1e-5 * np.random.default_rng(0).normal(size=T)
+    voltage = {"u1": 3 * np.cos(8 * TIME)}
+    moving = record(inputs=voltage, outputs={"q_m1": np.sin(6 * TIME) + noise})
+    starting = record(inputs=voltage, outputs={"q_m1": 5 * (1 - np.cos(6 * TIME)) + noise})
+    assert "start_motion" in codes(check_record(moving))
+    assert "start_motion" not in codes(check_record(starting))
+
+
+def dataset(*records: Record, noise_std: float | None = 1e-3) -> Dataset:
+    return Dataset(
+        "d", (Channel("u1", "V"),), (Channel("q_m1", "rad", noise_std),), records, sample_time=0.002
+    )
+
+
+def test_good_dataset_has_nothing_to_warn_of() -> None:
+    data = dataset(record("a"), record("b", seed=2), record("c", seed=3, role="test"))
+    assert {finding.severity for finding in check_dataset(data)} == {"info"}
+
+
+@pytest.mark.parametrize(
+    ("data", "code", "severity"),
+    [
+        (dataset(record("a")), "one_train", "warning"),
+        (dataset(record("a")), "no_test", "info"),
+        (dataset(record("a", role="test")), "no_train", "error"),
+        (dataset(record("a"), record("b")), "repeated", "warning"),
+        (dataset(record("a"), record("b", role="test")), "repeated", "error"),
+        (dataset(record("a"), noise_std=0.1), "noise_std", "warning"),
+        (
+            dataset(record("a"), record("b", seed=2), record("c", outputs={"q_m1": 60 * motion()})),
+            "scale",
+            "warning",
+        ),
+    ],
+)
+def test_faults_of_a_dataset(data: Dataset, code: str, severity: str) -> None:
+    assert (code, severity) in {(finding.code, finding.severity) for finding in check_dataset(data)}
+
+
+def test_what_many_records_share_is_said_once() -> None:
+    data = dataset(*(record(name, seed=seed) for seed, name in enumerate("abcd")))
+    noise = [finding for finding in check_dataset(data) if finding.code == "noise"]
+    assert len(noise) == 1
+    assert "likewise in 3 more records: b, c, d" in noise[0].message
