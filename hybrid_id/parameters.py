@@ -57,7 +57,9 @@ class Bounded:
         if not math.isfinite(self.value):
             raise InputError(f"Parameter {name} is {self.value}; give a finite number in {self.unit}.")
         if math.isnan(self.lower) or math.isnan(self.upper) or self.lower > self.upper:
-            raise InputError(f"Parameter {name} has an empty range [{self.lower}, {self.upper}]; swap or widen it.")
+            raise InputError(
+                f"Parameter {name} has an empty range [{self.lower}, {self.upper}]; swap or widen it."
+            )
         if not self.lower <= self.value <= self.upper:
             raise InputError(
                 f"Parameter {name} = {self.value:g} {self.unit} lies outside its bounds "

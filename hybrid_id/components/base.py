@@ -80,7 +80,9 @@ class Input(Component):
     channels: ClassVar[tuple[str, ...]] = ()
     """Channels that it reads, without the joint's number."""
 
-    def command(self, p: SimpleNamespace, channels: Mapping[str, Tensor], angle: Tensor, speed: Tensor) -> Tensor:
+    def command(
+        self, p: SimpleNamespace, channels: Mapping[str, Tensor], angle: Tensor, speed: Tensor
+    ) -> Tensor:
         """Effective command, ``(B,)``, in the unit that the motor takes."""
         raise NotImplementedError
 
@@ -97,7 +99,9 @@ class Motor(Component):
 
     def current(self, p: SimpleNamespace, command: Tensor, speed: Tensor) -> Tensor:
         """Winding current [A], ``(B,)``."""
-        raise InputError(f"A {self.kind} has no current output; measure torque or use a dc_motor or current_motor.")
+        raise InputError(
+            f"A {self.kind} has no current output; measure torque or use a dc_motor or current_motor."
+        )
 
 
 class Friction(Component):
@@ -140,7 +144,9 @@ class Bristle(Friction):
         """Time derivative of the state, ``(B,)``."""
         raise NotImplementedError
 
-    def advance(self, p: SimpleNamespace, state: Tensor, speed: Tensor, level: Tensor, step: Tensor) -> Tensor:
+    def advance(
+        self, p: SimpleNamespace, state: Tensor, speed: Tensor, level: Tensor, step: Tensor
+    ) -> Tensor:
         """Exact state after ``step`` seconds at constant speed and level: stable however stiff the bristle."""
         raise NotImplementedError
 

@@ -13,8 +13,9 @@ from dataclasses import dataclass, fields
 import torch
 from torch import Tensor
 
-from hybrid_id.identification.objective import Batch, Loss
+from hybrid_id.identification.objective import Loss
 from hybrid_id.simulation.lifted import condense, linearise, shoot
+from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -59,6 +60,7 @@ class Evaluation:
     Attributes:
         x: nodes, ``(R, T, n_x)``.
         chain: condensed sensitivities, ``(R, T, n_x, n_x + n_f + 1)``.
+        jacobian: weighted sensitivities of the outputs to (first state, parameters), ``(R, T, n_y, n_x + n_f)``.
         residual: weighted residuals of the simulation (defects closed to first order), ``(R, T, n_y)``.
         cost: loss of each row, its initial-state prior included, ``(R,)``.
         hessian: Gauss-Newton matrix of each row in (first state, parameters), ``(R, n, n)``.
@@ -68,6 +70,7 @@ class Evaluation:
 
     x: Tensor
     chain: Tensor
+    jacobian: Tensor
     residual: Tensor
     cost: Tensor
     hessian: Tensor
@@ -88,8 +91,8 @@ def evaluate(
     closing = jacobian[..., -1]
     residual = (batch.y - lin.y - closing) * batch.weight
     factor = options.loss.factor(residual)
-    scaled = jacobian[..., :-1] * (batch.weight * factor.sqrt())[..., None]
-    scaled = scaled.flatten(1, 2)
+    jacobian = jacobian[..., :-1] * batch.weight[..., None]
+    scaled = (jacobian * factor.sqrt()[..., None]).flatten(1, 2)
     hessian = scaled.transpose(1, 2) @ scaled
     gradient = -(scaled.transpose(1, 2) @ (residual * factor.sqrt()).flatten(1, 2)[..., None])[..., 0]
     # a held first state keeps its row of the identity, so that it solves to zero
@@ -97,6 +100,7 @@ def evaluate(
     precision = loose / batch.x0_std.clamp_min(1e-300).square().where(loose > 0, torch.ones_like(loose))
     shift = x[:, 0] - batch.x[:, 0]
     mask = torch.cat([loose, loose.new_ones(len(loose), len(free))], 1)
+    jacobian = jacobian * mask[:, None, None, :]
     hessian = hessian * mask[:, :, None] * mask[:, None, :]
     gradient = gradient * mask
     hessian[:, range(n_x), range(n_x)] += precision + (1.0 - loose)
@@ -104,7 +108,7 @@ def evaluate(
     cost = options.loss.value(residual).sum((1, 2)) + 0.5 * (precision * shift.square()).sum(1)
     count = (batch.weight > 0).sum((1, 2)).clamp_min(1)
     defect = ((closing * batch.weight).square().sum((1, 2)) / count).sqrt()
-    return Evaluation(x, chain, residual, cost, hessian, gradient, defect)
+    return Evaluation(x, chain, jacobian, residual, cost, hessian, gradient, defect)
 
 
 def solve_box(hessian: Tensor, gradient: Tensor, low: Tensor, high: Tensor, rounds: int = 6) -> Tensor:
@@ -216,7 +220,7 @@ def minimise(
     """
     options = options or Options()
     count = theta.shape[1]
-    theta, free_index = theta.clone(), torch.tensor(free, dtype=torch.long)
+    theta, free_index = theta.clone(), torch.tensor(free, device=theta.device)
 
     def with_prior(cost: Tensor, at: Tensor) -> Tensor:
         offset = at[free_index].T - bounds.prior_mean
@@ -230,10 +234,10 @@ def minimise(
     data = (batch.weight > 0).sum((1, 2)).to(cost.dtype)
     data = data.new_zeros(count).index_add(0, sets, data).clamp_min(1.0)
     damping, growth = torch.full_like(cost, options.damping), torch.full_like(cost, 2.0)
-    iterations = torch.zeros(count, dtype=torch.long)
-    closing = torch.zeros(count, dtype=torch.bool)
+    iterations = torch.zeros(count, dtype=torch.long, device=theta.device)
+    closing = torch.zeros(count, dtype=torch.bool, device=theta.device)
     status = ["max_iterations"] * count
-    running = torch.arange(count)
+    running = torch.arange(count, device=theta.device)
     history = [cost.clone()]
     spread = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
     magnitude = torch.maximum(0.1 * theta[free_index].abs().amax(1), bounds.scale)
@@ -245,8 +249,8 @@ def minimise(
     for iteration in range(options.max_iterations):
         if running.numel() == 0:
             break
-        local = torch.full((count,), -1)
-        local[running] = torch.arange(running.numel())
+        local = torch.full((count,), -1, device=theta.device)
+        local[running] = torch.arange(running.numel(), device=theta.device)
         rows = (local[sets] >= 0).nonzero().flatten()
         group, part, here = local[sets[rows]], _select(best, rows), theta[:, running]
         noise = 2.0 * cost[running] / data[running]
@@ -284,6 +288,7 @@ def minimise(
         gained = cost[running] - new_cost
         accepted = torch.isfinite(new_cost) & ((gained >= -1e-9 * cost[running]) | closing[running])
         size = (quadratic.clamp_min(0.0) / noise.clamp_min(1e-300)).sqrt()
+
         def worst(defect: Tensor) -> Tensor:
             return torch.zeros_like(noise).scatter_reduce(0, group, defect, "amax") / noise.sqrt()
 
@@ -296,12 +301,16 @@ def minimise(
         cost[running[accepted]] = new_cost[accepted]
         ease = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(0.1, 2.0)
         damping[running] = torch.where(
-            closing[running], damping[running], torch.where(accepted, damping[running] * ease, damping[running] * growth[running])
+            closing[running],
+            damping[running],
+            torch.where(accepted, damping[running] * ease, damping[running] * growth[running]),
         )
         damping.clamp_(1e-12, 1e12)
         growth[running] = torch.where(accepted, torch.full_like(ratio, 2.0), 2.0 * growth[running])
         history.append(cost.clone())
-        converged = settled & ~closing[running] & (size < options.tolerance) & (accepted | (damping[running] < 1.0))
+        converged = (
+            settled & ~closing[running] & (size < options.tolerance) & (accepted | (damping[running] < 1.0))
+        )
         reached = torch.zeros_like(converged)
         if options.target is not None:
             reached = accepted & settled & (cost[running] <= options.target[running])

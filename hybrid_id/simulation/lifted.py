@@ -80,12 +80,12 @@ def linearise(
     x_next, y = torch.empty(lanes, n_x, **new), torch.empty(lanes, n_y, **new)
     jacobian = torch.zeros(lanes, n_x + n_y, n_x + n_f, **new)
     row_of = torch.arange(rows, device=x.device).repeat_interleave(samples)
-    shared = bool((theta == theta[:, :1]).all())
+    theta_rows = theta[:, :1] if bool((theta == theta[:, :1]).all()) else theta
     for start in range(0, lanes, LANES):
         block = slice(start, min(start + LANES, lanes))
         row = row_of[block]
         leaves = [column.contiguous().requires_grad_() for column in flat_x[block].unbind(1)]
-        values: list[Tensor] = [theta[i, :1] if shared else theta[i, row] for i in range(theta.shape[0])]
+        values: list[Tensor] = [t if t.shape[0] == 1 else t[row] for t in theta_rows]
         for i in free:
             values[i] = theta[i, row].requires_grad_()
         channels = {name: channel[block] for name, channel in flat_u.items()}
@@ -94,8 +94,8 @@ def linearise(
             after = engine.sample(system, leaves, channels, flat_dt[block], p)
             measured = system.outputs(outputs, leaves, channels, p)
         wanted = [*leaves, *(values[i] for i in free)]
-        for i, target in enumerate([*after, *measured]):
-            (x_next if i < n_x else y)[block, i % n_x if i < n_x else i - n_x] = target.detach()
+        for i, target in enumerate([*after, *measured]):  # one reverse sweep a row: lanes do not mix
+            (x_next[block, i] if i < n_x else y[block, i - n_x]).copy_(target.detach())
             alias = next((j for j, leaf in enumerate(leaves) if target is leaf), None)
             if alias is not None:
                 jacobian[block, i, alias] = 1.0

@@ -121,16 +121,14 @@ class Engine:
         return x
 
 
-def rk4(x: Sequence[Tensor], h: Tensor, rates) -> list[Tensor]:  # noqa: ANN001
+def rk4(x: Sequence[Tensor], h: Tensor, rates) -> list[Tensor]:
     """The classical Runge-Kutta step of fourth order on rows of a state."""
     k1 = rates(x)
     k2 = rates([a + (0.5 * h) * k for a, k in zip(x, k1, strict=True)])
     k3 = rates([a + (0.5 * h) * k for a, k in zip(x, k2, strict=True)])
     k4 = rates([a + h * k for a, k in zip(x, k3, strict=True)])
     sixth = h / 6.0
-    return [
-        a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)
-    ]
+    return [a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)]
 
 
 @torch.no_grad()
@@ -143,7 +141,10 @@ def directions(system: System, x: Rows, u: Channels, p: Views) -> list[Tensor]:
         return signs
     zeros = [torch.zeros_like(v) for v in speeds]
     push = system.balances(x, u, p, zeros, zeros)
-    forwards = [torch.where(r, (b.smooth > 0).to(s.dtype), (s > 0).to(s.dtype)) for s, r, b in zip(signs, resting, push, strict=True)]
+    forwards = [
+        torch.where(r, (b.smooth > 0).to(s.dtype), (s > 0).to(s.dtype))
+        for s, r, b in zip(signs, resting, push, strict=True)
+    ]
     found = []
     for sign, rest, balance in zip(signs, resting, system.balances(x, u, p, zeros, forwards), strict=True):
         breakaway = balance.smooth.abs() > balance.holding_level()

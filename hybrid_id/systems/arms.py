@@ -39,7 +39,9 @@ def one_link(gear_ratio: float = 1.0, *, friction: Component | None = None, vert
     return System([gear_ratio], parts, name="one_link")
 
 
-def one_link_flexible(gear_ratio: float = 1.0, *, friction: Component | None = None, vertical: bool = False) -> System:
+def one_link_flexible(
+    gear_ratio: float = 1.0, *, friction: Component | None = None, vertical: bool = False
+) -> System:
     """One link behind a linear spring: rotor ``J_m, F_cm, F_vm``, link ``J_a, F_va``, spring ``k, d``.
 
     Args:

@@ -61,7 +61,9 @@ class System(nn.Module):
                 f"Place '{where}' is not known; use one of {', '.join(joints)} with one of {', '.join(PLACES)}."
             )
         if place not in part.places:
-            raise InputError(f"{part.kind} cannot sit in '{where}'; it belongs in {' or '.join(part.places)}.")
+            raise InputError(
+                f"{part.kind} cannot sit in '{where}'; it belongs in {' or '.join(part.places)}."
+            )
         if part.single:
             family = [base for base in type(part).__mro__ if getattr(base, "single", False)][-1]
             for key, other in list(self.components.items()):
@@ -73,7 +75,9 @@ class System(nn.Module):
         self.joints: list[Joint] = []
         self.state_names: list[str] = []
         for i, ratio in enumerate(self.gear_ratio):
-            parts = {k: cast(Component, c) for k, c in self.components.items() if k.startswith(f"joint{i + 1}/")}
+            parts = {
+                k: cast(Component, c) for k, c in self.components.items() if k.startswith(f"joint{i + 1}/")
+            }
             joint = Joint(i + 1, ratio, parts, len(self.state_names))
             self.joints.append(joint)
             self.state_names += joint.state_names
@@ -133,13 +137,17 @@ class System(nn.Module):
         for info in self.table:
             if info.name == name:
                 return info
-        raise InputError(f"The system has no parameter '{name}'; it has {', '.join(i.name for i in self.table)}.")
+        raise InputError(
+            f"The system has no parameter '{name}'; it has {', '.join(i.name for i in self.table)}."
+        )
 
     # --- parameters as vectors -----------------------------------------------------------------------------------
 
     def theta(self) -> Tensor:
         """Stored parameter values in table order, ``(n_p,)``; gradients flow to the torch parameters."""
-        return torch.stack([cast(Tensor, getattr(self.components[i.component], i.symbol)) for i in self.table])
+        return torch.stack(
+            [cast(Tensor, getattr(self.components[i.component], i.symbol)) for i in self.table]
+        )
 
     def views(self, theta: Rows) -> dict[str, SimpleNamespace]:
         """Parameter views by component key from rows in table order, each ``(1,)`` or ``(B,)``."""
@@ -155,7 +163,9 @@ class System(nn.Module):
 
     # --- equations of motion -------------------------------------------------------------------------------------
 
-    def balances(self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows) -> list[SpeedBalance]:
+    def balances(
+        self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows
+    ) -> list[SpeedBalance]:
         """Torque balance of every speed, in the order of ``speed_rows``."""
         found: list[SpeedBalance] = []
         for joint in self.joints:
@@ -163,7 +173,9 @@ class System(nn.Module):
             found += joint.balances(x, u, p, magnitudes[n], forwards[n])
         return found
 
-    def rates(self, x: Rows, u: Channels, p: Views, directions: Rows | None = None, width: float = 0.5) -> list[Tensor]:
+    def rates(
+        self, x: Rows, u: Channels, p: Views, directions: Rows | None = None, width: float = 0.5
+    ) -> list[Tensor]:
         """Time derivative of the state rows (bristle rows excepted: zero here, see ``bristle_rates``).
 
         Args:
@@ -211,6 +223,8 @@ class System(nn.Module):
         found = []
         for name in names:
             if not name[-1:].isdigit() or not 1 <= int(name[-1]) <= len(self.joints):
-                raise InputError(f"Output '{name}' names no joint of this system; outputs end in the joint's number.")
+                raise InputError(
+                    f"Output '{name}' names no joint of this system; outputs end in the joint's number."
+                )
             found.append(self.joints[int(name[-1]) - 1].output(name[:-1], x, u, p))
         return found

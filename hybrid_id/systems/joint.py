@@ -70,7 +70,9 @@ class Joint:
         InputError: a place that must hold a component is empty.
     """
 
-    def __init__(self, number: int, gear_ratio: float, parts: Mapping[str, Component], first_row: int) -> None:
+    def __init__(
+        self, number: int, gear_ratio: float, parts: Mapping[str, Component], first_row: int
+    ) -> None:
         self.name, self.number, self.gear_ratio = f"joint{number}", number, gear_ratio
 
         def of(kind: type, place: str | None = None) -> list[tuple[str, Component]]:
@@ -83,7 +85,9 @@ class Joint:
         def only(kind: type, what: str) -> tuple[str, Component]:
             found = of(kind)
             if len(found) != 1:
-                raise InputError(f"{self.name} has {len(found)} components of type {what}; it needs exactly one.")
+                raise InputError(
+                    f"{self.name} has {len(found)} components of type {what}; it needs exactly one."
+                )
             return found[0]
 
         self.input = cast("tuple[str, Input]", only(Input, "input"))
@@ -105,7 +109,9 @@ class Joint:
             for key, law in laws:
                 if isinstance(law, Bristle):
                     if place in self.bristles or (self.rigid and self.bristles):
-                        raise InputError(f"{self.name} has two bristle frictions on one speed; keep one of them.")
+                        raise InputError(
+                            f"{self.name} has two bristle frictions on one speed; keep one of them."
+                        )
                     self.bristles[place] = (key, law, first_row + len(self.state_names))
                     self.state_names.append(f"{law.states[0]}_{place[0].replace('l', 'a')}{number}")
 
@@ -167,7 +173,9 @@ class Joint:
         key, inertia = self.inertia
         rotor, link = inertia.rotor(p[key], r), inertia.link(p[key], r)
         if self.rigid:
-            link_smooth, link_level = self.friction("link_friction", x, p, v / r, magnitudes[0] / r, forwards[0])
+            link_smooth, link_level = self.friction(
+                "link_friction", x, p, v / r, magnitudes[0] / r, forwards[0]
+            )
             load = (link_smooth + self.load_torque(q / r, v / r, p)) / r
             total = rotor + link / r**2
             return [

@@ -55,8 +55,12 @@ class AsymmetricStribeckEq8(AsymmetricStribeck):
     """
 
     kind = "asymmetric_stribeck_eq8"
-    f_14 = Parameter(2500.0, lower=1e-3, upper=1e8, unit="rad^2/s^2", doc="width of the fall squared, forward")
-    f_24 = Parameter(2500.0, lower=1e-3, upper=1e8, unit="rad^2/s^2", doc="width of the fall squared, backward")
+    f_14 = Parameter(
+        2500.0, lower=1e-3, upper=1e8, unit="rad^2/s^2", doc="width of the fall squared, forward"
+    )
+    f_24 = Parameter(
+        2500.0, lower=1e-3, upper=1e8, unit="rad^2/s^2", doc="width of the fall squared, backward"
+    )
 
     def exponent(self, distance, width):
         return distance**2 / width

@@ -14,7 +14,9 @@ class MotorEncoder(Sensor):
 
     kind = "motor_encoder"
     channel = "q_m"
-    offset = Parameter(0.0, lower=-1e4, upper=1e4, unit="rad", doc="reading at the model's zero", estimate=False)
+    offset = Parameter(
+        0.0, lower=-1e4, upper=1e4, unit="rad", doc="reading at the model's zero", estimate=False
+    )
 
     def read(self, p, value):
         return value + p.offset

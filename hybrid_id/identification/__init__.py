@@ -1,0 +1,1 @@
+"""Identification: objective, batched Levenberg-Marquardt, adjoint training, results."""

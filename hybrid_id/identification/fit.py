@@ -1,0 +1,228 @@
+"""From prepared records and a system to parameter sets: warm start, multi-start, Levenberg-Marquardt, results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybrid_id.errors import InputError
+from hybrid_id.identification.least_squares import Bounds, Evaluation, Options, Outcome, minimise
+from hybrid_id.identification.result import FitResult
+from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
+
+WINDOW = 0.2
+"""Length [s] of the windows of the warm start; one in four is used."""
+
+Progress = Callable[[str, int, Tensor, Tensor], None]
+
+
+def fit(
+    system: System,
+    batch: Batch,
+    *,
+    pooled: bool = False,
+    engine: Engine | None = None,
+    options: Options | None = None,
+    starts: int = 1,
+    spread: float = 0.5,
+    seed: int = 0,
+    warm: bool = True,
+    start_values: Tensor | None = None,
+    progress: Progress | None = None,
+) -> list[FitResult]:
+    """Identify one parameter set for each row of a batch, or one for all of them.
+
+    The warm start fits short windows that begin at measured states, where the problem is nearly convex; the full
+    fit then runs over whole records (output error, paper eq. 2). With several starts each set keeps its best end.
+
+    Args:
+        system: model with start values, bounds, priors and roles.
+        batch: prepared records.
+        pooled: one parameter set for all rows.
+        engine: how a sample is integrated (default: dry friction); its sub-steps are raised where stability or
+            accuracy needs it.
+        options: settings of the minimisation.
+        starts: number of start points; the first is the system's values, the others are spread around it.
+        spread: half-width of the factors of the other start points, 0.5 for +-50 %.
+        seed: of the start points.
+        warm: whether to fit windows first; switch it off to start a richer model at a simpler one's optimum.
+        start_values: start values of all parameters for each set, ``(n_p, G)``, instead of the system's.
+        progress: called with (stage, iteration, cost of each set, sets still running).
+
+    Raises:
+        InputError: nothing to estimate.
+    """
+    options, engine = options or Options(), engine or Engine()
+    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+    if not free:
+        raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
+    device = batch.x.device
+    rows = torch.arange(batch.rows, device=device)
+    sets = torch.zeros_like(rows) if pooled else rows
+    count = 1 if pooled else batch.rows
+    bounds = make_bounds(system, free, device)
+    theta = start_points(system, free, bounds, count, starts, spread, seed, start_values).to(device)
+    many = batch.take(rows.repeat(starts)) if starts > 1 else batch
+    many_sets = torch.cat([sets + k * count for k in range(starts)])
+
+    def report(stage: str):
+        return None if progress is None else (lambda i, cost, run: progress(stage, i, cost, run))
+
+    engine = with_substeps(system, engine, many, theta[:, many_sets])
+    if warm:
+        theta = warm_start(system, engine, many, many_sets, theta, free, bounds, options, report("windows"))
+        engine = with_substeps(system, engine, many, theta[:, many_sets])
+    for _ in range(3):
+        outcome = minimise(system, engine, many, many_sets, theta, free, bounds, options, report("records"))
+        finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
+        if finer.substeps == engine.substeps:
+            break
+        engine, theta = finer, outcome.theta
+    cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
+    best = cost.reshape(starts, count).argmin(0) * count + torch.arange(count, device=device)
+    return [_result(system, batch, many_sets, outcome, int(g), free, bounds, engine, options) for g in best]
+
+
+def make_bounds(system: System, free: Sequence[int], device: torch.device | str = "cpu") -> Bounds:
+    """Box, priors and scales of the free parameters."""
+    specs = [system.table[i].spec for i in free]
+
+    def column(values: Sequence[float]) -> Tensor:
+        return torch.tensor(list(values), dtype=torch.float64, device=device)
+
+    scale = []
+    for spec in specs:
+        # a parameter that starts at zero moves in steps of its range, where it has one
+        width = spec.upper - spec.lower
+        scale.append(abs(spec.value) or (0.05 * width if math.isfinite(width) and width < 1e5 else 1e-3))
+    return Bounds(
+        column([s.lower for s in specs]),
+        column([s.upper for s in specs]),
+        column([s.value if s.prior_mean is None else s.prior_mean for s in specs]),
+        column([0.0 if s.prior_std is None else s.prior_std**-2 for s in specs]),
+        0.1 * column(scale),
+    )
+
+
+def start_points(
+    system: System,
+    free: Sequence[int],
+    bounds: Bounds,
+    count: int,
+    starts: int,
+    spread: float,
+    seed: int,
+    given: Tensor | None = None,
+) -> Tensor:
+    """Start values of all parameters, ``(n_p, starts * count)``: the given point, then points spread around it."""
+    base = system.theta().detach()[:, None].expand(-1, count) if given is None else given
+    generator = np.random.default_rng(seed)
+    points = [base.clone()]
+    for _ in range(starts - 1):
+        point = base.clone()
+        factor = torch.tensor(generator.uniform(1.0 - spread, 1.0 + spread, (len(free), count)))
+        moved = point[list(free)] * factor.to(point.device)
+        low, high = bounds.lower.to(point.device)[:, None], bounds.upper.to(point.device)[:, None]
+        point[list(free)] = torch.maximum(torch.minimum(moved, high), low)
+        points.append(point)
+    return torch.cat(points, 1)
+
+
+def warm_start(
+    system: System,
+    engine: Engine,
+    batch: Batch,
+    sets: Tensor,
+    theta: Tensor,
+    free: list[int],
+    bounds: Bounds,
+    options: Options,
+    progress: Callable[[int, Tensor, Tensor], None] | None = None,
+) -> Tensor:
+    """Parameters of each set after a fit of short windows from measured states, ``(n_p, G)``."""
+    step = float(batch.dt[batch.dt > 0].median())
+    length = max(25, round(WINDOW / step))
+    if batch.x.shape[1] < 4 * length:
+        return theta
+    noise = 1.0 / batch.weight.amax((1, 2))
+    size = 0.1 * batch.x.std(1)
+    x0_std = torch.zeros_like(batch.x0_std)
+    for joint in system.joints:
+        for row in joint.positions:
+            ratio = 1.0 if row == joint.positions[0] else joint.gear_ratio
+            measured = ratio == 1.0 or f"q_a{joint.number}" in batch.outputs
+            x0_std[:, row] = noise / ratio if measured else size[:, row]
+            x0_std[:, row + 1] = noise / ratio / (20 * step) if measured else size[:, row + 1]
+    windows, row = batch.windows(length, 4 * length, x0_std)
+    coarse = replace(options, max_iterations=15, tolerance=0.3, target=None)
+    found = minimise(system, engine, windows, sets[row], theta, free, bounds, coarse, progress)
+    usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
+    return torch.where(usable, found.theta, theta)
+
+
+def _result(
+    system: System,
+    batch: Batch,
+    sets: Tensor,
+    outcome: Outcome,
+    chosen: int,
+    free: list[int],
+    bounds: Bounds,
+    engine: Engine,
+    options: Options,
+) -> FitResult:
+    rows = (sets == chosen).nonzero().flatten()
+    records = rows % batch.rows
+    theta = outcome.theta[:, chosen].cpu()
+    info = [system.table[i] for i in free]
+    values = {i.name: float(theta[k]) for i, k in zip(info, free, strict=True)}
+    jacobian, residual, row_of = _sensitivities(outcome.at, rows, records, batch, options)
+    return FitResult(
+        system=system.with_values(values),
+        names=tuple(values),
+        values=np.array(list(values.values())),
+        units=tuple(i.spec.unit for i in info),
+        status=outcome.status[chosen],
+        records=tuple(batch.names[int(r)] for r in records),
+        cost=float(outcome.cost[chosen]),
+        n_samples=len(residual),
+        iterations=int(outcome.iterations[chosen]),
+        jacobian=jacobian,
+        residual=residual,
+        row_of=row_of,
+        prior_precision=bounds.prior_precision.cpu().numpy(),
+        x0=outcome.at.x[rows, 0].cpu().numpy(),
+        engine=engine,
+        history=tuple(float(h[chosen]) for h in outcome.history),
+    )
+
+
+def _sensitivities(
+    at: Evaluation, rows: Tensor, records: Tensor, batch: Batch, options: Options
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weighted sensitivities with the start states eliminated, weighted residuals, and the record of each."""
+    n_x = at.x.shape[-1]
+    jacobians, residuals, owner = [], [], []
+    for number, (row, record) in enumerate(zip(rows.tolist(), records.tolist(), strict=True)):
+        keep = batch.weight[record] > 0
+        residual = at.residual[row][keep]
+        factor = options.loss.factor(residual).sqrt()
+        jacobian = at.jacobian[row][keep] * factor[:, None]
+        hessian = at.hessian[row]
+        back = torch.linalg.solve(hessian[:n_x, :n_x], hessian[:n_x, n_x:])
+        jacobians.append(jacobian[:, n_x:] - jacobian[:, :n_x] @ back)
+        residuals.append(residual * factor)
+        owner.append(np.full(len(residual), number))
+    return (
+        torch.cat(jacobians).cpu().numpy(),
+        torch.cat(residuals).cpu().numpy(),
+        np.concatenate(owner),
+    )

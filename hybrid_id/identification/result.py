@@ -1,0 +1,96 @@
+"""What a fit ends with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
+
+MESSAGES = {
+    "converged": "converged: the next step would be shorter than a hundredth of a standard error",
+    "target": "stopped at the requested cost",
+    "stalled": "no step lowers the cost any more; check the start values, or try more starts",
+    "max_iterations": "iterations used up before convergence; raise max_iterations or try more starts",
+    "diverged": "the simulation diverged at the start values; correct units, signs or start values",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """One parameter set, identified from one record or from several.
+
+    Attributes:
+        system: the identified system (start values replaced, bounds kept).
+        names: names of the estimated parameters.
+        values: estimates in physical units, ``(n_f,)``.
+        units: their units.
+        status: "converged", "target", "stalled", "max_iterations" or "diverged".
+        message: what the status means and what to do next.
+        records: names of the records it was fitted to.
+        cost: loss with priors at the end.
+        n_samples: number of measurements.
+        iterations: trial steps.
+        jacobian: weighted sensitivities of the outputs, start states eliminated, ``(N, n_f)``.
+        residual: weighted residuals (measured - simulated), ``(N,)``.
+        row_of: record of each residual, ``(N,)``, an index into ``records``.
+        prior_precision: of each estimated parameter, ``(n_f,)``, 0 where it has no prior.
+        x0: start states of each record, ``(R, n_x)``.
+        engine: how it was integrated.
+        history: cost after each iteration.
+    """
+
+    system: System
+    names: tuple[str, ...]
+    values: np.ndarray
+    units: tuple[str, ...]
+    status: str
+    records: tuple[str, ...]
+    cost: float
+    n_samples: int
+    iterations: int
+    jacobian: np.ndarray
+    residual: np.ndarray
+    row_of: np.ndarray
+    prior_precision: np.ndarray
+    x0: np.ndarray
+    engine: Engine
+    history: tuple[float, ...] = field(default=())
+
+    @property
+    def message(self) -> str:
+        """What the status means, and what to do next."""
+        return MESSAGES[self.status]
+
+    @property
+    def ok(self) -> bool:
+        """Whether the estimates may be used."""
+        return self.status in ("converged", "target")
+
+    @property
+    def noise_scale(self) -> float:
+        """RMS of the weighted residuals: 1 where the model misses no more than the weights say."""
+        return float(np.sqrt(np.mean(self.residual**2))) if self.residual.size else float("nan")
+
+    @property
+    def at_bound(self) -> tuple[str, ...]:
+        """Estimated parameters that ended on a bound."""
+        found = []
+        for name, value in zip(self.names, self.values, strict=True):
+            spec = self.system.parameter(name).spec
+            width = max(abs(value), 1e-300)
+            if value - spec.lower <= 1e-9 * width or spec.upper - value <= 1e-9 * width:
+                found.append(name)
+        return tuple(found)
+
+    def summary(self) -> str:
+        """The fit in a few lines."""
+        lines = [f"{', '.join(self.records)}: {self.message} ({self.iterations} iterations)"]
+        width = max((len(n) for n in self.names), default=0)
+        for name, value, unit in zip(self.names, self.values, self.units, strict=True):
+            note = "  at its bound" if name in self.at_bound else ""
+            lines.append(f"  {name:<{width}}  {value:.5g} {unit}{note}")
+        lines.append(f"  weighted residual {self.noise_scale:.3g} (1 = as the noise says)")
+        return "\n".join(lines)

@@ -1,0 +1,64 @@
+"""Sub-steps from the stiffness of the equations of motion where the records move."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.step import Engine, directions
+from hybrid_id.systems.chain import System
+
+LIMIT = {"dry": 0.5, "smooth": 2.5}
+"""Largest step times eigenvalue: accuracy of the fastest mode for the dry engine, RK4's region of stability (2.78) for
+the smooth one, whose stiff part is the smoothing itself."""
+MAX_SUBSTEPS = 64
+
+
+def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, nodes: int = 128) -> float:
+    """Largest eigenvalue magnitude [1/s] of the equations of motion over nodes of the batch.
+
+    Args:
+        system, engine: equations and how dry friction enters them.
+        batch: where the records move; speeds through zero are added for the smooth engine.
+        theta: parameters of each row, ``(n_p, R)``.
+        nodes: number of nodes to look at.
+    """
+    rows, samples, n_x = batch.x.shape
+    pick = torch.linspace(0, rows * samples - 1, min(nodes, rows * samples)).long().to(batch.x.device)
+    leaves = [c.clone() for c in batch.x.reshape(-1, n_x)[pick].unbind(1)]
+    if engine.friction == "smooth":
+        for row in system.speed_rows:
+            leaves[row][::2] = 0.0
+    leaves = [leaf.requires_grad_() for leaf in leaves]
+    u = {name: channel.reshape(-1)[pick] for name, channel in batch.u.items()}
+    p = system.views(list(theta[:, pick // samples]))
+    with torch.enable_grad():
+        signs = None if engine.friction == "smooth" else directions(system, leaves, u, p)
+        rates = system.rates(leaves, u, p, signs, engine.width)
+        jacobian = torch.zeros(len(pick), n_x, n_x, dtype=batch.x.dtype, device=batch.x.device)
+        for i, rate in enumerate(rates):
+            if rate.requires_grad:
+                grads = torch.autograd.grad(rate.sum(), leaves, retain_graph=True, allow_unused=True)
+                for j, grad in enumerate(grads):
+                    if grad is not None:
+                        jacobian[:, i, j] = grad
+        # a bristle that sticks couples back as a spring, its own rate is stepped exactly
+        for row, speed, _ in system.bristle_levels(leaves, p):
+            (grad,) = torch.autograd.grad(speed.sum(), leaves[system.speed_rows[0]], allow_unused=True)
+            jacobian[:, row, system.speed_rows[0]] = 1.0 if grad is None else grad
+            key, law = system.bristle(row)
+            if law.kind == "dahl":
+                jacobian[:, row] *= p[key].sigma[:, None]
+    jacobian = jacobian[torch.isfinite(jacobian).all(2).all(1)]
+    return float(torch.linalg.eigvals(jacobian).abs().max()) if len(jacobian) else math.inf
+
+
+def with_substeps(system: System, engine: Engine, batch: Batch, theta: Tensor) -> Engine:
+    """The engine with at least as many sub-steps as stability and accuracy need at these parameters."""
+    rate, step = fastest_rate(system, engine, batch, theta), float(batch.dt.max())
+    needed = MAX_SUBSTEPS if not math.isfinite(rate) else math.ceil(step * rate / LIMIT[engine.friction])
+    return replace(engine, substeps=min(max(engine.substeps, needed, 1), MAX_SUBSTEPS))
