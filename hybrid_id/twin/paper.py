@@ -173,9 +173,9 @@ def _voltages(twin: LinkTwin) -> np.ndarray:
             amplitude_limits=experiment.peak,
             tones=experiment.tones,
             starts=twin.excitation.starts,
-            seed=number,
+            seed=experiment.seed,
         )
-        for number, experiment in enumerate(twin.excitation.experiments)
+        for experiment in twin.excitation.experiments
     ]
     return np.array([np.concatenate((at_rest, design.signal)) for design in designs])
 

@@ -63,11 +63,12 @@ class Disturbances(Section):
 
 
 class Experiment(Section):
-    """A multisine: band [Hz], number of tones, peak voltage [V], and the role of its record."""
+    """A multisine: band [Hz], number of tones, peak voltage [V], seed of its phases, and the role of its record."""
 
     band: tuple[PositiveFloat, PositiveFloat]
     tones: PositiveInt
     peak: PositiveFloat
+    seed: int = 0
     role: Literal["train", "test"] = "train"
 
 

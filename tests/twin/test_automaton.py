@@ -11,7 +11,7 @@ from hybrid_id.twin.scipy_reference import integrate_scipy
 DRY = AsymmetricStribeck(0.010, 0.030, 10.541, 53.005, 0.010, 0.031, 11.313, 58.093)
 LINK_1 = {"J": 1.97e-5, "P_m1": 19.249e-3, "P_m2": 0.025, "f_3": 5.04e-5}
 DRIVE = RigidDrive(dry=DRY, **LINK_1)
-ENCODER_QUANTUM = 2 * np.pi / 2000
+ENCODER_QUANTUM = 2 * np.pi / 2000  # a fine one
 
 
 def excitation(n_samples: int, runs: int) -> tuple[np.ndarray, np.ndarray]:
