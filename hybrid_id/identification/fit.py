@@ -184,7 +184,7 @@ def _result(
     theta = outcome.theta[:, chosen].cpu()
     info = [system.table[i] for i in free]
     values = {i.name: float(theta[k]) for i, k in zip(info, free, strict=True)}
-    jacobian, residual, row_of = _sensitivities(outcome.at, rows, records, batch, options)
+    jacobian, residual = _sensitivities(outcome.at, rows, records, batch, options)
     return FitResult(
         system=system.with_values(values),
         names=tuple(values),
@@ -193,11 +193,10 @@ def _result(
         status=outcome.status[chosen],
         records=tuple(batch.names[int(r)] for r in records),
         cost=float(outcome.cost[chosen]),
-        n_samples=len(residual),
+        n_samples=int((batch.weight[records] > 0).sum()),
         iterations=int(outcome.iterations[chosen]),
         jacobian=jacobian,
         residual=residual,
-        row_of=row_of,
         prior_precision=bounds.prior_precision.cpu().numpy(),
         x0=outcome.at.x[rows, 0].cpu().numpy(),
         engine=engine,
@@ -207,22 +206,17 @@ def _result(
 
 def _sensitivities(
     at: Evaluation, rows: Tensor, records: Tensor, batch: Batch, options: Options
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weighted sensitivities with the start states eliminated, weighted residuals, and the record of each."""
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """For each record the weighted sensitivities, the start state eliminated, and the weighted residuals."""
     n_x = at.x.shape[-1]
-    jacobians, residuals, owner = [], [], []
-    for number, (row, record) in enumerate(zip(rows.tolist(), records.tolist(), strict=True)):
-        keep = batch.weight[record] > 0
+    jacobians, residuals = [], []
+    for row, record in zip(rows.tolist(), records.tolist(), strict=True):
+        keep = (batch.weight[record] > 0).any(1)
         residual = at.residual[row][keep]
         factor = options.loss.factor(residual).sqrt()
-        jacobian = at.jacobian[row][keep] * factor[:, None]
+        jacobian = at.jacobian[row][keep] * factor[..., None]
         hessian = at.hessian[row]
         back = torch.linalg.solve(hessian[:n_x, :n_x], hessian[:n_x, n_x:])
-        jacobians.append(jacobian[:, n_x:] - jacobian[:, :n_x] @ back)
-        residuals.append(residual * factor)
-        owner.append(np.full(len(residual), number))
-    return (
-        torch.cat(jacobians).cpu().numpy(),
-        torch.cat(residuals).cpu().numpy(),
-        np.concatenate(owner),
-    )
+        jacobians.append((jacobian[..., n_x:] - jacobian[..., :n_x] @ back).cpu().numpy())
+        residuals.append((residual * factor).cpu().numpy())
+    return tuple(jacobians), tuple(residuals)

@@ -33,9 +33,8 @@ class FitResult:
         cost: loss with priors at the end.
         n_samples: number of measurements.
         iterations: trial steps.
-        jacobian: weighted sensitivities of the outputs, start states eliminated, ``(N, n_f)``.
-        residual: weighted residuals (measured - simulated), ``(N,)``.
-        row_of: record of each residual, ``(N,)``, an index into ``records``.
+        jacobian: for each record the weighted sensitivities of the outputs, start state eliminated, ``(T, n_y, n_f)``.
+        residual: for each record the weighted residuals (measured - simulated), ``(T, n_y)``.
         prior_precision: of each estimated parameter, ``(n_f,)``, 0 where it has no prior.
         x0: start states of each record, ``(R, n_x)``.
         engine: how it was integrated.
@@ -51,9 +50,8 @@ class FitResult:
     cost: float
     n_samples: int
     iterations: int
-    jacobian: np.ndarray
-    residual: np.ndarray
-    row_of: np.ndarray
+    jacobian: tuple[np.ndarray, ...]
+    residual: tuple[np.ndarray, ...]
     prior_precision: np.ndarray
     x0: np.ndarray
     engine: Engine
@@ -72,7 +70,7 @@ class FitResult:
     @property
     def noise_scale(self) -> float:
         """RMS of the weighted residuals: 1 where the model misses no more than the weights say."""
-        return float(np.sqrt(np.mean(self.residual**2))) if self.residual.size else float("nan")
+        return float(np.sqrt(sum(np.sum(r**2) for r in self.residual) / max(self.n_samples, 1)))
 
     @property
     def at_bound(self) -> tuple[str, ...]:
