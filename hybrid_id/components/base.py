@@ -69,6 +69,7 @@ class Component(nn.Module):
         return SimpleNamespace(**{name: getattr(self, name).reshape(1) for name in self.declared})
 
     def extra_repr(self) -> str:
+        """Parameters in the printed module."""
         return ", ".join(f"{name}={float(getattr(self, name)):g} {s.unit}" for name, s in self.specs.items())
 
 

@@ -76,9 +76,8 @@ def linearise(
     n_y, n_f, lanes = len(outputs), len(free), rows * samples
     flat_x, flat_dt = x.reshape(lanes, n_x), dt.reshape(lanes)
     flat_u = {name: channel.reshape(lanes) for name, channel in u.items()}
-    new = dict(dtype=x.dtype, device=x.device)
-    x_next, y = torch.empty(lanes, n_x, **new), torch.empty(lanes, n_y, **new)
-    jacobian = torch.zeros(lanes, n_x + n_y, n_x + n_f, **new)
+    x_next, y = x.new_empty(lanes, n_x), x.new_empty(lanes, n_y)
+    jacobian = x.new_zeros(lanes, n_x + n_y, n_x + n_f)
     row_of = torch.arange(rows, device=x.device).repeat_interleave(samples)
     theta_rows = theta[:, :1] if bool((theta == theta[:, :1]).all()) else theta
     for start in range(0, lanes, LANES):
@@ -133,9 +132,9 @@ def condense(lin: Linearisation, x: Tensor) -> Tensor:
     length = max(1, round(max(steps, 1) ** 0.5))
     chunks = -(-steps // length)
     pad = chunks * length - steps
-    new = dict(dtype=x.dtype, device=x.device)
-    forcing = torch.zeros(length, rows, chunks, n_x, columns, **new)
-    transition = torch.zeros(length, rows, chunks, n_x, n_x, **new)
+    identity = torch.eye(n_x, dtype=x.dtype, device=x.device)
+    forcing = x.new_zeros(length, rows, chunks, n_x, columns)
+    transition = x.new_zeros(length, rows, chunks, n_x, n_x)
 
     def chunked(tensor: Tensor) -> Tensor:
         """(R, T - 1, ...) to time-major (length, R, chunks, ...)."""
@@ -149,17 +148,17 @@ def condense(lin: Linearisation, x: Tensor) -> Tensor:
     lanes = rows * chunks
     transition = transition.reshape(length, lanes, n_x, n_x)
     forcing = forcing.reshape(length, lanes, n_x, columns)
-    inside = torch.empty(length, lanes, n_x, columns, **new)
-    current = torch.zeros(lanes, n_x, columns, **new)
-    current[:, :, :n_x] = torch.eye(n_x, **new)
+    inside = x.new_empty(length, lanes, n_x, columns)
+    current = x.new_zeros(lanes, n_x, columns)
+    current[:, :, :n_x] = identity
     for k in range(length):
         current = torch.baddbmm(forcing[k], transition[k], current)
         inside[k] = current
     # across chunks: the state at each chunk's start
     ends = inside[-1].reshape(rows, chunks, n_x, columns)
-    start = torch.zeros(rows, n_x, columns, **new)
-    start[:, :, :n_x] = torch.eye(n_x, **new)
-    starts = torch.empty(rows, chunks, n_x, columns, **new)
+    start = x.new_zeros(rows, n_x, columns)
+    start[:, :, :n_x] = identity
+    starts = x.new_empty(rows, chunks, n_x, columns)
     for c in range(chunks):
         starts[:, c] = start
         step = ends[:, c]
@@ -170,8 +169,8 @@ def condense(lin: Linearisation, x: Tensor) -> Tensor:
     chained[..., n_x:] += inside[..., n_x:]
     chained = chained.reshape(length, rows, chunks, n_x, columns).movedim(0, 2)
     chained = chained.reshape(rows, chunks * length, n_x, columns)[:, :steps]
-    first = torch.zeros(rows, 1, n_x, columns, **new)
-    first[:, 0, :, :n_x] = torch.eye(n_x, **new)
+    first = x.new_zeros(rows, 1, n_x, columns)
+    first[:, 0, :, :n_x] = identity
     return torch.cat([first, chained], 1)
 
 

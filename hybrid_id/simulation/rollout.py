@@ -43,7 +43,8 @@ def simulate(
     guess; a row that has not closed its defects after a dozen iterations is walked by the loop.
 
     Args:
-        system, engine: what is simulated, and how.
+        system: what is simulated.
+        engine: how a sample is integrated.
         batch: rows; ``batch.x[:, 0]`` are the start states.
         theta: parameters of each row in table order, ``(n_p, R)`` (default: the system's values).
         tolerance: largest closing step relative to the largest state.

@@ -22,7 +22,8 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
     """Largest eigenvalue magnitude [1/s] of the equations of motion over nodes of the batch.
 
     Args:
-        system, engine: equations and how dry friction enters them.
+        system: equations of motion.
+        engine: how dry friction enters them.
         batch: where the records move; speeds through zero are added for the smooth engine.
         theta: parameters of each row, ``(n_p, R)``.
         nodes: number of nodes to look at.

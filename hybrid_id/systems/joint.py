@@ -161,7 +161,8 @@ class Joint:
             x: state rows, ``(B,)`` each.
             u: channels, ``(B,)`` each.
             p: parameter views by component key.
-            magnitudes, forwards: for each speed |speed| and whether dry friction acts forward (1.0 or 0.0).
+            magnitudes: |speed| for each speed.
+            forwards: whether dry friction acts forward (1.0 or 0.0), for each speed.
         """
         r = self.gear_ratio
         q, v = x[self.positions[0]], x[self.positions[0] + 1]

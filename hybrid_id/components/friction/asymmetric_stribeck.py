@@ -7,8 +7,10 @@ from hybrid_id.parameters import Parameter
 
 
 class AsymmetricStribeck(Friction):
-    """Paper, eq. (15) and (16): for v > 0 the level ``f_11 + (f_12 - f_11) exp(-((|v| - f_13) / f_14)^2)``, for
-    v < 0 the same with f_21 ... f_24, plus the viscous torque ``f_3 v``.
+    """Paper, eq. (15) and (16): Gaussian fall of the dry level, its parameters by direction, and ``f_3 v``.
+
+    The level is ``f_11 + (f_12 - f_11) exp(-((|v| - f_13) / f_14)^2)`` for v > 0; for v < 0 the same with
+    f_21 ... f_24.
 
     | symbol | unit | meaning |
     | --- | --- | --- |
