@@ -13,21 +13,23 @@ import math
 import numba
 import numpy as np
 
-from benchmarks.peers.segments import boundary_states
+from benchmarks.peers.settings import (
+    FIRST_DAMPING,
+    GAP_WEIGHT_CLOSING,
+    GAP_WEIGHT_HELD,
+    HELD_TOLERANCE,
+    LARGEST_STEP,
+    LENGTH,
+    MAX_ITERATIONS,
+    boundary_states,
+)
 from benchmarks.reference import BOUNDS, DECREMENT, SAMPLE_TIME, SMOOTHING, STOP, SUB_STEPS, TRUTH, Estimate, Problem
 
-NAME = "hand-written numba"
-LENGTH = 25  # samples a segment
-MAX_ITERATIONS = 100
-FIRST_DAMPING = 1e-2
-LARGEST_STEP = 0.3  # of a parameter's value
-HELD_TOLERANCE = 0.1  # end of the first phase: promised fall of its merit
-GAP_WEIGHT_HELD = (1.0, 0.05)  # of angle [1] and speed [s] gaps beside the residuals, first phase
-GAP_WEIGHT_CLOSING = (70.0, 5.0)  # the same in the merit of the second phase
 H = SAMPLE_TIME / SUB_STEPS
+compiled = numba.njit(fastmath=True, error_model="numpy")
 
 
-@numba.njit(cache=False)
+@compiled
 def stage(v, u, theta, p):
     """Acceleration and its derivative by v; the partial derivatives that are not trivial go to p (5,).
 
@@ -57,7 +59,7 @@ def stage(v, u, theta, p):
     return a, a_v * inverse, side
 
 
-@numba.njit
+@compiled
 def add(target, weight, v, k, side, p):
     """Adds a stage's partial derivatives, with its weight, to target (12,) (voltage and scale terms come later)."""
     target[0] += weight * k
@@ -67,7 +69,7 @@ def add(target, weight, v, k, side, p):
         target[3 + side + i] += weight * p[i]
 
 
-@numba.njit
+@compiled
 def finish(target, u, theta):
     """Turns the sums of weight x (k, 1, v) into derivatives by J, P_m1, P_m2 and f_3."""
     inverse = 1.0 / theta[0]
@@ -78,7 +80,7 @@ def finish(target, u, theta):
     target[11] = -speeds * inverse
 
 
-@numba.njit
+@compiled
 def advance(q, v, u, theta, s_q, s_v, p, b_q, b_v):
     """One RK4 step with the sensitivities s_q, s_v (14,) by 12 parameters and the segment's start (q, v)."""
     k1, a1, d1 = stage(v, u, theta, p[0])
@@ -118,7 +120,7 @@ def advance(q, v, u, theta, s_q, s_v, p, b_q, b_v):
     return q + H * v + H * H / 6.0 * (k1 + k2 + k3), v + H / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
-@numba.njit
+@compiled
 def linearise(u, y, theta, states, scale, closing, maps, hessian, gradient):
     """Normal equations of one record in 12 parameters (units of scale) and the start state; (squares, merit).
 
@@ -184,7 +186,7 @@ def linearise(u, y, theta, states, scale, closing, maps, hessian, gradient):
     return squares, squares + gaps
 
 
-@numba.njit
+@compiled
 def bounded_step(hessian, gradient, damping, lower, upper):
     """Marquardt step (14,); parameters that would leave their bounds stop there and the others are solved again."""
     matrix, step = hessian.copy(), np.zeros(14)
@@ -205,7 +207,7 @@ def bounded_step(hessian, gradient, damping, lower, upper):
             free[i] = False
 
 
-@numba.njit
+@compiled
 def free_run(u, y, theta, q, v):
     """Sum of squares of the simulation from one start state."""
     p = np.empty((4, 5))
@@ -222,7 +224,7 @@ def free_run(u, y, theta, q, v):
     return squares
 
 
-@numba.njit
+@compiled
 def fit(u, y, start, states, goal, tolerance, lower, upper):
     """Levenberg-Marquardt of one record: free run's sum of squares at most `goal`, promised fall at most `tolerance`."""
     scale = start.copy()
@@ -272,7 +274,7 @@ def fit(u, y, start, states, goal, tolerance, lower, upper):
 
 
 def solve(problem: Problem) -> Estimate:
-    states = boundary_states(problem.angle, LENGTH)
+    states = np.ascontiguousarray(boundary_states(problem.angle, LENGTH))
     goal = problem.angle.shape[1] * (STOP * problem.floor) ** 2
     fits = [
         fit(u, y, start, state, bound, DECREMENT * floor**2, BOUNDS[0] * TRUTH, BOUNDS[1] * TRUTH)
