@@ -302,7 +302,7 @@ def malformed_datasets() -> list[Malformed]:
         ),
         Malformed("output never changes", (csv, "'q_m1'", "0.25"), in_frame(lambda f: f.assign(q_m1=0.25))),
         # other formats
-        Malformed("no MATLAB file", ("a.mat", "MATLAB"), other_file("a.mat", b"MATLAB?" * 40)),
+        Malformed("no MATLAB file", ("a.mat", "MATLAB file"), other_file("a.mat", b"MATLAB?" * 40)),
         Malformed("MATLAB variable missing", ("a.mat", "'u1'"), mat_without_voltage),
         Malformed("no Parquet", ("a.parquet", "Parquet"), other_file("a.parquet", b"t,u1\n")),
         Malformed("Parquet of text", ("a.parquet", "'u1'"), parquet_of_text),

@@ -137,7 +137,7 @@ def _raise_for_bad_cell(
             if not _is_number(cell.replace(layout.decimal, ".")):
                 found = f"holds '{cell[:40]}', which is not a finite number" if cell else "is empty"
                 raise InputError(f"{path}, row {row}: column '{name}' {found}; correct it or remove the row")
-    raise InputError(f"{path} cannot be read as a table ({otherwise}); correct it")
+    raise InputError(f"{path} cannot be read as a table ({' '.join(str(otherwise).split())}); correct it")
 
 
 def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:
