@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.least_squares import Bounds, Evaluation, Options, Outcome, minimise
+from hybrid_id.identification.least_squares import Bounds, Options, Outcome, minimise
+from hybrid_id.identification.objective import Evaluation
 from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.stability import with_substeps
@@ -74,7 +76,7 @@ def fit(
     many_sets = torch.cat([sets + k * count for k in range(starts)])
 
     def report(stage: str):
-        return None if progress is None else (lambda i, cost, run: progress(stage, i, cost, run))
+        return None if progress is None else partial(progress, stage)
 
     engine = with_substeps(system, engine, many, theta[:, many_sets])
     if warm:

@@ -8,13 +8,13 @@ states, solve a small box-constrained problem for each set. See :mod:`hybrid_id.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
 
-from hybrid_id.identification.objective import Loss
-from hybrid_id.simulation.lifted import condense, linearise, shoot
+from hybrid_id.identification.box import solve_box
+from hybrid_id.identification.objective import Evaluation, Loss, evaluate
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -49,93 +49,8 @@ class Options:
     chunk: int = 16
     damping: float = 1e-3
     reach: float = 0.5
-    loss: Loss = Loss()
+    loss: Loss = field(default_factory=Loss)
     target: Tensor | None = None
-
-
-@dataclass
-class Evaluation:
-    """Objective and its quadratic model at one point, rows of the batch and sets of parameters.
-
-    Attributes:
-        x: nodes, ``(R, T, n_x)``.
-        chain: condensed sensitivities, ``(R, T, n_x, n_x + n_f + 1)``.
-        jacobian: weighted sensitivities of the outputs to (first state, parameters), ``(R, T, n_y, n_x + n_f)``.
-        residual: weighted residuals of the simulation (defects closed to first order), ``(R, T, n_y)``.
-        cost: loss of each row, its initial-state prior included, ``(R,)``.
-        hessian: Gauss-Newton matrix of each row in (first state, parameters), ``(R, n, n)``.
-        gradient: ``(R, n)``.
-        defect: RMS of what the defects still contribute to the weighted outputs, ``(R,)``.
-    """
-
-    x: Tensor
-    chain: Tensor
-    jacobian: Tensor
-    residual: Tensor
-    cost: Tensor
-    hessian: Tensor
-    gradient: Tensor
-    defect: Tensor
-
-
-def evaluate(
-    system: System, engine: Engine, batch: Batch, x: Tensor, theta: Tensor, free: list[int], options: Options
-) -> Evaluation:
-    """Shoot, linearise and condense at the nodes ``x`` and parameters ``theta`` ``(n_p, R)``."""
-    x = shoot(system, engine, x, batch.u, batch.dt, theta, options.chunk)
-    lin = linearise(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
-    chain = condense(lin, x)
-    n_x = x.shape[-1]
-    jacobian = lin.c @ chain
-    jacobian[..., n_x:-1] += lin.d
-    closing = jacobian[..., -1]
-    residual = (batch.y - lin.y - closing) * batch.weight
-    factor = options.loss.factor(residual)
-    jacobian = jacobian[..., :-1] * batch.weight[..., None]
-    scaled = (jacobian * factor.sqrt()[..., None]).flatten(1, 2)
-    hessian = scaled.transpose(1, 2) @ scaled
-    gradient = -(scaled.transpose(1, 2) @ (residual * factor.sqrt()).flatten(1, 2)[..., None])[..., 0]
-    # a held first state keeps its row of the identity, so that it solves to zero
-    loose = (batch.x0_std > 0).to(x.dtype)
-    precision = loose / batch.x0_std.clamp_min(1e-300).square().where(loose > 0, torch.ones_like(loose))
-    shift = x[:, 0] - batch.x[:, 0]
-    mask = torch.cat([loose, loose.new_ones(len(loose), len(free))], 1)
-    jacobian = jacobian * mask[:, None, None, :]
-    hessian = hessian * mask[:, :, None] * mask[:, None, :]
-    gradient = gradient * mask
-    hessian[:, range(n_x), range(n_x)] += precision + (1.0 - loose)
-    gradient[:, :n_x] += precision * shift
-    cost = options.loss.value(residual).sum((1, 2)) + 0.5 * (precision * shift.square()).sum(1)
-    count = (batch.weight > 0).sum((1, 2)).clamp_min(1)
-    defect = ((closing * batch.weight).square().sum((1, 2)) / count).sqrt()
-    return Evaluation(x, chain, jacobian, residual, cost, hessian, gradient, defect)
-
-
-def solve_box(hessian: Tensor, gradient: Tensor, low: Tensor, high: Tensor, rounds: int = 6) -> Tensor:
-    """Minimise ``g s + s H s / 2`` over ``low <= s <= high`` for a batch, by an active set from the free solution.
-
-    Args:
-        hessian: ``(G, n, n)`` positive definite; gradient, low, high: ``(G, n)`` with low <= 0 <= high.
-    """
-    step = torch.zeros_like(gradient)
-    fixed = torch.zeros_like(gradient, dtype=torch.bool)
-    identity = torch.eye(gradient.shape[1], dtype=gradient.dtype, device=gradient.device)
-    for _ in range(rounds):
-        pinned = torch.where(fixed, step, torch.zeros_like(step))
-        right = -(gradient + (hessian @ pinned[..., None])[..., 0])
-        loose = (~fixed).to(gradient.dtype)
-        matrix = hessian * loose[:, :, None] * loose[:, None, :] + identity * (1.0 - loose)[:, :, None]
-        free = torch.linalg.solve(matrix, right * loose)
-        candidate = torch.where(fixed, step, free)
-        clipped = candidate.clamp(low, high)
-        slope = gradient + (hessian @ clipped[..., None])[..., 0]
-        outside = clipped != candidate
-        release = fixed & (((clipped <= low) & (slope < 0)) | ((clipped >= high) & (slope > 0)))
-        step = clipped
-        if not bool((outside | release).any()):
-            break
-        fixed = (fixed | outside) & ~release
-    return step
 
 
 @dataclass
@@ -157,16 +72,6 @@ class Outcome:
     status: list[str]
     at: Evaluation
     history: list[Tensor]
-
-
-def _join(a: Evaluation, b: Evaluation, rows: Tensor) -> Evaluation:
-    """``a`` with its rows ``rows`` replaced by those of ``b``."""
-    pairs = {f.name: (getattr(a, f.name), getattr(b, f.name)) for f in fields(Evaluation)}
-    return Evaluation(**{n: old.index_copy(0, rows, new) for n, (old, new) in pairs.items()})
-
-
-def _select(e: Evaluation, rows: Tensor) -> Evaluation:
-    return Evaluation(**{f.name: getattr(e, f.name)[rows] for f in fields(Evaluation)})
 
 
 def _reduce(
@@ -195,6 +100,11 @@ def _reduce(
     return hessian, gradient, gain.new_zeros(count).index_add(0, sets, gain), back
 
 
+def _worst(defect: Tensor, group: Tensor, noise: Tensor) -> Tensor:
+    """Largest defect among the rows of each set, in units of its residuals."""
+    return torch.zeros_like(noise).scatter_reduce(0, group, defect, "amax") / noise.sqrt()
+
+
 def minimise(
     system: System,
     engine: Engine,
@@ -209,7 +119,8 @@ def minimise(
     """Fit the free parameters of every set to its rows.
 
     Args:
-        system, engine: what is simulated, and how.
+        system: what is simulated.
+        engine: how a sample is integrated.
         batch: rows of data.
         sets: parameter set of each row, ``(R,)`` with values 0 .. G - 1.
         theta: start values of all parameters, ``(n_p, G)``, inside the bounds.
@@ -222,14 +133,17 @@ def minimise(
     count = theta.shape[1]
     theta, free_index = theta.clone(), torch.tensor(free, device=theta.device)
 
-    def with_prior(cost: Tensor, at: Tensor) -> Tensor:
-        offset = at[free_index].T - bounds.prior_mean
+    def with_prior(cost: Tensor, point: Tensor) -> Tensor:
+        offset = point[free_index].T - bounds.prior_mean
         return cost + 0.5 * (bounds.prior_precision * offset.square()).sum(1)
 
-    def set_cost(e: Evaluation, group: Tensor, at: Tensor, size: int) -> Tensor:
-        return with_prior(e.cost.new_zeros(size).index_add(0, group, e.cost), at)
+    def set_cost(e: Evaluation, group: Tensor, point: Tensor, size: int) -> Tensor:
+        return with_prior(e.cost.new_zeros(size).index_add(0, group, e.cost), point)
 
-    best = evaluate(system, engine, batch, batch.x, theta[:, sets], free, options)
+    def at(part: Batch, nodes: Tensor, point: Tensor) -> Evaluation:
+        return evaluate(system, engine, part, nodes, point, free, loss=options.loss, chunk=options.chunk)
+
+    best = at(batch, batch.x, theta[:, sets])
     cost = set_cost(best, sets, theta, count)
     data = (batch.weight > 0).sum((1, 2)).to(cost.dtype)
     data = data.new_zeros(count).index_add(0, sets, data).clamp_min(1.0)
@@ -252,7 +166,7 @@ def minimise(
         local = torch.full((count,), -1, device=theta.device)
         local[running] = torch.arange(running.numel(), device=theta.device)
         rows = (local[sets] >= 0).nonzero().flatten()
-        group, part, here = local[sets[rows]], _select(best, rows), theta[:, running]
+        group, part, here = local[sets[rows]], best.take(rows), theta[:, running]
         noise = 2.0 * cost[running] / data[running]
         near = noise[group, None] * (options.reach * spread[rows]).square().reciprocal()
         hessian, gradient, gain, back = _reduce(part, group, running.numel(), damping[running][group], near)
@@ -283,20 +197,18 @@ def minimise(
         trial = here.clone()
         trial[free_index] = torch.maximum(torch.minimum(values + shift, bounds.upper), bounds.lower).T
         nodes = part.x + (part.chain @ move[:, None, :, None])[..., 0]
-        new = evaluate(system, engine, batch.take(rows), nodes, trial[:, group], free, options)
+        new = at(batch.take(rows), nodes, trial[:, group])
         new_cost = set_cost(new, group, trial, running.numel())
         gained = cost[running] - new_cost
         accepted = torch.isfinite(new_cost) & ((gained >= -1e-9 * cost[running]) | closing[running])
         size = (quadratic.clamp_min(0.0) / noise.clamp_min(1e-300)).sqrt()
 
-        def worst(defect: Tensor) -> Tensor:
-            return torch.zeros_like(noise).scatter_reduce(0, group, defect, "amax") / noise.sqrt()
-
-        settled, open_before = worst(new.defect) < 0.01, worst(part.defect) > 0.02
+        settled = _worst(new.defect, group, noise) < 0.01
+        open_before = _worst(part.defect, group, noise) > 0.02
         ratio = (gained / predicted.clamp_min(1e-300)).clamp(-10.0, 10.0)
         iterations[running] += 1
         keep = accepted[group].nonzero().flatten()
-        best = _join(best, _select(new, keep), rows[keep])
+        best = best.with_rows(rows[keep], new.take(keep))
         theta[:, running[accepted]] = trial[:, accepted]
         cost[running[accepted]] = new_cost[accepted]
         ease = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(0.1, 2.0)

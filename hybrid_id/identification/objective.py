@@ -1,11 +1,16 @@
-"""Loss of the weighted output error (paper, eq. 2)."""
+"""The weighted output error (paper, eq. 2): its loss, and its quadratic model at a point of the lifted problem."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from torch import Tensor
+
+from hybrid_id.simulation.lifted import condense, linearise, shoot
+from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
 
 
 @dataclass(frozen=True)
@@ -32,3 +37,89 @@ class Loss:
             return torch.ones_like(r)
         factor = self.delta / r.abs().clamp_min(self.delta)
         return factor / self.delta if self.kind == "l1" else factor
+
+
+@dataclass
+class Evaluation:
+    """Objective and its quadratic model at one point, rows of the batch and sets of parameters.
+
+    Attributes:
+        x: nodes, ``(R, T, n_x)``.
+        chain: condensed sensitivities, ``(R, T, n_x, n_x + n_f + 1)``.
+        jacobian: weighted sensitivities of the outputs to (first state, parameters), ``(R, T, n_y, n_x + n_f)``.
+        residual: weighted residuals of the simulation (defects closed to first order), ``(R, T, n_y)``.
+        cost: loss of each row, its initial-state prior included, ``(R,)``.
+        hessian: Gauss-Newton matrix of each row in (first state, parameters), ``(R, n, n)``.
+        gradient: ``(R, n)``.
+        defect: RMS of what the defects still contribute to the weighted outputs, ``(R,)``.
+    """
+
+    x: Tensor
+    chain: Tensor
+    jacobian: Tensor
+    residual: Tensor
+    cost: Tensor
+    hessian: Tensor
+    gradient: Tensor
+    defect: Tensor
+
+    def take(self, rows: Tensor) -> Evaluation:
+        """The evaluation of some rows."""
+        return Evaluation(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    def with_rows(self, rows: Tensor, new: Evaluation) -> Evaluation:
+        """The evaluation with its rows ``rows`` replaced by those of ``new``."""
+        pairs = {f.name: (getattr(self, f.name), getattr(new, f.name)) for f in fields(self)}
+        return Evaluation(**{n: old.index_copy(0, rows, part) for n, (old, part) in pairs.items()})
+
+
+def evaluate(
+    system: System,
+    engine: Engine,
+    batch: Batch,
+    x: Tensor,
+    theta: Tensor,
+    free: list[int],
+    *,
+    loss: Loss,
+    chunk: int,
+) -> Evaluation:
+    """Shoot, linearise and condense.
+
+    Args:
+        system: what is simulated.
+        engine: how a sample is integrated.
+        batch: rows of data.
+        x: nodes, ``(R, T, n_x)``.
+        theta: all parameters of each row in table order, ``(n_p, R)``.
+        free: indices of the parameters to differentiate by.
+        loss: loss of the weighted residuals.
+        chunk: samples that are integrated in a row between nodes.
+    """
+    x = shoot(system, engine, x, batch.u, batch.dt, theta, chunk)
+    lin = linearise(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
+    chain = condense(lin, x)
+    n_x = x.shape[-1]
+    jacobian = lin.c @ chain
+    jacobian[..., n_x:-1] += lin.d
+    closing = jacobian[..., -1]
+    residual = (batch.y - lin.y - closing) * batch.weight
+    factor = loss.factor(residual)
+    jacobian = jacobian[..., :-1] * batch.weight[..., None]
+    scaled = (jacobian * factor.sqrt()[..., None]).flatten(1, 2)
+    hessian = scaled.transpose(1, 2) @ scaled
+    gradient = -(scaled.transpose(1, 2) @ (residual * factor.sqrt()).flatten(1, 2)[..., None])[..., 0]
+    # a held first state keeps its row of the identity, so that it solves to zero
+    loose = (batch.x0_std > 0).to(x.dtype)
+    precision = loose / batch.x0_std.clamp_min(1e-300).square().where(loose > 0, torch.ones_like(loose))
+    shift = x[:, 0] - batch.x[:, 0]
+    mask = torch.cat([loose, loose.new_ones(len(loose), len(free))], 1)
+    jacobian = jacobian * mask[:, None, None, :]
+    hessian = hessian * mask[:, :, None] * mask[:, None, :]
+    gradient = gradient * mask
+    hessian[:, range(n_x), range(n_x)] += precision + (1.0 - loose)
+    gradient[:, :n_x] += precision * shift
+    cost = loss.value(residual).sum((1, 2)) + 0.5 * (precision * shift.square()).sum(1)
+    count = (batch.weight > 0).sum((1, 2)).clamp_min(1)
+    defect = ((closing * batch.weight).square().sum((1, 2)) / count).sqrt()
+    return Evaluation(x, chain, jacobian, residual, cost, hessian, gradient, defect)
