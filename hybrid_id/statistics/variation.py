@@ -6,7 +6,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 ACCEPTABLE_PERCENT = 30.0  # "if variations fall under 30 percent, results are acceptable"
 
@@ -106,5 +106,5 @@ def mean_interval(parameter_sets: np.ndarray, *, level: float = 0.95) -> MeanInt
         return MeanInterval(sets[0] if n_sets else nothing, nothing, nothing, nothing, level, n_sets)
     mean = sets.mean(axis=0)
     std_error = sets.std(axis=0, ddof=1) / np.sqrt(n_sets)
-    reach = student.ppf(0.5 + level / 2, n_sets - 1) * std_error
+    reach = stdtrit(n_sets - 1, 0.5 + level / 2) * std_error
     return MeanInterval(mean, std_error, mean - reach, mean + reach, level, n_sets)

@@ -1,0 +1,181 @@
+"""Covariance of estimates from the Jacobian: plain, and robust against autocorrelated residuals.
+
+Convention of this package: ``residual = w (y - ŷ)`` and ``jacobian = w ∂ŷ/∂θ`` with ``w`` = 1 / standard deviation.
+One record has arrays (T,) and (T, p), or (T, n_y) and (T, n_y, p); several records come as sequences of such.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import ndtri
+
+Arrays = np.ndarray | Sequence[np.ndarray]
+
+_NUMERICALLY_NULL = 1e-12  # eigenvalues of a unit-diagonal information matrix below this are rounding
+_MAX_WHITENING = 0.97
+
+
+@dataclass(frozen=True, eq=False)
+class Covariance:
+    """Covariance of an estimate.
+
+    Attributes:
+        matrix: (p, p); a pseudo-inverse where directions are undetermined.
+        std_error: (p,); inf for parameters that an undetermined direction moves.
+        noise_variance: Variance of the weighted residuals; 1 where the weights are right.
+        method: "plain" or "robust".
+        lag: Samples over which the robust version sums; 0 for the plain one.
+    """
+
+    matrix: np.ndarray
+    std_error: np.ndarray
+    noise_variance: float
+    method: str
+    lag: int
+
+    def interval(self, estimate: np.ndarray, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
+        """Normal confidence interval (lower, upper), each (p,)."""
+        reach = ndtri(0.5 + level / 2) * self.std_error
+        return np.asarray(estimate) - reach, np.asarray(estimate) + reach
+
+
+def covariance(
+    jacobian: Arrays,
+    residual: Arrays,
+    *,
+    prior_information: np.ndarray | None = None,
+    noise_variance: float | None = None,
+) -> Covariance:
+    """``(JᵀJ / s² + P)⁻¹``: right where residuals are white and the model is.
+
+    Args:
+        jacobian: Weighted Jacobian of one record or of several.
+        residual: Weighted residuals alike.
+        prior_information: P, inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
+        noise_variance: s², where it is known; ``Σr² / (N - p)`` otherwise.
+    """
+    records = as_records(jacobian, residual)
+    variance = _noise_variance(records) if noise_variance is None else noise_variance
+    hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
+    information = hessian / variance + prior_matrix(prior_information, len(hessian))
+    matrix, determined = scaled_inverse(information)
+    return Covariance(matrix, _std_error(matrix, determined), variance, "plain", 0)
+
+
+def robust_covariance(
+    jacobian: Arrays,
+    residual: Arrays,
+    *,
+    prior_information: np.ndarray | None = None,
+    lag: int | None = None,
+) -> Covariance:
+    """``A⁻¹ B A⁻¹`` with B the long-run covariance of the scores ``J_tᵀ r_t``: residuals may be autocorrelated.
+
+    Bartlett kernel (Newey and West, Econometrica 55, 1987) on scores that are whitened by a first-order
+    autoregression (Andrews and Monahan, Econometrica 60, 1992), lag by Newey and West, Rev. Econ. Stud. 61, 1994.
+    Records are independent of each other. A model error that lasts as long as a record escapes it: compare with
+    the scatter between records (`trust`).
+
+    Args:
+        jacobian: Weighted Jacobian of one record or of several.
+        residual: Weighted residuals alike.
+        prior_information: As in `covariance`; the prior's mean counts as one more measurement.
+        lag: Samples; automatic where absent.
+    """
+    records = as_records(jacobian, residual)
+    variance = _noise_variance(records)
+    hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
+    prior = prior_matrix(prior_information, len(hessian))
+    inverse, determined = scaled_inverse(hessian / variance + prior)
+
+    scores = [np.einsum("tyi,ty->ti", j, r) / variance for j, r in records]
+    size = np.sqrt(np.sum([np.sum(s**2, axis=0) for s in scores], axis=0))
+    size = np.where(size > 0, size, 1.0)  # parameters may differ by decades
+    scores = [s / size for s in scores]
+    persistence = np.clip(lag_one_correlation(scores), -_MAX_WHITENING, _MAX_WHITENING)
+    innovations = [s[1:] - persistence * s[:-1] for s in scores]
+    if lag is None:
+        lag = _newey_west_lag(innovations)
+    white = _long_run_covariance(innovations, lag)
+    recolour = size / (1 - persistence)
+    n_residuals = sum(r.size for _, r in records)
+    correction = n_residuals / max(n_residuals - len(hessian), 1)
+    matrix = inverse @ (correction * white * np.outer(recolour, recolour) + prior) @ inverse
+    return Covariance(matrix, _std_error(matrix, determined), variance, "robust", lag)
+
+
+def as_records(jacobian: Arrays, residual: Arrays) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Pairs (T, n_y, p), (T, n_y), one for each record."""
+    if isinstance(residual, np.ndarray):
+        jacobian, residual = [np.asarray(jacobian)], [residual]
+    return [
+        (np.reshape(j, (len(r), -1, np.shape(j)[-1])), np.reshape(r, (len(r), -1)))
+        for j, r in zip(jacobian, residual, strict=True)
+    ]
+
+
+def prior_matrix(prior_information: np.ndarray | None, size: int) -> np.ndarray:
+    """Prior information as a matrix (p, p)."""
+    if prior_information is None:
+        return np.zeros((size, size))
+    prior = np.asarray(prior_information, float)
+    return np.diag(prior) if prior.ndim == 1 else prior
+
+
+def scaled_inverse(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pseudo-inverse (p, p) of an information matrix, and which parameters it determines (p,) bool.
+
+    Eigenvalues are judged after scaling to a unit diagonal, so that units do not matter.
+    """
+    scale = np.sqrt(np.diag(information))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    kept = values > _NUMERICALLY_NULL * len(values)
+    inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
+    determined = np.linalg.norm(vectors[:, ~kept], axis=1) < 1e-4
+    return inverse / np.outer(scale, scale), determined
+
+
+def lag_one_correlation(scores: Sequence[np.ndarray]) -> np.ndarray:
+    """First autocorrelation of each column, pooled over the records [(T, p)] -> (p,)."""
+    products = np.sum([np.sum(s[1:] * s[:-1], axis=0) for s in scores], axis=0)
+    squares = np.sum([np.sum(s[:-1] ** 2, axis=0) for s in scores], axis=0)
+    return products / np.where(squares > 0, squares, 1.0)
+
+
+def _std_error(matrix: np.ndarray, determined: np.ndarray) -> np.ndarray:
+    return np.where(determined, np.sqrt(np.maximum(np.diag(matrix), 0.0)), np.inf)
+
+
+def _noise_variance(records: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    # Residuals with weight zero stand for samples that are not there.
+    count = sum(np.count_nonzero(r) for _, r in records) - records[0][0].shape[-1]
+    total = sum(float(np.sum(r**2)) for _, r in records)
+    return total / max(count, 1) if total > 0 else 1.0
+
+
+def _autocovariance(series: Sequence[np.ndarray], lag: int) -> np.ndarray:
+    """``Σ_t s_t s_{t-lag}ᵀ`` summed over the records (p, p)."""
+    return np.sum([s[lag:].T @ s[: len(s) - lag] for s in series if len(s) > lag], axis=0)
+
+
+def _newey_west_lag(series: Sequence[np.ndarray]) -> int:
+    longest = max(len(s) for s in series)
+    pilot = min(int(4 * (longest / 100) ** (2 / 9)), longest - 1)
+    traces = np.array([np.trace(_autocovariance(series, k)) for k in range(pilot + 1)])
+    flat = traces[0] + 2 * traces[1:].sum()
+    slope = 2 * np.sum(np.arange(1, pilot + 1) * traces[1:])
+    if flat <= 0:
+        return pilot
+    return int(min(1.1447 * np.cbrt((slope / flat) ** 2) * longest ** (1 / 3), longest // 4)) + 1
+
+
+def _long_run_covariance(series: Sequence[np.ndarray], lag: int) -> np.ndarray:
+    total = _autocovariance(series, 0)
+    for k in range(1, min(lag, max(len(s) for s in series) - 1) + 1):
+        term = _autocovariance(series, k)
+        total = total + (1 - k / (lag + 1)) * (term + term.T)
+    return total
