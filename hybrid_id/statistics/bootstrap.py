@@ -73,12 +73,13 @@ def block_contributions(
             int(np.clip((np.sqrt(6) * rho / (1 - rho**2)) ** (2 / 3) * longest ** (1 / 3), 1, longest / 8))
             or 1
         )
-    pieces = []
+    gradients, hessians = [], []
     for j, r in records:
         n_blocks = 1 if block == "record" else max(len(r) // block, 1)
-        pieces += zip(np.array_split(j, n_blocks), np.array_split(r, n_blocks), strict=True)
-    gradients = np.stack([np.einsum("tyi,ty->i", j, r) for j, r in pieces])
-    hessians = np.stack([np.einsum("tyi,tyj->ij", j, j) for j, _ in pieces])
+        starts = np.linspace(0, len(r), n_blocks, endpoint=False).astype(int)
+        gradients.append(np.add.reduceat(np.einsum("tyi,ty->ti", j, r), starts))
+        hessians.append(np.add.reduceat(np.einsum("tyi,tyj->tij", j, j), starts))
+    gradients, hessians = np.concatenate(gradients), np.concatenate(hessians)
     return BlockContributions(gradients, hessians, 0 if block == "record" else block)
 
 

@@ -1,0 +1,93 @@
+"""Covariances against linear regressions whose covariance is known."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hybrid_id.statistics.uncertainty import covariance, robust_covariance
+
+
+def test_plain_is_the_textbook_for_white_noise(regression, least_squares):
+    design, noise, truth = regression(n_samples=2000)
+    result = covariance(design, least_squares(design, noise[0])[1])
+    np.testing.assert_allclose(result.matrix, truth, rtol=0.1, atol=1e-6)
+    assert result.noise_variance == pytest.approx(1, rel=0.1)
+    known = covariance(design, noise[0], noise_variance=1.0)
+    np.testing.assert_allclose(known.matrix, np.linalg.inv(design.T @ design), atol=1e-15)
+
+
+def test_robust_agrees_with_plain_for_white_noise(regression, least_squares):
+    design, noise, _ = regression()
+    residual = least_squares(design, noise[0])[1]
+    ratio = robust_covariance(design, residual).std_error / covariance(design, residual).std_error
+    np.testing.assert_allclose(ratio, 1, atol=0.15)
+
+
+@pytest.mark.parametrize("correlation", [0.7, 0.95])
+def test_plain_is_too_confident_for_correlated_noise_and_robust_is_right(
+    correlation, regression, least_squares
+):
+    design, noise, truth = regression(correlation=correlation, replicates=20)
+    residuals = [least_squares(design, e)[1] for e in noise]
+    true_error = np.sqrt(np.diag(truth))
+    plain = np.mean([covariance(design, r).std_error for r in residuals], axis=0) / true_error
+    robust = np.mean([robust_covariance(design, r).std_error for r in residuals], axis=0) / true_error
+    assert plain.max() < 1.1 * np.sqrt((1 - correlation) / (1 + correlation))
+    np.testing.assert_allclose(robust, 1, atol=0.15)
+
+
+def test_intervals_cover_as_often_as_they_say_under_correlation(regression, least_squares):
+    design, noise, _ = regression(correlation=0.9, replicates=200, seed=1)
+    robust, plain = [], []
+    for e in noise:
+        estimate, residual = least_squares(design, e)
+        for found, way in ((robust, robust_covariance), (plain, covariance)):
+            lower, upper = way(design, residual).interval(estimate)
+            found.append((lower < 0) & (upper > 0))
+    assert 0.90 < np.mean(robust) < 0.98
+    assert np.mean(plain) < 0.6
+
+
+def test_records_are_independent_and_may_have_several_outputs(rng):
+    jacobians = [rng.standard_normal((n, 2, 3)) for n in (300, 500)]
+    residuals = [rng.standard_normal((n, 2)) for n in (300, 500)]
+    flat = np.concatenate([j.reshape(-1, 3) for j in jacobians])
+    joined = covariance(jacobians, residuals)
+    np.testing.assert_allclose(joined.matrix, joined.noise_variance * np.linalg.inv(flat.T @ flat))
+    np.testing.assert_allclose(robust_covariance(jacobians, residuals).std_error, joined.std_error, rtol=0.25)
+
+
+@given(scales=st.lists(st.floats(-6, 6), min_size=2, max_size=2))
+def test_units_do_not_matter(scales, regression):
+    design, noise, _ = regression(n_samples=500, correlation=0.5)
+    unit = 10.0 ** np.array(scales)
+    for way in (covariance, robust_covariance):
+        np.testing.assert_allclose(
+            way(design * unit, noise[0]).std_error * unit, way(design, noise[0]).std_error, rtol=1e-6
+        )
+
+
+def test_prior_enters_as_one_more_measurement(regression):
+    design, noise, _ = regression(n_samples=500)
+    prior = np.array([1e4, 0.0])
+    expected = np.linalg.inv(design.T @ design + np.diag(prior))
+    np.testing.assert_allclose(
+        covariance(design, noise[0], prior_information=prior, noise_variance=1).matrix, expected
+    )
+    held = robust_covariance(design, noise[0], prior_information=np.array([1e12, 0.0]))
+    assert held.std_error[0] == pytest.approx(1e-6, rel=1e-3)
+
+
+def test_undetermined_parameters_have_infinite_errors_and_the_others_keep_theirs(rng):
+    column = rng.standard_normal((400, 2))
+    jacobian = np.column_stack([column[:, 0], 3 * column[:, 0], column[:, 1]])
+    for way in (covariance, robust_covariance):
+        error = way(jacobian, rng.standard_normal(400)).std_error
+        assert np.isinf(error[:2]).all()
+        assert error[2] == pytest.approx(1 / 20, rel=0.2)
+
+
+def test_perfect_residuals_do_not_break_it(regression):
+    design, _, _ = regression(n_samples=100)
+    assert np.all(np.isfinite(robust_covariance(design, np.zeros(100)).std_error))
