@@ -167,7 +167,7 @@ def _read_record(
     if fault := find_fault(time, signals, str(path), table.place):
         raise InputError(fault)
     for channel in spec.outputs:
-        if np.ptp(signals[channel.name]) == 0:
+        if np.all(signals[channel.name] == signals[channel.name][0]):
             raise InputError(
                 f"{path}: output '{channel.name}' is {signals[channel.name][0]:g} in every sample, so nothing can be "
                 "learnt from it; check its column and its sensor, or leave the record out"

@@ -25,15 +25,17 @@ def read_mat(path: Path, wanted: Collection[str]) -> Table:
         InputError: for a damaged file, one of version 7.3 (HDF5), or a missing column.
     """
     from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
 
     try:
         variables = loadmat(path)
     except NotImplementedError:
         raise InputError(f"{path} is a MATLAB 7.3 file; save it with save(..., '-v7')") from None
-    except (MatReadError, ValueError, TypeError, KeyError, EOFError, OSError) as error:
+    except (FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except Exception as error:  # a damaged file can make its parser stumble in any way
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
         raise InputError(
-            f"{path} is not a readable MATLAB file ({error}); write it again with '-v7'"
+            f"{path} is not a readable MATLAB file ({reason}); write it again with '-v7'"
         ) from None
     columns: dict[str, np.ndarray] = {}
     scalars: dict[str, float | str] = {}
