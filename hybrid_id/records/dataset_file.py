@@ -60,7 +60,9 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
     for record in dataset:
         file = f"{record.name}.csv.gz"
         frame = pd.DataFrame({"t": record.time, **record.inputs, **record.outputs})
-        frame.to_csv(folder / file, index=False, compression={"method": "gzip", "mtime": 0})
+        frame.to_csv(
+            folder / file, index=False, compression={"method": "gzip", "compresslevel": 6, "mtime": 0}
+        )
         optional = {"note": record.note, "meta": dict(record.meta)}
         entries.append(
             {"file": file, "role": record.role} | {key: item for key, item in optional.items() if item}
