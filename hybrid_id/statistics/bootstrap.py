@@ -8,13 +8,15 @@ from typing import Literal
 
 import numpy as np
 
+from hybrid_id.statistics.long_run import lag_one_correlation
 from hybrid_id.statistics.uncertainty import (
     Arrays,
     as_records,
-    lag_one_correlation,
     prior_matrix,
     scaled_inverse,
 )
+
+_MOST_BLOCKS = 1000  # more of them cost time and tell no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,10 +71,9 @@ def block_contributions(
     if block == "auto":
         scores = [np.einsum("tyi,ty->ti", j, r) for j, r in records]
         rho = float(np.clip(np.max(lag_one_correlation(scores)), 0.0, 0.995))
-        block = (
-            int(np.clip((np.sqrt(6) * rho / (1 - rho**2)) ** (2 / 3) * longest ** (1 / 3), 1, longest / 8))
-            or 1
-        )
+        carlstein = (np.sqrt(6) * rho / (1 - rho**2)) ** (2 / 3) * longest ** (1 / 3)
+        plenty = sum(len(r) for _, r in records) / _MOST_BLOCKS
+        block = max(int(min(max(carlstein, plenty), longest / 8)), 1)
     gradients, hessians = [], []
     for j, r in records:
         n_blocks = 1 if block == "record" else max(len(r) // block, 1)

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
+from hybrid_id.statistics.long_run import long_run_covariance
+
 Arrays = np.ndarray | Sequence[np.ndarray]
 
 _NUMERICALLY_NULL = 1e-12  # eigenvalues of a unit-diagonal information matrix below this are rounding
-_MAX_WHITENING = 0.97
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,12 +71,9 @@ def robust_covariance(
     residual: Arrays,
     *,
     prior_information: np.ndarray | None = None,
-    lag: int | None = None,
 ) -> Covariance:
     """``A⁻¹ B A⁻¹`` with B the long-run covariance of the scores ``J_tᵀ r_t``: residuals may be autocorrelated.
 
-    Bartlett kernel (Newey and West, Econometrica 55, 1987) on scores that are whitened by a first-order
-    autoregression (Andrews and Monahan, Econometrica 60, 1992), lag by Newey and West, Rev. Econ. Stud. 61, 1994.
     Records are independent of each other. A model error that lasts as long as a record escapes it: compare with
     the scatter between records (`trust`).
 
@@ -83,27 +81,16 @@ def robust_covariance(
         jacobian: Weighted Jacobian of one record or of several.
         residual: Weighted residuals alike.
         prior_information: As in `covariance`; the prior's mean counts as one more measurement.
-        lag: Samples; automatic where absent.
     """
     records = as_records(jacobian, residual)
     variance = _noise_variance(records)
     hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
     prior = prior_matrix(prior_information, len(hessian))
     inverse, determined = scaled_inverse(hessian / variance + prior)
-
-    scores = [np.einsum("tyi,ty->ti", j, r) / variance for j, r in records]
-    size = np.sqrt(np.sum([np.sum(s**2, axis=0) for s in scores], axis=0))
-    size = np.where(size > 0, size, 1.0)  # parameters may differ by decades
-    scores = [s / size for s in scores]
-    persistence = np.clip(lag_one_correlation(scores), -_MAX_WHITENING, _MAX_WHITENING)
-    innovations = [s[1:] - persistence * s[:-1] for s in scores]
-    if lag is None:
-        lag = _newey_west_lag(innovations)
-    white = _long_run_covariance(innovations, lag)
-    recolour = size / (1 - persistence)
+    scores, lag = long_run_covariance([np.einsum("tyi,ty->ti", j, r) / variance for j, r in records])
     n_residuals = sum(r.size for _, r in records)
     correction = n_residuals / max(n_residuals - len(hessian), 1)
-    matrix = inverse @ (correction * white * np.outer(recolour, recolour) + prior) @ inverse
+    matrix = inverse @ (correction * scores + prior) @ inverse
     return Covariance(matrix, _std_error(matrix, determined), variance, "robust", lag)
 
 
@@ -139,13 +126,6 @@ def scaled_inverse(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return inverse / np.outer(scale, scale), determined
 
 
-def lag_one_correlation(scores: Sequence[np.ndarray]) -> np.ndarray:
-    """First autocorrelation of each column, pooled over the records [(T, p)] -> (p,)."""
-    products = np.sum([np.sum(s[1:] * s[:-1], axis=0) for s in scores], axis=0)
-    squares = np.sum([np.sum(s[:-1] ** 2, axis=0) for s in scores], axis=0)
-    return products / np.where(squares > 0, squares, 1.0)
-
-
 def _std_error(matrix: np.ndarray, determined: np.ndarray) -> np.ndarray:
     return np.where(determined, np.sqrt(np.maximum(np.diag(matrix), 0.0)), np.inf)
 
@@ -155,27 +135,3 @@ def _noise_variance(records: list[tuple[np.ndarray, np.ndarray]]) -> float:
     count = sum(np.count_nonzero(r) for _, r in records) - records[0][0].shape[-1]
     total = sum(float(np.sum(r**2)) for _, r in records)
     return total / max(count, 1) if total > 0 else 1.0
-
-
-def _autocovariance(series: Sequence[np.ndarray], lag: int) -> np.ndarray:
-    """``Σ_t s_t s_{t-lag}ᵀ`` summed over the records (p, p)."""
-    return np.sum([s[lag:].T @ s[: len(s) - lag] for s in series if len(s) > lag], axis=0)
-
-
-def _newey_west_lag(series: Sequence[np.ndarray]) -> int:
-    longest = max(len(s) for s in series)
-    pilot = min(int(4 * (longest / 100) ** (2 / 9)), longest - 1)
-    traces = np.array([np.trace(_autocovariance(series, k)) for k in range(pilot + 1)])
-    flat = traces[0] + 2 * traces[1:].sum()
-    slope = 2 * np.sum(np.arange(1, pilot + 1) * traces[1:])
-    if flat <= 0:
-        return pilot
-    return int(min(1.1447 * np.cbrt((slope / flat) ** 2) * longest ** (1 / 3), longest // 4)) + 1
-
-
-def _long_run_covariance(series: Sequence[np.ndarray], lag: int) -> np.ndarray:
-    total = _autocovariance(series, 0)
-    for k in range(1, min(lag, max(len(s) for s in series) - 1) + 1):
-        term = _autocovariance(series, k)
-        total = total + (1 - k / (lag + 1)) * (term + term.T)
-    return total

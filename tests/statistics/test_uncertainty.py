@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.signal import lfilter
 
 from hybrid_id.statistics.uncertainty import covariance, robust_covariance
 
@@ -24,7 +25,7 @@ def test_robust_agrees_with_plain_for_white_noise(regression, least_squares):
     np.testing.assert_allclose(ratio, 1, atol=0.15)
 
 
-@pytest.mark.parametrize("correlation", [0.7, 0.95])
+@pytest.mark.parametrize("correlation", [0.7, 0.95, 0.98])
 def test_plain_is_too_confident_for_correlated_noise_and_robust_is_right(
     correlation, regression, least_squares
 ):
@@ -34,7 +35,7 @@ def test_plain_is_too_confident_for_correlated_noise_and_robust_is_right(
     plain = np.mean([covariance(design, r).std_error for r in residuals], axis=0) / true_error
     robust = np.mean([robust_covariance(design, r).std_error for r in residuals], axis=0) / true_error
     assert plain.max() < 1.1 * np.sqrt((1 - correlation) / (1 + correlation))
-    np.testing.assert_allclose(robust, 1, atol=0.15)
+    np.testing.assert_allclose(robust, 1, atol=0.2)
 
 
 def test_intervals_cover_as_often_as_they_say_under_correlation(regression, least_squares):
@@ -47,6 +48,20 @@ def test_intervals_cover_as_often_as_they_say_under_correlation(regression, leas
             found.append((lower < 0) & (upper > 0))
     assert 0.90 < np.mean(robust) < 0.98
     assert np.mean(plain) < 0.6
+
+
+def test_an_oscillating_sensitivity_is_not_mistaken_for_a_slow_one():
+    """Slow residuals hardly touch a fast sensitivity; a first-order filter would say 3 times too much."""
+    rng = np.random.default_rng(3)
+    time = np.arange(4000)
+    design = np.stack([np.ones(4000), np.cos(2 * np.pi * time / 100)], axis=1)
+    noise = lfilter([np.sqrt(1 - 0.99**2)], [1, -0.99], rng.standard_normal((60, 8000)), axis=1)[:, 4000:]
+    estimates, errors = [], []
+    for e in noise:
+        estimate = np.linalg.lstsq(design, e, rcond=None)[0]
+        estimates.append(estimate)
+        errors.append(robust_covariance(design, e - design @ estimate).std_error)
+    np.testing.assert_allclose(np.mean(errors, axis=0) / np.std(estimates, axis=0), 1, atol=0.35)
 
 
 def test_records_are_independent_and_may_have_several_outputs(rng):
