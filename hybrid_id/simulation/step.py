@@ -2,8 +2,7 @@
 
 Two engines share the same equations of motion. ``dry`` treats dry friction as the set-valued force that it is:
 inside a sub-step its direction is fixed, the moment at which a speed reaches zero is located, and the joint sticks or
-slides on from there (an event-driven time-stepping scheme: fourth order between reversals, second order through
-them, with exact sensitivities of the discrete map, the saltation at a reversal included). ``smooth`` replaces sgn(v)
+slides on from there (an event-driven time-stepping scheme of fourth order, with exact sensitivities of the discrete map, the saltation at a reversal included). ``smooth`` replaces sgn(v)
 by tanh(v / width) and is a plain RK4; it serves torchdiffeq and comparisons with solvers that need smooth laws.
 """
 
@@ -90,22 +89,27 @@ class Engine:
         crossed: Tensor,
     ) -> list[Tensor]:
         """The sub-step of lanes in which a speed reaches zero: up to that moment, then stick or slide on."""
-        fraction = torch.ones_like(h)
+        fractions = torch.stack(
+            [
+                torch.where(hit, before[row] / torch.where(hit, before[row] - after[row], h), torch.ones_like(h))
+                for row, hit in zip(system.speed_rows, crossed, strict=True)
+            ]
+        )
+        fraction, first = fractions.min(0)
+        # the chord's estimate of that moment, then one Newton step on the speed that reaches zero there
+        at = rk4(before, fraction * h, lambda rows: system.rates(rows, u, p, signs))
+        rates = system.rates(at, u, p, signs)
+        late = torch.zeros_like(h)
         for i, row in enumerate(system.speed_rows):
-            slope = torch.where(crossed[i], before[row] - after[row], torch.ones_like(h))
-            fraction = torch.where(crossed[i], torch.minimum(fraction, before[row] / slope), fraction)
-        at = [a + fraction * (b - a) for a, b in zip(before, after, strict=True)]
+            slows = (first == i) & (rates[row] * signs[i] < 0)
+            late = torch.where(slows, at[row] / torch.where(slows, rates[row], torch.ones_like(h)), late)
+        late = torch.minimum(torch.maximum(late, (fraction - 1.0) * h), fraction * h)
+        at = [a - late * k for a, k in zip(at, rates, strict=True)]
         for i, row in enumerate(system.speed_rows):
-            first = crossed[i] & (at[row] * signs[i] <= 1e-12 * before[row].abs())
-            at[row] = torch.where(first, torch.zeros_like(h), at[row])
-            # the angle by the trapezoid of its speed, as its chord would be off by h (v0 - v1) / 8
-            at[row - 1] = before[row - 1] + 0.5 * fraction * h * (before[row] + at[row])
-        rest = (1.0 - fraction) * h
+            at[row] = torch.where(first == i, torch.zeros_like(h), at[row])
         onward = directions(system, at, u, p)
-        rates = system.rates(at, u, p, onward)
-        middle = [a + 0.5 * rest * k for a, k in zip(at, rates, strict=True)]
-        rates = system.rates(middle, u, p, onward)
-        end = [a + rest * k for a, k in zip(at, rates, strict=True)]
+        rest = (1.0 - fraction) * h + late
+        end = rk4(at, rest, lambda rows: system.rates(rows, u, p, onward))
         for row, sign in zip(system.speed_rows, onward, strict=True):
             end[row] = torch.where(sign * end[row] > 0, end[row], torch.zeros_like(h))
         return end
@@ -117,7 +121,7 @@ class Engine:
         x = list(x)
         for row, speed, level in system.bristle_levels(x, p):
             key, law = system.bristle(row)
-            x[row] = law.advance(p[key], x[row], speed, level, h)  # type: ignore[operator]
+            x[row] = law.advance(p[key], x[row], speed, level, h)
         return x
 
 
