@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from types import SimpleNamespace
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -63,6 +63,7 @@ class Component(nn.Module):
             spec = value if isinstance(value, Bounded) else declaration.bounded(value)
             self.specs[name] = spec.check(name)
             self.register_parameter(name, nn.Parameter(torch.tensor(spec.value, dtype=torch.float64)))
+        self.register_load_state_dict_post_hook(_adopt_loaded)
 
     def view(self) -> SimpleNamespace:
         """The stored values as a view, each shaped ``(1,)``; gradients flow to the torch parameters."""
@@ -71,6 +72,12 @@ class Component(nn.Module):
     def extra_repr(self) -> str:
         """Parameters in the printed module."""
         return ", ".join(f"{name}={float(getattr(self, name)):g} {s.unit}" for name, s in self.specs.items())
+
+
+def _adopt_loaded(part: nn.Module, _: object) -> None:
+    """Let the specifications say what a loaded checkpoint has put into the torch parameters."""
+    specs = cast(Component, part).specs
+    specs |= {name: spec.at(getattr(part, name).item()).check(name) for name, spec in specs.items()}
 
 
 class Input(Component):

@@ -10,7 +10,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from hybrid_id.components.base import PLACES, Component
+from hybrid_id.components.base import PLACES, Bristle, Component
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.systems.joint import Joint, SpeedBalance
@@ -52,6 +52,7 @@ class System(nn.Module):
         for where, part in parts:
             self._place(where, part)
         self._wire()
+        self.register_load_state_dict_post_hook(_rewire)
 
     def _place(self, where: str, part: Component) -> None:
         joint, _, place = where.partition("/")
@@ -214,7 +215,7 @@ class System(nn.Module):
                 found.append((row, v, joint.dry_level(place, p, v.abs(), (v > 0).to(v.dtype))))
         return found
 
-    def bristle(self, row: int) -> tuple[str, Component]:
+    def bristle(self, row: int) -> tuple[str, Bristle]:
         """Key and component of the bristle that owns a state row."""
         return next((key, law) for j in self.joints for key, law, r in j.bristles.values() if r == row)
 
@@ -228,3 +229,8 @@ class System(nn.Module):
                 )
             found.append(self.joints[int(name[-1]) - 1].output(name[:-1], x, u, p))
         return found
+
+
+def _rewire(system: nn.Module, _: object) -> None:
+    """Let the table say what a loaded checkpoint has put into the components."""
+    cast(System, system)._wire()

@@ -130,9 +130,10 @@ class Joint:
         return torque if enable is None else torque * enable
 
     def dry_level(self, place: str, p: Views, magnitude: Tensor, forward: Tensor) -> Tensor:
-        """Sum of the dry levels of a place, ``(B,)``."""
+        """Sum of the dry levels of a place, ``(B,)``; under a bristle a trace above 0, which it divides by."""
         terms = [law.dry(p[key], magnitude, forward) for key, law in self.frictions[place]]
-        return sum((t for t in terms if t is not None), torch.zeros_like(magnitude))
+        trace = torch.full_like(magnitude, 1e-12 if place in self.bristles else 0.0)
+        return sum((t for t in terms if t is not None), trace)
 
     def friction(
         self, place: str, x: Sequence[Tensor], p: Views, speed: Tensor, magnitude: Tensor, forward: Tensor
