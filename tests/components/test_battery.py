@@ -1,0 +1,264 @@
+"""One battery that every component of the registry passes, a new one without a line of its own."""
+
+import math
+from collections.abc import Callable
+from types import SimpleNamespace
+
+import pytest
+import torch
+from drives import STEP
+from torch import Tensor
+
+from hybrid_id.components import PLACES, REGISTRY
+from hybrid_id.components.base import (
+    Bristle,
+    Component,
+    Friction,
+    Inertia,
+    Input,
+    LoadTorque,
+    Motor,
+    Sensor,
+    Transmission,
+)
+from hybrid_id.errors import InputError
+from hybrid_id.parameters import Bounded
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems import System, one_link, one_link_flexible
+
+DIRECTED = {"asymmetric_stribeck", "asymmetric_stribeck_eq8"}
+"""Friction laws that claim to differ with the direction of motion; every other one is odd in the speed."""
+
+CHANNELS = {"u": 6.0, "duty": 0.4, "supply": 12.0, "goal": 0.5, "gain": 400.0, "tau": 0.05, "i": 0.7}
+"""A value for every input channel that a component may read."""
+
+SPEED = torch.tensor([-300.0, -20.0, -0.3, 0.0, 0.2, 15.0, 90.0, 800.0], dtype=torch.float64)
+LANES = len(SPEED)
+ANGLE = torch.linspace(-2.0, 3.0, LANES, dtype=torch.float64)
+OFF, ON = torch.zeros(LANES, dtype=torch.float64), torch.ones(LANES, dtype=torch.float64)
+
+
+def of(base: type[Component]) -> pytest.MarkDecorator:
+    """Every component of a family."""
+    return pytest.mark.parametrize("kind", sorted(k for k, c in REGISTRY.items() if issubclass(c, base)))
+
+
+kinds, frictions, bristles = of(Component), of(Friction), of(Bristle)
+
+
+def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> dict[str, Tensor]:
+    """All that a component contributes at the probing signals, by method."""
+    v, q, one, zero = SPEED[lanes], ANGLE[lanes], ON[lanes], OFF[lanes]
+    found: dict[str, Tensor | None] = {}
+    if isinstance(part, Friction):
+        found["smooth"] = part.smooth(p, v)
+        found["dry forward"] = part.dry(p, v.abs(), one)
+        found["dry backward"] = part.dry(p, v.abs(), zero)
+        found["load_factor"] = part.load_factor(p)
+    if isinstance(part, Bristle):
+        state, level = 0.01 * torch.cos(q), 0.02 + 0.01 * torch.sin(q)
+        found["rate"] = part.rate(p, state, v, level)
+        found["advance"] = part.advance(p, state, v, level, STEP * one)
+        found["bristle torque"] = part.torque(p, state, v, level)
+    if isinstance(part, Input):
+        channels = {name: CHANNELS[name] * (0.5 + 0.1 * q) for name in part.channels}
+        found["command"] = part.command(p, channels, 0.3 * q, v)
+    if isinstance(part, Motor):
+        found["torque"] = part.torque(p, 5.0 * q, v)
+    if isinstance(part, Transmission) and not part.rigid:
+        found["torque"] = part.torque(p, 0.01 * q, 1e-3 * v)
+    if isinstance(part, Inertia):
+        found |= {"rotor": part.rotor(p, 50.0) * one, "link": part.link(p, 50.0) * one}
+    if isinstance(part, LoadTorque):
+        found["torque"] = part.torque(p, q, v)
+    if isinstance(part, Sensor):
+        found["reading"] = part.read(p, q)
+    return {name: value * one for name, value in found.items() if value is not None}
+
+
+def lane_values(part: Component) -> dict[str, Tensor]:
+    """Values that differ from lane to lane, inside the bounds, around the default."""
+    factors = torch.linspace(0.7, 1.3, LANES, dtype=torch.float64)
+    found = {}
+    for i, (name, d) in enumerate(part.declared.items()):
+        moved = d.default * factors.roll(i) if d.default else 0.1 * (factors.roll(i) - 1.0)
+        found[name] = moved.clamp(d.lower, d.upper)
+    return found
+
+
+@kinds
+def test_describes_itself(kind: str) -> None:
+    part = REGISTRY[kind]
+    assert part.kind == kind
+    assert part.places and set(part.places) <= set(PLACES)
+    assert part.__doc__ and len(part.__doc__.strip()) > 20
+    for name, declared in part.declared.items():
+        assert declared.unit and declared.doc, f"{name} has no unit or no meaning"
+        assert declared.lower <= declared.default <= declared.upper
+        assert not hasattr(part, name), "a class attribute would hide the torch parameter"
+
+
+@kinds
+def test_is_float64_and_contributes(kind: str) -> None:
+    part = REGISTRY[kind]()
+    assert all(value.dtype == torch.float64 for value in part.parameters())
+    found = answers(part, part.view())
+    assert found or getattr(part, "rigid", False), "the component does nothing"
+    for name, value in found.items():
+        assert value.dtype == torch.float64, name
+        assert value.shape == (LANES,), name
+        assert torch.isfinite(value).all(), name
+
+
+@kinds
+def test_batched_equals_looped(kind: str) -> None:
+    part = REGISTRY[kind]()
+    values = lane_values(part)
+    together = answers(part, SimpleNamespace(**values))
+    for lane in range(LANES):
+        alone = answers(
+            part, SimpleNamespace(**{n: v[lane : lane + 1] for n, v in values.items()}), slice(lane, lane + 1)
+        )
+        for name, value in alone.items():
+            torch.testing.assert_close(value[0], together[name][lane], rtol=1e-14, atol=0.0)
+
+
+@kinds
+def test_every_parameter_reaches_the_equation(kind: str) -> None:
+    part = REGISTRY[kind]()
+    values = {n: v.requires_grad_() for n, v in lane_values(part).items()}
+    found = answers(part, SimpleNamespace(**values))
+    for name, value in values.items():
+        grads = [
+            g
+            for answer in found.values()
+            if answer.requires_grad
+            for g in torch.autograd.grad(answer.sum(), value, retain_graph=True, allow_unused=True)
+            if g is not None
+        ]
+        assert any(bool((g != 0).any()) for g in grads), f"{kind}.{name} has a zero gradient everywhere"
+        assert all(bool(torch.isfinite(g).all()) for g in grads), (
+            f"{kind}.{name} has a gradient that is no number"
+        )
+
+
+@frictions
+def test_gradient_to_the_speed_is_finite_at_rest(kind: str) -> None:
+    part = REGISTRY[kind]()
+    assert isinstance(part, Friction)
+    v = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    one = torch.ones_like(v)
+    found = [part.smooth(part.view(), v), part.dry(part.view(), v.abs(), one)]
+    if isinstance(part, Bristle):
+        found += [part.advance(part.view(), 0.01 * one, v, 0.02 * one, STEP * one)]
+        found += [part.torque(part.view(), 0.01 * one, v, 0.02 * one)]
+    for value in found:
+        if value is not None and value.requires_grad:
+            grads = torch.autograd.grad(value.sum(), v, allow_unused=True)
+            assert all(g is None or bool(torch.isfinite(g).all()) for g in grads)
+
+
+@frictions
+def test_friction_is_odd_and_dissipates(kind: str) -> None:
+    part = REGISTRY[kind]()
+    assert isinstance(part, Friction)
+    p, forward = part.view(), (SPEED > 0).to(SPEED.dtype)
+    smooth, dry = part.smooth(p, SPEED), part.dry(p, SPEED.abs(), forward)
+    if smooth is not None:
+        assert (smooth * SPEED >= 0).all()
+        torch.testing.assert_close(part.smooth(p, -SPEED), -smooth)
+    if dry is not None:
+        assert (dry >= 0).all()
+        if kind not in DIRECTED:
+            torch.testing.assert_close(part.dry(p, SPEED.abs(), 1.0 - forward), dry)
+    factor = part.load_factor(p)
+    assert factor is None or bool((factor >= 0).all())
+    if isinstance(part, Bristle):
+        state, level = 0.01 * torch.cos(ANGLE), 0.02 + 0.01 * torch.sin(ANGLE)
+        for method in (part.rate, part.torque):
+            torch.testing.assert_close(method(p, -state, -SPEED, level), -method(p, state, SPEED, level))
+
+
+@bristles
+@torch.no_grad()
+def test_bristle_takes_energy_over_a_cycle(kind: str) -> None:
+    part = REGISTRY[kind]()
+    assert isinstance(part, Bristle)
+    p, step = part.view(), 1e-3
+    level = torch.full((1,), 0.02, dtype=torch.float64)
+    state, energy, cycles = torch.zeros(1, dtype=torch.float64), 0.0, []
+    for k in range(4000):
+        v = torch.tensor([0.5 * math.sin(2 * math.pi * k * step)], dtype=torch.float64)
+        state = part.advance(p, state, v, level, torch.full_like(v, step))
+        energy += float(part.torque(p, state, v, level) * v) * step
+        if k % 1000 == 999:
+            cycles.append(energy)
+    assert all(b > a for a, b in zip([0.0, *cycles], cycles, strict=False))
+
+
+@bristles
+@torch.no_grad()
+def test_exact_update_follows_the_rate(kind: str) -> None:
+    part = REGISTRY[kind]()
+    assert isinstance(part, Bristle)
+    p, steps = part.view(), 20000
+    v = torch.tensor([-2.0, 0.3, 5.0], dtype=torch.float64)
+    level, start = torch.full_like(v, 0.02), torch.full_like(v, 0.004)
+    state = start
+    for _ in range(steps):  # Euler in steps of 1 microsecond
+        state = state + 1e-6 * part.rate(p, state, v, level)
+    exact = part.advance(p, start, v, level, torch.full_like(v, 1e-6 * steps))
+    torch.testing.assert_close(exact, state, rtol=2e-4, atol=1e-7)
+    stiff = part.advance(p, start, v, level, torch.full_like(v, 1e6))
+    torch.testing.assert_close(part.torque(p, stiff, v, level), level * v.sign())
+
+
+@kinds
+def test_state_dict_round_trip(kind: str) -> None:
+    cls = REGISTRY[kind]
+    moved = {n: float(v[1]) for n, v in lane_values(cls()).items()}
+    source, target = cls(**moved), cls()
+    target.load_state_dict(source.state_dict())
+    for name, value in moved.items():
+        assert getattr(target, name).item() == value
+        assert target.specs[name].value == value, "the specification must say what is stored"
+
+
+@kinds
+def test_refuses_what_is_out_of_bounds(kind: str) -> None:
+    cls = REGISTRY[kind]
+    with pytest.raises(InputError, match="no parameter 'nonsense'"):
+        cls(nonsense=1.0)
+    for name, declared in cls.declared.items():
+        bad: list[float | Bounded] = [math.nan, math.inf, Bounded(1.0, lower=2.0, upper=0.0)]
+        bad += [declared.lower - 1.0] if math.isfinite(declared.lower) else []
+        bad += [2.0 * declared.upper + 1.0] if math.isfinite(declared.upper) else []
+        for value in bad:
+            with pytest.raises(InputError, match=name) as caught:
+                cls(**{name: value})
+            assert "\n" not in str(caught.value)
+
+
+def hosts(part: Component) -> list[Callable[[], System]]:
+    """Systems into which a component fits."""
+    if getattr(part, "rigid", False):
+        return [lambda: one_link(50.0)]
+    return [lambda: one_link(50.0), lambda: one_link_flexible(50.0)]
+
+
+@kinds
+def test_runs_in_every_place_that_it_claims(kind: str) -> None:
+    part = REGISTRY[kind]()
+    channels = {f"{name}1": torch.full((3,), value, dtype=torch.float64) for name, value in CHANNELS.items()}
+    for place in part.places:
+        for host in hosts(part):
+            system = host().with_component(f"joint1/{place}", part)
+            assert all(f"{name}1" in system.input_names for name in getattr(part, "channels", ()))
+            p = system.views(list(system.theta().detach()[:, None]))
+            dt = torch.full((3,), 0.001, dtype=torch.float64)
+            for engine in (Engine("dry", 2), Engine("smooth", 40)):
+                x = [torch.zeros(3, dtype=torch.float64) for _ in system.state_names]
+                for _ in range(40):
+                    x = engine.sample(system, x, channels, dt, p)
+                assert all(bool(torch.isfinite(row).all()) for row in x), (place, engine)
+                assert all(bool((row == row[0]).all()) for row in x)
