@@ -186,7 +186,7 @@ def _result(
     theta = outcome.theta[:, chosen].cpu()
     info = [system.table[i] for i in free]
     values = {i.name: float(theta[k]) for i, k in zip(info, free, strict=True)}
-    jacobian, residual = _sensitivities(outcome.at, rows, records, batch, options)
+    jacobian, residual = sensitivities(outcome.at, rows, records, batch, options)
     return FitResult(
         system=system.with_values(values),
         names=tuple(values),
@@ -206,7 +206,7 @@ def _result(
     )
 
 
-def _sensitivities(
+def sensitivities(
     at: Evaluation, rows: Tensor, records: Tensor, batch: Batch, options: Options
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
     """For each record the weighted sensitivities, the start state eliminated, and the weighted residuals."""
