@@ -64,7 +64,7 @@ class Engine:
         lanes = crossed.any(0).nonzero().squeeze(1)
         if lanes.numel() == 0:
             return after
-        part = _Lanes(lanes, x[0].shape[0])
+        part = LaneSubset(lanes, x[0].shape[0])
         fixed = self._through_rest(
             system,
             [part.take(row) for row in x],
@@ -156,7 +156,7 @@ def directions(system: System, x: Rows, u: Channels, p: Views) -> list[Tensor]:
     return found
 
 
-class _Lanes:
+class LaneSubset:
     """A subset of lanes: takes it from rows of length B and leaves rows of length 1 as they are."""
 
     def __init__(self, lanes: Tensor, count: int) -> None:
