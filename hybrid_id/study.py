@@ -172,8 +172,9 @@ def assess(
     matrix = cross_validate(sets, batch, pooled=pooled)
     selection = select(matrix)
     chosen = sets[selection.index]
-    inflation = float(np.nanmedian(robust[selection.index].std_error / plain[selection.index].std_error))
-    told = told_by(chosen, inflation=max(inflation if np.isfinite(inflation) else 1.0, 1.0))
+    finite = np.isfinite(plain[selection.index].std_error)
+    ratios = robust[selection.index].std_error[finite] / plain[selection.index].std_error[finite]
+    told = told_by(chosen, inflation=max(float(np.median(ratios, axis=None)) if finite.any() else 1.0, 1.0))
     values = np.array([r.values for r in sets])
     names = sets[0].names
     errors = _standard_errors(sets, plain, robust, pooled, seed)

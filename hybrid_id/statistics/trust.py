@@ -9,6 +9,7 @@ import numpy as np
 
 _AGREE = 1.5  # ratio of standard errors that sampling alone explains
 _DISAGREE = 3.0  # from here on something is wrong with the model or the excitation
+_SMALL = 0.1  # relative standard error up to which a disagreement still leaves a value that one can use
 _VAGUE = 0.5  # relative standard error from which a parameter is not known
 
 
@@ -82,7 +83,7 @@ def _compare(errors: Mapping[str, float], estimate: float) -> tuple[str, str]:
     smallest_way = min(others, key=lambda way: others[way])
     ratio = largest / max(others[smallest_way], 1e-300)
     if largest_way != "plain" and ratio > _AGREE:
-        grade = "C" if ratio <= _DISAGREE else "D"
+        grade = "C" if ratio <= _DISAGREE or largest <= _SMALL * abs(estimate) else "D"
         return grade, (
             f"{largest_way} scatter is {ratio:.1f} times what {smallest_way} errors say"
             + (

@@ -87,7 +87,15 @@ def robust_covariance(
     hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
     prior = prior_matrix(prior_information, len(hessian))
     inverse, determined = scaled_inverse(hessian / variance + prior)
-    scores, lag = long_run_covariance([np.einsum("tyi,ty->ti", j, r) / variance for j, r in records])
+    # principal axes of the information: along a null direction the scores are zero, and must stay zero
+    scale = np.sqrt(np.diag(hessian))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
+    kept = values > _NUMERICALLY_NULL * len(values)
+    root = np.sqrt(values[kept])
+    axes, back = vectors[:, kept] / scale[:, None] / root, vectors[:, kept] * scale[:, None] * root
+    rotated, lag = long_run_covariance([np.einsum("tyi,ty->ti", j @ axes, r) / variance for j, r in records])
+    scores = back @ rotated @ back.T
     n_residuals = sum(r.size for _, r in records)
     correction = n_residuals / max(n_residuals - len(hessian), 1)
     matrix = inverse @ (correction * scores + prior) @ inverse
