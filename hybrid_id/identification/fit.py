@@ -12,9 +12,8 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.least_squares import Bounds, Options, Outcome, minimise
-from hybrid_id.identification.objective import Evaluation
-from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.least_squares import Bounds, Options, minimise
+from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
@@ -90,7 +89,9 @@ def fit(
         engine, theta = finer, outcome.theta
     cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
     best = cost.reshape(starts, count).argmin(0) * count + torch.arange(count, device=device)
-    return [_result(system, batch, many_sets, outcome, int(g), free, bounds, engine, options) for g in best]
+    return [
+        make_result(system, batch, many_sets, outcome, int(g), free, bounds, engine, options) for g in best
+    ]
 
 
 def make_bounds(system: System, free: Sequence[int], device: torch.device | str = "cpu") -> Bounds:
@@ -138,6 +139,36 @@ def start_points(
     return torch.cat(points, 1)
 
 
+def measured_windows(
+    system: System, batch: Batch, seconds: float, every: int = 1
+) -> tuple[Batch, Tensor] | None:
+    """Windows of a batch whose first states are measured and free within their uncertainty, and the row of each.
+
+    Args:
+        system: tells the states.
+        batch: whole records.
+        seconds: length of a window.
+        every: use one window in this many.
+
+    Returns:
+        None where the records are shorter than four windows.
+    """
+    step = float(batch.dt[batch.dt > 0].median())
+    length = max(25, round(seconds / step))
+    if batch.x.shape[1] < 4 * length:
+        return None
+    noise = 1.0 / batch.weight.amax((1, 2))
+    size = 0.1 * batch.x.std(1)
+    x0_std = torch.zeros_like(batch.x0_std)
+    for joint in system.joints:
+        for row in joint.positions:
+            ratio = 1.0 if row == joint.positions[0] else joint.gear_ratio
+            measured = ratio == 1.0 or f"q_a{joint.number}" in batch.outputs
+            x0_std[:, row] = noise / ratio if measured else size[:, row]
+            x0_std[:, row + 1] = noise / ratio / (20 * step) if measured else size[:, row + 1]
+    return batch.windows(length, every * length, x0_std)
+
+
 def warm_start(
     system: System,
     engine: Engine,
@@ -150,75 +181,11 @@ def warm_start(
     progress: Callable[[int, Tensor, Tensor], None] | None = None,
 ) -> Tensor:
     """Parameters of each set after a fit of short windows from measured states, ``(n_p, G)``."""
-    step = float(batch.dt[batch.dt > 0].median())
-    length = max(25, round(WINDOW / step))
-    if batch.x.shape[1] < 4 * length:
+    found_windows = measured_windows(system, batch, WINDOW, every=4)
+    if found_windows is None:
         return theta
-    noise = 1.0 / batch.weight.amax((1, 2))
-    size = 0.1 * batch.x.std(1)
-    x0_std = torch.zeros_like(batch.x0_std)
-    for joint in system.joints:
-        for row in joint.positions:
-            ratio = 1.0 if row == joint.positions[0] else joint.gear_ratio
-            measured = ratio == 1.0 or f"q_a{joint.number}" in batch.outputs
-            x0_std[:, row] = noise / ratio if measured else size[:, row]
-            x0_std[:, row + 1] = noise / ratio / (20 * step) if measured else size[:, row + 1]
-    windows, row = batch.windows(length, 4 * length, x0_std)
+    windows, row = found_windows
     coarse = replace(options, max_iterations=15, tolerance=0.3, target=None)
     found = minimise(system, engine, windows, sets[row], theta, free, bounds, coarse, progress)
     usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
     return torch.where(usable, found.theta, theta)
-
-
-def _result(
-    system: System,
-    batch: Batch,
-    sets: Tensor,
-    outcome: Outcome,
-    chosen: int,
-    free: list[int],
-    bounds: Bounds,
-    engine: Engine,
-    options: Options,
-) -> FitResult:
-    rows = (sets == chosen).nonzero().flatten()
-    records = rows % batch.rows
-    theta = outcome.theta[:, chosen].cpu()
-    info = [system.table[i] for i in free]
-    values = {i.name: float(theta[k]) for i, k in zip(info, free, strict=True)}
-    jacobian, residual = sensitivities(outcome.at, rows, records, batch, options)
-    return FitResult(
-        system=system.with_values(values),
-        names=tuple(values),
-        values=np.array(list(values.values())),
-        units=tuple(i.spec.unit for i in info),
-        status=outcome.status[chosen],
-        records=tuple(batch.names[int(r)] for r in records),
-        cost=float(outcome.cost[chosen]),
-        n_samples=int((batch.weight[records] > 0).sum()),
-        iterations=int(outcome.iterations[chosen]),
-        jacobian=jacobian,
-        residual=residual,
-        prior_precision=bounds.prior_precision.cpu().numpy(),
-        x0=outcome.at.x[rows, 0].cpu().numpy(),
-        engine=engine,
-        history=tuple(float(h[chosen]) for h in outcome.history),
-    )
-
-
-def sensitivities(
-    at: Evaluation, rows: Tensor, records: Tensor, batch: Batch, options: Options
-) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """For each record the weighted sensitivities, the start state eliminated, and the weighted residuals."""
-    n_x = at.x.shape[-1]
-    jacobians, residuals = [], []
-    for row, record in zip(rows.tolist(), records.tolist(), strict=True):
-        keep = (batch.weight[record] > 0).any(1)
-        residual = at.residual[row][keep]
-        factor = options.loss.factor(residual).sqrt()
-        jacobian = at.jacobian[row][keep] * factor[..., None]
-        hessian = at.hessian[row]
-        back = torch.linalg.solve(hessian[:n_x, :n_x], hessian[:n_x, n_x:])
-        jacobians.append((jacobian[..., n_x:] - jacobian[..., :n_x] @ back).cpu().numpy())
-        residuals.append((residual * factor).cpu().numpy())
-    return tuple(jacobians), tuple(residuals)

@@ -5,7 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+import torch
+from torch import Tensor
 
+from hybrid_id.identification.least_squares import Bounds, Options, Outcome
+from hybrid_id.identification.objective import Evaluation
+from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -14,6 +19,7 @@ MESSAGES = {
     "target": "stopped at the requested cost",
     "stalled": "no step lowers the cost any more; check the start values, or try more starts",
     "max_iterations": "iterations used up before convergence; raise max_iterations or try more starts",
+    "interrupted": "stopped by the user; the values are those of the last step, resume to go on",
     "diverged": "the simulation diverged at the start values; correct units, signs or start values",
 }
 
@@ -27,7 +33,7 @@ class FitResult:
         names: names of the estimated parameters.
         values: estimates in physical units, ``(n_f,)``.
         units: their units.
-        status: "converged", "target", "stalled", "max_iterations" or "diverged".
+        status: "converged", "target", "stalled", "max_iterations", "interrupted" or "diverged".
         message: what the status means and what to do next.
         records: names of the records it was fitted to.
         cost: loss with priors at the end.
@@ -92,3 +98,70 @@ class FitResult:
             lines.append(f"  {name:<{width}}  {value:.5g} {unit}{note}")
         lines.append(f"  weighted residual {self.noise_scale:.3g} (1 = as the noise says)")
         return "\n".join(lines)
+
+
+def make_result(
+    system: System,
+    batch: Batch,
+    sets: Tensor,
+    outcome: Outcome,
+    chosen: int,
+    free: list[int],
+    bounds: Bounds,
+    engine: Engine,
+    options: Options,
+) -> FitResult:
+    """The result of one set of a batched fit.
+
+    Args:
+        system: model that was fitted.
+        batch: its records.
+        sets: set of each row of ``outcome.at``.
+        outcome: end of the fit.
+        chosen: the set.
+        free: indices of the estimated parameters.
+        bounds: their priors.
+        engine: how the records were integrated.
+        options: tells the loss.
+    """
+    rows = (sets == chosen).nonzero().flatten()
+    records = rows % batch.rows
+    theta = outcome.theta[:, chosen].cpu()
+    info = [system.table[i] for i in free]
+    values = {i.name: float(theta[k]) for i, k in zip(info, free, strict=True)}
+    jacobian, residual = sensitivities(outcome.at, rows, records, batch, options)
+    return FitResult(
+        system=system.with_values(values),
+        names=tuple(values),
+        values=np.array(list(values.values())),
+        units=tuple(i.spec.unit for i in info),
+        status=outcome.status[chosen],
+        records=tuple(batch.names[int(r)] for r in records),
+        cost=float(outcome.cost[chosen]),
+        n_samples=int((batch.weight[records] > 0).sum()),
+        iterations=int(outcome.iterations[chosen]),
+        jacobian=jacobian,
+        residual=residual,
+        prior_precision=bounds.prior_precision.cpu().numpy(),
+        x0=outcome.at.x[rows, 0].cpu().numpy(),
+        engine=engine,
+        history=tuple(float(h[chosen]) for h in outcome.history),
+    )
+
+
+def sensitivities(
+    at: Evaluation, rows: Tensor, records: Tensor, batch: Batch, options: Options
+) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
+    """For each record the weighted sensitivities, the start state eliminated, and the weighted residuals."""
+    n_x = at.x.shape[-1]
+    jacobians, residuals = [], []
+    for row, record in zip(rows.tolist(), records.tolist(), strict=True):
+        keep = (batch.weight[record] > 0).any(1)
+        residual = at.residual[row][keep]
+        factor = options.loss.factor(residual).sqrt()
+        jacobian = at.jacobian[row][keep] * factor[..., None]
+        hessian = at.hessian[row]
+        back = torch.linalg.solve(hessian[:n_x, :n_x], hessian[:n_x, n_x:])
+        jacobians.append((jacobian[..., n_x:] - jacobian[..., :n_x] @ back).cpu().numpy())
+        residuals.append((residual * factor).cpu().numpy())
+    return tuple(jacobians), tuple(residuals)

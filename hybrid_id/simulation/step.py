@@ -2,8 +2,9 @@
 
 Two engines share the same equations of motion. ``dry`` treats dry friction as the set-valued force that it is:
 inside a sub-step its direction is fixed, the moment at which a speed reaches zero is located, and the joint sticks or
-slides on from there (an event-driven time-stepping scheme of fourth order, with exact sensitivities of the discrete map, the saltation at a reversal included). ``smooth`` replaces sgn(v)
-by tanh(v / width) and is a plain RK4; it serves torchdiffeq and comparisons with solvers that need smooth laws.
+slides on from there (an event-driven time-stepping scheme of fourth order, with exact sensitivities of the discrete
+map, the saltation at a reversal included). ``smooth`` replaces sgn(v) by tanh(v / width) and is a plain RK4; it
+serves torchdiffeq and comparisons with solvers that need smooth laws.
 """
 
 from __future__ import annotations
@@ -163,7 +164,9 @@ class LaneSubset:
         self.lanes, self.count = lanes, count
 
     def take(self, row: Tensor) -> Tensor:
+        """The subset of one row."""
         return row if row.shape[-1] != self.count else row.index_select(-1, self.lanes)
 
     def take_views(self, p: Views) -> Views:
+        """The subset of all parameter views."""
         return {key: type(v)(**{n: self.take(row) for n, row in vars(v).items()}) for key, v in p.items()}
