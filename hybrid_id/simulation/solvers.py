@@ -1,0 +1,202 @@
+"""torchdiffeq behind one class: an engine whose sample is an `odeint`, differentiated by the adjoint or by backprop.
+
+A record's inputs are held between samples, so that the vector field jumps at every sample and at no other time. Each
+sample is therefore one initial value problem of its own over the unit interval, autonomous, with all samples (of all
+records) as lanes: an adaptive solver never meets a jump, lanes may differ in sample time, and the adjoint, which
+integrates the state backwards and is unstable there (smoothed friction: e^(+4500 t)), starts again from the stored
+state at every sample. Chained over a record this equals one ``odeint_adjoint`` that requests every sample.
+
+Source: R. T. Q. Chen et al., "Neural Ordinary Differential Equations", NeurIPS 2018; torchdiffeq 0.2.5.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+from torchdiffeq import odeint, odeint_adjoint
+
+from hybrid_id.errors import InputError
+from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.stability import MAX_SUBSTEPS, fastest_rate, with_substeps
+from hybrid_id.simulation.step import Engine, LaneSubset
+from hybrid_id.systems.chain import Channels, Rows, System, Views
+
+FIXED = ("euler", "midpoint", "heun2", "heun3", "rk4")
+ADAPTIVE = ("dopri5", "dopri8", "bosh3", "adaptive_heun")
+REACH = {"euler": 1.8, "midpoint": 1.8, "heun2": 1.8, "heun3": 2.3, "rk4": 2.5}
+"""Step times eigenvalue that each fixed method bears with a margin (limits of stability: 2, 2, 2, 2.51, 2.79)."""
+
+
+REST_STEP = 0.2
+"""Step times eigenvalue near rest: there the smoothed friction is not only to be stable but to be followed."""
+
+
+class HeldField(nn.Module):
+    """Smooth equations of motion under held inputs, ``dx/ds = dt f(x, u)`` with s = 0 ... 1 over one sample.
+
+    Friction is smoothed as ``tanh(v / width)``; bristles are states like any other.
+
+    Args:
+        system: equations of motion.
+        u: held channels, ``(B,)`` each.
+        dt: sample time of each lane [s], ``(B,)``.
+        p: parameter views.
+        width: smoothing speed [rad/s].
+    """
+
+    def __init__(self, system: System, u: Channels, dt: Tensor, p: Views, width: float) -> None:
+        super().__init__()
+        self.system, self.u, self.dt, self.p, self.width = system, u, dt, p, width
+
+    def forward(self, s: Tensor, x: Tensor) -> Tensor:
+        """Rates of all lanes, ``(n_x, B)``, at the states ``x`` ``(n_x, B)``; the time ``s`` does not enter."""
+        return self.dt * torch.stack(ode_rates(self.system, x.unbind(0), self.u, self.p, self.width))
+
+
+def ode_rates(system: System, x: Rows, u: Channels, p: Views, width: float) -> list[Tensor]:
+    """Time derivative of all state rows, ``(B,)`` each, with smooth friction and the bristles' own rates."""
+    rates = system.rates(x, u, p, width=width)
+    for row, speed, level in system.bristle_levels(x, p):
+        key, law = system.bristle(row)
+        rates[row] = law.rate(p[key], x[row], speed, level)  # type: ignore[operator]
+    return rates
+
+
+def extra_parameters(system: System) -> list[nn.Parameter]:
+    """Trainable parameters of a system beyond its table: the weights of a network in a place."""
+    table = {id(getattr(system.components[i.component], i.symbol)) for i in system.table}
+    return [p for p in system.parameters() if p.requires_grad and id(p) not in table]
+
+
+@dataclass(frozen=True)
+class OdeEngine(Engine):
+    """An engine that integrates a sample by torchdiffeq; takes the place of :class:`Engine` wherever one is asked for.
+
+    Attributes:
+        friction, width: as in :class:`Engine`; only "smooth" is possible.
+        substeps: steps a sample of a fixed method; an adaptive one chooses its own.
+        fine: steps of those samples in which a speed comes near zero, where tanh(v / width) is the stiff part and is
+            passed within a fraction of a sample; few samples, and what they cost in accuracy decides all others.
+        method: torchdiffeq's name: euler, midpoint, heun2, heun3, rk4 (the 3/8 rule, not the classical one of
+            :class:`Engine`), or the adaptive dopri5, dopri8, bosh3, adaptive_heun.
+        rtol, atol: tolerances of an adaptive method in the worst lane.
+        gradient: "adjoint" (integrates the costate backwards) or "backprop" (through the steps, exact for them).
+    """
+
+    friction: str = "smooth"
+    fine: int = 32
+    method: str = "rk4"
+    rtol: float = 1e-7
+    atol: float = 1e-9
+    gradient: str = "adjoint"
+
+    def __post_init__(self) -> None:
+        if self.friction != "smooth":
+            raise InputError(
+                f"An ODE solver needs smooth friction, not '{self.friction}'; use friction='smooth'."
+            )
+        if self.method not in FIXED + ADAPTIVE:
+            raise InputError(
+                f"Method '{self.method}' is not known; use one of {', '.join(FIXED + ADAPTIVE)}."
+            )
+        if self.gradient not in ("adjoint", "backprop"):
+            raise InputError(f"Gradient '{self.gradient}' is not known; use 'adjoint' or 'backprop'.")
+
+    def sample(self, system: System, x: Rows, u: Channels, dt: Tensor, p: Views) -> list[Tensor]:
+        """State after ``dt`` seconds under the held channels ``u``; arguments as in :meth:`Engine.sample`."""
+        start = torch.stack(list(x))
+        if self.method in ADAPTIVE:
+            return list(
+                self._integrate(system, start, u, dt, p, {"rtol": self.rtol, "atol": self.atol}).unbind(0)
+            )
+        near = self.near_rest(system, x, u, dt, p)
+        after = start
+        for wanted, steps in ((~near, self.substeps), (near, max(self.fine, self.substeps))):
+            lanes = wanted.nonzero().squeeze(1)
+            if lanes.numel() == 0:
+                continue
+            options = {"options": {"grid_constructor": _grid(steps)}}
+            if lanes.numel() == near.numel():
+                return list(self._integrate(system, start, u, dt, p, options).unbind(0))
+            part = LaneSubset(lanes, near.numel())
+            channels = {name: part.take(channel) for name, channel in u.items()}
+            end = self._integrate(
+                system, start[:, lanes], channels, part.take(dt), part.take_views(p), options
+            )
+            after = after.index_copy(1, lanes, end)
+        return list(after.unbind(0))
+
+    def _integrate(
+        self, system: System, start: Tensor, u: Channels, dt: Tensor, p: Views, settings: dict
+    ) -> Tensor:
+        field = HeldField(system, u, dt, p, self.width)
+        ends = torch.tensor([0.0, 1.0], dtype=start.dtype, device=start.device)
+        settings = {**settings, "method": self.method}
+        settings["options"] = {"norm": _largest, **settings.get("options", {})}
+        if self.gradient == "backprop" or not torch.is_grad_enabled():
+            return odeint(field, start, ends, **settings)[-1]  # type: ignore[index]
+        rows = [row for view in p.values() for row in vars(view).values() if row.requires_grad]
+        wanted = (*rows, *extra_parameters(system))
+        return odeint_adjoint(field, start, ends, adjoint_params=wanted, **settings)[-1]  # type: ignore[index]
+
+    @torch.no_grad()
+    def near_rest(self, system: System, x: Rows, u: Channels, dt: Tensor, p: Views) -> Tensor:
+        """Lanes in which a speed comes within four smoothing widths of zero during the sample, ``(B,)`` of bool."""
+        rates = system.rates(x, u, p, width=self.width)
+        near = torch.zeros_like(x[0], dtype=torch.bool)
+        for row in system.speed_rows:
+            now, then = x[row], x[row] + dt * rates[row]
+            near |= (torch.minimum(now.abs(), then.abs()) < 4.0 * self.width) | (now * then < 0.0)
+        return near
+
+    def stable(self, system: System, batch: Batch, theta: Tensor) -> OdeEngine:
+        """The engine with at least as many steps as stability and accuracy need at these parameters.
+
+        Args:
+            system: equations of motion.
+            batch: where the records move.
+            theta: all parameters of each row in table order, ``(n_p, R)``.
+        """
+        if self.method in ADAPTIVE:
+            return self
+        step = float(batch.dt.max())
+        moving = (
+            with_substeps(system, Engine("dry"), batch, theta).substeps * REACH["rk4"] / REACH[self.method]
+        )
+        bristles = step * bristle_rate(system, batch, theta) / REACH[self.method]
+        resting = step * fastest_rate(system, self, batch, theta) / REST_STEP
+        substeps = max(self.substeps, _whole(moving), _whole(bristles))
+        return replace(self, substeps=substeps, fine=max(self.fine, substeps, _whole(resting)))
+
+
+def bristle_rate(system: System, batch: Batch, theta: Tensor) -> float:
+    """Largest rate [1/s] at which a bristle forgets, over the batch (0 without bristles); see :class:`HeldField`."""
+    x = [column.flatten() for column in batch.x.unbind(2)]
+    p = system.views(list(theta.repeat_interleave(batch.x.shape[1], 1)))
+    fastest = 0.0
+    for row, speed, level in system.bristle_levels(x, p):
+        key, law = system.bristle(row)
+        state = x[row].detach().requires_grad_()
+        with torch.enable_grad():
+            rate = law.rate(p[key], state, speed, level)  # type: ignore[operator]
+        (slope,) = torch.autograd.grad(rate.sum(), state)
+        fastest = max(fastest, float(slope.abs().nan_to_num(0.0).max()))
+    return fastest
+
+
+def _whole(steps: float) -> int:
+    return min(math.ceil(steps), MAX_SUBSTEPS) if math.isfinite(steps) else MAX_SUBSTEPS
+
+
+def _grid(substeps: int) -> Callable[[nn.Module, Tensor, Tensor], Tensor]:
+    """Equal steps over the whole interval, forwards and backwards, with ends that are hit exactly."""
+    return lambda field, start, t: torch.linspace(t[0], t[-1], substeps + 1, dtype=t.dtype, device=t.device)
+
+
+def _largest(x: Tensor) -> Tensor:
+    """Norm in which an adaptive method controls its error: no lane hides behind the others."""
+    return x.abs().max()
