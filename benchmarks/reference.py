@@ -14,8 +14,10 @@ to 50 % off. The start state of a record is free too.
 
 A fit stops when its free run (RK4, four steps a sample) ends at most 1.05 times the noise floor and the next
 Gauss-Newton step promises to lower the sum of squares by at most `DECREMENT` noise variances, which puts it within
-0.3 standard errors of the optimum; 1.05 alone leaves room for estimates ten standard errors off. The twelve parameters hold ten identifiable combinations (`combinations`), which must come out within three
-standard errors. numpy only, so that every peer's environment can read it.
+0.3 standard errors of the optimum; 1.05 alone leaves room for estimates ten standard errors off. The twelve
+parameters hold ten identifiable combinations (`combinations`), which must come out within three standard errors.
+
+numpy only, so that every peer's environment can read it.
 """
 
 from __future__ import annotations

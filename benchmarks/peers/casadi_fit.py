@@ -55,7 +55,12 @@ def segment_by_jacobian() -> ca.Function:
 
 def segment_by_sensitivities() -> ca.Function:
     """The same, with the step's sensitivity equations in the simulated state."""
-    state, u, theta, sensitivity = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 12), ca.SX.sym("s", 2, 14)
+    state, u, theta, sensitivity = (
+        ca.SX.sym("x", 2),
+        ca.SX.sym("u"),
+        ca.SX.sym("p", 12),
+        ca.SX.sym("s", 2, 14),
+    )
     following = runge_kutta(state, u, theta)
     by_state, by_theta = ca.jacobian(following, state), ca.jacobian(following, theta)
     moved = by_state @ sensitivity + ca.horzcat(by_theta, ca.SX(2, 2))

@@ -10,7 +10,8 @@ from __future__ import annotations
 import os
 
 os.environ.setdefault(
-    "XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 --xla_force_host_platform_device_count=1"
+    "XLA_FLAGS",
+    "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1 --xla_force_host_platform_device_count=1",
 )
 import jax
 import jax.numpy as jnp
@@ -92,5 +93,7 @@ def prepare(problem: Problem, *, lanes_last: bool = False):
 
         return lifted.solve(problem, segments)
 
-    linearise(problem.starts[0], np.zeros((n_segments, 2)), jnp.asarray(problem.voltage[0].reshape(n_segments, -1)))
+    linearise(
+        problem.starts[0], np.zeros((n_segments, 2)), jnp.asarray(problem.voltage[0].reshape(n_segments, -1))
+    )
     return solve

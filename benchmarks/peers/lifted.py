@@ -38,7 +38,9 @@ def condense(y: Array, states: Array, outputs: Array, sensitivities: Array, scal
     at_start = np.zeros((n_segments, 14, 1))
     at_start[:, 12] = 1.0
     columns = np.concatenate([at_start, sensitivities[:, :, : length - 1] * unit], axis=2)  # (S, 14, L)
-    residual = np.concatenate([states[:, :1], outputs[:, : length - 1]], axis=1) - y.reshape(n_segments, length)
+    residual = np.concatenate([states[:, :1], outputs[:, : length - 1]], axis=1) - y.reshape(
+        n_segments, length
+    )
     gaps = outputs[:-1, length - 1 :] - states[1:]
     end = (sensitivities[:-1, :, length - 1 :] * unit).transpose(0, 2, 1)  # (S - 1, 2, 14)
     squares = (residual**2).sum()
@@ -70,7 +72,9 @@ def bounded_step(hessian: Array, gradient: Array, damping: float, lower: Array, 
     matrix, step, free = hessian.copy(), np.zeros(14), np.ones(14, dtype=bool)
     matrix[range(12), range(12)] += damping * (np.diag(hessian)[:12] + 1e-9)
     while True:
-        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], -gradient[free] - matrix[np.ix_(free, ~free)] @ step[~free])
+        step[free] = np.linalg.solve(
+            matrix[np.ix_(free, free)], -gradient[free] - matrix[np.ix_(free, ~free)] @ step[~free]
+        )
         outside = free.copy()
         outside[:12] &= (step[:12] < lower) | (step[:12] > upper)
         outside[12:] = False
@@ -93,7 +97,10 @@ def fit(problem: Problem, record: int, states: Array, segments: Segments) -> tup
     squares, merit, maps, hessian, gradient = linearise(theta, states, closing)
     evaluations = 1
     while evaluations < MAX_ITERATIONS and damping < 1e8:
-        low, high = np.maximum(lower, (1 - LARGEST_STEP) * theta), np.minimum(upper, (1 + LARGEST_STEP) * theta)
+        low, high = (
+            np.maximum(lower, (1 - LARGEST_STEP) * theta),
+            np.minimum(upper, (1 + LARGEST_STEP) * theta),
+        )
         step = bounded_step(hessian, gradient, damping, (low - theta) / start, (high - theta) / start)
         promised = -gradient @ step
         if not closing and promised < HELD_TOLERANCE * merit:

@@ -23,7 +23,17 @@ from benchmarks.peers.settings import (
     MAX_ITERATIONS,
     boundary_states,
 )
-from benchmarks.reference import BOUNDS, DECREMENT, SAMPLE_TIME, SMOOTHING, STOP, SUB_STEPS, TRUTH, Estimate, Problem
+from benchmarks.reference import (
+    BOUNDS,
+    DECREMENT,
+    SAMPLE_TIME,
+    SMOOTHING,
+    STOP,
+    SUB_STEPS,
+    TRUTH,
+    Estimate,
+    Problem,
+)
 
 H = SAMPLE_TIME / SUB_STEPS
 compiled = numba.njit(fastmath=True, error_model="numpy")
@@ -226,7 +236,7 @@ def free_run(u, y, theta, q, v):
 
 @compiled
 def fit(u, y, start, states, goal, tolerance, lower, upper):
-    """Levenberg-Marquardt of one record: free run's sum of squares at most `goal`, promised fall at most `tolerance`."""
+    """One record, until the free run's sum of squares is at most `goal` and its promised fall at most `tolerance`."""
     scale = start.copy()
     maps, trial_maps = np.empty((len(states), 2, 15)), np.empty((len(states), 2, 15))
     hessian, trial_hessian = np.empty((14, 14)), np.empty((14, 14))
@@ -235,7 +245,10 @@ def fit(u, y, start, states, goal, tolerance, lower, upper):
     squares, merit = linearise(u, y, theta, states, scale, closing, maps, hessian, gradient)
     evaluations = 1
     while evaluations < MAX_ITERATIONS and damping < 1e8:
-        low, high = np.maximum(lower, (1.0 - LARGEST_STEP) * theta), np.minimum(upper, (1.0 + LARGEST_STEP) * theta)
+        low, high = (
+            np.maximum(lower, (1.0 - LARGEST_STEP) * theta),
+            np.minimum(upper, (1.0 + LARGEST_STEP) * theta),
+        )
         step = bounded_step(hessian, gradient, damping, (low - theta) / scale, (high - theta) / scale)
         promised = -np.dot(gradient, step)
         if not closing and promised < HELD_TOLERANCE * merit:
@@ -290,4 +303,3 @@ def prepare(problem: Problem):
     """Compiles by solving the first record."""
     solve(problem.head(1))
     return solve
-
