@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import fit, make_bounds, sensitivities
+from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import evaluate
-from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.result import FitResult, sensitivities
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch, make_batch
