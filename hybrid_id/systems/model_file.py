@@ -38,6 +38,7 @@ FLAT: dict[str, dict[str, Where]] = {
         "F_c": ("joint1/motor_friction", "coulomb_friction", "F_c"),
         "F_v": ("joint1/motor_friction", "viscous_friction", "F_v"),
         "G_l": ("joint1/load", "gravity_load", "G_l"),
+        "q_0": ("joint1/load", "gravity_load", "q_0"),
     },
     "one_link_flexible": {
         "J_m": ("joint1/load", "two_inertias", "J_m"),
@@ -51,6 +52,7 @@ FLAT: dict[str, dict[str, Where]] = {
         "F_ca": ("joint1/link_friction", "coulomb_friction", "F_c"),
         "F_va": ("joint1/link_friction", "viscous_friction", "F_v"),
         "G_l": ("joint1/load", "gravity_load", "G_l"),
+        "q_0": ("joint1/load", "gravity_load", "q_0"),
     },
 }
 """Flat parameter names of each system. A friction or gravity name that is not listed is absent from the model."""

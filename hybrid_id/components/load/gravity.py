@@ -7,15 +7,17 @@ from hybrid_id.parameters import Parameter
 
 
 class Gravity(LoadTorque):
-    """``tau_g = G_l sin q`` at the link, q = 0 hanging down.
+    """``tau_g = G_l sin(q - q_0)`` at the link.
 
     | symbol | unit | meaning |
     | --- | --- | --- |
     | G_l = m g l | N m | gravity torque of the horizontal link |
+    | q_0 | rad | angle of the hanging link, 0 unless the encoder's zero lies elsewhere (held unless told otherwise) |
     """
 
     kind = "gravity_load"
     G_l = Parameter(1.0, lower=-1e6, upper=1e6, unit="N m", doc="gravity torque of the horizontal link")
+    q_0 = Parameter(0.0, lower=-10.0, upper=10.0, unit="rad", doc="angle of the hanging link", estimate=False)
 
     def torque(self, p, angle, speed):
-        return p.G_l * torch.sin(angle)
+        return p.G_l * torch.sin(angle - p.q_0)
