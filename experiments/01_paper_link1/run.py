@@ -1,0 +1,32 @@
+"""The twin of the paper's link 1, identified with and without data-sheet priors, over seeds (README.md beside this)."""
+
+import argparse
+
+import torch
+from score import CLAIMS, Campaign
+
+from hybrid_id.records.yaml_file import read_yaml, write_yaml
+from hybrid_id.study import identify, preflight
+from hybrid_id.systems.model_file import ModelFile, build_model
+from hybrid_id.twin.paper import make_link1_seeds, model_description
+
+parser = argparse.ArgumentParser(description=__doc__)
+parser.add_argument("--config", default="configs/twin_link1.yaml")
+parser.add_argument("--seeds", type=int, default=20)
+parser.add_argument("--out", default="runs/01_paper_link1.yaml")
+options = parser.parse_args()
+torch.set_num_threads(1)
+
+config = read_yaml(options.config)
+campaigns = {"without priors": Campaign(), "with data-sheet priors": Campaign()}
+for seed, (dataset, truths) in enumerate(make_link1_seeds(config, range(options.seeds))):
+    for name, campaign in campaigns.items():
+        description = model_description(config, seed, priors=name.startswith("with "))
+        system = build_model(ModelFile.model_validate(description))
+        if seed == 0:
+            print(f"\n{name}: what the records can tell, before any fit\n{preflight(dataset, system).summary()}")
+        campaign.add(seed, identify(dataset, system, seed=seed), truths, dataset)
+        print(f"seed {seed}, {name}: done", flush=True)
+result = {name: campaign.report(name) for name, campaign in campaigns.items()}
+print(CLAIMS.format(**{f"{k}_{key}": v for k, r in zip("ab", result.values(), strict=True) for key, v in r.items()}))
+write_yaml(options.out, result)
