@@ -71,7 +71,7 @@ class Component(nn.Module):
 
     def extra_repr(self) -> str:
         """Parameters in the printed module."""
-        return ", ".join(f"{name}={float(getattr(self, name)):g} {s.unit}" for name, s in self.specs.items())
+        return ", ".join(f"{name}={getattr(self, name).item():g} {s.unit}" for name, s in self.specs.items())
 
 
 def _adopt_loaded(part: nn.Module, _: object) -> None:

@@ -31,6 +31,8 @@ class System(nn.Module):
 
     Attributes:
         state_names: rows of the state, ``(n_x, B)``.
+        speed_rows: which of them are speeds.
+        dry: whether dry friction acts on each speed, in the order of ``speed_rows``.
         table: the parameters, in a fixed order; ``theta`` vectors follow it.
 
     Raises:
@@ -83,6 +85,7 @@ class System(nn.Module):
             self.joints.append(joint)
             self.state_names += joint.state_names
         self.speed_rows = [row + 1 for joint in self.joints for row in joint.positions]
+        self.dry = [is_dry for joint in self.joints for is_dry in joint.dry]
         self.bristle_rows = [row for joint in self.joints for *_, row in joint.bristles.values()]
         self.table = self._name_parameters()
 
@@ -175,7 +178,12 @@ class System(nn.Module):
         return found
 
     def rates(
-        self, x: Rows, u: Channels, p: Views, directions: Rows | None = None, width: float = 0.5
+        self,
+        x: Rows,
+        u: Channels,
+        p: Views,
+        directions: Sequence[Tensor | None] | None = None,
+        width: float = 0.5,
     ) -> list[Tensor]:
         """Time derivative of the state rows (bristle rows excepted: zero here, see ``bristle_rates``).
 
@@ -183,25 +191,24 @@ class System(nn.Module):
             x: state rows, ``(B,)`` each.
             u: channels, ``(B,)`` each.
             p: parameter views.
-            directions: direction of dry friction for each speed, -1, 0 (held at rest) or 1; without it dry friction
-                is smoothed as ``tanh(speed / width)``.
+            directions: direction of dry friction for each speed, -1, 0 (held at rest) or 1, None where there is no
+                dry friction; without it dry friction is smoothed as ``tanh(speed / width)``.
             width: smoothing speed [rad/s] of the side where the friction acts.
         """
         speeds = [x[row] for row in self.speed_rows]
-        if directions is None:
-            signs = [torch.tanh(v / width) for v in speeds]
-            magnitudes, forwards = [v.abs() for v in speeds], [(v > 0).to(v.dtype) for v in speeds]
-        else:
-            signs = list(directions)
-            magnitudes = [(s * v).clamp_min(0.0) for s, v in zip(signs, speeds, strict=True)]
-            forwards = [(s > 0).to(s.dtype) for s in signs]
+        magnitudes, forwards = [v.abs() for v in speeds], [(v > 0).to(v.dtype) for v in speeds]
+        signs = [torch.tanh(v / width) for v in speeds] if directions is None else list(directions)
+        if directions is not None:
+            for i, (v, sign) in enumerate(zip(speeds, signs, strict=True)):
+                if sign is not None:
+                    magnitudes[i], forwards[i] = (sign * v).clamp_min(0.0), (sign > 0).to(v.dtype)
         rates = [torch.zeros_like(x[0])] * len(x)
         for row, sign, balance in zip(
             self.speed_rows, signs, self.balances(x, u, p, magnitudes, forwards), strict=True
         ):
-            acceleration = balance.acceleration(sign)
-            rates[row - 1] = x[row]
-            rates[row] = acceleration if directions is None else acceleration * sign.abs()
+            rates[row - 1], rates[row] = x[row], balance.acceleration(sign)
+            if directions is not None and sign is not None:
+                rates[row] = rates[row] * sign.abs()
         return rates
 
     def bristle_levels(self, x: Rows, p: Views) -> list[tuple[int, Tensor, Tensor]]:

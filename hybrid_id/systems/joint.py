@@ -41,8 +41,10 @@ class SpeedBalance:
     link_share: Tensor | None = None
     load: Tensor | None = None
 
-    def acceleration(self, direction: Tensor) -> Tensor:
+    def acceleration(self, direction: Tensor | None) -> Tensor:
         """Acceleration for a direction of dry friction in [-1, 1], the load's loop closed exactly."""
+        if direction is None:
+            return self.smooth / self.inertia
         net = self.smooth - direction * self.level
         if self.factor is None or self.link_share is None or self.load is None:
             return net / self.inertia
@@ -114,6 +116,15 @@ class Joint:
                         )
                     self.bristles[place] = (key, law, first_row + len(self.state_names))
                     self.state_names.append(f"{law.states[0]}_{place[0].replace('l', 'a')}{number}")
+
+        motor, link = (self._is_dry(place) for place in self.frictions)
+        self.dry = [motor or link] if self.rigid else [motor, link]
+
+    def _is_dry(self, place: str) -> bool:
+        """Whether set-valued friction acts in a place; a bristle takes it over, that of the load excepted."""
+        laws = [type(law) for _, law in self.frictions[place]]
+        dry = place not in self.bristles and any(law.dry is not Friction.dry for law in laws)
+        return dry or any(law.load_factor is not Friction.load_factor for law in laws)
 
     def command(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Effective command at the motor, ``(B,)``."""
