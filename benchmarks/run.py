@@ -17,6 +17,7 @@ import platform
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -94,11 +95,12 @@ class Worker:
 
     def __init__(self, module: str, python: str, cpu: int):
         self.begin = time.perf_counter()
+        self.errors = tempfile.TemporaryFile("w+")  # noqa: SIM115 - lives as long as the process
         self.process = subprocess.Popen(
             [python, "-m", "benchmarks.worker", module, str(cpu)],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE if not os.environ.get("BENCHMARK_STDERR") else None,
+            stderr=self.errors,
             text=True,
             cwd=HERE.parent,
             env={**os.environ, **SINGLE_THREAD},
@@ -108,10 +110,13 @@ class Worker:
     def read(self) -> dict:
         line = self.process.stdout.readline()
         if not line:
-            message = self.process.communicate()[1] or ""
-            raise Failed(message.strip().splitlines()[-1] if message.strip() else "the process ended")
+            self.close()
+            self.errors.seek(0)
+            said = self.errors.read().strip().splitlines()
+            raise Failed(said[-1] if said else "the process ended")
         message = json.loads(line)
         if "error" in message:
+            self.close()
             raise Failed(message["error"])
         return message
 
