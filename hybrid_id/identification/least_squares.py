@@ -8,7 +8,7 @@ states, solve a small box-constrained problem for each set. See :mod:`hybrid_id.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
@@ -150,6 +150,7 @@ def minimise(
     damping, growth = torch.full_like(cost, options.damping), torch.full_like(cost, 2.0)
     iterations = torch.zeros(count, dtype=torch.long, device=theta.device)
     closing = torch.zeros(count, dtype=torch.bool, device=theta.device)
+    retries, pending, pending_x = torch.zeros_like(iterations), theta.clone(), batch.x.clone()
     status = ["max_iterations"] * count
     running = torch.arange(count, device=theta.device)
     history = [cost.clone()]
@@ -197,6 +198,9 @@ def minimise(
         trial = here.clone()
         trial[free_index] = torch.maximum(torch.minimum(values + shift, bounds.upper), bounds.lower).T
         nodes = part.x + (part.chain @ move[:, None, :, None])[..., 0]
+        again = retries[running] > 0
+        trial[:, again] = pending[:, running[again]]
+        nodes = torch.where(again[group, None, None], pending_x[rows], nodes)
         new = at(batch.take(rows), nodes, trial[:, group])
         new_cost = set_cost(new, group, trial, running.numel())
         gained = cost[running] - new_cost
@@ -205,20 +209,42 @@ def minimise(
 
         settled = _worst(new.defect, group, noise) < 0.01
         open_before = _worst(part.defect, group, noise) > 0.02
+        redo = ~accepted & torch.isfinite(new_cost) & ~again & ~closing[running]
+        if bool(redo.any()):
+            # geodesic correction (Transtrum, Sethna 2012) from the refused trial: it tells the residuals' curvature
+            bend = part.residual - (part.jacobian @ move[:, None, :-1, None])[..., 0] - new.residual
+            pull = replace(part, gradient=(part.jacobian * bend[..., None]).sum((1, 2)))
+            _, slope, _, back = _reduce(pull, group, running.numel(), damping[running][group], near)
+            second = torch.linalg.solve(damped, -(slope * unit)[..., None])[..., 0]
+            length = (0.375 * step.norm(dim=1) / second.norm(dim=1).clamp_min(1e-300)).clamp_max(1.0)[:, None]
+            turned = second * unit
+            path = length * shift + length.square() * turned
+            point = torch.maximum(torch.minimum(values + path, bounds.upper), bounds.lower)
+            drift = -back[..., -1] - (back[..., :-1] @ turned[group][..., None])[..., 0]
+            reach = length[group]
+            curve = torch.cat([reach * first + reach.square() * drift, path[group], move[:, -1:]], 1)
+            pending[:, running] = trial
+            pending[free_index[:, None], running] = point.T
+            pending_x[rows] = part.x + (part.chain @ curve[:, None, :, None])[..., 0]
+        retries[running] = redo.to(retries.dtype)
         ratio = (gained / predicted.clamp_min(1e-300)).clamp(-10.0, 10.0)
         iterations[running] += 1
         keep = accepted[group].nonzero().flatten()
         best = best.with_rows(rows[keep], new.take(keep))
         theta[:, running[accepted]] = trial[:, accepted]
         cost[running[accepted]] = new_cost[accepted]
-        ease = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(0.1, 2.0)
+        # curved valleys are long: a prediction that holds earns a much larger step at once
+        ease = torch.where(ratio > 0.75, 0.1, torch.where(ratio > 0.25, 0.5, 2.0)).to(ratio.dtype)
+        ease = torch.where(again, torch.ones_like(ease), ease)
         damping[running] = torch.where(
-            closing[running],
+            closing[running] | redo,
             damping[running],
             torch.where(accepted, damping[running] * ease, damping[running] * growth[running]),
         )
         damping.clamp_(1e-12, 1e12)
-        growth[running] = torch.where(accepted, torch.full_like(ratio, 2.0), 2.0 * growth[running])
+        growth[running] = torch.where(
+            accepted, torch.full_like(ratio, 2.0), torch.where(redo, 1.0, 2.0) * growth[running]
+        )
         history.append(cost.clone())
         converged = (
             settled & ~closing[running] & (size < options.tolerance) & (accepted | (damping[running] < 1.0))
@@ -227,7 +253,7 @@ def minimise(
         if options.target is not None:
             reached = accepted & settled & (cost[running] <= options.target[running])
         stalled = damping[running] >= 1e12
-        closing[running] = ~accepted & open_before
+        closing[running] = ~accepted & open_before & ~redo
         for i, g in enumerate(running.tolist()):
             if bool(reached[i]):
                 status[g] = "target"
