@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from hybrid_id.comparison import compare as compare
+    from hybrid_id.comparison import replay as replay
     from hybrid_id.components import AsymmetricStribeck as AsymmetricStribeck
     from hybrid_id.components import Component as Component
     from hybrid_id.components import Coulomb as Coulomb
@@ -22,27 +24,50 @@ if TYPE_CHECKING:
     from hybrid_id.components import Stribeck as Stribeck
     from hybrid_id.components import Viscous as Viscous
     from hybrid_id.errors import InputError as InputError
+    from hybrid_id.identification.adjoint import train as train
+    from hybrid_id.identification.fit import fit as fit
+    from hybrid_id.identification.result import FitResult as FitResult
     from hybrid_id.parameters import Parameter as Parameter
     from hybrid_id.records.dataset import Channel as Channel
     from hybrid_id.records.dataset import Dataset as Dataset
     from hybrid_id.records.excitation import design_multisine as design_multisine
+    from hybrid_id.records.quality import check_dataset as check_dataset
     from hybrid_id.records.record import Record as Record
+    from hybrid_id.simulation.prepare import make_batch as make_batch
+    from hybrid_id.simulation.rollout import simulate as simulate
+    from hybrid_id.simulation.step import Engine as Engine
+    from hybrid_id.study import Study as Study
+    from hybrid_id.study import assess as assess
+    from hybrid_id.study import identify as identify
+    from hybrid_id.study import preflight as preflight
     from hybrid_id.systems.arms import one_link as one_link
     from hybrid_id.systems.arms import one_link_flexible as one_link_flexible
     from hybrid_id.systems.chain import System as System
+    from hybrid_id.systems.model_file import load_model as load_model
+    from hybrid_id.systems.model_file import save_model as save_model
 
 # The same names once more, by the module that defines them; a test keeps the two lists equal.
 _MODULES = {
     "hybrid_id.components": (
         "AsymmetricStribeck Component Coulomb Dahl DCMotor LinearSpring LoadDependent LuGre Rigid Stribeck Viscous"
     ),
+    "hybrid_id.comparison": "compare replay",
     "hybrid_id.errors": "InputError",
+    "hybrid_id.identification.adjoint": "train",
+    "hybrid_id.identification.fit": "fit",
+    "hybrid_id.identification.result": "FitResult",
     "hybrid_id.parameters": "Parameter",
     "hybrid_id.records.dataset": "Channel Dataset",
     "hybrid_id.records.excitation": "design_multisine",
+    "hybrid_id.records.quality": "check_dataset",
     "hybrid_id.records.record": "Record",
+    "hybrid_id.simulation.prepare": "make_batch",
+    "hybrid_id.simulation.rollout": "simulate",
+    "hybrid_id.simulation.step": "Engine",
+    "hybrid_id.study": "Study assess identify preflight",
     "hybrid_id.systems.arms": "one_link one_link_flexible",
     "hybrid_id.systems.chain": "System",
+    "hybrid_id.systems.model_file": "load_model save_model",
 }
 _HOME = {name: module for module, names in _MODULES.items() for name in names.split()}
 

@@ -30,12 +30,14 @@ FLOORS = {
     "identification": 4,
     "control": 4,
     "statistics": 5,
-    "gap": 6,
-    "reporting": 7,
-    "blind": 7,
-    "config": 8,
-    "cli": 8,
-    "__main__": 9,
+    "study": 6,
+    "comparison": 6,
+    "gap": 7,
+    "reporting": 8,
+    "blind": 8,
+    "config": 9,
+    "cli": 9,
+    "__main__": 10,
 }
 # The only imports between two units of one floor.
 NEIGHBOURS = {("parameters", "errors"), ("twin", "records"), ("cli", "config")}

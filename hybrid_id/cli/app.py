@@ -1,0 +1,78 @@
+"""The commands by name, and the one place where errors become messages and exit codes."""
+
+import sys
+from typing import Annotated, Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+from typer.exceptions import TyperException
+
+from hybrid_id import __version__
+from hybrid_id.cli.check import check
+from hybrid_id.cli.demo import demo
+from hybrid_id.cli.excite import excite
+from hybrid_id.cli.identify import identify
+from hybrid_id.cli.replay import compare, simulate
+from hybrid_id.cli.train import train
+from hybrid_id.errors import InputError
+
+
+class Commands(TyperGroup):
+    """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
+
+    def main(self, args: Any = None, prog_name: str | None = None, **extra: Any) -> NoReturn:
+        """Run a command line and leave with its exit code."""
+        extra["standalone_mode"] = False
+        args = list(sys.argv[1:] if args is None else args)
+        try:
+            code = super().main(args=args or ["--help"], prog_name="hybrid-id", **extra)
+        except InputError as error:
+            code = _refuse(str(error))
+        except TyperException as error:  # an option or argument that does not exist, or has a wrong value
+            known = args[:1] if args[:1] and args[0] in self.commands else []
+            code = _refuse(
+                f"{error.format_message().rstrip('.')}; see '{' '.join(['hybrid-id', *known])} --help'"
+            )
+        except typer.Abort:
+            code = _refuse("stopped", 130)
+        sys.exit(code if isinstance(code, int) else 0)
+
+
+def _refuse(message: str, code: int = 2) -> int:
+    sentence = " ".join(message.split())
+    print(f"Error: {sentence}{'' if sentence.endswith('.') else '.'}", file=sys.stderr)
+    return code
+
+
+app = typer.Typer(
+    cls=Commands,
+    name="hybrid-id",
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        print(f"hybrid_id {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _hybrid_id(
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version and leave.", callback=_version, is_eager=True)
+    ] = False,
+) -> None:
+    """Physical parameters of robot drives from records of voltage and angle, with statistics that say what to trust."""
+
+
+for command in (check, excite, identify, train, simulate, compare, demo):
+    app.command()(command)
+
+
+def main() -> NoReturn:
+    """Entry point of the console script."""
+    app()
+    raise AssertionError("a command line ends with its exit code")

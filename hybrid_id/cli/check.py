@@ -1,0 +1,56 @@
+"""`check`: what the records are worth before anything is fitted to them."""
+
+from typing import Annotated
+
+import typer
+
+from hybrid_id.cli.console import out, show
+from hybrid_id.cli.inputs import load_records, refuse_errors
+from hybrid_id.cli.options import DatasetArgument, JsonOption, ModelOption, ThreadsOption, use_threads
+from hybrid_id.config import beside
+
+
+def check(
+    dataset: DatasetArgument,
+    model: ModelOption = None,
+    full: Annotated[bool, typer.Option("--full", help="Show remarks of severity info too.")] = False,
+    as_json: JsonOption = False,
+    threads: ThreadsOption = 1,
+) -> None:
+    """Check records: quality, sampling, excitation, and with a model what can be told from them.
+
+    Ends with exit code 0 when there are warnings only, and 2 when a fit would be meaningless.
+    """
+    from hybrid_id.records.quality import check_dataset
+
+    data = load_records(dataset)
+    findings = check_dataset(data)
+    path = model or (beside(dataset) if beside(dataset).exists() else None)
+    told = None
+    if path is not None:
+        use_threads(threads)
+        from hybrid_id.study import preflight
+        from hybrid_id.systems.model_file import load_model
+
+        system = load_model(path)
+        told = preflight(data, system)
+    if as_json:
+        from hybrid_id.reporting.results import as_json as to_json
+        from hybrid_id.reporting.results import check_result
+
+        out().print(to_json("check", check_result(data, findings, told)), markup=False, soft_wrap=True)
+        refuse_errors(findings)
+        return
+    from hybrid_id.reporting.tables import findings_list, identifiability_table, records_table
+
+    shown = [
+        finding for finding in findings if full or finding.severity != "info" or finding.code == "resampled"
+    ]
+    show(records_table(data), "", findings_list(shown))
+    hidden = len(findings) - len(shown)
+    if hidden:
+        show(f"({hidden} more remarks: --full)")
+    if told is not None:
+        show("", f"What these records tell about {path}, at its start values and before any fit:")
+        show(identifiability_table(told))
+    refuse_errors(findings)

@@ -1,0 +1,93 @@
+"""`demo`: the main job on records whose truth is known."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hybrid_id.cli.console import show
+from hybrid_id.cli.folder import refuse_taken, results_folder
+from hybrid_id.cli.options import ForceOption, ThreadsOption, use_threads
+from hybrid_id.config import study_config
+
+if TYPE_CHECKING:
+    from hybrid_id.study import Study
+
+DATA = "data"
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for records and results.")] = Path(
+        "runs/demo"
+    ),
+    settings: Annotated[
+        Path | None,
+        typer.Option(help="Settings of another twin, configs/twin_link1.yaml say.", show_default=False),
+    ] = None,
+    seed: Annotated[int, typer.Option(help="Seed of noise and disturbances.", min=0)] = 0,
+    force: ForceOption = False,
+    threads: ThreadsOption = 1,
+) -> None:
+    """Identify a drive from simulated records whose truth is known, and show estimates beside the truth.
+
+    The records come from an independent simulator: stick and slip, encoder counts, noise, random torques, and friction
+    that drifts from run to run. Nothing but the records and a model with wrong start values goes into the fit.
+    """
+    refuse_taken(out, force=force)
+    use_threads(threads)
+    from hybrid_id.cli.identify import run
+    from hybrid_id.cli.study import reach_of, show_study, write_study
+    from hybrid_id.records.quality import check_dataset
+    from hybrid_id.records.yaml_file import read_yaml
+    from hybrid_id.reporting.plots import truth_figure
+    from hybrid_id.reporting.style import save
+    from hybrid_id.reporting.tables import count, identifiability_table, truth_table
+    from hybrid_id.study import preflight
+    from hybrid_id.systems.model_file import load_model
+    from hybrid_id.twin.demo import DEMO
+    from hybrid_id.twin.paper import write_link1
+
+    with results_folder(out, force=force) as folder:
+        dataset, truths = write_link1(folder / DATA, DEMO if settings is None else read_yaml(settings), seed)
+        tests = f", {count(len(dataset.test), 'record')} to test with" if dataset.test else ""
+        show(
+            f"1. {count(len(dataset.train), 'record')} of a simulated drive{tests}: voltage in, motor angle out."
+        )
+        warnings = [f.message for f in check_dataset(dataset) if f.severity != "info"]
+        show(*(f"   {words}" for words in warnings or ["nothing to remark on their quality"]))
+        show("", "2. What these records can tell, before any fit:")
+        show(identifiability_table(preflight(dataset, load_model(folder / DATA / "model.yaml"))))
+        show("", "3. So the data sheet's motor constants go in as priors. One parameter set a record:")
+        changes = {"model": str(folder / DATA / "model_priors.yaml"), "identification.seed": seed}
+        config = study_config(folder / DATA, changes)
+        study, _ = run(dataset, load_model(config.model), config)
+        home = out.absolute()
+        placed = config.model_copy(
+            update={"dataset": home / DATA, "model": home / DATA / "model_priors.yaml"}
+        )
+        text = write_study(folder, home, "demo", placed, dataset, study)
+        truth = dict(zip((record.name for record in dataset.records), truths, strict=True))[
+            study.selected.records[0]
+        ]
+        save(truth_figure(study, truth, reach_of(config)), folder / "truth.png")
+    show_study(study, config, out, text, as_json=False)
+    show("", f"4. The truth of {study.selected.records[0]} beside its estimates:")
+    show(truth_table(study, truth, reach_of(config), config.statistics.level))
+    show("", *_conclusion(study, truth, reach_of(config), out))
+
+
+def _conclusion(study: "Study", truth: dict[str, float], reach: float, out: Path) -> list[str]:
+    errors = reach * study.standard_errors(study.selection.index)
+    hits = sum(
+        abs(value - truth[name]) <= error
+        for name, value, error in zip(study.names, study.selected.values, errors, strict=True)
+    )
+    fit, test = study.selection.mean[study.selection.index], list(study.test_nrmse.values())
+    held = f", {100 * (1 - test[0]):.2f} % on the record that was held back" if test else ""
+    return [
+        f"Found: {len(study.names)} parameters; {hits} of {len(study.names)} intervals hold the truth.",
+        f"Replayed over all records the selected set {study.selection.name} fits {fit:.2f} %{held}.",
+        f"Pictures: {out}/truth.png, {out}/fit_*.png, {out}/parameters.png, {out}/cross_validation.png, "
+        f"{out}/residuals.png",
+        f"The identified model: {out}/model.yaml; every command takes it.",
+    ]

@@ -1,0 +1,67 @@
+"""`excite`: an excitation that moves the drive as much as its limits allow."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hybrid_id.cli.console import show
+from hybrid_id.cli.folder import result_file
+
+
+def excite(
+    file: Annotated[
+        Path, typer.Option("--out", "-o", help="CSV file to write: columns t [s] and u1.", show_default=False)
+    ],
+    band: Annotated[tuple[float, float], typer.Option(help="Lowest and highest frequency [Hz].")] = (
+        0.3,
+        8.0,
+    ),
+    duration: Annotated[float, typer.Option(help="Length [s].")] = 10.0,
+    sample_time: Annotated[float, typer.Option(help="Sample time [s].")] = 0.002,
+    amplitude: Annotated[float, typer.Option(help="Peak, in the unit of the input (V).")] = 10.0,
+    tones: Annotated[int, typer.Option(help="Number of tones, spread evenly over the band.")] = 20,
+    rest: Annotated[
+        float, typer.Option(help="Rest at zero before the signal [s], so that the start is known.")
+    ] = 0.1,
+    starts: Annotated[int, typer.Option(help="Phase sets to start the search from.", min=1)] = 150,
+    seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0)] = 0,
+    plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.", show_default=False)] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+) -> None:
+    """Design a multisine of least crest factor and write it as CSV."""
+    from contextlib import ExitStack
+
+    import numpy as np
+
+    from hybrid_id.errors import InputError
+    from hybrid_id.records.crest import usual_crest_factors
+    from hybrid_id.records.excitation import design_multisine
+
+    if not 0 <= rest < np.inf:
+        raise InputError(f"--rest is {rest:g} s; give 0 or more")
+    with ExitStack() as files:
+        table = files.enter_context(result_file(file, force=force))
+        picture = files.enter_context(result_file(plot, force=force)) if plot else None
+        design = design_multisine(
+            band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones,
+            starts=starts, seed=seed,
+        )  # fmt: skip
+        quiet = round(rest / sample_time)
+        signal = np.concatenate([np.zeros(quiet), design.signal])
+        rows = zip(sample_time * np.arange(len(signal)), signal, strict=True)
+        table.write_text("t,u1\n" + "".join(f"{t:.9g},{u:.9g}\n" for t, u in rows), encoding="utf-8")
+        if picture:
+            from hybrid_id.reporting.record_plots import excitation_figure
+            from hybrid_id.reporting.style import save
+
+            save(excitation_figure(design), picture)
+    usual = usual_crest_factors(design, seed)
+    gain = usual["random"] / design.crest_factor
+    show(
+        f"{design.message}.",
+        f"Schroeder's phases would give {usual['Schroeder']:.3f}, random phases {usual['random']:.3f} "
+        f"(median), so this signal moves the drive {gain:.2f} times as much within the same limits.",
+        f"{len(signal)} samples, {sample_time * len(signal):.6g} s with {sample_time * quiet:.3g} s of rest, in {file}"
+        + (f"; picture in {plot}" if plot else ""),
+    )

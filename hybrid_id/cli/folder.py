@@ -1,0 +1,103 @@
+"""The folder of results: complete under its name, or not there at all."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from hybrid_id.errors import InputError
+
+RESULT = "result.json"
+
+
+def required(path: Path | None) -> Path:
+    """The folder that was asked for, by option or config."""
+    if path is None:
+        raise InputError(
+            "there is no folder for the results; give --out DIR, or 'output: {folder: DIR}' in the config"
+        )
+    return path
+
+
+def refuse_taken(path: Path, *, force: bool) -> None:
+    """Raise InputError where results cannot go, before anything is computed.
+
+    Args:
+        path: Folder of the results.
+        force: Whether results of an earlier run may be replaced; other files never are.
+    """
+    if path.is_symlink() or (path.exists() and not path.is_dir()):
+        raise InputError(f"{path} is no folder; give another name for the results")
+    if not path.exists() or not any(path.iterdir()):
+        return
+    if not force:
+        raise InputError(f"{path} is not empty; give another folder, or --force to replace the results in it")
+    if not _is_ours(path / RESULT):
+        raise InputError(f"{path} holds files that are no results of hybrid-id; give another folder")
+
+
+def _is_ours(file: Path) -> bool:
+    try:
+        return str(json.loads(file.read_text(encoding="utf-8"))["program"]).startswith("hybrid_id ")
+    except (OSError, ValueError, KeyError, TypeError):
+        return False
+
+
+@contextmanager
+def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
+    """Yield an empty folder that takes the name `path` when everything in it is written.
+
+    Results of an earlier run stay until then, and for good when something fails.
+    """
+    refuse_taken(path, force=force)
+    made = _make_parents(path)
+    complete = False
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
+            new = Path(temporary) / "new"
+            new.mkdir()
+            yield new
+            refuse_taken(path, force=force)  # a long run: somebody may have written there meanwhile
+            if path.exists():
+                path.replace(Path(temporary) / "old")
+            new.replace(path)
+            complete = True
+    finally:
+        for folder in [] if complete else made:
+            with suppress(OSError):
+                folder.rmdir()
+
+
+def _make_parents(path: Path) -> list[Path]:
+    """Make the folders above a path; returns those that were not there, innermost first."""
+    missing = [folder for folder in path.absolute().parents if not folder.exists()]
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path.parent} cannot be made ({error.strerror}); give another folder") from None
+    if not os.access(path.parent, os.W_OK):
+        raise InputError(f"{path.parent} cannot be written to; give another folder")
+    return missing
+
+
+@contextmanager
+def result_file(path: Path, *, force: bool) -> Iterator[Path]:
+    """Yield a temporary file that takes the name `path` when it is written."""
+    if path.is_dir() or (path.exists() and not force):
+        what = (
+            "is a folder; give the name of a file"
+            if path.is_dir()
+            else "exists; give another name, or --force"
+        )
+        raise InputError(f"{path} {what}")
+    _make_parents(path)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
+    os.close(handle)
+    try:
+        yield Path(temporary)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    finally:
+        Path(temporary).unlink(missing_ok=True)

@@ -1,0 +1,152 @@
+"""`identify`: from records and a model to parameters with statistics."""
+
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from hybrid_id.cli.console import remark
+from hybrid_id.cli.folder import refuse_taken, required, results_folder
+from hybrid_id.cli.inputs import checked_records
+from hybrid_id.cli.options import (
+    DeviceOption,
+    ForceOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    SeedOption,
+    SourceArgument,
+    ThreadsOption,
+    use_device,
+    use_threads,
+)
+from hybrid_id.config import StudyConfig, study_config
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.cli.progress import FitProgress
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.study import Study
+    from hybrid_id.systems.chain import System
+
+
+def identify(
+    source: SourceArgument,
+    model: ModelOption = None,
+    out: OutOption = None,
+    pooled: Annotated[
+        bool | None,
+        typer.Option("--pooled/--per-record", help="One parameter set over all records, or one a record."),
+    ] = None,
+    starts: Annotated[
+        int | None, typer.Option(help="Start points; the best end counts.", min=1, show_default="1")
+    ] = None,
+    loss: Annotated[
+        Literal["l2", "huber", "l1"] | None, typer.Option(help="huber and l1 bear spikes.", show_default="l2")
+    ] = None,
+    seed: SeedOption = None,
+    device: DeviceOption = None,
+    jobs: Annotated[int, typer.Option(help="Processes that share the records.", min=1)] = 1,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+    threads: ThreadsOption = 1,
+) -> None:
+    """Identify one parameter set for each train record (or one over all), with variation, cross-validation and trust.
+
+    Writes result.json, parameters.csv, model.yaml, pictures and TensorBoard events into the folder of results.
+    """
+    config = study_config(
+        source,
+        {
+            "model": None if model is None else str(model),
+            "output.folder": None if out is None else str(out),
+            "identification.pooled": pooled,
+            "identification.starts": starts,
+            "identification.loss": loss,
+            "identification.seed": seed,
+            "identification.device": device,
+        },
+    )
+    home = required(config.output.folder)
+    refuse_taken(home, force=force)
+    if jobs > 1 and config.identification.pooled:
+        raise InputError(
+            "--jobs shares records between processes, but --pooled needs all in one; leave one of them out"
+        )
+    dataset = checked_records(config.dataset, config.preprocessing)
+    use_threads(threads)
+    from hybrid_id.systems.model_file import load_model
+
+    system = load_model(config.model)
+    use_device(config.identification.device)
+    study, stopped = run(dataset, system, config, jobs=jobs)
+
+    from hybrid_id.cli.study import show_study, write_study
+
+    with results_folder(home, force=force) as folder:
+        text = write_study(folder, home, "identify", config, dataset, study)
+    show_study(study, config, home, text, as_json=as_json)
+    if stopped:
+        remark("stopped by Ctrl-C: the sets are those of the last iteration, and result.json says which")
+        raise typer.Exit(130)
+
+
+def run(dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int = 1) -> "tuple[Study, bool]":
+    """Fit and assess as the config says; also whether the user has stopped the fit."""
+    from hybrid_id.cli.progress import FitProgress
+    from hybrid_id.study import assess
+    from hybrid_id.study import identify as identify_all
+
+    wish = config.identification
+    n_sets = (1 if wish.pooled else len(dataset.train)) * wish.starts
+    with FitProgress(n_sets, wish.max_iterations) as progress:
+        if jobs > 1:
+            progress.say(f"fitting {len(dataset.train)} records in {jobs} processes")
+            sets = _fit_in_processes(dataset, system, config, jobs)
+            progress.say("statistics")
+            share = config.preprocessing.signal_share
+            return assess(dataset, system, sets, pooled=False, seed=wish.seed, signal_share=share), False
+        settings = fit_settings(config, progress)
+        study = identify_all(
+            dataset, system, device=wish.device, signal_share=config.preprocessing.signal_share, **settings
+        )
+        return study, progress.stopped
+
+
+def fit_settings(config: StudyConfig, progress: "FitProgress | None" = None) -> dict[str, Any]:
+    """The config's settings as arguments of `fit`."""
+    from hybrid_id.identification.least_squares import Options
+    from hybrid_id.identification.objective import Loss
+    from hybrid_id.simulation.step import Engine
+
+    wish = config.identification
+    return {
+        "pooled": wish.pooled,
+        "starts": wish.starts,
+        "seed": wish.seed,
+        "engine": Engine(wish.friction, wish.substeps, wish.width),
+        "options": Options(wish.max_iterations, wish.tolerance, loss=Loss(wish.loss, wish.threshold)),
+        "progress": progress,
+    }
+
+
+def _fit_in_processes(dataset: "Dataset", system: "System", config: StudyConfig, jobs: int) -> list[Any]:
+    """One fit a record, the records shared between processes."""
+    from joblib import Parallel, delayed
+
+    records = dataset.train
+    parts = [records[k::jobs] for k in range(min(jobs, len(records)))]
+    found = Parallel(n_jobs=jobs)(delayed(_fit_part)(dataset, part, system, config) for part in parts)
+    by_record = {result.records[0]: result for results in found for result in results}  # type: ignore[union-attr]
+    return [by_record[record.name] for record in records]
+
+
+def _fit_part(dataset: "Dataset", records: Any, system: "System", config: StudyConfig) -> list[Any]:
+    """The share of one process."""
+    use_threads(1)
+    from hybrid_id.identification.fit import fit
+    from hybrid_id.simulation.prepare import make_batch
+
+    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    batch = make_batch(system, records, noise_std=noise, signal_share=config.preprocessing.signal_share)
+    device = config.identification.device
+    return fit(system.to(device), batch.to(device), **fit_settings(config))

@@ -1,0 +1,66 @@
+"""Loading what a study config names: records as they shall be used, and the model."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid_id.cli.console import remark
+from hybrid_id.config import Preprocessing
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.records.quality import Finding
+
+
+def load_records(path: Path, preprocessing: Preprocessing | None = None) -> "Dataset":
+    """Load a dataset and do to it what the config says."""
+    from dataclasses import replace
+
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.records.dataset_file import common_sample_time
+    from hybrid_id.records.resample import resample_record
+
+    dataset, wish = Dataset.load(path), preprocessing or Preprocessing()
+    if wish.records is not None:
+        dataset = dataset.select(wish.records)
+    records = dataset.records
+    if wish.between is not None:
+        records = tuple(record.between(*wish.between) for record in records)
+    if wish.resample is None:
+        return replace(dataset, records=records)
+    step = (
+        wish.resample.sample_time
+        or dataset.sample_time
+        or common_sample_time(records)
+        or records[0].sample_time
+    )
+    pairs = [
+        resample_record(record, step, inputs=wish.resample.inputs, max_gap=wish.resample.max_gap)
+        for record in records
+    ]
+    reports = tuple(report for _, report in pairs)
+    return replace(
+        dataset, records=tuple(record for record, _ in pairs), sample_time=step, resampling=reports
+    )
+
+
+def refuse_errors(findings: "list[Finding]") -> None:
+    """Raise the first finding that makes a fit meaningless, as one sentence."""
+    errors = [finding for finding in findings if finding.severity == "error"]
+    if errors:
+        more = f" (and {len(errors) - 1} more; see 'hybrid-id check')" if len(errors) > 1 else ""
+        raise InputError(errors[0].message + more)
+
+
+def checked_records(path: Path, preprocessing: Preprocessing) -> "Dataset":
+    """Load records for a fit; errors end the command, warnings are counted."""
+    from hybrid_id.records.quality import check_dataset
+
+    dataset = load_records(path, preprocessing)
+    findings = check_dataset(dataset)
+    refuse_errors(findings)
+    warnings = [finding for finding in findings if finding.severity == "warning"]
+    if warnings:
+        more = f" ({len(warnings) - 1} more: 'hybrid-id check {path}')" if len(warnings) > 1 else ""
+        remark(f"warning: {warnings[0].message}{more}")
+    return dataset

@@ -1,0 +1,58 @@
+"""Arguments and options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+DatasetArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="DATASET", help="Folder with dataset.yaml, or a dataset file.", show_default=False
+    ),
+]
+SourceArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="CONFIG|DATASET", help="Study file, or a dataset to use with --model.", show_default=False
+    ),
+]
+ModelOption = Annotated[
+    Path | None,
+    typer.Option("--model", "-m", help="Model file; DATASET/model.yaml by default.", show_default=False),
+]
+OutOption = Annotated[
+    Path | None, typer.Option("--out", "-o", help="Folder for the results.", show_default=False)
+]
+ForceOption = Annotated[
+    bool, typer.Option("--force", help="Replace results of an earlier run, once the new ones are complete.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
+SeedOption = Annotated[
+    int | None, typer.Option(help="Seed of everything that is drawn at random.", min=0, show_default=False)
+]
+DeviceOption = Annotated[str | None, typer.Option(help="Where to compute: cpu or cuda.", show_default="cpu")]
+ThreadsOption = Annotated[
+    int, typer.Option(help="Threads inside torch; one is fastest for records of usual size.", min=1)
+]
+
+
+def use_threads(count: int) -> None:
+    """Set torch's threads for this process."""
+    import torch
+
+    torch.set_num_threads(count)
+
+
+def use_device(name: str) -> str:
+    """Return the device's name, or say in a sentence why it cannot be used."""
+    import torch
+
+    from hybrid_id.errors import InputError
+
+    try:
+        torch.zeros(1, device=name)
+    except (RuntimeError, AssertionError, ValueError) as error:
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise InputError(f"device '{name}' cannot be used ({reason}); use cpu") from None
+    return name

@@ -1,0 +1,96 @@
+"""`simulate` and `compare`: records replayed through models."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.console import show
+from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
+from hybrid_id.cli.inputs import load_records
+from hybrid_id.cli.options import (
+    DatasetArgument,
+    ForceOption,
+    JsonOption,
+    ModelOption,
+    ThreadsOption,
+    use_threads,
+)
+from hybrid_id.config import beside
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.comparison import Comparison
+    from hybrid_id.records.dataset import Dataset
+
+Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.", show_default=False)]
+
+
+def simulate(
+    dataset: DatasetArgument,
+    out: Folder,
+    model: ModelOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+    threads: ThreadsOption = 1,
+) -> None:
+    """Replay records through a model: one CSV a record with measured and simulated outputs, and pictures."""
+    _replay(
+        "simulate", dataset, [model or beside(dataset)], out, force=force, as_json=as_json, threads=threads
+    )
+
+
+def compare(
+    dataset: DatasetArgument,
+    out: Folder,
+    model: Annotated[
+        list[Path],
+        typer.Option("--model", "-m", help="Model file; give one for each model.", show_default=False),
+    ],
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+    threads: ThreadsOption = 1,
+) -> None:
+    """Put models side by side on the same records: fit and normalised RMSE, and pictures."""
+    _replay("compare", dataset, model, out, force=force, as_json=as_json, threads=threads)
+
+
+def _replay(
+    command: str, path: Path, models: list[Path], out: Path, *, force: bool, as_json: bool, threads: int
+) -> None:
+    refuse_taken(out, force=force)
+    twice = next((model for k, model in enumerate(models) if model in models[:k]), None)
+    if twice is not None:
+        raise InputError(f"model {twice} is given twice; give every model once")
+    dataset = load_records(path)
+    use_threads(threads)
+    from hybrid_id.comparison import compare as side_by_side
+    from hybrid_id.reporting.results import as_json as to_json
+    from hybrid_id.reporting.results import comparison_result
+    from hybrid_id.systems.model_file import load_model
+
+    comparison = side_by_side(dataset, {str(model): load_model(model) for model in models})
+    result = to_json(command, {"dataset": dataset.name, "models": comparison_result(comparison)})
+    with results_folder(out, force=force) as folder:
+        _write(folder, command, dataset, comparison)
+        (folder / RESULT).write_text(result + "\n", encoding="utf-8")
+    if as_json:
+        stdout().print(result, markup=False, soft_wrap=True)
+        return
+    from hybrid_id.reporting.tables import comparison_table
+
+    show(comparison_table(comparison), f"pictures and numbers are in {out}")
+
+
+def _write(folder: Path, command: str, dataset: "Dataset", comparison: "Comparison") -> None:
+    from hybrid_id.reporting.record_plots import comparison_figure
+    from hybrid_id.reporting.results import write_comparison, write_replay
+    from hybrid_id.reporting.style import save
+
+    write_comparison(folder / "comparison.csv", comparison)
+    if command == "simulate":
+        for replay in next(iter(comparison.replays.values())):
+            write_replay(folder / f"{replay.record.name}.csv", replay)
+    for name in comparison.records:
+        save(comparison_figure(dataset, comparison, name), folder / f"{name}.png")

@@ -1,0 +1,90 @@
+"""What `identify`, `train` and `demo` share: from a study to its files and its summary."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.console import show
+from hybrid_id.cli.folder import RESULT
+from hybrid_id.config import StudyConfig
+
+if TYPE_CHECKING:
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.study import Study
+
+
+def reach_of(config: StudyConfig) -> float:
+    """Half-width of an interval in standard errors."""
+    from scipy.special import ndtri
+
+    return float(ndtri(0.5 + config.statistics.level / 2))
+
+
+def write_study(
+    folder: Path, home: Path, command: str, config: StudyConfig, dataset: "Dataset", study: "Study"
+) -> str:
+    """Write all files of a study.
+
+    Args:
+        folder: Where to write.
+        home: Where the folder will be at last.
+        command: Name of the command.
+        config: What was asked for.
+        dataset: The records.
+        study: The result.
+
+    Returns:
+        The result as JSON.
+    """
+    from hybrid_id.reporting.results import as_json, study_result, write_models, write_parameters
+
+    reach, level = reach_of(config), config.statistics.level
+    text = as_json(command, {"dataset": dataset.name} | study_result(study, reach=reach, level=level))
+    write_models(folder, study)
+    write_parameters(folder / "parameters.csv", study, reach)
+    config.save(folder / "config.yaml", home=home)
+    if config.output.figures or config.output.tensorboard:
+        figures = study_figures(dataset, study, reach)
+        if config.output.figures:
+            from hybrid_id.reporting.style import save
+
+            for name, figure in figures.items():
+                save(figure, folder / f"{name}.png")
+        if config.output.tensorboard:
+            from hybrid_id.reporting.events import write_study_events
+
+            write_study_events(folder / "tensorboard", study, figures)
+    (folder / RESULT).write_text(text + "\n", encoding="utf-8")
+    return text
+
+
+def study_figures(dataset: "Dataset", study: "Study", reach: float) -> dict[str, Any]:
+    """Every picture of a study by the name of its file."""
+    from hybrid_id.comparison import replay
+    from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure
+    from hybrid_id.reporting.record_plots import fit_figure
+    from hybrid_id.statistics.residuals import whiteness
+
+    chosen = study.selected
+    figures = {
+        "parameters": parameter_figure(study, reach),
+        "cross_validation": cross_validation_figure(study),
+        "residuals": residual_figure(
+            study, whiteness(chosen.residual), dataset[chosen.records[0]].sample_time
+        ),
+    }
+    for run in replay(dataset, chosen.system, engine=chosen.engine):
+        title = f"{run.record.name} ({run.record.role}), parameter set {study.selection.name}"
+        figures[f"fit_{run.record.name}"] = fit_figure(dataset, run, title)
+    return figures
+
+
+def show_study(study: "Study", config: StudyConfig, home: Path, text: str, *, as_json: bool) -> None:
+    """Print the study, as a table or as JSON, and where its files are."""
+    if as_json:
+        stdout().print(text, markup=False, soft_wrap=True)
+        return
+    from hybrid_id.reporting.tables import study_table
+
+    show(study_table(study, reach_of(config), config.statistics.level))
+    show(f"results are in {home}: parameters.csv, result.json, model.yaml, pictures, config.yaml")

@@ -1,0 +1,1 @@
+"""Tables, pictures and files of results; nothing is computed here."""

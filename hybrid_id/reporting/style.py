@@ -1,0 +1,108 @@
+"""One look for all pictures: sizes and type of a two-column journal, colours that everybody can tell apart."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+WIDTH = 7.16  # in; the text width of a two-column journal page
+GREY = "#8c8c8c"
+# Okabe and Ito, "Color Universal Design", 2008; from dark to light on white.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+DASHES: tuple[Any, ...] = ("-", (0, (4, 1.2)), (0, (1.2, 1)), (0, (5, 1, 1, 1)))
+
+_LOOK: dict[Any, Any] = {
+    "font.size": 8,
+    "axes.titlesize": 8,
+    "axes.labelsize": 8,
+    "legend.fontsize": 7.5,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "mathtext.fontset": "dejavusans",
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.direction": "in",
+    "ytick.direction": "in",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": False,
+    "axes.formatter.limits": (-3, 4),
+    "axes.formatter.use_mathtext": True,
+    "lines.linewidth": 1.0,
+    "legend.frameon": False,
+}
+_QUANTITY = {
+    "u": "voltage", "duty": "duty cycle", "supply": "supply voltage", "goal": "goal angle", "gain": "loop gain",
+    "enable": "motor on", "tau": "torque", "i": "current", "q_m": "motor angle", "q_a": "link angle",
+    "v_m": "motor speed", "v_a": "link speed",
+}  # fmt: skip
+
+
+@contextmanager
+def journal() -> Iterator[None]:
+    """Draw with the common look; leaves matplotlib's settings as they were."""
+    with rc_context(_LOOK):
+        yield
+
+
+def new_figure(height: float, width: float = WIDTH) -> Figure:
+    """An empty figure (sizes in inches) outside of pyplot, so that none piles up in memory."""
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def symbol(name: str) -> str:
+    """A parameter's or signal's name as it is printed, ``f_11`` with its index set low."""
+    found = re.fullmatch(r"([A-Za-z]+)_?([A-Za-z]*\d+|[a-z]+)", name)
+    if found is None or len(name) == 1:
+        return f"${name}$" if len(name) == 1 else name
+    stem, index = found.groups()
+    greek = {"sigma": r"\sigma", "tau": r"\tau", "mu": r"\mu", "v": "v"}
+    stem = greek.get(stem, stem if len(stem) == 1 else rf"\mathrm{{{stem}}}")
+    return rf"${stem}_{{\mathrm{{{index}}}}}$"
+
+
+def unit(text: str) -> str:
+    """A unit as it is printed: ``kg m^2`` with a raised 2, nothing for a pure number."""
+    return "" if text == "1" else text.replace("^2", "²").replace("^3", "³").replace(" ", "\u2009")
+
+
+def label(name: str, unit_text: str) -> str:
+    """Axis label of a signal: quantity, symbol, unit."""
+    stem = name.rstrip("0123456789")
+    words = f"{_QUANTITY.get(stem, '')} {symbol(name)}".strip()
+    return f"{words} [{unit(unit_text)}]" if unit(unit_text) else words
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG."""
+    figure.savefig(path, dpi=200)
+
+
+def power_of_ten(values: np.ndarray) -> int:
+    """Exponent, a multiple of 3, by which values are scaled so that their axis needs no long numbers."""
+    largest = float(np.max(np.abs(values), initial=0.0))
+    exponent = 3 * math.floor(math.log10(largest) / 3) if largest > 0 else 0
+    return 0 if -2 <= math.log10(largest or 1.0) < 4 else exponent
+
+
+def scaled_unit(text: str, exponent: int) -> str:
+    """Unit with a power of ten in front, in brackets; empty where there is neither."""
+    ten = f"$10^{{{exponent}}}$" if exponent else ""
+    words = "\u2009".join(part for part in (ten, unit(text)) if part)
+    return f"[{words}]" if words else ""
+
+
+def pad(axes: Axes, share: float = 0.08) -> None:
+    """Leave a little air above and below the curves."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - share * (high - low), high + share * (high - low))

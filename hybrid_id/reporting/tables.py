@@ -1,0 +1,196 @@
+"""Results as tables for the terminal (rich)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id.comparison import Comparison
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.quality import Finding
+from hybrid_id.statistics.identifiability import Identifiability
+from hybrid_id.study import Study
+
+_SEVERITY = {"error": "bold red", "warning": "yellow", "info": "dim"}
+_GRADES = (
+    "trust: A all ways to compute the error agree; B only the plain covariance is too confident; C the ways disagree; "
+    "D no value to use on its own"
+)
+_GRADE = {"A": "green", "B": "green", "C": "yellow", "D": "red"}
+
+
+def records_table(dataset: Dataset) -> Table:
+    """Length, sampling and role of each record."""
+    table = _table("record", "role", "samples>", "length [s]>", "step [ms]>", "sampling", "note")
+    for record in dataset:
+        steps = "uniform" if record.is_uniform else "jittered"
+        table.add_row(
+            record.name, record.role, str(record.n_samples), f"{record.duration:.4g}",
+            f"{1e3 * record.sample_time:.4g}", steps, record.note,
+        )  # fmt: skip
+    return table
+
+
+def findings_list(findings: Sequence[Finding]) -> RenderableType:
+    """One line a finding, worst first."""
+    if not findings:
+        return Text("nothing to remark", style="green")
+    lines = [
+        Text.assemble((f"{f.severity:<7}", _SEVERITY[f.severity]), "  ", _sentence(f.message))
+        for f in findings
+    ]
+    return Group(*lines)
+
+
+def identifiability_table(told: Identifiability) -> RenderableType:
+    """What cannot be told in words, the combinations that can be, and which parameters stand alone."""
+    parts: list[RenderableType] = []
+    if told.directions:
+        words = f"{count(len(told.directions), 'direction')} of {len(told.names)} cannot be told from these records:"
+        parts.append(Text(words, style="yellow"))
+        parts += [Text(f"  {k}. {d.text}") for k, d in enumerate(told.directions, start=1)]
+    else:
+        words = f"all {len(told.names)} parameters can be told (condition number {told.condition_number:.3g})"
+        parts.append(Text(words, style="green"))
+    table = _table("what the records tell", "predicted error>", "what the records tell ", "predicted error >")
+    cells = [
+        (c.text, f"± {100 * std:.2g} %")
+        for c, std in zip(told.combinations, told.combination_std, strict=True)
+    ]
+    half = (len(cells) + 1) // 2
+    for k in range(half):
+        table.add_row(*cells[k], *(cells[half + k] if half + k < len(cells) else ("", "")))
+    parts.append(table)
+    if told.not_claimable:
+        parts.append(
+            Text(
+                f"no interval may be claimed for {', '.join(told.not_claimable)} on their own", style="yellow"
+            )
+        )
+    elif told.directions:
+        parts.append(Text("with the priors every parameter has an interval of its own", style="green"))
+    return Group(*parts)
+
+
+def study_table(study: Study, reach: float, level: float) -> RenderableType:
+    """Parameters of the selected set with intervals, their variation and their trust grade, and what follows."""
+    index = study.selection.index
+    errors = reach * study.standard_errors(index)
+    heads = ["parameter", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
+    heads += [f"± ({100 * level:g} %)>", "unit"]
+    heads += [] if study.variation is None else ["mean of sets>", "std/mean>"]
+    table = _table(*heads, "trust")
+    for k, name in enumerate(study.names):
+        trust = study.trust[k]
+        known = bool(np.isfinite(errors[k]))
+        row = [
+            name,
+            f"{study.selected.values[k]:.5g}",
+            f"{errors[k]:.2g}" if known else "none",
+            study.selected.units[k],
+        ]
+        if study.variation is not None:
+            spread = Text(f"{study.variation.percent[k]:.2f} %")
+            if not study.variation.acceptable[k] and not study.variation.held[k]:
+                spread.stylize("red")
+            row += [f"{study.variation.mean[k]:.5g}", spread]
+        table.add_row(*row, Text(trust.grade, style=_GRADE[trust.grade]))
+    return Group(table, *(Text(line) for line in _remarks(study)))
+
+
+def _remarks(study: Study) -> list[str]:
+    lines = [_GRADES]
+    lines += [f"identifiability: {direction.text}" for direction in study.identifiability.directions]
+    failed = [result for result in study.sets if not result.ok]
+    lines += [f"{', '.join(r.records[:3])}: {r.message}" for r in failed[:3]]
+    if study.selected.at_bound:
+        lines.append(f"at a bound: {', '.join(study.selected.at_bound)}")
+    if not study.pooled and len(study.sets) > 1:
+        lines.append(f"selection: {study.selection.summary()}")
+    if study.test_nrmse:
+        mean = float(np.mean(list(study.test_nrmse.values())))
+        lines.append(
+            f"test: normalised RMSE {mean:.4g} on {count(len(study.test_nrmse), 'record')} that no fit has seen"
+        )
+    lines.append(f"integration error (step halved): {study.engine_error:.2g} standard errors at most")
+    return lines
+
+
+def comparison_table(comparison: Comparison) -> Table:
+    """Fit and normalised RMSE of every model on every record and output, with the mean over the records."""
+    fits, errors = comparison.table("fit"), comparison.table("nrmse")
+    labels = list(comparison.replays)
+    head = [f"{label}\n{measure}>" for label in labels for measure in ("fit [%]", "NRMSE")]
+    table = _table("record", "role", "output", *head)
+    replays = comparison.replays[labels[0]]
+    for row, replay in enumerate(replays):
+        for column, signal in enumerate(comparison.signals):
+            cells = [
+                text
+                for label in labels
+                for text in (
+                    _number(fits[label][row, column], ".2f"),
+                    _number(errors[label][row, column], ".4f"),
+                )
+            ]
+            table.add_row(replay.record.name, replay.record.role, signal, *cells)
+    table.add_section()
+    for column, signal in enumerate(comparison.signals):
+        cells = [
+            text
+            for label in labels
+            for text in (_mean(fits[label][:, column], ".2f"), _mean(errors[label][:, column], ".4f"))
+        ]
+        table.add_row("mean", "", signal, *cells)
+    return table
+
+
+def truth_table(study: Study, truth: Mapping[str, float], reach: float, level: float) -> Table:
+    """Known values beside the estimates of the selected set."""
+    errors = reach * study.standard_errors(study.selection.index)
+    table = _table(
+        "parameter", "truth>", "estimate>", f"± ({100 * level:g} %)>", "unit", "off by>", "in the interval"
+    )
+    for k, name in enumerate(study.names):
+        if name not in truth:
+            continue
+        off = study.selected.values[k] - truth[name]
+        inside = Text("yes", style="green") if abs(off) <= errors[k] else Text("no", style="yellow")
+        if not np.isfinite(errors[k]):
+            inside = Text("none claimed", style="dim")
+        table.add_row(
+            name, f"{truth[name]:.5g}", f"{study.selected.values[k]:.5g}",
+            f"{errors[k]:.2g}" if np.isfinite(errors[k]) else "none", study.selected.units[k],
+            f"{100 * off / abs(truth[name]):+.2f} %", inside,
+        )  # fmt: skip
+    return table
+
+
+def count(number: int, noun: str) -> str:
+    """A number with its noun, ``1 record``, ``2 records``."""
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def _table(*heads: str) -> Table:
+    """An open table; a head that ends in '>' stands over numbers."""
+    table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
+    for head in heads:
+        table.add_column(head.rstrip(">"), justify="right" if head.endswith(">") else "left")
+    return table
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "diverged" if np.isinf(value) else "constant"
+
+
+def _mean(values: np.ndarray, form: str) -> str:
+    known = values[~np.isnan(values)]
+    return _number(float(known.mean()), form) if known.size else "constant"
+
+
+def _sentence(text: str) -> str:
+    return text if text.endswith((".", "]")) else f"{text}."
