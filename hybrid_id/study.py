@@ -35,7 +35,7 @@ REFERENCES = ("P_m1", "k_t", "P_m1m1", "P_m1m2")
 LANES = 400_000
 """Samples that are simulated at once."""
 
-Progress = Callable[[str, int, Tensor, Tensor], None]
+Progress = Callable[[str, int, Tensor, Tensor], bool | None]
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from hybrid_id.systems.chain import System
 WINDOW = 0.2
 """Length [s] of the windows of the warm start; one in four is used."""
 
-Progress = Callable[[str, int, Tensor, Tensor], None]
+Progress = Callable[[str, int, Tensor, Tensor], bool | None]
 
 
 def fit(
@@ -56,7 +56,8 @@ def fit(
         seed: of the start points.
         warm: whether to fit windows first; switch it off to start a richer model at a simpler one's optimum.
         start_values: start values of all parameters for each set, ``(n_p, G)``, instead of the system's.
-        progress: called with (stage, iteration, cost of each set, sets still running).
+        progress: called with (stage, iteration, cost of each set, sets still running); where it returns true, the
+            fit ends with the values that it has.
 
     Raises:
         InputError: nothing to estimate.
@@ -84,7 +85,7 @@ def fit(
     for _ in range(3):
         outcome = minimise(system, engine, many, many_sets, theta, free, bounds, options, report("records"))
         finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
-        if finer.substeps == engine.substeps:
+        if finer.substeps == engine.substeps or "interrupted" in outcome.status:
             break
         engine, theta = finer, outcome.theta
     cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
@@ -178,7 +179,7 @@ def warm_start(
     free: list[int],
     bounds: Bounds,
     options: Options,
-    progress: Callable[[int, Tensor, Tensor], None] | None = None,
+    progress: Callable[[int, Tensor, Tensor], bool | None] | None = None,
 ) -> Tensor:
     """Parameters of each set after a fit of short windows from measured states, ``(n_p, G)``."""
     found_windows = measured_windows(system, batch, WINDOW, every=4)

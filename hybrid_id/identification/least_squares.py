@@ -61,7 +61,7 @@ class Outcome:
         theta: all parameters in table order, ``(n_p, G)``.
         cost: loss with priors, ``(G,)``.
         iterations: trial steps taken, ``(G,)``.
-        status: "converged", "target", "stalled", "max_iterations" or "diverged", one a set.
+        status: "converged", "target", "stalled", "max_iterations", "interrupted" or "diverged", one a set.
         at: the last evaluation of each row (sensitivities, residuals, nodes), in the batch's order.
         history: cost of each set after each iteration.
     """
@@ -114,7 +114,7 @@ def minimise(
     free: list[int],
     bounds: Bounds,
     options: Options | None = None,
-    progress: Callable[[int, Tensor, Tensor], None] | None = None,
+    progress: Callable[[int, Tensor, Tensor], bool | None] | None = None,
 ) -> Outcome:
     """Fit the free parameters of every set to its rows.
 
@@ -127,7 +127,7 @@ def minimise(
         free: indices of the parameters to move.
         bounds: box and priors of the free parameters.
         options: settings.
-        progress: called after each iteration with (iteration, cost of each set, still running).
+        progress: called after each iteration with (iteration, cost of each set, still running); true ends the fit.
     """
     options = options or Options()
     count = theta.shape[1]
@@ -261,7 +261,10 @@ def minimise(
                 status[g] = "converged"
             elif bool(stalled[i]):
                 status[g] = "stalled"
-        if progress is not None:
-            progress(iteration + 1, cost, running)
+        stop = progress is not None and bool(progress(iteration + 1, cost, running))
         running = running[~(reached | converged | stalled)]
+        if stop:
+            for g in running.tolist():
+                status[g] = "interrupted"
+            break
     return Outcome(theta, cost, iterations, status, best, history)
