@@ -1,0 +1,168 @@
+"""Laws against their equations worked out by hand; equation numbers are the paper's."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from hybrid_id.components import (
+    REGISTRY,
+    AsymmetricStribeck,
+    AsymmetricStribeckEq8,
+    Coulomb,
+    CurrentCommand,
+    CurrentMotor,
+    Dahl,
+    DCMotor,
+    DutySupply,
+    Gravity,
+    LinearSpring,
+    LoadDependent,
+    LuGre,
+    MotorEncoder,
+    OneLink,
+    PositionLoop,
+    Stribeck,
+    TorqueCommand,
+    TorqueMotor,
+    TwoInertias,
+    Viscous,
+)
+from hybrid_id.components.base import Component
+from hybrid_id.errors import InputError
+
+SPEED = np.array([-400.0, -60.0, -8.0, -0.5, 0.5, 8.0, 60.0, 400.0])
+TABLE_2 = {
+    "f_11": 0.0121, "f_12": 0.0293, "f_13": 5.0, "f_14": 53.0,
+    "f_21": 0.0132, "f_22": 0.0311, "f_23": 6.5, "f_24": 49.0, "f_3": 5.04e-5,
+}  # fmt: skip
+
+
+def tensor(values: object) -> Tensor:
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def view(part: Component) -> SimpleNamespace:
+    return SimpleNamespace(**{n: v.detach() for n, v in vars(part.view()).items()})
+
+
+def sliding(part: Component, speed: np.ndarray) -> np.ndarray:
+    """Friction torque of a law in motion."""
+    v, p = tensor(speed), view(part)
+    dry = part.dry(p, v.abs(), (v > 0).double())  # type: ignore[operator]
+    smooth = part.smooth(p, v)  # type: ignore[operator]
+    return sum(t.numpy() for t in (smooth, None if dry is None else dry * v.sign()) if t is not None)
+
+
+@pytest.mark.parametrize("form", [AsymmetricStribeck, AsymmetricStribeckEq8])
+def test_asymmetric_stribeck_eq_8_and_15(form: type[AsymmetricStribeck]) -> None:
+    f = TABLE_2 if form is AsymmetricStribeck else TABLE_2 | {"f_14": 53.0**2, "f_24": 49.0**2}
+    expected = []
+    for v in SPEED:
+        far, peak, centre, width = (f[f"f_{1 if v > 0 else 2}{k}"] for k in (1, 2, 3, 4))
+        fall = (
+            ((abs(v) - centre) / width) ** 2 if form is AsymmetricStribeck else (abs(v) - centre) ** 2 / width
+        )
+        expected.append(np.sign(v) * (far + (peak - far) * np.exp(-fall)) + f["f_3"] * v)  # eq. (11), (16)
+    np.testing.assert_allclose(sliding(form(**f), SPEED), expected, rtol=1e-13)
+
+
+def test_asymmetric_stribeck_is_odd_when_its_sides_are_swapped() -> None:
+    swapped = {n.replace("f_1", "x").replace("f_2", "f_1").replace("x", "f_2"): v for n, v in TABLE_2.items()}
+    both = sliding(AsymmetricStribeck(**TABLE_2), SPEED) + sliding(AsymmetricStribeck(**swapped), -SPEED)
+    np.testing.assert_allclose(both, 0.0, atol=1e-16)
+
+
+@pytest.mark.parametrize("exponent", [0.5, 1.0, 2.0])
+def test_coulomb_stribeck_viscous_make_eq_6(exponent: float) -> None:
+    law = [Coulomb(F_c=0.01), Stribeck(F_drop=0.006, v_s=12.0, p=exponent), Viscous(F_v=5e-5)]
+    level = 0.01 + (0.016 - 0.01) * np.exp(-(np.abs(SPEED / 12.0) ** exponent))
+    np.testing.assert_allclose(
+        sum(sliding(p, SPEED) for p in law), level * np.sign(SPEED) + 5e-5 * SPEED, rtol=1e-11
+    )
+
+
+def test_dahl_eq_7_rises_from_rest_to_coulomb() -> None:
+    # at constant speed dF/dx = sigma (1 - F / F_c), so F = F_c (1 - exp(-sigma x / F_c)) whatever the speed
+    law, level, steps = Dahl(sigma=1.5), tensor([0.02, 0.02]), 40
+    v, h, force = tensor([0.1, 3.0]), tensor([0.01, 0.01 / 30]), tensor([0.0, 0.0])
+    for k in range(1, steps + 1):
+        force = law.advance(view(law), force, v, level, h)
+        expected = 0.02 * (1 - np.exp(-1.5 * 0.001 * k / 0.02))
+        np.testing.assert_allclose(force.numpy(), expected, rtol=1e-12)
+    force = law.advance(view(law), force, v, level, h * 1e4)
+    np.testing.assert_allclose(force.numpy(), 0.02, rtol=1e-12)
+
+
+def test_lugre_steady_state_is_the_stribeck_curve() -> None:
+    level = sliding(Coulomb(F_c=0.01), SPEED) + sliding(Stribeck(F_drop=0.02, v_s=20.0), SPEED)
+    law, v = LuGre(sigma_0=2.0, sigma_1=1e-3), tensor(SPEED)
+    state = law.advance(view(law), 0 * v, v, tensor(np.abs(level)), tensor(10.0))
+    np.testing.assert_allclose(
+        law.torque(view(law), state, v, tensor(np.abs(level))).numpy(), level, rtol=1e-12
+    )
+
+
+def test_lugre_near_rest_is_a_damped_spring() -> None:
+    law, none = LuGre(sigma_0=2.0, sigma_1=0.3), tensor([0.0])
+    assert law.torque(view(law), tensor([0.004]), none, tensor([0.02])).item() == pytest.approx(2.0 * 0.004)
+    assert law.torque(view(law), none, tensor([0.1]), tensor([0.02])).item() == pytest.approx(0.3 * 0.1)
+
+
+def test_dc_motor_eq_3_with_table_1() -> None:
+    # Table 1: k_m = 0.0254 N m/A and R = 1.333 Ohm give P_m1 = 19.06 mN m/V; no-load speed at 24 V is 945 rad/s
+    motor = DCMotor(P_m1=0.0254 / 1.333, P_m2=0.0254)
+    p, u = view(motor), tensor([24.0])
+    assert motor.torque(p, u, tensor([0.0])).item() == pytest.approx(24 * 0.019055, rel=1e-4)
+    no_load = tensor([24 / 0.0254])
+    assert no_load.item() == pytest.approx(945, abs=0.5)
+    assert motor.torque(p, u, no_load).item() == pytest.approx(0.0, abs=1e-15)
+    current = motor.current(p, u, tensor([300.0]))
+    assert current.item() == pytest.approx((24.0 - 0.0254 * 300.0) / 1.333)
+    assert motor.torque(p, u, tensor([300.0])).item() == pytest.approx(0.0254 * current.item())
+
+
+def test_motors_behind_current_and_torque_loops() -> None:
+    command, speed = tensor([0.8]), tensor([100.0])
+    motor = CurrentMotor(k_t=0.05)
+    assert motor.torque(view(motor), command, speed).item() == pytest.approx(0.04)
+    assert motor.current(view(motor), command, speed).item() == 0.8
+    ideal = TorqueMotor()
+    assert ideal.torque(view(ideal), command, speed).item() == 0.8
+    with pytest.raises(InputError, match="torque_motor has no current output"):
+        ideal.current(view(ideal), command, speed)
+
+
+def test_inputs_turn_channels_into_the_command() -> None:
+    angle, speed = tensor([0.2]), tensor([7.0])
+    channels = {"duty": tensor([-0.5]), "supply": tensor([11.0]), "tau": tensor([0.3]), "i": tensor([2.0])}
+    for part, expected in ((DutySupply(), -5.5), (TorqueCommand(), 0.3), (CurrentCommand(), 2.0)):
+        assert part.command(view(part), channels, angle, speed).item() == expected
+
+
+def test_position_loop_is_proportional_and_clips() -> None:
+    part = PositionLoop(duty_per_rad=0.003)
+    goal, supply = tensor([0.3, 9.0, -9.0]), tensor([12.0, 12.0, 12.0])
+    channels = {"goal": goal, "gain": tensor([100.0, 100.0, 100.0]), "supply": supply}
+    command = part.command(view(part), channels, tensor([0.1, 0.1, 0.1]), 0 * goal)
+    np.testing.assert_allclose(command, [0.003 * 100 * 0.2 * 12.0, 12.0, -12.0], rtol=1e-14)
+
+
+def test_loads_springs_and_sensors() -> None:
+    r, p = 10.0, view(OneLink(J=3e-5, rotor_share=0.25))
+    assert OneLink().rotor(p, r).item() == pytest.approx(0.75e-5)
+    assert OneLink().link(p, r).item() == pytest.approx(2.25e-5 * r**2)
+    two = TwoInertias(J_m=1e-5, J_a=0.02)
+    assert (two.rotor(view(two), r).item(), two.link(view(two), r).item()) == (1e-5, 0.02)
+    gravity, spring = Gravity(G_l=2.0), LinearSpring(k=100.0, d=0.5)
+    assert gravity.torque(view(gravity), tensor([np.pi / 6]), tensor([9.0])).item() == pytest.approx(1.0)
+    assert spring.torque(view(spring), tensor([0.01]), tensor([0.2])).item() == pytest.approx(1.1)
+    assert MotorEncoder().read(view(MotorEncoder(offset=0.3)), tensor([1.0])).item() == pytest.approx(1.3)
+    assert LoadDependent(mu=0.2).load_factor(view(LoadDependent(mu=0.2))).item() == 0.2
+
+
+def test_kinds_name_the_effects_of_the_gap_catalogue() -> None:
+    names = ["coulomb_friction", "viscous_friction", "stribeck_friction", "load_dependent_friction"]
+    assert set(names) <= set(REGISTRY)
