@@ -71,6 +71,30 @@ class Identification(_Section):
     device: str = "cpu"
 
 
+class Training(_Section):
+    """How `train` finds them by the adjoint method; pooled, loss, threshold and seed are those of the identification.
+
+    Attributes:
+        method: torchdiffeq's solver, rk4 or dopri5 say.
+        gradient: `adjoint`, or `backprop` through the steps.
+        substeps, fine: least number of steps a sample, and of a sample in which a speed comes near zero.
+        width: speed over which friction is smoothed [rad/s].
+        windows: stages before the whole records, each (length of a window [s], use one window in this many).
+        max_iterations, tolerance: of each stage; converged when a step is under `tolerance` standard errors.
+        validate_every: gradients between two looks at the test records.
+    """
+
+    method: str = "rk4"
+    gradient: Literal["adjoint", "backprop"] = "adjoint"
+    substeps: PositiveInt = 1
+    fine: PositiveInt = 32
+    width: PositiveFloat = 0.5
+    windows: list[tuple[PositiveFloat, PositiveInt]] = [(0.2, 4)]
+    max_iterations: PositiveInt = 100
+    tolerance: PositiveFloat = 0.01
+    validate_every: PositiveInt = 5
+
+
 class Statistics(_Section):
     """What is said about the parameters.
 
@@ -102,6 +126,7 @@ class StudyConfig(_Section):
     model: Path
     preprocessing: Preprocessing = Preprocessing()
     identification: Identification = Identification()
+    training: Training = Training()
     statistics: Statistics = Statistics()
     output: Output = Output()
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -10,6 +11,7 @@ from pathlib import Path
 from hybrid_id.errors import InputError
 
 RESULT = "result.json"
+CHECKPOINT = "checkpoint.pt"
 
 
 def required(path: Path | None) -> Path:
@@ -34,7 +36,7 @@ def refuse_taken(path: Path, *, force: bool) -> None:
         return
     if not force:
         raise InputError(f"{path} is not empty; give another folder, or --force to replace the results in it")
-    if not _is_ours(path / RESULT):
+    if not _is_ours(path / RESULT) and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds files that are no results of hybrid-id; give another folder")
 
 
@@ -68,6 +70,51 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
         for folder in [] if complete else made:
             with suppress(OSError):
                 folder.rmdir()
+
+
+@contextmanager
+def live_folder(path: Path, *, force: bool, resume: bool) -> Iterator[None]:
+    """Make the folder itself for a long run, so that others can look on; `result.json` comes in last.
+
+    What an earlier run left is put aside as `path.old` (unless this one resumes it), comes back when the new run fails
+    before its first checkpoint, and goes when it is complete.
+    """
+    refuse_taken(path, force=force or resume)
+    made = _make_parents(path)
+    aside = path.with_name(f"{path.name}.old")
+    replaced = path.exists() and any(path.iterdir()) and not resume
+    if replaced:
+        if aside.exists():
+            raise InputError(f"{aside} is in the way, the place for the results that are replaced; remove it")
+        path.replace(aside)
+    path.mkdir(exist_ok=True)
+    try:
+        yield
+    except BaseException:
+        if not (path / CHECKPOINT).exists():
+            shutil.rmtree(path)
+            if replaced:
+                aside.replace(path)
+            for folder in made:
+                with suppress(OSError):
+                    folder.rmdir()
+        raise
+    if replaced:
+        shutil.rmtree(aside)
+
+
+@contextmanager
+def added_results(path: Path) -> Iterator[Path]:
+    """Yield an empty folder whose files go into the folder `path` when all are written, `result.json` last."""
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
+        new = Path(temporary) / "new"
+        new.mkdir()
+        yield new
+        (path / RESULT).unlink(missing_ok=True)
+        last = new / RESULT
+        last.replace(Path(temporary) / RESULT)
+        shutil.copytree(new, path, dirs_exist_ok=True)
+        (Path(temporary) / RESULT).replace(path / RESULT)
 
 
 def _make_parents(path: Path) -> list[Path]:

@@ -18,11 +18,17 @@ class FitProgress:
 
     The first Ctrl-C asks the fit to end with the values that it has; the second one ends the command.
 
+    Args:
+        n_sets: parameter sets that are fitted.
+        max_iterations: of a stage.
+        polite: whether the first Ctrl-C is taken here; not where the fit itself takes it.
+
     Attributes:
         stopped: whether the user asked the fit to end.
     """
 
-    def __init__(self, n_sets: int, max_iterations: int) -> None:
+    def __init__(self, n_sets: int, max_iterations: int, *, polite: bool = True) -> None:
+        self._polite = polite
         self.n_sets, self.max_iterations, self.stopped = n_sets, max_iterations, False
         console = err()
         columns = (TextColumn("{task.description}"), BarColumn(24), TextColumn("{task.fields[left]}"))
@@ -33,7 +39,7 @@ class FitProgress:
 
     def __enter__(self) -> "FitProgress":
         self._bar.start()
-        if threading.current_thread() is threading.main_thread():
+        if self._polite and threading.current_thread() is threading.main_thread():
             self._before = signal.signal(signal.SIGINT, self._interrupt)
         return self
 

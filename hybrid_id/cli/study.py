@@ -53,7 +53,7 @@ def write_study(
         if config.output.tensorboard:
             from hybrid_id.reporting.events import write_study_events
 
-            write_study_events(folder / "tensorboard", study, figures)
+            write_study_events(folder / "tensorboard", study, figures, curves=command != "train")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")
     return text
 

@@ -1,8 +1,129 @@
-"""`train`: the same objective by the adjoint method."""
+"""`train`: the objective of `identify`, minimised by the adjoint method."""
 
-from hybrid_id.cli.options import SourceArgument
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hybrid_id.cli.console import remark
+from hybrid_id.cli.folder import CHECKPOINT, added_results, live_folder, refuse_taken, required
+from hybrid_id.cli.inputs import checked_records
+from hybrid_id.cli.options import (
+    DeviceOption,
+    ForceOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    SeedOption,
+    SourceArgument,
+    ThreadsOption,
+    use_device,
+    use_threads,
+)
+from hybrid_id.config import StudyConfig, study_config
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.identification.result import FitResult
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.systems.chain import System
 
 
-def train(source: SourceArgument) -> None:
-    """Train through the differential equation by the adjoint method."""
-    raise NotImplementedError
+def train(
+    source: SourceArgument,
+    model: ModelOption = None,
+    out: OutOption = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the unfinished training in the folder of results.")
+    ] = False,
+    pooled: Annotated[
+        bool | None,
+        typer.Option("--pooled/--per-record", help="One parameter set over all records, or one a record."),
+    ] = None,
+    seed: SeedOption = None,
+    device: DeviceOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+    threads: ThreadsOption = 1,
+) -> None:
+    """Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.
+
+    While it runs, `tensorboard --logdir DIR` shows its course. Ctrl-C ends it with what it has; --resume goes on.
+    """
+    config = study_config(
+        source,
+        {
+            "model": None if model is None else str(model),
+            "output.folder": None if out is None else str(out),
+            "identification.pooled": pooled,
+            "identification.seed": seed,
+            "identification.device": device,
+        },
+    )
+    home = required(config.output.folder)
+    saved = home / CHECKPOINT
+    if resume and not saved.exists():
+        raise InputError(f"{home} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
+    refuse_taken(home, force=force or resume)
+    dataset = checked_records(config.dataset, config.preprocessing)
+    use_threads(threads)
+    from hybrid_id.systems.model_file import load_model
+
+    system = load_model(config.model)
+    use_device(config.identification.device)
+    from hybrid_id.cli.study import show_study, write_study
+    from hybrid_id.study import assess
+
+    wish = config.identification
+    with live_folder(home, force=force, resume=resume):
+        config.save(home / "config.yaml")
+        sets = _run(dataset, system, config, home, resume=resume)
+        share = config.preprocessing.signal_share
+        study = assess(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
+        with added_results(home) as folder:
+            text = write_study(folder, home, "train", config, dataset, study)
+    show_study(study, config, home, text, as_json=as_json)
+    if any(result.status == "interrupted" for result in sets):
+        remark(f"stopped by Ctrl-C; 'hybrid-id train {source} --out {home} --resume' goes on from here")
+        raise typer.Exit(130)
+
+
+def _run(
+    dataset: "Dataset", system: "System", config: StudyConfig, folder: Path, *, resume: bool
+) -> "list[FitResult]":
+    """Train as the config says, with checkpoints and TensorBoard events in the folder."""
+    from hybrid_id.cli.progress import FitProgress
+    from hybrid_id.identification.adjoint import TrainOptions
+    from hybrid_id.identification.adjoint import train as train_all
+    from hybrid_id.identification.objective import Loss
+    from hybrid_id.simulation.prepare import make_batch
+    from hybrid_id.simulation.solvers import OdeEngine
+
+    wish, how = config.identification, config.training
+    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    train_batch, test_batch = (
+        make_batch(system, records, noise_std=noise, signal_share=config.preprocessing.signal_share).to(
+            wish.device
+        )
+        if records
+        else None
+        for records in (dataset.train, dataset.test)
+    )
+    engine = OdeEngine(
+        substeps=how.substeps, width=how.width, fine=how.fine, method=how.method, gradient=how.gradient
+    )
+    options = TrainOptions(
+        windows=tuple(how.windows),
+        max_iterations=how.max_iterations,
+        tolerance=how.tolerance,
+        loss=Loss(wish.loss, wish.threshold),
+        validate_every=how.validate_every,
+    )
+    if train_batch is None:
+        raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'")
+    saved = folder / CHECKPOINT
+    with FitProgress(1 if wish.pooled else len(dataset.train), how.max_iterations, polite=False) as progress:
+        return train_all(
+            system.to(wish.device), train_batch, pooled=wish.pooled, engine=engine, options=options,
+            validation=test_batch, checkpoint=saved, resume=saved if resume else None, progress=progress,
+        )  # fmt: skip
