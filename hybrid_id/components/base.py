@@ -196,6 +196,11 @@ class Inertia(Component):
         raise NotImplementedError
 
 
+    def total(self, p: SimpleNamespace, gear_ratio: float) -> Tensor:
+        """Both, seen at the motor through a rigid gear [kg m^2]."""
+        return self.rotor(p, gear_ratio) + self.link(p, gear_ratio) / gear_ratio**2
+
+
 class LoadTorque(Component):
     """Place ``load``: a torque at the link that opposes the motor, from the link's motion."""
 

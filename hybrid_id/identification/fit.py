@@ -80,14 +80,19 @@ def fit(
 
     engine = with_substeps(system, engine, many, theta[:, many_sets])
     if warm:
-        theta = warm_start(system, engine, many, many_sets, theta, free, bounds, options, report("windows"))
+        # a smooth law is close to its dry limit, whose steps cost a fraction
+        quick = engine if engine.friction == "dry" else with_substeps(system, Engine(), many, theta[:, many_sets])
+        theta = warm_start(system, quick, many, many_sets, theta, free, bounds, options, report("windows"))
         engine = with_substeps(system, engine, many, theta[:, many_sets])
+    nodes = None
     for _ in range(3):
-        outcome = minimise(system, engine, many, many_sets, theta, free, bounds, options, report("records"))
+        outcome = minimise(
+            system, engine, many, many_sets, theta, free, bounds, options, report("records"), nodes
+        )
         finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
         if finer.substeps == engine.substeps or "interrupted" in outcome.status:
             break
-        engine, theta = finer, outcome.theta
+        engine, theta, nodes = finer, outcome.theta, outcome.at.x
     cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
     best = cost.reshape(starts, count).argmin(0) * count + torch.arange(count, device=device)
     return [

@@ -46,7 +46,7 @@ class Options:
 
     max_iterations: int = 60
     tolerance: float = 0.01
-    chunk: int = 16
+    chunk: int = 8
     damping: float = 1e-3
     reach: float = 0.5
     loss: Loss = field(default_factory=Loss)
@@ -115,6 +115,7 @@ def minimise(
     bounds: Bounds,
     options: Options | None = None,
     progress: Callable[[int, Tensor, Tensor], bool | None] | None = None,
+    nodes: Tensor | None = None,
 ) -> Outcome:
     """Fit the free parameters of every set to its rows.
 
@@ -128,6 +129,7 @@ def minimise(
         bounds: box and priors of the free parameters.
         options: settings.
         progress: called after each iteration with (iteration, cost of each set, still running); true ends the fit.
+        nodes: states to start from, ``(R, T, n_x)`` (default: the batch's guess).
     """
     options = options or Options()
     count = theta.shape[1]
@@ -143,7 +145,7 @@ def minimise(
     def at(part: Batch, nodes: Tensor, point: Tensor) -> Evaluation:
         return evaluate(system, engine, part, nodes, point, free, loss=options.loss, chunk=options.chunk)
 
-    best = at(batch, batch.x, theta[:, sets])
+    best = at(batch, batch.x if nodes is None else nodes, theta[:, sets])
     cost = set_cost(best, sets, theta, count)
     data = (batch.weight > 0).sum((1, 2)).to(cost.dtype)
     data = data.new_zeros(count).index_add(0, sets, data).clamp_min(1.0)
@@ -197,11 +199,11 @@ def minimise(
         move = torch.cat([first, shift[group], first.new_ones(len(rows), 1)], 1)
         trial = here.clone()
         trial[free_index] = torch.maximum(torch.minimum(values + shift, bounds.upper), bounds.lower).T
-        nodes = part.x + (part.chain @ move[:, None, :, None])[..., 0]
+        moved = part.x + (part.chain @ move[:, None, :, None])[..., 0]
         again = retries[running] > 0
         trial[:, again] = pending[:, running[again]]
-        nodes = torch.where(again[group, None, None], pending_x[rows], nodes)
-        new = at(batch.take(rows), nodes, trial[:, group])
+        moved = torch.where(again[group, None, None], pending_x[rows], moved)
+        new = at(batch.take(rows), moved, trial[:, group])
         new_cost = set_cost(new, group, trial, running.numel())
         gained = cost[running] - new_cost
         accepted = torch.isfinite(new_cost) & ((gained >= -1e-9 * cost[running]) | closing[running])

@@ -196,12 +196,11 @@ class System(nn.Module):
             width: smoothing speed [rad/s] of the side where the friction acts.
         """
         speeds = [x[row] for row in self.speed_rows]
-        magnitudes, forwards = [v.abs() for v in speeds], [(v > 0).to(v.dtype) for v in speeds]
         signs = [torch.tanh(v / width) for v in speeds] if directions is None else list(directions)
-        if directions is not None:
-            for i, (v, sign) in enumerate(zip(speeds, signs, strict=True)):
-                if sign is not None:
-                    magnitudes[i], forwards[i] = (sign * v).clamp_min(0.0), (sign > 0).to(v.dtype)
+        loose = [directions is None or sign is None for sign in signs]
+        each = list(zip(speeds, signs, loose, strict=True))
+        magnitudes = [v.abs() if free else (sign * v).clamp_min(0.0) for v, sign, free in each]
+        forwards = [((v if free else sign) > 0).to(v.dtype) for v, sign, free in each]
         rates = [torch.zeros_like(x[0])] * len(x)
         for row, sign, balance in zip(
             self.speed_rows, signs, self.balances(x, u, p, magnitudes, forwards), strict=True

@@ -143,8 +143,9 @@ class Joint:
     def dry_level(self, place: str, p: Views, magnitude: Tensor, forward: Tensor) -> Tensor:
         """Sum of the dry levels of a place, ``(B,)``; under a bristle a trace above 0, which it divides by."""
         terms = [law.dry(p[key], magnitude, forward) for key, law in self.frictions[place]]
-        trace = torch.full_like(magnitude, 1e-12 if place in self.bristles else 0.0)
-        return sum((t for t in terms if t is not None), trace)
+        if place in self.bristles:
+            terms.append(torch.full_like(magnitude, 1e-12))
+        return _sum(terms, magnitude)
 
     def friction(
         self, place: str, x: Sequence[Tensor], p: Views, speed: Tensor, magnitude: Tensor, forward: Tensor
@@ -152,12 +153,12 @@ class Joint:
         """Smooth torque (bristles included) and dry level of a place at a speed of that side, ``(B,)`` each."""
         laws = self.frictions[place]
         terms = [law.smooth(p[key], speed) for key, law in laws]
-        smooth = sum((t for t in terms if t is not None), torch.zeros_like(speed))
         level = self.dry_level(place, p, magnitude, forward)
         if place in self.bristles:
             key, law, row = self.bristles[place]
-            return smooth + law.torque(p[key], x[row], speed, level), torch.zeros_like(speed)
-        return smooth, level
+            terms.append(law.torque(p[key], x[row], speed, level))
+            level = speed.new_zeros(1)
+        return _sum(terms, speed), level
 
     def balances(
         self,
@@ -184,18 +185,19 @@ class Joint:
         factors = [f for f in factors if f is not None]
         factor = sum(factors[1:], factors[0]) if factors else None
         key, inertia = self.inertia
-        rotor, link = inertia.rotor(p[key], r), inertia.link(p[key], r)
         if self.rigid:
-            link_smooth, link_level = self.friction(
-                "link_friction", x, p, v / r, magnitudes[0] / r, forwards[0]
-            )
-            load = (link_smooth + self.load_torque(q / r, v / r, p)) / r
-            total = rotor + link / r**2
-            return [
-                SpeedBalance(
-                    total, drive - load, motor_level + link_level / r, factor, link / r**2 / total, load
+            total, level, load = inertia.total(p[key], r), motor_level, v.new_zeros(1)
+            if self.frictions["link_friction"] or self.loads:
+                link_smooth, link_level = self.friction(
+                    "link_friction", x, p, v / r, magnitudes[0] / r, forwards[0]
                 )
-            ]
+                load = (link_smooth + self.load_torque(q / r, v / r, p)) / r
+                drive, level = drive - load, level + link_level / r
+            if factor is None:
+                return [SpeedBalance(total, drive, level)]
+            share = inertia.link(p[key], r) / r**2 / total
+            return [SpeedBalance(total, drive, level, factor, share, load)]
+        rotor, link = inertia.rotor(p[key], r), inertia.link(p[key], r)
         qa, va = x[self.positions[1]], x[self.positions[1] + 1]
         spring_key, spring = self.transmission
         torque = spring.torque(p[spring_key], q / r - qa, v / r - va)
@@ -209,7 +211,7 @@ class Joint:
 
     def load_torque(self, angle: Tensor, speed: Tensor, p: Views) -> Tensor:
         """Torque of the load at the link, ``(B,)``."""
-        return sum((part.torque(p[key], angle, speed) for key, part in self.loads), torch.zeros_like(angle))
+        return _sum([part.torque(p[key], angle, speed) for key, part in self.loads], angle)
 
     def output(self, channel: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """A measured output by channel name (``q_m``, ``v_m``, ``q_a``, ``v_a``, ``i``, ``tau``), ``(B,)``."""
@@ -235,3 +237,9 @@ class Joint:
             if sensor.channel == channel:
                 value = sensor.read(p[key], value)
         return value
+
+
+def _sum(terms: Sequence[Tensor | None], like: Tensor) -> Tensor:
+    """Sum of the terms that are there; a single zero, which costs nothing to add, where there is none."""
+    found = [t for t in terms if t is not None]
+    return sum(found[1:], found[0]) if found else like.new_zeros(1)

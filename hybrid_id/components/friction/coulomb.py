@@ -16,4 +16,4 @@ class Coulomb(Friction):
     F_c = Parameter(0.01, upper=1e6, unit="N m", doc="Coulomb level")
 
     def dry(self, p, magnitude, forward):
-        return p.F_c + 0.0 * magnitude
+        return p.F_c

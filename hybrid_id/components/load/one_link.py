@@ -24,6 +24,9 @@ class OneLink(Inertia):
     def link(self, p, gear_ratio):
         return (1.0 - p.rotor_share) * p.J * gear_ratio**2
 
+    def total(self, p, gear_ratio):
+        return p.J
+
 
 class TwoInertias(Inertia):
     """Rotor and link as two inertias (paper, eq. 5): J_mg at the motor, J_a at the link.
