@@ -38,18 +38,19 @@ def main() -> None:
         call, options = request["call"], request.get("options", {})
         part = problem.head(request.get("records", problem.n_records))
         try:
-            begin = time.perf_counter()
+            begin, cpu_begin = time.perf_counter(), time.process_time()
             if call == "prepare":
                 solve = module.prepare(part, **options)
                 answer({"seconds": time.perf_counter() - begin})
             elif call == "solve":
                 estimate = solve(part)
-                seconds = time.perf_counter() - begin
+                seconds, cpu_seconds = time.perf_counter() - begin, time.process_time() - cpu_begin
                 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
                 score = reference.score(part, estimate)
                 answer(
                     {
                         "seconds": seconds,
+                        "cpu_seconds": cpu_seconds,
                         "peak_megabytes": peak,
                         "cost_ratio": float(score.cost_ratio.max()),
                         "z": float(abs(score.z).max()),
