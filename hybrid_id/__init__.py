@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from hybrid_id.comparison import compare as compare
-    from hybrid_id.comparison import replay as replay
     from hybrid_id.components import AsymmetricStribeck as AsymmetricStribeck
     from hybrid_id.components import Component as Component
     from hybrid_id.components import Coulomb as Coulomb
@@ -38,8 +36,10 @@ if TYPE_CHECKING:
     from hybrid_id.simulation.step import Engine as Engine
     from hybrid_id.study import Study as Study
     from hybrid_id.study import assess as assess
+    from hybrid_id.study import compare as compare
     from hybrid_id.study import identify as identify
     from hybrid_id.study import preflight as preflight
+    from hybrid_id.study import replay as replay
     from hybrid_id.systems.arms import one_link as one_link
     from hybrid_id.systems.arms import one_link_flexible as one_link_flexible
     from hybrid_id.systems.chain import System as System
@@ -51,7 +51,6 @@ _MODULES = {
     "hybrid_id.components": (
         "AsymmetricStribeck Component Coulomb Dahl DCMotor LinearSpring LoadDependent LuGre Rigid Stribeck Viscous"
     ),
-    "hybrid_id.comparison": "compare replay",
     "hybrid_id.errors": "InputError",
     "hybrid_id.identification.adjoint": "train",
     "hybrid_id.identification.fit": "fit",
@@ -64,7 +63,7 @@ _MODULES = {
     "hybrid_id.simulation.prepare": "make_batch",
     "hybrid_id.simulation.rollout": "simulate",
     "hybrid_id.simulation.step": "Engine",
-    "hybrid_id.study": "Study assess identify preflight",
+    "hybrid_id.study": "Study assess compare identify preflight replay",
     "hybrid_id.systems.arms": "one_link one_link_flexible",
     "hybrid_id.systems.chain": "System",
     "hybrid_id.systems.model_file": "load_model save_model",

@@ -31,7 +31,6 @@ FLOORS = {
     "control": 4,
     "statistics": 5,
     "study": 6,
-    "comparison": 6,
     "gap": 7,
     "reporting": 8,
     "blind": 8,

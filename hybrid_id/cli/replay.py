@@ -21,8 +21,8 @@ from hybrid_id.config import beside
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
-    from hybrid_id.comparison import Comparison
     from hybrid_id.records.dataset import Dataset
+    from hybrid_id.study import Comparison
 
 Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.", show_default=False)]
 
@@ -65,9 +65,9 @@ def _replay(
         raise InputError(f"model {twice} is given twice; give every model once")
     dataset = load_records(path)
     use_threads(threads)
-    from hybrid_id.comparison import compare as side_by_side
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.results import comparison_result
+    from hybrid_id.study import compare as side_by_side
     from hybrid_id.systems.model_file import load_model
 
     comparison = side_by_side(dataset, {str(model): load_model(model) for model in models})

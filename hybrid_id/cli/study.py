@@ -60,10 +60,10 @@ def write_study(
 
 def study_figures(dataset: "Dataset", study: "Study", reach: float) -> dict[str, Any]:
     """Every picture of a study by the name of its file."""
-    from hybrid_id.comparison import replay
     from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure
     from hybrid_id.reporting.record_plots import fit_figure
     from hybrid_id.statistics.residuals import whiteness
+    from hybrid_id.study import replay
 
     chosen = study.selected
     figures = {

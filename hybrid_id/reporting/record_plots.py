@@ -8,11 +8,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hybrid_id.comparison import Comparison, Replay
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.excitation import Multisine
 from hybrid_id.records.units import stem
 from hybrid_id.reporting.style import COLOURS, DASHES, GREY, journal, label, new_figure, pad
+from hybrid_id.study import Comparison, Replay
 
 MAX_INPUTS = 3
 

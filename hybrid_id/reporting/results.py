@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
-from hybrid_id.comparison import Comparison, Replay
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
-from hybrid_id.study import Study
+from hybrid_id.study import Comparison, Replay, Study
 from hybrid_id.systems.model_file import save_model
 
 RESULT = "result.json"
@@ -54,6 +53,16 @@ def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
             t.name: {"grade": t.grade, "std_error": t.std_error, "reason": t.reason} for t in study.trust
         },
         "identifiability": identifiability_result(study.identifiability),
+        "combinations": {
+            name: {
+                "values": study.combinations.values[:, k],
+                "std_error": study.combinations.std_error[:, k],
+                "percent": None
+                if study.combinations.variation is None
+                else study.combinations.variation.percent[k],
+            }
+            for k, name in enumerate(study.combinations.names)
+        },
         "cross_validation": {
             "sets": study.cross_validation.set_names,
             "records": study.cross_validation.record_names,

@@ -9,11 +9,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.comparison import Comparison
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
-from hybrid_id.study import Study
+from hybrid_id.study import Comparison, Study
 
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": "dim"}
 _GRADES = (
@@ -99,7 +98,26 @@ def study_table(study: Study, reach: float, level: float) -> RenderableType:
                 spread.stylize("red")
             row += [f"{study.variation.mean[k]:.5g}", spread]
         table.add_row(*row, Text(trust.grade, style=_GRADE[trust.grade]))
-    return Group(table, *(Text(line) for line in _remarks(study)))
+    combined = [] if study.identifiability.claimable.all() else [_combinations_table(study, reach, level)]
+    return Group(table, *combined, *(Text(line) for line in _remarks(study)))
+
+
+def _combinations_table(study: Study, reach: float, level: float) -> Table:
+    """The functions of parameters that do have an interval where parameters alone have none, two a row."""
+    told, index = study.combinations, study.selection.index
+    heads = ["what is identified", "value>", f"± ({100 * level:g} %)>"]
+    heads += [] if told.variation is None else ["std/mean>"]
+    rows = []
+    for k, name in enumerate(told.names):
+        if name in study.names:
+            continue
+        row = [name, f"{told.values[index, k]:.5g}", f"{reach * told.std_error[index, k]:.2g}"]
+        rows.append(row if told.variation is None else [*row, f"{told.variation.percent[k]:.2f} %"])
+    half = (len(rows) + 1) // 2
+    table = _table(*heads, *(f" {head}" for head in heads))
+    for k in range(half):
+        table.add_row(*rows[k], *(rows[half + k] if half + k < len(rows) else ()))
+    return table
 
 
 def _remarks(study: Study) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,11 +102,3 @@ def compare(dataset: Dataset, models: Mapping[str, System], *, engine: Engine | 
     if not models:
         raise InputError("there is no model to compare; give at least one")
     return Comparison({label: replay(dataset, system, engine=engine) for label, system in models.items()})
-
-
-def labels_of(names: Sequence[str]) -> list[str]:
-    """Names made unique by numbers: ``a, a`` becomes ``a, a (2)``."""
-    return [
-        name if name not in names[:k] else f"{name} ({1 + names[:k].count(name)})"
-        for k, name in enumerate(names)
-    ]

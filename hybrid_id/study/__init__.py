@@ -1,0 +1,18 @@
+"""The main job: from records and a model to parameter sets with their statistics, and models side by side."""
+
+from hybrid_id.study.comparison import Comparison, Replay, compare, replay
+from hybrid_id.study.identifiable import preflight
+from hybrid_id.study.result import Combinations, Study
+from hybrid_id.study.run import assess, identify
+
+__all__ = [
+    "Combinations",
+    "Comparison",
+    "Replay",
+    "Study",
+    "assess",
+    "compare",
+    "identify",
+    "preflight",
+    "replay",
+]

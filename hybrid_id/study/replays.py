@@ -1,0 +1,87 @@
+"""Simulations that a study is judged by: every set on every record, test records, halved steps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from hybrid_id.identification.result import FitResult
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.rollout import halved, simulate
+from hybrid_id.statistics.cross_validation import CrossValidation, cross_validation
+from hybrid_id.statistics.fit import fit_percent, nrmse
+from hybrid_id.systems.chain import System
+
+LANES = 400_000
+"""Samples that are simulated at once."""
+
+
+def batch_of(
+    dataset: Dataset, system: System, records: Sequence[Record], signal_share: float, device: str
+) -> Batch:
+    """Records of a dataset prepared with the noise that it declares."""
+    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    return make_batch(system, records, noise_std=noise, signal_share=signal_share).to(device)
+
+
+def cross_validate(sets: Sequence[FitResult], batch: Batch, *, pooled: bool) -> CrossValidation:
+    """Fit % of every set on every row of a batch: measured outputs, and speeds against smoothed derivatives."""
+    system, engine = sets[0].system, max((r.engine for r in sets), key=lambda e: e.substeps)
+    speeds = [joint.positions[0] + 1 for joint in system.joints if f"v_m{joint.number}" not in batch.outputs]
+    signals = (*batch.outputs, *(system.state_names[row] for row in speeds))
+    theta = torch.stack([r.system.theta().detach() for r in sets], 1).to(batch.x.device)
+    share = max(1, LANES // (batch.rows * batch.x.shape[1]))
+    fits = np.empty((len(sets), batch.rows, len(signals)))
+    for first in range(0, len(sets), share):
+        some = torch.arange(first, min(first + share, len(sets)))
+        rows = torch.arange(batch.rows).repeat(len(some)).to(batch.x.device)
+        run = simulate(system, engine, batch.take(rows), theta[:, some.repeat_interleave(batch.rows)])
+        simulated = torch.cat([run.y, run.x[..., speeds]], -1).cpu().numpy()
+        for k, i in enumerate(some.tolist()):
+            fits[i] = _fits(batch, simulated[k * batch.rows : (k + 1) * batch.rows], speeds)
+    own = [-1] * len(sets) if pooled else list(range(len(sets)))
+    labels = ["pooled"] if pooled else [r.records[0] for r in sets]
+    return cross_validation(
+        fits, set_names=labels, record_names=batch.names, signal_names=signals, own_record=own
+    )
+
+
+def _fits(batch: Batch, simulated: np.ndarray, speeds: Sequence[int]) -> np.ndarray:
+    measured = torch.cat([batch.y, batch.x[..., list(speeds)]], -1).cpu().numpy()
+    fits = np.empty((len(measured), measured.shape[-1]))
+    for row, valid in enumerate((batch.weight > 0).any(2).cpu().numpy()):
+        for column in range(measured.shape[-1]):
+            fits[row, column] = fit_percent(measured[row, valid, column], simulated[row, valid, column])
+    return fits
+
+
+def engine_error(result: FitResult, batch: Batch, std_error: np.ndarray) -> float:
+    """Change of the estimates when the step is halved, in standard errors, at most (linearised at the estimate)."""
+    rows = torch.tensor([batch.names.index(name) for name in result.records])
+    part = batch.take(rows)
+    runs = [simulate(result.system, engine, part).y for engine in (result.engine, halved(result.engine))]
+    change = ((runs[1] - runs[0]) * part.weight).cpu().numpy()
+    change = np.concatenate([c[: len(r)].reshape(-1) for c, r in zip(change, result.residual, strict=True)])
+    jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])
+    if not np.all(np.isfinite(change)):
+        return float("inf")
+    size = np.where(np.isfinite(std_error), std_error, 0.0)
+    step = np.linalg.lstsq(jacobian * size, change, rcond=1e-9)[0]
+    return float(np.max(np.abs(step), initial=0.0))
+
+
+def test_nrmse(dataset: Dataset, result: FitResult, signal_share: float) -> dict[str, float]:
+    """Normalised RMSE of a set on each test record, by name, outputs averaged; empty without test records."""
+    if not dataset.test:
+        return {}
+    batch = batch_of(dataset, result.system, dataset.test, signal_share, "cpu")
+    y, measured = simulate(result.system, result.engine, batch).y.numpy(), batch.y.numpy()
+    valid = (batch.weight > 0).any(2).numpy()
+    return {
+        name: float(np.mean([nrmse(measured[r, valid[r], c], y[r, valid[r], c]) for c in range(y.shape[-1])]))
+        for r, name in enumerate(batch.names)
+    }

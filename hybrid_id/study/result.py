@@ -1,0 +1,126 @@
+"""What a study ends with: parameter sets, how far to trust them, and which one to use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.identification.result import FitResult
+from hybrid_id.statistics.cross_validation import CrossValidation
+from hybrid_id.statistics.identifiability import Identifiability
+from hybrid_id.statistics.selection import Selection
+from hybrid_id.statistics.trust import Trust
+from hybrid_id.statistics.uncertainty import Covariance
+from hybrid_id.statistics.variation import Variation, variation
+from hybrid_id.systems.chain import System
+
+
+@dataclass(frozen=True, eq=False)
+class Combinations:
+    """What the records do identify where parameters alone are not: functions of the parameters, c of them.
+
+    Attributes:
+        names: each as people write it, ``J/P_m1``.
+        values: of every set, ``(n_sets, c)``.
+        std_error: of every set, the larger of plain and robust, ``(n_sets, c)``.
+        variation: over the experiments; None with fewer than two sets.
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    std_error: np.ndarray
+    variation: Variation | None
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """Result of :func:`identify`.
+
+    Attributes:
+        system: the model that the study started from.
+        sets: one fit a record, or one over all.
+        pooled: whether it is one over all.
+        variation: std/mean of each parameter over the experiments; None with fewer than two sets.
+        covariances: plain covariance of each set.
+        robust: autocorrelation-robust covariance of each set.
+        identifiability: what the records of the selected set tell.
+        trust: grade of each parameter.
+        cross_validation: fit % of every set on every record, measured signals and speeds.
+        selection: the set to use.
+        test_nrmse: normalised RMSE of the selected set on each test record, by name; empty without test records.
+        engine_error: largest change of an estimate in standard errors when the step is halved.
+    """
+
+    system: System
+    sets: tuple[FitResult, ...]
+    pooled: bool
+    variation: Variation | None
+    covariances: tuple[Covariance, ...]
+    robust: tuple[Covariance, ...]
+    identifiability: Identifiability
+    trust: tuple[Trust, ...]
+    cross_validation: CrossValidation
+    selection: Selection
+    test_nrmse: dict[str, float]
+    engine_error: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the estimated parameters."""
+        return self.sets[0].names
+
+    @property
+    def values(self) -> np.ndarray:
+        """Estimates, ``(n_sets, n_parameters)``."""
+        return np.array([result.values for result in self.sets])
+
+    @property
+    def selected(self) -> FitResult:
+        """The selected set."""
+        return self.sets[self.selection.index]
+
+    @property
+    def selected_model(self) -> System:
+        """The system with the selected set's values."""
+        return self.selected.system
+
+    def standard_errors(self, index: int) -> np.ndarray:
+        """Standard errors of a set: the larger of plain and robust; inf where no interval may be claimed."""
+        larger = np.maximum(self.covariances[index].std_error, self.robust[index].std_error)
+        return np.where(self.identifiability.claimable, larger, np.inf)
+
+    @property
+    def combinations(self) -> Combinations:
+        """The identifiable combinations of the selected set's records, for every set."""
+        told = self.identifiability.combinations
+        errors = np.array(
+            [
+                [max(c.std_error(r.values, cov.matrix) for cov in pair) for c in told]
+                for r, *pair in zip(self.sets, self.covariances, self.robust, strict=True)
+            ]
+        )
+        values = np.stack([c.evaluate(self.values) for c in told], 1)
+        names = tuple(c.text for c in told)
+        return Combinations(names, values, errors, variation(values, names) if len(self.sets) > 1 else None)
+
+    def summary(self) -> str:
+        """The study in a page: parameters with intervals and grades, variation, cross-validation, selection."""
+        index = self.selection.index
+        errors, grades = self.standard_errors(index), {t.name: t for t in self.trust}
+        lines = [f"{'pooled' if self.pooled else 'selected'} set: {self.selected.summary().splitlines()[0]}"]
+        width = max(map(len, self.names))
+        rows = zip(self.names, self.selected.values, errors, self.selected.units, strict=True)
+        for k, (name, value, error, unit) in enumerate(rows):
+            reach = f"± {1.96 * error:.2g}" if np.isfinite(error) else "(no interval)"
+            spread = "" if self.variation is None else f"  std/mean {self.variation.percent[k]:.2f} %"
+            lines.append(
+                f"  {name:<{width}}  {value:11.5g} {reach:>14} {unit:<10}{spread}  trust {grades[name].grade}"
+            )
+        lines.append(self.identifiability.summary())
+        lines.append(self.selection.summary())
+        if self.test_nrmse:
+            mean = float(np.mean(list(self.test_nrmse.values())))
+            lines.append(f"normalised RMSE on {len(self.test_nrmse)} test records: {mean:.4g}")
+        lines.append(f"integration error (step halved): {self.engine_error:.2g} standard errors at most")
+        return "\n".join(lines)

@@ -1,0 +1,149 @@
+"""The main job in one call: records and a model in, parameter sets with their statistics out (paper, III)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import Progress, fit
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.result import FitResult
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
+from hybrid_id.simulation.step import Engine
+from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap
+from hybrid_id.statistics.selection import select
+from hybrid_id.statistics.trust import trust_grades
+from hybrid_id.statistics.uncertainty import Covariance, covariance, robust_covariance
+from hybrid_id.statistics.variation import mean_interval, variation
+from hybrid_id.study.identifiable import told_by
+from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_nrmse
+from hybrid_id.study.result import Study
+from hybrid_id.systems.chain import System
+
+
+def identify(
+    dataset: Dataset,
+    system: System,
+    *,
+    pooled: bool = False,
+    engine: Engine | None = None,
+    options: Options | None = None,
+    starts: int = 1,
+    seed: int = 0,
+    device: str = "cpu",
+    signal_share: float = SIGNAL_SHARE,
+    progress: Progress | None = None,
+) -> Study:
+    """Identify one parameter set for each train record, or one over all, with the paper's statistics.
+
+    Args:
+        dataset: train records are fitted, test records only scored.
+        system: model with start values, bounds and priors.
+        pooled: one set over all train records.
+        engine: how a sample is integrated (default: dry friction by projection).
+        options: settings of the fit (loss, iterations ...).
+        starts: start points; the best end counts.
+        seed: of start points and bootstrap.
+        device: torch device.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        progress: see :func:`hybrid_id.identification.fit.fit`.
+
+    Raises:
+        InputError: no train record, missing channels, nothing to estimate, or every fit diverged.
+    """
+    if not dataset.train:
+        raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
+    batch = batch_of(dataset, system, dataset.train, signal_share, device)
+    model = system.to(device)
+    sets = fit(
+        model,
+        batch,
+        pooled=pooled,
+        engine=engine,
+        options=options,
+        starts=starts,
+        seed=seed,
+        progress=progress,
+    )
+    return assess(dataset, system, sets, pooled=pooled, batch=batch, seed=seed, signal_share=signal_share)
+
+
+def assess(
+    dataset: Dataset,
+    system: System,
+    sets: Sequence[FitResult],
+    *,
+    pooled: bool,
+    batch: Batch | None = None,
+    seed: int = 0,
+    signal_share: float = SIGNAL_SHARE,
+) -> Study:
+    """The statistics of parameter sets, however they were found; arguments as in :func:`identify`."""
+    if all(result.status == "diverged" for result in sets):
+        raise InputError(
+            f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values."
+        )
+    batch = batch_of(dataset, system, dataset.train, signal_share, "cpu") if batch is None else batch
+    plain = tuple(covariance(r.jacobian, r.residual, prior_information=r.prior_precision) for r in sets)
+    robust = tuple(
+        robust_covariance(r.jacobian, r.residual, prior_information=r.prior_precision) for r in sets
+    )
+    matrix = cross_validate(sets, batch, pooled=pooled)
+    selection = select(matrix)
+    chosen = sets[selection.index]
+    finite = np.isfinite(plain[selection.index].std_error)
+    ratios = robust[selection.index].std_error[finite] / plain[selection.index].std_error[finite]
+    told = told_by(chosen, inflation=max(float(np.median(ratios, axis=None)) if finite.any() else 1.0, 1.0))
+    values = np.array([r.values for r in sets])
+    names = sets[0].names
+    errors = _standard_errors(sets, plain, robust, pooled, seed)
+    held = [n for n, share in zip(names, told.prior_share, strict=True) if share > 0.5]
+    trust = trust_grades(
+        names,
+        values.mean(0),
+        errors,
+        not_identifiable=told.not_claimable,
+        at_bound=chosen.at_bound,
+        held=held,
+    )
+    test = test_nrmse(dataset, chosen, signal_share)
+    spread = variation(values, names, held=held) if len(sets) > 1 else None
+    return Study(
+        system, tuple(sets), pooled, spread, plain, robust, told, trust, matrix, selection, test,
+        engine_error(chosen, batch, plain[selection.index].std_error),
+    )  # fmt: skip
+
+
+def _standard_errors(
+    sets: Sequence[FitResult],
+    plain: Sequence[Covariance],
+    robust: Sequence[Covariance],
+    pooled: bool,
+    seed: int,
+) -> dict[str, np.ndarray]:
+    """Standard errors of the study's estimate (the pooled set, or the mean over the experiments), in several ways."""
+    if not pooled:
+        count = len(sets)
+        mean = {
+            way: np.sqrt(np.mean([c.std_error**2 for c in ways], 0) / count)
+            for way, ways in (("plain", plain), ("robust", robust))
+        }
+        if count < 2:
+            return mean
+        return mean | {"between records": mean_interval(np.array([r.values for r in sets])).std_error}
+    result = sets[0]
+    scale = result.noise_scale
+    jacobian, residual = [j / scale for j in result.jacobian], [r / scale for r in result.residual]
+    errors = {"plain": plain[0].std_error, "robust": robust[0].std_error}
+    ways: dict[str, Literal["auto", "record"]] = {"block bootstrap": "auto"}
+    ways |= {"record bootstrap": "record"} if len(residual) > 4 else {}
+    for way, block in ways.items():
+        blocks = block_contributions(jacobian, residual, block=block)
+        errors[way] = one_step_bootstrap(
+            result.values, blocks, prior_information=result.prior_precision, seed=seed
+        ).std_error
+    return errors
