@@ -65,6 +65,11 @@ class Component(nn.Module):
             self.register_parameter(name, nn.Parameter(torch.tensor(spec.value, dtype=torch.float64)))
         self.register_load_state_dict_post_hook(_adopt_loaded)
 
+    @classmethod
+    def family(cls) -> type[Component]:
+        """The base class of which a place holds exactly one, or the class itself."""
+        return [base for base in cls.__mro__ if getattr(base, "single", False) or base is cls][-1]
+
     def view(self) -> SimpleNamespace:
         """The stored values as a view, each shaped ``(1,)``; gradients flow to the torch parameters."""
         return SimpleNamespace(**{name: getattr(self, name).reshape(1) for name in self.declared})
@@ -194,7 +199,6 @@ class Inertia(Component):
     def link(self, p: SimpleNamespace, gear_ratio: float) -> Tensor:
         """Inertia on the link's side of the gear, at the link [kg m^2]."""
         raise NotImplementedError
-
 
     def total(self, p: SimpleNamespace, gear_ratio: float) -> Tensor:
         """Both, seen at the motor through a rigid gear [kg m^2]."""

@@ -68,13 +68,20 @@ class System(nn.Module):
                 f"{part.kind} cannot sit in '{where}'; it belongs in {' or '.join(part.places)}."
             )
         if part.single:
-            family = [base for base in type(part).__mro__ if getattr(base, "single", False)][-1]
             for key, other in list(self.components.items()):
-                if key.startswith(f"{where}/") and isinstance(other, family):
+                if key.startswith(f"{where}/") and isinstance(other, part.family()):
                     del self.components[key]
         self.components[f"{where}/{part.kind}"] = part
 
     def _wire(self) -> None:
+        def order(key: str) -> tuple[str, int, bool, str]:
+            joint, place, kind = key.split("/")
+            return joint, PLACES.index(place), not cast(Component, self.components[key]).single, kind
+
+        # one order however the system was built, so that vectors of parameters mean the same
+        self.components = nn.ModuleDict(
+            {key: self.components[key] for key in sorted(self.components, key=order)}
+        )
         self.joints: list[Joint] = []
         self.state_names: list[str] = []
         for i, ratio in enumerate(self.gear_ratio):
@@ -196,11 +203,11 @@ class System(nn.Module):
             width: smoothing speed [rad/s] of the side where the friction acts.
         """
         speeds = [x[row] for row in self.speed_rows]
-        signs = [torch.tanh(v / width) for v in speeds] if directions is None else list(directions)
-        loose = [directions is None or sign is None for sign in signs]
-        each = list(zip(speeds, signs, loose, strict=True))
-        magnitudes = [v.abs() if free else (sign * v).clamp_min(0.0) for v, sign, free in each]
-        forwards = [((v if free else sign) > 0).to(v.dtype) for v, sign, free in each]
+        fixed = [None] * len(speeds) if directions is None else list(directions)
+        signs = [torch.tanh(v / width) for v in speeds] if directions is None else fixed
+        each = list(zip(speeds, fixed, strict=True))
+        magnitudes = [v.abs() if sign is None else (sign * v).clamp_min(0.0) for v, sign in each]
+        forwards = [((v if sign is None else sign) > 0).to(v.dtype) for v, sign in each]
         rates = [torch.zeros_like(x[0])] * len(x)
         for row, sign, balance in zip(
             self.speed_rows, signs, self.balances(x, u, p, magnitudes, forwards), strict=True

@@ -5,107 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 
-from pydantic import BaseModel, ConfigDict, Field
-
-from hybrid_id.components import (
-    REGISTRY,
-    DCMotor,
-    Gravity,
-    LinearSpring,
-    OneLink,
-    Rigid,
-    TwoInertias,
-    Voltage,
-)
+from hybrid_id.components import REGISTRY, Gravity
 from hybrid_id.components.base import Component
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 from hybrid_id.systems.arms import FLAT_NAMES
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_schema import FLAT, SKELETON, ModelFile, ParameterEntry
 
-Where = tuple[str, str, str]
-"""Place, kind and symbol that a flat name stands for."""
-
-FLAT: dict[str, dict[str, Where]] = {
-    "one_link": {
-        "J": ("joint1/load", "one_link", "J"),
-        "rotor_share": ("joint1/load", "one_link", "rotor_share"),
-        "P_m1": ("joint1/motor", "dc_motor", "P_m1"),
-        "P_m2": ("joint1/motor", "dc_motor", "P_m2"),
-        "F_c": ("joint1/motor_friction", "coulomb_friction", "F_c"),
-        "F_v": ("joint1/motor_friction", "viscous_friction", "F_v"),
-        "G_l": ("joint1/load", "gravity_load", "G_l"),
-        "q_0": ("joint1/load", "gravity_load", "q_0"),
-    },
-    "one_link_flexible": {
-        "J_m": ("joint1/load", "two_inertias", "J_m"),
-        "J_a": ("joint1/load", "two_inertias", "J_a"),
-        "k": ("joint1/transmission", "linear_spring", "k"),
-        "d": ("joint1/transmission", "linear_spring", "d"),
-        "P_m1": ("joint1/motor", "dc_motor", "P_m1"),
-        "P_m2": ("joint1/motor", "dc_motor", "P_m2"),
-        "F_cm": ("joint1/motor_friction", "coulomb_friction", "F_c"),
-        "F_vm": ("joint1/motor_friction", "viscous_friction", "F_v"),
-        "F_ca": ("joint1/link_friction", "coulomb_friction", "F_c"),
-        "F_va": ("joint1/link_friction", "viscous_friction", "F_v"),
-        "G_l": ("joint1/load", "gravity_load", "G_l"),
-        "q_0": ("joint1/load", "gravity_load", "q_0"),
-    },
-}
-"""Flat parameter names of each system. A friction or gravity name that is not listed is absent from the model."""
-
-SKELETON: dict[str, tuple[tuple[str, type[Component]], ...]] = {
-    "one_link": (
-        ("joint1/input", Voltage),
-        ("joint1/motor", DCMotor),
-        ("joint1/transmission", Rigid),
-        ("joint1/load", OneLink),
-    ),
-    "one_link_flexible": (
-        ("joint1/input", Voltage),
-        ("joint1/motor", DCMotor),
-        ("joint1/transmission", LinearSpring),
-        ("joint1/load", TwoInertias),
-    ),
-}
-"""Components that a system always has, unless the file puts another one into their place."""
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class ParameterEntry(_Section):
-    """One parameter in a file: PEtab's columns, and an optional Gaussian prior around the nominal value."""
-
-    nominal: float
-    lower: float | None = None
-    upper: float | None = None
-    unit: str | None = None
-    estimate: bool | None = None
-    prior_std: float | None = Field(default=None, gt=0)
-    prior_mean: float | None = None
-
-
-class ComponentEntry(_Section):
-    """One component beyond the system's defaults."""
-
-    place: str
-    kind: str
-    parameters: dict[str, ParameterEntry | float] = {}
-
-
-class ModelFile(_Section):
-    """Content of a model file."""
-
-    system: str
-    gear_ratio: list[float]
-    gravity: Literal["none", "vertical"] = "none"
-    parameters: dict[str, ParameterEntry | float] = {}
-    components: list[ComponentEntry] = []
+Parts = dict[tuple[str, str], dict[str, Bounded]]
+"""Parameters of each component of a system, by place and kind."""
 
 
 def load_model(path: str | Path) -> System:
@@ -126,45 +38,9 @@ def build_model(file: ModelFile, path: str = "model") -> System:
         raise InputError(
             f"{path}: gear_ratio {file.gear_ratio} must hold one positive number for {file.system}."
         )
-    parts: dict[tuple[str, str], dict[str, Bounded]] = {}
-    for where, component in SKELETON[file.system]:
-        parts[where, component.kind] = {}
-    singles: dict[tuple[str, type], tuple[str, str]] = {}
-    for entry in file.components:
-        kind = _kind(entry.kind, path)
-        symbols = {
-            s: _bounded(kind, s, e, f"{path}: {entry.place} {entry.kind}.{s}")
-            for s, e in entry.parameters.items()
-        }
-        if (entry.place, entry.kind) in parts and entry.kind not in {
-            c.kind for _, c in SKELETON[file.system]
-        }:
-            raise InputError(
-                f"{path}: components lists {entry.kind} at {entry.place} twice; keep one of them."
-            )
-        if kind.single:
-            family = _family(kind)
-            for where, other in [key for key in parts if key[0] == entry.place]:
-                if issubclass(REGISTRY[other], family):
-                    del parts[where, other]
-            if (entry.place, family) in singles:
-                raise InputError(
-                    f"{path}: {entry.place} holds exactly one component, but {singles[entry.place, family][1]} and "
-                    f"{entry.kind} are listed; keep one of them."
-                )
-            singles[entry.place, family] = (entry.place, entry.kind)
-        parts[entry.place, entry.kind] = symbols
-    for name, entry in file.parameters.items():
-        if name not in FLAT[file.system]:
-            known = ", ".join(FLAT[file.system])
-            raise InputError(f"{path}: parameter '{name}' is not known for {file.system}; it knows {known}.")
-        where, kind_name, symbol = FLAT[file.system][name]
-        kind = REGISTRY[kind_name]
-        if kind.single and (where, kind_name) not in parts:
-            raise InputError(
-                f"{path}: parameter '{name}' belongs to {kind_name} at {where}, which 'components' replaces; remove it."
-            )
-        parts.setdefault((where, kind_name), {})[symbol] = _bounded(kind, symbol, entry, f"{path}: {name}")
+    parts: Parts = {(where, part.kind): {} for where, part in SKELETON[file.system]}
+    _add_components(parts, file, path)
+    _add_parameters(parts, file, path)
     if (file.gravity == "vertical") != (("joint1/load", Gravity.kind) in parts):
         verb = "add G_l to" if file.gravity == "vertical" else "set gravity to vertical or remove G_l from"
         raise InputError(
@@ -184,8 +60,56 @@ def build_model(file: ModelFile, path: str = "model") -> System:
         raise InputError(f"{path}: {error}") from None
 
 
-def _family(kind: type[Component]) -> type[Component]:
-    return [base for base in kind.__mro__ if getattr(base, "single", False)][-1]
+def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
+    """Put the listed components into their places; one in a single place takes the default's."""
+    listed: set[tuple[str, str]] = set()
+    singles: dict[tuple[str, type], str] = {}
+    for entry in file.components:
+        kind, key = _kind(entry.kind, path), (entry.place, entry.kind)
+        if key in listed:
+            raise InputError(
+                f"{path}: components lists {entry.kind} at {entry.place} twice; keep one of them."
+            )
+        listed.add(key)
+        if kind.single:
+            family = kind.family()
+            if other := singles.get((entry.place, family)):
+                raise InputError(
+                    f"{path}: {entry.place} holds exactly one component, but {other} and {entry.kind} are listed; "
+                    "keep one of them."
+                )
+            singles[entry.place, family] = entry.kind
+            for old in [
+                key for key in parts if key[0] == entry.place and issubclass(REGISTRY[key[1]], family)
+            ]:
+                del parts[old]
+        parts[key] = {
+            symbol: _bounded(kind, symbol, value, f"{path}: {entry.place} {entry.kind}.{symbol}")
+            for symbol, value in entry.parameters.items()
+        }
+
+
+def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
+    """Put the flat parameters into their components; one that no component needs brings it along."""
+    names = FLAT[file.system]
+    for name, entry in file.parameters.items():
+        if name not in names:
+            known = ", ".join(names)
+            raise InputError(f"{path}: parameter '{name}' is not known for {file.system}; it knows {known}.")
+        where, kind_name, symbol = names[name]
+        kind = REGISTRY[kind_name]
+        if kind.single and (where, kind_name) not in parts:
+            raise InputError(
+                f"{path}: parameter '{name}' belongs to {kind_name} at {where}, which 'components' replaces; "
+                "remove it."
+            )
+        values = parts.setdefault((where, kind_name), {})
+        if symbol in values:
+            raise InputError(
+                f"{path}: parameter '{name}' is given under 'parameters' and as {kind_name}.{symbol} under "
+                "'components'; keep one of them."
+            )
+        values[symbol] = _bounded(kind, symbol, entry, f"{path}: {name}")
 
 
 def _kind(name: str, path: str) -> type[Component]:

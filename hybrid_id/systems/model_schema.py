@@ -1,0 +1,97 @@
+"""What a model file may hold: its keys, and the flat parameter names of each system."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hybrid_id.components import DCMotor, LinearSpring, OneLink, Rigid, TwoInertias, Voltage
+from hybrid_id.components.base import Component
+
+Where = tuple[str, str, str]
+"""Place, kind and symbol that a flat name stands for."""
+
+FLAT: dict[str, dict[str, Where]] = {
+    "one_link": {
+        "J": ("joint1/load", "one_link", "J"),
+        "rotor_share": ("joint1/load", "one_link", "rotor_share"),
+        "P_m1": ("joint1/motor", "dc_motor", "P_m1"),
+        "P_m2": ("joint1/motor", "dc_motor", "P_m2"),
+        "F_c": ("joint1/motor_friction", "coulomb_friction", "F_c"),
+        "F_v": ("joint1/motor_friction", "viscous_friction", "F_v"),
+        "G_l": ("joint1/load", "gravity_load", "G_l"),
+        "q_0": ("joint1/load", "gravity_load", "q_0"),
+    },
+    "one_link_flexible": {
+        "J_m": ("joint1/load", "two_inertias", "J_m"),
+        "J_a": ("joint1/load", "two_inertias", "J_a"),
+        "k": ("joint1/transmission", "linear_spring", "k"),
+        "d": ("joint1/transmission", "linear_spring", "d"),
+        "P_m1": ("joint1/motor", "dc_motor", "P_m1"),
+        "P_m2": ("joint1/motor", "dc_motor", "P_m2"),
+        "F_cm": ("joint1/motor_friction", "coulomb_friction", "F_c"),
+        "F_vm": ("joint1/motor_friction", "viscous_friction", "F_v"),
+        "F_ca": ("joint1/link_friction", "coulomb_friction", "F_c"),
+        "F_va": ("joint1/link_friction", "viscous_friction", "F_v"),
+        "G_l": ("joint1/load", "gravity_load", "G_l"),
+        "q_0": ("joint1/load", "gravity_load", "q_0"),
+    },
+}
+"""Flat parameter names of each system. A friction or gravity name that is not listed is absent from the model."""
+
+SKELETON: dict[str, tuple[tuple[str, type[Component]], ...]] = {
+    "one_link": (
+        ("joint1/input", Voltage),
+        ("joint1/motor", DCMotor),
+        ("joint1/transmission", Rigid),
+        ("joint1/load", OneLink),
+    ),
+    "one_link_flexible": (
+        ("joint1/input", Voltage),
+        ("joint1/motor", DCMotor),
+        ("joint1/transmission", LinearSpring),
+        ("joint1/load", TwoInertias),
+    ),
+}
+"""Components that a system always has, unless the file puts another one into their place."""
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ParameterEntry(_Section):
+    """One parameter in a file: PEtab's columns, and an optional Gaussian prior around the nominal value."""
+
+    nominal: float
+    lower: float | None = None
+    upper: float | None = None
+    unit: str | None = None
+    estimate: bool | None = None
+    prior_std: float | None = Field(default=None, gt=0)
+    prior_mean: float | None = None
+
+    @model_validator(mode="after")
+    def _prior_is_whole(self) -> ParameterEntry:
+        if self.prior_mean is not None and self.prior_std is None:
+            raise ValueError("prior_mean stands alone; give prior_std too, or remove it")
+        return self
+
+
+class ComponentEntry(_Section):
+    """One component beyond the system's defaults."""
+
+    place: str
+    kind: str
+    parameters: dict[str, ParameterEntry | float] = {}
+
+
+class ModelFile(_Section):
+    """Content of a model file."""
+
+    system: str
+    gear_ratio: list[float]
+    gravity: Literal["none", "vertical"] = "none"
+    parameters: dict[str, ParameterEntry | float] = {}
+    components: list[ComponentEntry] = []
