@@ -19,7 +19,7 @@ from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
-WINDOW = 0.2
+WINDOW = 0.4
 """Length [s] of the windows of the warm start; one in four is used."""
 
 Progress = Callable[[str, int, Tensor, Tensor], bool | None]
@@ -81,7 +81,9 @@ def fit(
     engine = with_substeps(system, engine, many, theta[:, many_sets])
     if warm:
         # a smooth law is close to its dry limit, whose steps cost a fraction
-        quick = engine if engine.friction == "dry" else with_substeps(system, Engine(), many, theta[:, many_sets])
+        quick = (
+            engine if engine.friction == "dry" else with_substeps(system, Engine(), many, theta[:, many_sets])
+        )
         theta = warm_start(system, quick, many, many_sets, theta, free, bounds, options, report("windows"))
         engine = with_substeps(system, engine, many, theta[:, many_sets])
     nodes = None
@@ -191,7 +193,7 @@ def warm_start(
     if found_windows is None:
         return theta
     windows, row = found_windows
-    coarse = replace(options, max_iterations=15, tolerance=0.3, target=None)
+    coarse = replace(options, max_iterations=15, tolerance=0.3)
     found = minimise(system, engine, windows, sets[row], theta, free, bounds, coarse, progress)
     usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
     return torch.where(usable, found.theta, theta)
