@@ -1,0 +1,231 @@
+"""Training by the adjoint method: the paper's identification (eq. 2) with gradients from `odeint_adjoint`.
+
+The objective is that of Levenberg-Marquardt: weighted output error over whole records, priors, bounds, first states
+within their uncertainty. All records train side by side, each its own parameter set, and leave when they have
+converged. A stage of short windows from measured states, where the problem is nearly convex, comes first.
+
+The gradient comes from the adjoint alone, so that it decides where the training ends. How long the steps are is the
+metric's part (see :mod:`hybrid_id.identification.quasi_newton`): in the Gauss-Newton metric, parameters of which the
+data say a million times more than of others take equal steps, and 15-30 gradients do what takes Adam a thousand.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+import torch
+from torch import Tensor
+
+from hybrid_id.errors import InputError
+from hybrid_id.identification import least_squares
+from hybrid_id.identification.costate import free_run
+from hybrid_id.identification.fit import Progress, make_bounds, measured_windows
+from hybrid_id.identification.objective import Loss, evaluate
+from hybrid_id.identification.quasi_newton import State, advance, begin, read_state, write_state
+from hybrid_id.identification.result import FitResult, make_result
+from hybrid_id.identification.unknowns import Problem
+from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
+from hybrid_id.systems.chain import System
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Settings of the training.
+
+    Attributes:
+        windows: stages before the whole records, each (length of a window [s], use one window in this many).
+        max_iterations: gradients that a set may take in a stage.
+        tolerance: a set has converged when the next step is shorter than this many standard errors.
+        window_tolerance: the same in the stages of windows, which only prepare the last one.
+        refresh: accepted steps after which the metric is taken anew.
+        loss: loss of the weighted residuals.
+        validate_every: gradients between two looks at the validation records.
+    """
+
+    windows: tuple[tuple[float, int], ...] = ((0.2, 4),)
+    max_iterations: int = 100
+    tolerance: float = 0.01
+    window_tolerance: float = 1.0
+    refresh: int = 1
+    loss: Loss = field(default_factory=Loss)
+    validate_every: int = 5
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What a writer is told after a gradient, for each set (G).
+
+    Attributes:
+        step: gradients so far.
+        names: name of each set (its record, or "pooled").
+        table: (component key, symbol) of each free parameter; values: their values, ``(G, n_f)``.
+        train, validation: loss per measurement, ``(G,)``; validation only where it was looked at.
+        gradient_norm: length of the gradient in the metric, in standard errors, ``(G,)``.
+        batch, sets, simulated: the rows (windows at first, then whole records), set of each, simulated outputs.
+    """
+
+    step: int
+    names: tuple[str, ...]
+    table: tuple[tuple[str, str], ...]
+    values: Tensor
+    train: Tensor
+    validation: Tensor | None
+    gradient_norm: Tensor
+    batch: Batch
+    sets: Tensor
+    simulated: Tensor
+
+
+class Writer(Protocol):
+    """Takes the course of a training, for example into TensorBoard."""
+
+    def record(self, snapshot: Snapshot) -> None:
+        """Take one snapshot."""
+        ...
+
+
+def train(
+    system: System,
+    batch: Batch,
+    *,
+    pooled: bool = False,
+    engine: OdeEngine | None = None,
+    options: TrainOptions | None = None,
+    validation: Batch | None = None,
+    writer: Writer | None = None,
+    checkpoint: Path | None = None,
+    resume: Path | None = None,
+    progress: Progress | None = None,
+) -> list[FitResult]:
+    """Identify one parameter set for each row of a batch, or one for all of them, by the adjoint method.
+
+    Ctrl-C ends the training with what it has reached (status "interrupted").
+
+    Args:
+        system: model with start values, bounds, priors and roles; parameters beyond its table (a network's weights)
+            train too, with one set only.
+        batch: prepared records.
+        pooled: one parameter set for all rows.
+        engine: solver and kind of gradient; its steps are raised where stability or accuracy needs it.
+        options: settings.
+        validation: records that are only looked at.
+        writer: takes the course of the training.
+        checkpoint: file that holds the training after each gradient.
+        resume: checkpoint of the same records and model to go on from, to the same numbers.
+        progress: called with (stage, gradients so far, cost of each set, sets still running).
+
+    Raises:
+        InputError: nothing to estimate, weights with several sets, or a checkpoint of another training.
+    """
+    options, engine, system = options or TrainOptions(), engine or OdeEngine(), copy.deepcopy(system)
+    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+    if not free:
+        raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
+    extra, device = extra_parameters(system), batch.x.device
+    rows = torch.arange(batch.rows, device=device)
+    sets, count = (torch.zeros_like(rows), 1) if pooled else (rows, batch.rows)
+    if extra and count > 1:
+        raise InputError("Weights beyond the table are shared by all records; train one record, or pooled.")
+    names = ("pooled",) if pooled and batch.rows > 1 else batch.names
+    bounds = make_bounds(system, free, device)
+    base = system.theta().detach().to(device)[:, None].repeat(1, count)
+    whole = Problem(system, engine, batch, sets, base, free, bounds, extra, options.loss)
+    identity = [
+        *batch.names,
+        *(info.name for info in system.table),
+        *map(str, (pooled, len(options.windows))),
+    ]
+    state = read_state(resume, identity) if resume else None
+    interrupted = False
+    try:
+        for stage, window in enumerate([*options.windows, None]):
+            if state is not None and stage < state.stage:
+                continue
+            problem, tolerance = whole, options.tolerance
+            if window is not None:
+                found = measured_windows(system, batch, *window)
+                if found is None:
+                    continue
+                problem, tolerance = (
+                    replace(whole, batch=found[0], sets=sets[found[1]]),
+                    options.window_tolerance,
+                )
+            if state is None or state.stage < stage:
+                state = begin(problem, base if state is None else problem.theta(state.q), stage, state)
+            problem = replace(problem, engine=replace(engine, substeps=state.substeps, fine=state.fine))
+            while bool(state.running.any()) and not interrupted:
+                state = advance(problem, state, tolerance, options.max_iterations, options.refresh)
+                if checkpoint is not None:
+                    write_state(checkpoint, state, identity)
+                if writer is not None:
+                    look = validation if state.iteration % options.validate_every == 0 else None
+                    writer.record(_snapshot(problem, state, names, look))
+                if progress is not None:
+                    name, going = (
+                        "records" if window is None else "windows",
+                        state.running.nonzero().flatten(),
+                    )
+                    interrupted = bool(progress(name, state.iteration, state.cost, going))
+            if interrupted:
+                break
+    except KeyboardInterrupt:
+        interrupted = True
+        if state is None:
+            raise
+    assert state is not None  # the last stage always takes place
+    return _results(whole, state, interrupted, finished=state.stage == len(options.windows))
+
+
+def _snapshot(problem: Problem, state: State, names: tuple[str, ...], validation: Batch | None) -> Snapshot:
+    """What the writer is told of a state."""
+    theta, info = problem.theta(state.q), [problem.system.table[i] for i in problem.free]
+    return Snapshot(
+        step=state.iteration,
+        names=names,
+        table=tuple((i.component, i.symbol) for i in info),
+        values=theta[problem.free].T,
+        train=state.cost / problem.data,
+        validation=None if validation is None else _validation_loss(problem, theta, validation),
+        gradient_norm=state.distance,
+        batch=problem.batch,
+        sets=problem.sets,
+        simulated=state.y,
+    )
+
+
+def _validation_loss(problem: Problem, theta: Tensor, batch: Batch) -> Tensor:
+    """Loss per measurement of every set on the records of a batch, ``(G,)``; NaN where a simulation diverged."""
+    count = theta.shape[1]
+    many = batch.take(torch.arange(batch.rows, device=theta.device).repeat(count))
+    engine = replace(problem.engine, gradient="backprop")
+    spread = theta.repeat_interleave(batch.rows, 1)
+    _, lin, closed = free_run(problem.system, engine, many, many.x, spread)
+    cost = problem.loss.value((many.y - lin.y) * many.weight).sum((1, 2)).where(closed, torch.nan)
+    return cost.reshape(count, batch.rows).sum(1) / (batch.weight > 0).sum()
+
+
+def _results(problem: Problem, state: State, interrupted: bool, finished: bool) -> list[FitResult]:
+    """Results of all sets: one evaluation with exact sensitivities at the end, as a fit has it."""
+    free, batch, sets = problem.free, problem.batch, problem.sets
+    engine = replace(problem.engine, substeps=state.substeps, fine=state.fine, gradient="backprop")
+    theta, nodes = problem.theta(state.q), state.nodes
+    problem.set_weights(state.q)
+    if not finished:  # the end of a stage of windows has no whole record yet
+        nodes = free_run(problem.system, engine, batch, batch.x, theta[:, sets])[0]
+    at = evaluate(
+        problem.system, engine, batch, nodes.nan_to_num(0.0), theta[:, sets], free, loss=problem.loss, chunk=1
+    )
+    offset = theta[free].T - problem.bounds.prior_mean
+    cost = at.cost.new_zeros(theta.shape[1]).index_add(0, sets, at.cost)
+    cost = cost + 0.5 * (problem.bounds.prior_precision * offset.square()).sum(1)
+    status = ["interrupted" if interrupted and s == "running" else s for s in state.status]
+    outcome = least_squares.Outcome(theta, cost, state.steps, status, at, state.history)
+    settings = least_squares.Options(loss=problem.loss)
+    return [
+        make_result(problem.system, batch, sets, outcome, g, free, problem.bounds, engine, settings)
+        for g in range(theta.shape[1])
+    ]

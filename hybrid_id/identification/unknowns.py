@@ -1,0 +1,184 @@
+"""What the adjoint trainer moves: each set's parameters, first states and network weights, as one vector.
+
+Bounds are bounds here, too. Raw transforms, the usual way in training loops, flatten the objective near a bound: a
+parameter that an early step drives there creeps back over a hundred gradients (f_13 of the paper's law did).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor, nn
+
+from hybrid_id.identification.costate import Gradient, gradient
+from hybrid_id.identification.least_squares import Bounds
+from hybrid_id.identification.objective import Loss, evaluate
+from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.solvers import OdeEngine
+from hybrid_id.systems.chain import System
+
+REACH = 0.5
+"""A direction that the data leave open is held in the metric (not in the objective) to this share of a parameter."""
+FIRST_WEIGHT_STEP = 0.01
+"""RMS change of a network's weights in the first step."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Output error of every set as a function of its vector q of unknowns, ``(G, N)``.
+
+    q holds the free parameters in units of their size, the first states of the set's rows relative to the measured
+    ones in units of their prior standard deviation, and (one set only) the weights beyond the table.
+
+    Attributes:
+        system, engine: what is simulated, and how it is integrated and differentiated.
+        batch: rows of data.
+        sets: set of each row, ``(R,)``.
+        base: all parameters of each set in table order, ``(n_p, G)``; the free ones are replaced.
+        free: indices of the free parameters.
+        bounds: their box and priors.
+        extra: weights beyond the table.
+        loss: loss of the weighted residuals.
+    """
+
+    system: System
+    engine: OdeEngine
+    batch: Batch
+    sets: Tensor
+    base: Tensor
+    free: list[int]
+    bounds: Bounds
+    extra: list[nn.Parameter]
+    loss: Loss
+
+    @property
+    def slots(self) -> Tensor:
+        """Number of each row among the rows of its set, ``(R,)``."""
+        same = self.sets[:, None] == self.sets[None, :]
+        return same.tril(-1).sum(1)
+
+    @property
+    def data(self) -> Tensor:
+        """Number of measurements of each set, ``(G,)``."""
+        count = (self.batch.weight > 0).sum((1, 2)).to(self.base.dtype)
+        return count.new_zeros(self.base.shape[1]).index_add(0, self.sets, count).clamp_min(1.0)
+
+    @property
+    def unit(self) -> Tensor:
+        """Size of each free parameter, ``(n_f,)``."""
+        return 10.0 * self.bounds.scale
+
+    def start(self, theta: Tensor) -> Tensor:
+        """Vector at all parameters ``(n_p, G)``, measured first states, and the weights as they are."""
+        values = theta[self.free].T / self.unit
+        states = int(self.slots.max() + 1) * self.batch.x.shape[2]
+        weights = [w.detach().flatten() for w in self.extra]
+        tail = [torch.cat(weights)[None].expand(len(values), -1)] if weights else []
+        return torch.cat([values, values.new_zeros(len(values), states), *tail], 1)
+
+    def theta(self, q: Tensor) -> Tensor:
+        """All parameters of each set, ``(n_p, G)``."""
+        theta = self.base.clone()
+        theta[self.free] = (self.unit * q[:, : len(self.free)]).T
+        return theta
+
+    def first_states(self, q: Tensor) -> Tensor:
+        """First state of each row, ``(R, n_x)``."""
+        return self.batch.x[:, 0] + self.batch.x0_std * self._states(q)[self.sets, self.slots]
+
+    def set_weights(self, q: Tensor) -> None:
+        """Write the weights beyond the table into the system."""
+        if self.extra:
+            torch.nn.utils.vector_to_parameters(q[0, -sum(w.numel() for w in self.extra) :], self.extra)
+
+    def box(self, q: Tensor, *, trust: bool = True) -> tuple[Tensor, Tensor]:
+        """Least and largest step from q, ``(G, N)`` each: bounds, and how far a parameter may move at once."""
+        size = len(self.free)
+        value = q[:, :size]
+        scale = torch.maximum(value.abs(), 0.1 * torch.ones_like(value))
+        low, high = torch.full_like(q, -torch.inf), torch.full_like(q, torch.inf)
+        low[:, :size] = self.bounds.lower / self.unit - value
+        high[:, :size] = self.bounds.upper / self.unit - value
+        if trust:
+            low[:, :size] = torch.maximum(low[:, :size], -0.6 * scale)
+            high[:, :size] = torch.minimum(high[:, :size], 1.5 * scale)
+        return low.clamp_max(0.0), high.clamp_min(0.0)
+
+    def _states(self, q: Tensor) -> Tensor:
+        count = int(self.slots.max() + 1) * self.batch.x.shape[2]
+        return q[:, len(self.free) : len(self.free) + count].reshape(len(q), -1, self.batch.x.shape[2])
+
+    def of(self, chosen: Tensor) -> tuple[Problem, Tensor]:
+        """The problem of some sets only, and the rows that belong to them."""
+        local = torch.full((self.base.shape[1],), -1, device=self.sets.device)
+        local[chosen] = torch.arange(len(chosen), device=self.sets.device)
+        rows = (local[self.sets] >= 0).nonzero().flatten()
+        part = replace(
+            self, batch=self.batch.take(rows), sets=local[self.sets[rows]], base=self.base[:, chosen]
+        )
+        return part, rows
+
+    def value(self, q: Tensor, nodes: Tensor) -> tuple[Tensor, Tensor, Gradient]:
+        """Cost ``(G,)`` with priors, its gradient ``(G, N)``, and the simulation of the rows.
+
+        Args:
+            q: unknowns.
+            nodes: states near the free run, ``(R, T, n_x)``.
+        """
+        self.set_weights(q)
+        theta = self.theta(q)
+        guess = torch.cat([self.first_states(q)[:, None], nodes[:, 1:]], 1)
+        run = gradient(
+            self.system, self.engine, self.batch, guess, theta[:, self.sets], self.free,
+            loss=self.loss, extra=self.extra,
+        )  # fmt: skip
+        offset = theta[self.free].T - self.bounds.prior_mean
+        states = self._states(q)
+        cost = run.cost.new_zeros(len(q)).index_add(0, self.sets, run.cost)
+        cost = cost + 0.5 * (self.bounds.prior_precision * offset.square()).sum(1)
+        cost = cost + 0.5 * states.square().sum((1, 2))
+        by_theta = torch.zeros_like(offset).index_add(0, self.sets, run.theta)
+        by_value = self.unit * (by_theta + self.bounds.prior_precision * offset)
+        by_state = states.clone()
+        by_state[self.sets, self.slots] += self.batch.x0_std * run.start
+        by_weight = [torch.cat([g.flatten() for g in run.extra])[None]] if self.extra else []
+        return cost, torch.cat([by_value, by_state.flatten(1), *by_weight], 1), run
+
+    def first_metric(self, q: Tensor, slope: Tensor) -> Tensor:
+        """Metric before any curvature is known, ``(G, N, N)``: the first step changes weights by about 0.01 each."""
+        metric = torch.eye(q.shape[1], dtype=q.dtype, device=q.device).repeat(len(q), 1, 1)
+        if self.extra:
+            tail = range(q.shape[1] - sum(w.numel() for w in self.extra), q.shape[1])
+            size = slope[:, tail].square().mean(1).sqrt().clamp_min(1e-12) / FIRST_WEIGHT_STEP
+            metric[:, tail, tail] = size[:, None].expand(-1, len(tail))
+        return metric
+
+    def curvature(self, q: Tensor, nodes: Tensor, cost: Tensor) -> Tensor:
+        """Gauss-Newton matrix in the parameters and first states, ``(G, n, n)``, from forward sensitivities.
+
+        Args:
+            q: unknowns.
+            nodes: the free run there.
+            cost: the cost there.
+        """
+        theta, n_f, n_x = self.theta(q), len(self.free), self.batch.x.shape[2]
+        size = n_f + int(self.slots.max() + 1) * n_x
+        exact = replace(self.engine, gradient="backprop")
+        at = evaluate(
+            self.system, exact, self.batch, nodes, theta[:, self.sets], self.free, loss=self.loss, chunk=1
+        )
+        unit = self.batch.x0_std.where(self.batch.x0_std > 0, torch.ones_like(self.batch.x0_std))
+        factor = torch.cat([unit, self.unit.expand(len(unit), -1)], 1)
+        hessian = at.hessian * factor[:, :, None] * factor[:, None, :]
+        full = torch.eye(size, dtype=q.dtype, device=q.device).repeat(len(q), 1, 1)
+        prior = (
+            self.bounds.prior_precision * self.unit.square() + (2.0 * cost / self.data / REACH**2)[:, None]
+        )
+        full[:, :n_f, :n_f] = torch.diag_embed(prior).index_add(0, self.sets, hessian[:, n_x:, n_x:])
+        for row, (g, slot) in enumerate(zip(self.sets.tolist(), self.slots.tolist(), strict=True)):
+            at_slot = slice(n_f + slot * n_x, n_f + (slot + 1) * n_x)
+            full[g, at_slot, at_slot] = hessian[row, :n_x, :n_x]
+            full[g, :n_f, at_slot] = hessian[row, n_x:, :n_x]
+            full[g, at_slot, :n_f] = hessian[row, :n_x, n_x:]
+        return full
