@@ -70,8 +70,12 @@ def _replay(
     from hybrid_id.study import compare as side_by_side
     from hybrid_id.systems.model_file import load_model
 
-    comparison = side_by_side(dataset, {str(model): load_model(model) for model in models})
-    result = to_json(command, {"dataset": dataset.name, "models": comparison_result(comparison)})
+    labels = _labels(models)
+    comparison = side_by_side(dataset, {labels[model]: load_model(model) for model in models})
+    files = {label: str(model) for model, label in labels.items()}
+    result = to_json(
+        command, {"dataset": dataset.name, "files": files, "models": comparison_result(comparison)}
+    )
     with results_folder(out, force=force) as folder:
         _write(folder, command, dataset, comparison)
         (folder / RESULT).write_text(result + "\n", encoding="utf-8")
@@ -81,6 +85,15 @@ def _replay(
     from hybrid_id.reporting.tables import comparison_table
 
     show(comparison_table(comparison), f"pictures and numbers are in {out}")
+
+
+def _labels(models: list[Path]) -> dict[Path, str]:
+    """The end of each path that tells it from the others: `model.yaml`, or `old/model.yaml` and `new/model.yaml`."""
+    for depth in range(1, 1 + max(len(model.parts) for model in models)):
+        labels = {model: "/".join(model.parts[-depth:]) for model in models}
+        if len(set(labels.values())) == len(models):
+            return labels
+    return {model: str(model) for model in models}
 
 
 def _write(folder: Path, command: str, dataset: "Dataset", comparison: "Comparison") -> None:

@@ -1,7 +1,7 @@
 """What `identify`, `train` and `demo` share: from a study to its files and its summary."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import show
@@ -9,6 +9,8 @@ from hybrid_id.cli.folder import RESULT
 from hybrid_id.config import StudyConfig
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.study import Study
 
@@ -44,24 +46,25 @@ def write_study(
     write_parameters(folder / "parameters.csv", study, reach)
     config.save(folder / "config.yaml", home=home)
     if config.output.figures or config.output.tensorboard:
-        figures = study_figures(dataset, study, reach)
+        images = study_images(dataset, study, reach)
         if config.output.figures:
             from hybrid_id.reporting.style import save
 
-            for name, figure in figures.items():
-                save(figure, folder / f"{name}.png")
+            for name, image in images.items():
+                save(image, folder / f"{name}.png")
         if config.output.tensorboard:
             from hybrid_id.reporting.events import write_study_events
 
-            write_study_events(folder / "tensorboard", study, figures, curves=command != "train")
+            write_study_events(folder / "tensorboard", study, images, curves=command != "train")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")
     return text
 
 
-def study_figures(dataset: "Dataset", study: "Study", reach: float) -> dict[str, Any]:
-    """Every picture of a study by the name of its file."""
+def study_images(dataset: "Dataset", study: "Study", reach: float) -> "dict[str, np.ndarray]":
+    """Every picture of a study by the name of its file, (H, W, 3)."""
     from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure
     from hybrid_id.reporting.record_plots import fit_figure
+    from hybrid_id.reporting.style import pixels
     from hybrid_id.statistics.residuals import whiteness
     from hybrid_id.study import replay
 
@@ -76,7 +79,7 @@ def study_figures(dataset: "Dataset", study: "Study", reach: float) -> dict[str,
     for run in replay(dataset, chosen.system, engine=chosen.engine):
         title = f"{run.record.name} ({run.record.role}), parameter set {study.selection.name}"
         figures[f"fit_{run.record.name}"] = fit_figure(dataset, run, title)
-    return figures
+    return {name: pixels(figure) for name, figure in figures.items()}
 
 
 def show_study(study: "Study", config: StudyConfig, home: Path, text: str, *, as_json: bool) -> None:

@@ -6,24 +6,20 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from hybrid_id.study import Study
 
-DPI = 110
-
 
 def write_study_events(
-    folder: Path, study: Study, figures: Mapping[str, Figure], *, curves: bool = True
+    folder: Path, study: Study, images: Mapping[str, np.ndarray], *, curves: bool = True
 ) -> None:
     """Write event files.
 
     Args:
         folder: Where to.
         study: Parameters of each set, by number of the set; its loss over the iterations; its fits.
-        figures: Pictures by name.
+        images: Pictures by name, (H, W, 3).
         curves: Whether the scalars are written; not where a training has written its own.
     """
     with SummaryWriter(str(folder)) as writer:
@@ -36,13 +32,5 @@ def write_study_events(
         for j, signal in enumerate(study.cross_validation.signal_names if curves else ()):
             for i, fits in enumerate(study.cross_validation.fits[:, :, j]):
                 writer.add_scalar(f"fit/{signal}", float(np.mean(fits)), i)
-        for name, figure in figures.items():
-            writer.add_image(f"figures/{name}", _pixels(figure), dataformats="HWC")
-
-
-def _pixels(figure: Figure) -> np.ndarray:
-    """A figure as an image (H, W, 3) uint8, drawn without pyplot."""
-    figure.set_dpi(DPI)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+        for name, image in images.items():
+            writer.add_image(f"figures/{name}", image, dataformats="HWC")

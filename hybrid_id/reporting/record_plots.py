@@ -15,6 +15,7 @@ from hybrid_id.reporting.style import COLOURS, DASHES, GREY, journal, label, new
 from hybrid_id.study import Comparison, Replay
 
 MAX_INPUTS = 3
+MAX_LABEL = 32
 
 
 def fit_figure(dataset: Dataset, replay: Replay, title: str = "") -> Figure:
@@ -77,7 +78,8 @@ def _signal(
     measured = next(iter(replays.values())).record.signal(channel.name)
     main.plot(time, measured, color=GREY, lw=2.4, alpha=0.75, label="measured", solid_capstyle="round")
     below.axhline(0.0, color="black", lw=0.5)
-    for k, (name, replay) in enumerate(replays.items()):
+    for k, (long_name, replay) in enumerate(replays.items()):
+        name = long_name if len(long_name) <= MAX_LABEL else f"…{long_name[1 - MAX_LABEL :]}"
         colour, dash = COLOURS[k % len(COLOURS)], DASHES[k % len(DASHES)]
         if replay.status != "ok":
             main.plot([], [], color=colour, ls=dash, label=f"{name}: diverged")

@@ -12,9 +12,12 @@ from typing import Any
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imsave
 
 WIDTH = 7.16  # in; the text width of a two-column journal page
+DPI = 200
 GREY = "#8c8c8c"
 # Okabe and Ito, "Color Universal Design", 2008; from dark to light on white.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
@@ -83,9 +86,17 @@ def label(name: str, unit_text: str) -> str:
     return f"{words} [{unit(unit_text)}]" if unit(unit_text) else words
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG."""
-    figure.savefig(path, dpi=200)
+def pixels(figure: Figure) -> np.ndarray:
+    """A figure as an image, (H, W, 3) uint8: drawn once, for a file and for TensorBoard."""
+    figure.set_dpi(DPI)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+
+def save(figure: Figure | np.ndarray, path: Path) -> None:
+    """Write a figure, or the image of one, as PNG."""
+    imsave(path, pixels(figure) if isinstance(figure, Figure) else figure, dpi=DPI)
 
 
 def power_of_ten(values: np.ndarray) -> int:

@@ -1,0 +1,44 @@
+"""The command line in process, on a small drive whose identification takes a second."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from drives import make_record, multisine, rigid_drive
+from typer.testing import CliRunner
+
+from hybrid_id.cli import app
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.systems.model_file import save_model
+
+
+class Outcome:
+    """Exit code, what was printed, and what was said beside it."""
+
+    def __init__(self, *args: object) -> None:
+        result = CliRunner().invoke(app, [str(arg) for arg in args])
+        if result.exception is not None and not isinstance(result.exception, SystemExit):
+            raise result.exception
+        self.code, self.out, self.err = result.exit_code, result.stdout, result.stderr
+
+
+@pytest.fixture(scope="session")
+def run() -> type[Outcome]:
+    """Run a command line in process; what is not meant for the user is raised."""
+    return Outcome
+
+
+@pytest.fixture(scope="session")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Dataset folder of four short records, one of them for the test, with a model whose start values are off."""
+    truth, noise = rigid_drive(), {"q_m1": 0.01}
+    voltages = [multisine(seed, samples=600, amplitude=6.0 + seed) for seed in range(4)]
+    records = [make_record(truth, u, seed=k, noise=noise, name=f"run_{k}") for k, u in enumerate(voltages)]
+    records[3] = replace(records[3], role="test")
+    folder = tmp_path_factory.mktemp("records") / "drive"
+    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),)
+    Dataset("small drive", *channels, tuple(records), 0.002).save(folder)
+    start = truth.with_values({"J": 2.4e-5, "F_c": 0.008, "F_v": 6e-5})
+    held = {name: replace(start.parameter(name).spec, estimate=False) for name in ("P_m1", "P_m2")}
+    save_model(start.with_specs(held), folder / "model.yaml")
+    return folder

@@ -1,0 +1,186 @@
+"""Wrong input through the commands: exit code 2, one sentence that names the place, nothing written."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import yaml
+from malformed import Malformed, malformed_datasets, write_sound_dataset
+from malformed_models import MalformedModel, malformed_models, write_sound_model
+
+
+def refused(outcome, *names: str) -> None:
+    """Hold a refusal to its form."""
+    assert outcome.code == 2, outcome.err
+    lines = [line for line in outcome.err.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1, outcome.err
+    assert lines[0].startswith("Error: ")
+    assert lines[0].endswith(".")
+    for name in names:
+        assert name in lines[0]
+
+
+def contents(folder: Path) -> set[Path]:
+    return set(folder.rglob("*"))
+
+
+@pytest.mark.parametrize("case", malformed_datasets(), ids=lambda case: case.name)
+def test_malformed_dataset(case: Malformed, run, tmp_path: Path) -> None:
+    for name in ("data", "model"):
+        (tmp_path / name).mkdir()
+    dataset, model = case.build(tmp_path / "data"), write_sound_model(tmp_path / "model")
+    before = contents(tmp_path)
+    refused(run("identify", dataset, "--model", model, "--out", tmp_path / "new" / "out"), *case.names)
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.parametrize("case", malformed_models(), ids=lambda case: case.name)
+def test_malformed_model(case: MalformedModel, run, tmp_path: Path) -> None:
+    for name in ("data", "model"):
+        (tmp_path / name).mkdir()
+    dataset, model = write_sound_dataset(tmp_path / "data"), case.build(tmp_path / "model")
+    before = contents(tmp_path)
+    refused(run("simulate", dataset, "--model", model, "--out", tmp_path / "out"), *case.names)
+    assert contents(tmp_path) == before
+
+
+# Each study file's text, and what the sentence must name. DATA is a sound dataset, MODEL a sound model.
+CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "unknown key": ("dataset: DATA\nmodel: MODEL\noptimizer: adam\n", ("study.yaml", "'optimizer'")),
+    "misspelt key": ("dataset: DATA\nidentification: {start: 3}\n", ("identification.start", "'starts'")),
+    "section that is not there yet": (
+        "dataset: DATA\nmodel: MODEL\nhybrid: {}\n",
+        ("study.yaml", "'hybrid'"),
+    ),
+    "no dataset": ("model: MODEL\n", ("study.yaml", "'dataset'", "missing")),
+    "dataset of no place": ("dataset: nowhere\nmodel: MODEL\n", ("nowhere", "does not exist")),
+    "model of no place": ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
+    "dataset as model": ("dataset: DATA\nmodel: DATA/dataset.yaml\n", ("dataset.yaml", "'system'")),
+    "section as number": (
+        "dataset: DATA\nmodel: MODEL\nidentification: 3\n",
+        ("study.yaml", "'identification'"),
+    ),
+    "word for a number": (
+        "dataset: DATA\nidentification: {starts: many}\n",
+        ("identification.starts", "many"),
+    ),
+    "no start": ("dataset: DATA\nidentification: {starts: 0}\n", ("identification.starts", "0")),
+    "unknown loss": ("dataset: DATA\nidentification: {loss: cauchy}\n", ("identification.loss", "cauchy")),
+    "unknown friction": (
+        "dataset: DATA\nidentification: {friction: wet}\n",
+        ("identification.friction", "wet"),
+    ),
+    "unknown solver": ("dataset: DATA\ntraining: {gradient: magic}\n", ("training.gradient", "magic")),
+    "endless": ("dataset: DATA\nidentification: {width: .inf}\n", ("identification.width", "inf")),
+    "level above one": ("dataset: DATA\nstatistics: {level: 95}\n", ("statistics.level", "95")),
+    "negative share": ("dataset: DATA\npreprocessing: {signal_share: -1}\n", ("signal_share", "-1")),
+    "unknown record": (
+        "dataset: DATA\nmodel: MODEL\npreprocessing: {records: [rec_7]}\n",
+        ("'rec_7'", "rec_0"),
+    ),
+    "no train record left": (
+        "dataset: DATA\nmodel: MODEL\npreprocessing: {records: [rec_1]}\n",
+        ("no train record",),
+    ),
+    "empty window": ("dataset: DATA\nmodel: MODEL\npreprocessing: {between: [7, 9]}\n", ("7 s and 9 s",)),
+    "step longer than the record": (
+        "dataset: DATA\nmodel: MODEL\npreprocessing: {resample: {sample_time: 5}}\n",
+        ("'rec_0'", "5 s"),
+    ),
+    "unknown device": ("dataset: DATA\nmodel: MODEL\nidentification: {device: abacus}\n", ("'abacus'",)),
+    "not YAML": ("dataset: [DATA\nmodel: ]\n", ("study.yaml", "row 2")),
+    "list": ("- dataset: DATA\n", ("study.yaml", "top level")),
+    "key twice": ("dataset: DATA\ndataset: DATA\n", ("study.yaml", "row 2", "'dataset'")),
+    "empty file": ("", ("study.yaml", "top level")),
+}
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_malformed_config(name: str, run, tmp_path: Path) -> None:
+    for folder in ("data", "model"):
+        (tmp_path / folder).mkdir()
+    dataset, model = write_sound_dataset(tmp_path / "data"), write_sound_model(tmp_path / "model")
+    text, names = CONFIGS[name]
+    config = tmp_path / "study.yaml"
+    config.write_text(text.replace("DATA", str(dataset)).replace("MODEL", str(model)))
+    before = contents(tmp_path)
+    refused(run("identify", config, "--out", tmp_path / "out"), *names)
+    assert contents(tmp_path) == before
+
+
+def file_in_the_way(folder: Path) -> None:
+    (folder / "out").write_text("mine")
+
+
+def folder_in_use(folder: Path) -> None:
+    (folder / "out").mkdir()
+    (folder / "out" / "thesis.txt").write_text("mine")
+
+
+def nothing(folder: Path) -> None:
+    pass
+
+
+# Arguments after which `{data}` is a sound dataset, `{model}` a sound model and `{out}` the folder for the results.
+ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
+    "unknown command": ("identfy {data}", nothing, ("identfy", "identify")),
+    "unknown option": ("check {data} --modle x", nothing, ("--modle",)),
+    "no dataset": ("identify --out {out}", nothing, ("DATASET", "identify --help")),
+    "no folder for the results": ("identify {data} --model {model}", nothing, ("--out",)),
+    "word for a number": ("identify {data} --starts many --out {out}", nothing, ("--starts",)),
+    "no start": ("identify {data} --starts 0 --out {out}", nothing, ("--starts",)),
+    "no thread": ("identify {data} --threads 0 --out {out}", nothing, ("--threads",)),
+    "unknown loss": ("identify {data} --loss cauchy --out {out}", nothing, ("--loss",)),
+    "unknown device": ("identify {data} --model {model} --device abacus --out {out}", nothing, ("'abacus'",)),
+    "jobs and pooled": ("identify {data} --model {model} --jobs 2 --pooled --out {out}", nothing, ("--pooled",)),
+    "no model beside the records": ("identify {data} --out {out}", nothing, ("model.yaml", "does not exist")),
+    "no model to check": ("check {data} --model {out}/m.yaml", nothing, ("m.yaml", "does not exist")),
+    "file where results go": ("identify {data} --model {model} --out {out}", file_in_the_way, ("out", "no folder")),
+    "folder in use": ("identify {data} --model {model} --out {out}", folder_in_use, ("out", "--force")),
+    "folder of others": ("simulate {data} --model {model} --out {out} --force", folder_in_use, ("no results",)),
+    "file among the parents": ("simulate {data} --model {model} --out {out}/below", file_in_the_way, ("out",)),
+    "the same model twice": ("compare {data} -m {model} -m {model} --out {out}", nothing, ("model.yaml", "twice")),
+    "no model to compare": ("compare {data} --out {out}", nothing, ("--model",)),
+    "nothing to resume": ("train {data} --model {model} --out {out} --resume", nothing, ("checkpoint", "--resume")),
+    "band upside down": ("excite --band 8 0.3 --out {out}", nothing, ("excitation", "band")),
+    "tones too fast": ("excite --band 100 400 --out {out}", nothing, ("excitation", "sampling")),
+    "too many tones": ("excite --band 1 2 --tones 99 --out {out}", nothing, ("excitation", "99")),
+    "no amplitude": ("excite --amplitude 0 --out {out}", nothing, ("excitation", "amplitude")),
+    "no length": ("excite --duration 0 --out {out}", nothing, ("excitation", "duration")),
+    "no step": ("excite --sample-time 0 --out {out}", nothing, ("excitation",)),
+    "negative rest": ("excite --rest -1 --out {out}", nothing, ("--rest",)),
+    "signal over a file": ("excite --starts 1 --out {out}", file_in_the_way, ("out", "--force")),
+    "picture over a file": ("excite --starts 1 --out {out}.csv --plot {out}", file_in_the_way, ("out", "--force")),
+    "settings of no place": ("demo --settings {out}/gone.yaml --out {out}", nothing, ("gone.yaml", "does not exist")),
+    "settings of another kind": ("demo --settings {model} --out {out}", nothing, ("settings of the twin",)),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ARGUMENTS)
+def test_wrong_arguments(name: str, run, tmp_path: Path) -> None:
+    for folder in ("data", "model"):
+        (tmp_path / folder).mkdir()
+    line, prepare, names = ARGUMENTS[name]
+    prepare(tmp_path)
+    given = {
+        "data": write_sound_dataset(tmp_path / "data"),
+        "model": write_sound_model(tmp_path / "model"),
+        "out": tmp_path / "out",
+    }
+    before = contents(tmp_path)
+    refused(run(*(word.format(**given) for word in line.split())), *names)
+    assert contents(tmp_path) == before
+
+
+def test_records_of_no_use_are_refused(run, tmp_path: Path) -> None:
+    folder = write_sound_dataset(tmp_path)
+    settings = folder / "dataset.yaml"
+    values = yaml.safe_load(settings.read_text())
+    values["records"] = [
+        {"file": "rec_0.csv", "name": "a", "role": "train"},
+        {"file": "rec_0.csv", "name": "b", "role": "test"},
+    ]
+    settings.write_text(yaml.safe_dump(values))
+    outcome = run("check", folder)
+    refused(outcome, "b holds the same numbers as a")
+    assert "error" in outcome.out  # the whole report is printed before

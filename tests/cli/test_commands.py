@@ -1,0 +1,292 @@
+"""The commands on sound input: what they print and write."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from hybrid_id import __version__
+from hybrid_id.cli.folder import added_results, live_folder, results_folder
+from hybrid_id.cli.progress import FitProgress
+from hybrid_id.config import StudyConfig, load_config
+from hybrid_id.errors import InputError
+from hybrid_id.systems.model_file import load_model
+from hybrid_id.twin.demo import DEMO
+
+TRUTH = {"J": 2e-5, "F_c": 0.01, "F_v": 5e-5}
+
+
+@pytest.fixture(scope="module")
+def identified(run, drive: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder and summary of one identification."""
+    out = tmp_path_factory.mktemp("identify") / "runs" / "small"
+    outcome = run("identify", drive, "--out", out)
+    assert outcome.code == 0
+    return out, outcome.out
+
+
+def test_version_and_help(run) -> None:
+    assert run("--version").out.strip() == f"hybrid_id {__version__}"
+    words = run().out
+    for command in ("check", "excite", "identify", "train", "simulate", "compare", "demo"):
+        assert command in words
+        assert run(command, "--help").code == 0
+
+
+def test_module_is_the_console_script() -> None:
+    said = subprocess.run([sys.executable, "-m", "hybrid_id", "nonsense"], capture_output=True, text=True)
+    assert said.returncode == 2
+    assert said.stdout == ""
+    assert said.stderr.startswith("Error: No such command 'nonsense'")
+
+
+def test_check_says_what_can_be_told(run, drive: Path) -> None:
+    words = run("check", drive)
+    assert words.code == 0
+    assert "run_3   test" in words.out
+    assert (
+        "all 3 parameters can be told" in words.out
+    )  # both motor constants are given, so nothing is degenerate
+    assert "identified" not in run("check", drive, "--model", drive / "model.yaml").err
+
+
+def test_check_as_json(run, drive: Path) -> None:
+    result = json.loads(run("check", drive, "--json").out)
+    assert [record["name"] for record in result["records"]] == ["run_0", "run_1", "run_2", "run_3"]
+    assert result["identifiability"]["not_claimable"] == []
+    assert {finding["severity"] for finding in result["findings"]} <= {"info", "warning"}
+
+
+def test_identify_writes_everything(identified: tuple[Path, str]) -> None:
+    out, words = identified
+    assert len(words.splitlines()) <= 25
+    assert "results are in" in words
+    names = {path.name for path in out.iterdir()}
+    pictures = {
+        "parameters.png",
+        "cross_validation.png",
+        "residuals.png",
+        *(f"fit_run_{k}.png" for k in range(4)),
+    }
+    assert names == pictures | {
+        "result.json",
+        "parameters.csv",
+        "model.yaml",
+        "models",
+        "config.yaml",
+        "tensorboard",
+    }
+    assert not any(path.name.startswith(".") for path in out.parent.iterdir())
+
+
+def test_identified_values_are_right_and_agree(identified: tuple[Path, str]) -> None:
+    out, _ = identified
+    result = json.loads((out / "result.json").read_text())
+    chosen = result["selected"]
+    for name, truth in TRUTH.items():
+        assert abs(chosen["values"][name] - truth) < 2 * chosen["half_widths"][name]
+        assert load_model(out / "model.yaml").parameter(name).spec.value == pytest.approx(
+            chosen["values"][name]
+        )
+    with (out / "parameters.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3 * len(TRUTH)
+    for row in rows:
+        if row["selected"] == "1":
+            assert float(row["value"]) == pytest.approx(chosen["values"][row["parameter"]])
+            assert float(row["lower"]) < float(row["value"]) < float(row["upper"])
+    assert sorted(path.stem for path in (out / "models").iterdir()) == ["run_0", "run_1", "run_2"]
+
+
+def test_saved_config_gives_the_same_again(run, identified: tuple[Path, str], tmp_path: Path) -> None:
+    out, _ = identified
+    outcome = run("identify", out / "config.yaml", "--out", tmp_path / "again", "--json")
+    again, first = json.loads(outcome.out), json.loads((out / "result.json").read_text())
+    assert again == first
+    assert json.loads((tmp_path / "again" / "result.json").read_text()) == first
+
+
+def test_tensorboard_holds_scalars_and_pictures(identified: tuple[Path, str]) -> None:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(identified[0] / "tensorboard"))
+    events.Reload()
+    tags = events.Tags()
+    assert {"parameters/joint1/J", "fit/q_m1", "loss/train/run_0"} <= set(tags["scalars"])
+    assert {"figures/parameters", "figures/fit_run_3"} <= set(tags["images"])
+
+
+def test_options_stand_in_for_the_config(run, drive: Path, tmp_path: Path) -> None:
+    config = tmp_path / "study.yaml"
+    text = f"dataset: {drive}\nidentification: {{loss: huber, starts: 2}}\noutput: {{folder: here, figures: false}}\n"
+    config.write_text(text)
+    outcome = run("identify", config, "--pooled", "--starts", 1)
+    assert outcome.code == 0, outcome.err
+    saved = load_config(tmp_path / "here" / "config.yaml").identification
+    assert (saved.pooled, saved.loss, saved.starts) == (True, "huber", 1)
+    assert not list((tmp_path / "here").glob("*.png"))
+    assert not (tmp_path / "here" / "models").exists()
+    assert "pooled set" in outcome.out
+
+
+def test_processes_share_the_records(run, drive: Path, identified: tuple[Path, str], tmp_path: Path) -> None:
+    outcome = run("identify", drive, "--jobs", 2, "--out", tmp_path / "out", "--json")
+    sets = json.loads(outcome.out)["sets"]
+    first = json.loads((identified[0] / "result.json").read_text())["sets"]
+    assert [one["set"] for one in sets] == ["run_0", "run_1", "run_2"]
+    for one, same in zip(sets, first, strict=True):
+        np.testing.assert_allclose(one["values"], same["values"], rtol=1e-6)
+
+
+def test_simulate_writes_what_the_model_says(
+    run, drive: Path, identified: tuple[Path, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "sim"
+    outcome = run("simulate", drive, "--model", identified[0] / "model.yaml", "--out", out)
+    assert outcome.code == 0
+    table = pd.read_csv(out / "run_3.csv")
+    assert list(table.columns) == ["t", "u1", "q_m1", "q_m1_simulated"]
+    error = np.std(table["q_m1"] - table["q_m1_simulated"]) / np.std(table["q_m1"])
+    result = json.loads((out / "result.json").read_text())["models"]
+    (of_model,) = result.values()
+    assert of_model["run_3"]["nrmse"]["q_m1"] == pytest.approx(error, rel=0.2)
+    assert error < 0.01
+
+
+def test_compare_ranks_the_models(run, drive: Path, identified: tuple[Path, str], tmp_path: Path) -> None:
+    models = drive / "model.yaml", identified[0] / "model.yaml"
+    arguments = [word for model in models for word in ("-m", model)]
+    outcome = run("compare", drive, *arguments, "--out", tmp_path / "out", "--json")
+    result = json.loads(outcome.out)
+    assert result["files"] == {"drive/model.yaml": str(models[0]), "small/model.yaml": str(models[1])}
+    fits = [result["models"][label]["run_3"]["fit_percent"]["q_m1"] for label in result["files"]]
+    assert fits[0] < 98.5 < fits[1]
+    assert (tmp_path / "out" / "run_3.png").exists()
+    rows = pd.read_csv(tmp_path / "out" / "comparison.csv")
+    assert len(rows) == 2 * 4
+    assert "mean" in run("compare", drive, *arguments, "--out", tmp_path / "table").out
+
+
+def test_force_replaces_results_only_when_the_new_ones_are_complete(run, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "sim"
+    assert run("simulate", drive, "--out", out).code == 0
+    first = (out / "result.json").read_text()
+    assert run("simulate", drive, "--model", drive / "gone.yaml", "--out", out, "--force").code == 2
+    assert (out / "result.json").read_text() == first
+    (out / "stale.txt").write_text("of the first run")
+    assert run("simulate", drive, "--out", out).code == 2
+    assert run("simulate", drive, "--out", out, "--force").code == 0
+    assert not (out / "stale.txt").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["sim"]
+
+
+def test_nothing_is_left_of_a_failure(tmp_path: Path) -> None:
+    with (
+        pytest.raises(ZeroDivisionError),
+        results_folder(tmp_path / "a" / "b" / "out", force=False) as folder,
+    ):
+        (folder / "half.txt").write_text("half")
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_live_folder_brings_the_old_results_back(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with results_folder(out, force=False) as folder:
+        (folder / "result.json").write_text('{"program": "hybrid_id 0"}')
+    with pytest.raises(ZeroDivisionError), live_folder(out, force=True, resume=False):
+        (out / "events").write_text("new")
+        raise ZeroDivisionError
+    assert [path.name for path in out.iterdir()] == ["result.json"]
+    with live_folder(out, force=True, resume=False), added_results(out) as folder:
+        (folder / "result.json").write_text("new")
+        (folder / "models").mkdir()
+    assert (out / "result.json").read_text() == "new"
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_excite_writes_a_signal_within_its_limits(run, tmp_path: Path) -> None:
+    file, picture = tmp_path / "signals" / "u.csv", tmp_path / "u.png"
+    outcome = run(
+        "excite", "--band", 0.5, 8, "--duration", 4, "--sample-time", 0.01, "--amplitude", 6, "--tones", 8,
+        "--starts", 5, "--out", file, "--plot", picture,
+    )  # fmt: skip
+    assert outcome.code == 0, outcome.err
+    table = pd.read_csv(file)
+    assert list(table.columns) == ["t", "u1"]
+    assert len(table) == 400 + 10
+    assert np.all(table["u1"][:10] == 0)
+    assert 5.5 < table["u1"].abs().max() <= 6
+    assert "crest factor 1." in outcome.out
+    assert "random phases" in outcome.out
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_demo_ends_with_what_was_found(run, tmp_path: Path) -> None:
+    settings = DEMO | {
+        "duration": 1.6,
+        "sample_time": 0.004,
+        "excitation": {"starts": 2, "experiments": DEMO["excitation"]["experiments"][1:3]},
+    }
+    (tmp_path / "twin.yaml").write_text(yaml.safe_dump(settings))
+    outcome = run("demo", "--settings", tmp_path / "twin.yaml", "--out", tmp_path / "demo")
+    assert outcome.code == 0, outcome.err
+    last = outcome.out.splitlines()[-4:]
+    assert "intervals hold the truth" in last[0]
+    assert "truth.png" in last[2]
+    assert (tmp_path / "demo" / "truth.png").exists()
+    again = run("check", tmp_path / "demo" / "data")
+    assert again.code == 0
+    assert "may all be multiplied by one number" in again.out
+
+
+def test_first_interrupt_asks_the_fit_to_end() -> None:
+    if threading.current_thread() is not threading.main_thread():
+        pytest.skip("signals arrive in the main thread")
+    before = signal.getsignal(signal.SIGINT)
+    with FitProgress(2, 60) as progress:
+        assert progress("records", 1, None, [0, 1]) is False
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.01)
+        assert progress("records", 2, None, [0, 1]) is True
+        assert signal.getsignal(signal.SIGINT) is before  # the second one interrupts as usual
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_interrupted_fit_is_written_and_says_so(run, drive: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(
+        FitProgress, "__call__", lambda self, stage, *_: setattr(self, "stopped", True) or True
+    )
+    outcome = run("identify", drive, "--out", tmp_path / "out")
+    assert outcome.code == 130
+    assert "stopped by Ctrl-C" in outcome.err
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert {one["status"] for one in result["sets"]} == {"interrupted"}
+
+
+def test_config_round_trip(tmp_path: Path) -> None:
+    (tmp_path / "study.yaml").write_text(
+        "dataset: data\nidentification: {starts: 3}\noutput: {folder: ../runs/a}\n"
+    )
+    config = load_config(tmp_path / "study.yaml")
+    assert config.model == tmp_path / "data" / "model.yaml"
+    assert config.output.folder is not None
+    assert config.output.folder.resolve() == tmp_path.parent / "runs" / "a"
+    (tmp_path / "runs").mkdir()
+    config.save(tmp_path / "runs" / "config.yaml")
+    again = load_config(tmp_path / "runs" / "config.yaml")
+    assert again.dataset.resolve() == config.dataset
+    assert again.identification == config.identification
+    with pytest.raises(InputError, match=r"level"):
+        load_config(tmp_path / "study.yaml", {"statistics.level": 2})
+    assert set(StudyConfig.model_fields) >= {"dataset", "model", "identification", "statistics", "output"}
