@@ -1,5 +1,6 @@
 """`train`: the objective of `identify`, minimised by the adjoint method."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -96,6 +97,7 @@ def _run(
     from hybrid_id.identification.adjoint import TrainOptions
     from hybrid_id.identification.adjoint import train as train_all
     from hybrid_id.identification.objective import Loss
+    from hybrid_id.reporting.tensorboard import TrainingLog
     from hybrid_id.simulation.prepare import make_batch
     from hybrid_id.simulation.solvers import OdeEngine
 
@@ -122,8 +124,12 @@ def _run(
     if train_batch is None:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'")
     saved = folder / CHECKPOINT
-    with FitProgress(1 if wish.pooled else len(dataset.train), how.max_iterations, polite=False) as progress:
+    n_sets = 1 if wish.pooled else len(dataset.train)
+    with (
+        TrainingLog(folder / "tensorboard") if config.output.tensorboard else nullcontext() as log,
+        FitProgress(n_sets, how.max_iterations, polite=False) as progress,
+    ):
         return train_all(
             system.to(wish.device), train_batch, pooled=wish.pooled, engine=engine, options=options,
-            validation=test_batch, checkpoint=saved, resume=saved if resume else None, progress=progress,
+            validation=test_batch, writer=log, checkpoint=saved, resume=saved if resume else None, progress=progress,
         )  # fmt: skip
