@@ -20,7 +20,7 @@ help:  ## list the commands
 install: $(INSTALLED)  ## make .venv and install everything that the other commands need
 
 demo: $(INSTALLED)  ## identify a drive from its records and show the result (runs/demo)
-	$(BIN)/hybrid-id demo --out runs/demo
+	$(BIN)/hybrid-id demo --out runs/demo --force
 
 test: $(INSTALLED)  ## run all tests
 	$(BIN)/python -m pytest -q -n $(JOBS)

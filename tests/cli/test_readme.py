@@ -1,0 +1,27 @@
+"""The commands of the README's tour run as they are written there."""
+
+import re
+import shlex
+import shutil
+from pathlib import Path
+
+import pytest
+
+README = Path(__file__).resolve().parents[2] / "README.md"
+BLOCKS = re.findall(r"^```sh\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("hybrid-id ")]
+
+
+@pytest.mark.parametrize("ending", ["", "identify", "train"])
+def test_tour_names_the_commands(ending: str) -> None:
+    assert any(ending in command for command in COMMANDS)
+
+
+def test_tour_runs_as_written(run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shutil.copytree(drive, tmp_path / "my_robot")
+    monkeypatch.chdir(tmp_path)
+    for command in COMMANDS:
+        outcome = run(*shlex.split(command)[1:])
+        assert outcome.code == 0, (command, outcome.err)
+    assert {path.name for path in (tmp_path / "runs").iterdir()} == {"my_robot", "replay", "compare", "train"}
+    assert (tmp_path / "multisine.csv").exists()
