@@ -81,9 +81,8 @@ def fit(
     engine = with_substeps(system, engine, many, theta[:, many_sets])
     if warm:
         # a smooth law is close to its dry limit, whose steps cost a fraction
-        quick = (
-            engine if engine.friction == "dry" else with_substeps(system, Engine(), many, theta[:, many_sets])
-        )
+        keep = engine.friction == "dry" or engine.compiled
+        quick = engine if keep else with_substeps(system, Engine(), many, theta[:, many_sets])
         theta = warm_start(system, quick, many, many_sets, theta, free, bounds, options, report("windows"))
         engine = with_substeps(system, engine, many, theta[:, many_sets])
     nodes = None

@@ -23,6 +23,8 @@ __all__ = ["Bounds", "Options", "Outcome", "minimise"]
 
 SETTLED = 0.01
 """Defects that move the outputs by less than this share of the residuals do not blur the cost."""
+SHARP = 0.1
+"""Defects below this share of the residuals need no shooting before the next linearisation."""
 STALLED = 1e12
 """Damping at which no step is left."""
 
@@ -99,11 +101,11 @@ def minimise(
     bounds = replace(bounds, scale=torch.maximum(0.1 * start, bounds.scale))
     spread = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
 
-    def at(part: Batch, x: Tensor, point: Tensor, group: Tensor) -> tuple[Evaluation, Tensor]:
-        e = evaluate(system, engine, part, x, point[:, group], free, loss=options.loss, chunk=options.chunk)
+    def at(part: Batch, x: Tensor, point: Tensor, group: Tensor, chunk: int) -> tuple[Evaluation, Tensor]:
+        e = evaluate(system, engine, part, x, point[:, group], free, loss=options.loss, chunk=chunk)
         return e, bounds.prior_cost(point[index].T).index_add(0, group, e.cost)
 
-    best, cost = at(batch, batch.x if nodes is None else nodes, theta, sets)
+    best, cost = at(batch, batch.x if nodes is None else nodes, theta, sets, options.chunk)
     data = (
         torch.zeros_like(cost)
         .index_add(0, sets, (batch.weight > 0).sum((1, 2)).to(cost.dtype))
@@ -153,7 +155,9 @@ def minimise(
         trial[index] = bounds.clip(step.values + going[:, None] * step.shift).T
         trial = torch.where(bending, bent[:, running], trial)
         x = torch.where(bending[group, None, None], bent_x[rows], step.nodes(part, going))
-        new, new_cost = at(batch.take(rows), x, trial, group)
+        # near the end the nodes move so little that no event changes its sample: Newton closes the defects alone
+        chunk = 1 if bool(((blur < SHARP) & (step.size < 3.0)).all()) else options.chunk
+        new, new_cost = at(batch.take(rows), x, trial, group, chunk)
         gained = cost[running] - new_cost
         accepted = torch.isfinite(new_cost) & ((gained >= -1e-9 * cost[running]) | shut)
         redo = ~accepted & torch.isfinite(new_cost) & ~bending & ~shut

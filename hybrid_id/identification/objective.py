@@ -64,11 +64,15 @@ class Evaluation:
     defect: Tensor
 
     def take(self, rows: Tensor) -> Evaluation:
-        """The evaluation of some rows."""
+        """The evaluation of some rows; itself where they are all of them."""
+        if len(rows) == len(self.cost) and bool((rows == torch.arange(len(rows), device=rows.device)).all()):
+            return self
         return Evaluation(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
 
     def with_rows(self, rows: Tensor, new: Evaluation) -> Evaluation:
         """The evaluation with its rows ``rows`` replaced by those of ``new``."""
+        if len(rows) == len(self.cost):
+            return new
         pairs = {f.name: (getattr(self, f.name), getattr(new, f.name)) for f in fields(self)}
         return Evaluation(**{n: old.index_copy(0, rows, part) for n, (old, part) in pairs.items()})
 
@@ -84,7 +88,7 @@ def evaluate(
     loss: Loss,
     chunk: int,
 ) -> Evaluation:
-    """Shoot, linearise and condense.
+    """Shoot (with chunks of more than one sample), linearise and condense.
 
     Args:
         system: what is simulated.
@@ -96,12 +100,12 @@ def evaluate(
         loss: loss of the weighted residuals.
         chunk: samples that are integrated in a row between nodes.
     """
-    x = shoot(system, engine, x, batch.u, batch.dt, theta, chunk)
+    if chunk > 1:
+        x = shoot(system, engine, x, batch.u, batch.dt, theta, chunk)
     lin = linearise(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
     chain = condense(lin, x)
     n_x = x.shape[-1]
-    jacobian = lin.c @ chain
-    jacobian[..., n_x:-1] += lin.d
+    jacobian = lin.output_chain(chain)
     closing = jacobian[..., -1]
     residual = (batch.y - lin.y - closing) * batch.weight
     factor = loss.factor(residual)

@@ -22,11 +22,12 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from hybrid_id.simulation.compiled import CompiledStep, serves
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
-LANES = 8192
-"""Lanes per block: its vectors stay in the cache of one core."""
+LANES = 25_000
+"""Lanes per block: enough to hide the cost of Python, few enough for 200 MB of saved values."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +41,7 @@ class Linearisation:
         y: outputs, ``(R, T, n_y)``.
         c: d y / d x, ``(R, T, n_y, n_x)``.
         d: d y / d theta, ``(R, T, n_y, n_f)``.
+        picks: for each output the state that it is, None where it is a function of states and parameters.
     """
 
     x_next: Tensor
@@ -48,6 +50,16 @@ class Linearisation:
     y: Tensor
     c: Tensor
     d: Tensor
+    picks: tuple[int | None, ...]
+
+    def output_chain(self, chain: Tensor) -> Tensor:
+        """Sensitivities of the outputs from those of the nodes, ``(R, T, n_y, n_x + n_f + 1)``."""
+        states = [pick for pick in self.picks if pick is not None]
+        if len(states) == len(self.picks):
+            return chain[:, :, states]
+        through = self.c @ chain
+        through[..., chain.shape[2] : -1] += self.d
+        return through
 
 
 def linearise(
@@ -80,6 +92,8 @@ def linearise(
     jacobian = x.new_zeros(lanes, n_x + n_y, n_x + n_f)
     row_of = torch.arange(rows, device=x.device).repeat_interleave(samples)
     theta_rows = theta[:, :1] if bool((theta == theta[:, :1]).all()) else theta
+    picks: list[int | None] = [None] * n_y
+    compiled = CompiledStep(system, engine, tuple(u), free) if serves(system, engine) else None
     for start in range(0, lanes, LANES):
         block = slice(start, min(start + LANES, lanes))
         row = row_of[block]
@@ -89,13 +103,21 @@ def linearise(
             values[i] = theta[i, row].requires_grad_()
         channels = {name: channel[block] for name, channel in flat_u.items()}
         p = system.views(values)
+        after: list[Tensor] = []
+        if compiled is not None:
+            point = flat_x[block].T, torch.stack(list(channels.values())), flat_dt[block], theta[:, row]
+            states, chain = compiled.jacobian(*point)
+            x_next[block], jacobian[block, :n_x] = states.T, chain.movedim(2, 0)
         with torch.enable_grad():
-            after = engine.sample(system, leaves, channels, flat_dt[block], p)
+            if compiled is None:
+                after = engine.sample(system, leaves, channels, flat_dt[block], p)
             measured = system.outputs(outputs, leaves, channels, p)
         wanted = [*leaves, *(values[i] for i in free)]
-        for i, target in enumerate([*after, *measured]):  # one reverse sweep a row: lanes do not mix
+        for i, target in enumerate([*after, *measured], 0 if after else n_x):  # lanes do not mix: one sweep a row
             (x_next[block, i] if i < n_x else y[block, i - n_x]).copy_(target.detach())
             alias = next((j for j, leaf in enumerate(leaves) if target is leaf), None)
+            if i >= n_x:
+                picks[i - n_x] = alias
             if alias is not None:
                 jacobian[block, i, alias] = 1.0
             elif target.requires_grad:
@@ -111,6 +133,7 @@ def linearise(
         y.reshape(rows, samples, n_y),
         grid[:, :, n_x:, :n_x],
         grid[:, :, n_x:, n_x:],
+        tuple(picks),
     )
 
 
@@ -202,8 +225,16 @@ def shoot(
     p = system.views([*_spread(theta, chunks)])
     state = list(starts.unbind(1))
     path = [starts]
+    if serves(system, engine):
+        compiled = CompiledStep(system, engine, tuple(u), ())
+        spread = theta.repeat_interleave(chunks, 1)
     for k in range(length - 1):
-        state = engine.sample(system, state, {name: c[k] for name, c in channels.items()}, steps[k], p)
+        held = {name: c[k] for name, c in channels.items()}
+        if serves(system, engine):
+            after = compiled.states(torch.stack(state), torch.stack(list(held.values())), steps[k], spread)
+            state = list(after.unbind(0))
+        else:
+            state = engine.sample(system, state, held, steps[k], p)
         path.append(torch.stack(state, -1))
     return torch.stack(path, 1).reshape(rows, chunks * length, n_x)[:, :samples]
 

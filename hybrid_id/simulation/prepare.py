@@ -49,7 +49,9 @@ class Batch:
         return self.y.shape[0]
 
     def take(self, rows: Tensor) -> Batch:
-        """The batch of some rows (indices may repeat)."""
+        """The batch of some rows (indices may repeat); itself where they are all of them in order."""
+        if len(rows) == self.rows and bool((rows == torch.arange(self.rows, device=rows.device)).all()):
+            return self
         names = tuple(self.names[i] for i in rows.tolist())
         picked = {field: getattr(self, field)[rows] for field in ("dt", "y", "weight", "x", "x0_std")}
         return replace(self, u={name: c[rows] for name, c in self.u.items()}, names=names, **picked)

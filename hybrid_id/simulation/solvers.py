@@ -136,7 +136,8 @@ class OdeEngine(Engine):
         field = HeldField(system, u, dt, p, self.width)
         ends = torch.tensor([0.0, 1.0], dtype=start.dtype, device=start.device)
         settings = {**settings, "method": self.method}
-        settings["options"] = {"norm": _largest, **settings.get("options", {})}
+        if self.method in ADAPTIVE:  # a step ends where the sample ends; interpolation would lose the order
+            settings["options"] = {"norm": _largest, "step_t": ends}
         if self.gradient == "backprop" or not torch.is_grad_enabled():
             return odeint(field, start, ends, **settings)[-1]  # type: ignore[index]
         rows = [row for view in p.values() for row in vars(view).values() if row.requires_grad]

@@ -26,11 +26,13 @@ class Engine:
         friction: "dry" (projection) or "smooth" (tanh).
         substeps: RK4 steps a sample.
         width: smoothing speed [rad/s] of the smooth engine.
+        compiled: whether the smooth engine's sub-steps are compiled (see :mod:`hybrid_id.simulation.compiled`).
     """
 
     friction: str = "dry"
     substeps: int = 1
     width: float = 0.5
+    compiled: bool = False
 
     def sample(self, system: System, x: Rows, u: Channels, dt: Tensor, p: Views) -> list[Tensor]:
         """State after ``dt`` seconds under the held channels ``u``; lanes with ``dt`` = 0 stay as they are.
