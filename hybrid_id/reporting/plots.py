@@ -30,7 +30,7 @@ MAX_NUMBERED = 14
 def parameter_figure(study: Study, reach: float = 1.96) -> Figure:
     """Every parameter over the experiments, with intervals of ``reach`` standard errors, mean and std/mean."""
     count = len(study.names)
-    columns = min(4, count)
+    columns = 3 if count in (3, 5, 6, 9) else min(4, count)
     rows = math.ceil(count / columns)
     errors = np.array([study.standard_errors(i) for i in range(len(study.sets))])
     with journal():
@@ -44,6 +44,8 @@ def parameter_figure(study: Study, reach: float = 1.96) -> Figure:
         for k in range(max(0, count - columns), count):
             grid.flat[k].tick_params(labelbottom=True)
             grid.flat[k].set_xlabel("set" if study.pooled else "record")
+        if not np.isfinite(errors).all():
+            grid.flat[0].plot([], [], "o", ms=3.5, mfc="white", mec=COLOURS[0], label="no interval may be claimed")
         handles, labels = grid.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=len(labels))
         return figure
@@ -83,8 +85,6 @@ def _parameter(axes: Axes, study: Study, k: int, reach: np.ndarray) -> None:
         title += f",  std/mean {study.variation.percent[k]:.3g} %"
     axes.set_title(title, loc="left")
     axes.set_ylabel(scaled_unit(study.selected.units[k], exponent))
-    if not np.isfinite(reach).any():
-        axes.text(0.5, 0.03, "no interval", transform=axes.transAxes, ha="center", color=GREY, fontsize=7)
     axes.set_xlim(-0.6, len(x) - 0.4)
     names = ["all" if study.pooled else _short(r.records[0]) for r in study.sets]
     axes.set_xticks(x if len(x) <= 12 else x[:: math.ceil(len(x) / 12)])

@@ -6,10 +6,22 @@ import shutil
 from pathlib import Path
 
 import pytest
+import yaml
+
+from hybrid_id.records.schema import DatasetFile
+from hybrid_id.records.yaml_file import validate
+from hybrid_id.systems.model_file import ModelFile, build_model, values_of
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 BLOCKS = re.findall(r"^```sh\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("hybrid-id ")]
+YAML = re.findall(r"^```yaml\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def test_example_files_are_sound() -> None:
+    dataset, model = (yaml.safe_load(text) for text in YAML)
+    validate(DatasetFile, dataset, "README.md")
+    assert "F_c" in values_of(build_model(validate(ModelFile, model, "README.md")))
 
 
 @pytest.mark.parametrize("ending", ["", "identify", "train"])
