@@ -1,0 +1,181 @@
+"""Pictures, tables and files of a study: complete, with units, and the same numbers everywhere."""
+
+import csv
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+import pytest
+from drives import make_record, multisine, rigid_drive
+from rich.console import Console
+
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.excitation import design_multisine
+from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure, truth_figure
+from hybrid_id.reporting.record_plots import comparison_figure, excitation_figure, fit_figure
+from hybrid_id.reporting.results import as_json, study_result, write_parameters
+from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, symbol, unit
+from hybrid_id.reporting.tables import comparison_table, identifiability_table, study_table, truth_table
+from hybrid_id.statistics.residuals import whiteness
+from hybrid_id.study import Study, compare, identify
+
+TRUTH = {"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.01, "F_v": 5e-5}
+
+
+@pytest.fixture(scope="module")
+def dataset() -> Dataset:
+    """Two train records and one test record of a drive with motor and link encoder."""
+    truth, names = rigid_drive(), ("q_m1", "q_a1")
+    noise = {"q_m1": 0.01, "q_a1": 1e-4}
+    records = [
+        make_record(
+            truth,
+            multisine(k, samples=500, amplitude=7.0),
+            seed=k,
+            noise=noise,
+            outputs=names,
+            name=f"run_{k}",
+        )
+        for k in range(3)
+    ]
+    records[2] = replace(records[2], role="test")
+    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01), Channel("q_a1", "rad", 1e-4))
+    return Dataset("two encoders", *channels, tuple(records), 0.002)
+
+
+@pytest.fixture(scope="module")
+def study(dataset: Dataset) -> Study:
+    """Its identification without priors: torques have no scale of their own."""
+    return identify(dataset, rigid_drive().with_values({"J": 2.3e-5, "F_c": 0.008}))
+
+
+@pytest.fixture(scope="module")
+def pooled(dataset: Dataset) -> Study:
+    return identify(dataset, rigid_drive(), pooled=True)
+
+
+def text_of(part: object) -> str:
+    console = Console(width=200, no_color=True)
+    with console.capture() as capture:
+        console.print(part)
+    return capture.get()
+
+
+def labels(figure) -> list[str]:
+    return [text for axes in figure.axes for text in (axes.get_xlabel(), axes.get_ylabel()) if text]
+
+
+@pytest.mark.parametrize(
+    ("name", "printed"),
+    [
+        ("f_11", r"$f_{\mathrm{11}}$"),
+        ("J", "$J$"),
+        ("q_m1", r"$q_{\mathrm{m1}}$"),
+        ("u1", r"$u_{\mathrm{1}}$"),
+        ("sigma_0", r"$\sigma_{\mathrm{0}}$"),
+        ("F_va", r"$F_{\mathrm{va}}$"),
+        ("rotor_share", r"$\mathrm{rotor}_{\mathrm{share}}$"),
+        ("F_c_joint1_motor_friction_coulomb", "F_c_joint1_motor_friction_coulomb"),
+    ],
+)
+def test_symbols_are_typeset(name: str, printed: str) -> None:
+    assert symbol(name) == printed
+
+
+def test_units_are_typeset() -> None:
+    assert unit("1") == ""
+    assert "²" in unit("kg m^2")
+    assert scaled_unit("1", 0) == ""
+    assert scaled_unit("V", -3).startswith("[$10^{-3}$")
+
+
+@pytest.mark.parametrize(
+    ("largest", "exponent"), [(0.0, 0), (2.4e-5, -6), (0.02, 0), (0.009, -3), (150.0, 0), (5e4, 3)]
+)
+def test_axes_are_scaled_by_powers_of_a_thousand(largest: float, exponent: int) -> None:
+    assert power_of_ten(np.array([0.0, -largest])) == exponent
+
+
+def test_pictures_have_labels_with_units(dataset: Dataset, study: Study, tmp_path: Path) -> None:
+    before = dict(matplotlib.rcParams)
+    comparison = compare(dataset, {"start": study.system, "identified": study.selected_model})
+    figures = {
+        "parameters": parameter_figure(study),
+        "cross_validation": cross_validation_figure(study),
+        "residuals": residual_figure(study, whiteness(study.selected.residual), 0.002),
+        "truth": truth_figure(study, TRUTH),
+        "fit": fit_figure(dataset, comparison.replays["identified"][2]),
+        "comparison": comparison_figure(dataset, comparison, "run_0"),
+        "excitation": excitation_figure(
+            design_multisine(
+                (1.0, 5.0), sample_time=0.01, duration=2.0, amplitude_limits=5.0, tones=4, starts=1
+            )
+        ),
+    }
+    for name, figure in figures.items():
+        save(figure, tmp_path / f"{name}.png")
+        assert (tmp_path / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+        assert labels(figure), name
+    assert dict(matplotlib.rcParams) == before
+    assert len(figures["parameters"].axes) == 6  # five parameters in rows of three
+    assert len(figures["fit"].axes) == 5  # two outputs with residuals, one input
+    assert "time [s]" in labels(figures["fit"])
+    assert any("rad" in text for text in labels(figures["fit"]))
+    assert any("[V]" in text for text in labels(figures["comparison"]))
+    assert "2 records" not in labels(figures["truth"])
+
+
+def test_pooled_study_and_diverged_sets_are_drawn(dataset: Dataset, pooled: Study, study: Study) -> None:
+    assert pixels(parameter_figure(pooled)).shape[2] == 3
+    assert pixels(cross_validation_figure(pooled)).any()
+    fits = study.cross_validation.fits.copy()
+    fits[0, 1] = -np.inf
+    broken = replace(study, cross_validation=replace(study.cross_validation, fits=fits))
+    figure = cross_validation_figure(broken)
+    assert "div." in [text.get_text() for text in figure.axes[0].texts]
+    mad = rigid_drive().with_values({"J": 1e-9, "P_m1": 1.0})
+    comparison = compare(dataset, {"sound": study.selected_model, "mad": mad})
+    assert pixels(comparison_figure(dataset, comparison, "run_1")).any()
+    assert "run_1" in text_of(comparison_table(comparison))
+
+
+def test_tables_claim_no_interval_where_there_is_none(study: Study) -> None:
+    words = text_of(study_table(study, 1.96, 0.95))
+    row = next(line for line in words.splitlines() if line.startswith("J "))
+    assert "none" in row
+    assert "J/P_m1" in words
+    assert "may all be multiplied by one number" in text_of(identifiability_table(study.identifiability))
+    told = text_of(truth_table(study, TRUTH, 1.96, 0.95))
+    assert told.count("none claimed") == len(study.identifiability.not_claimable)
+
+
+def test_combinations_come_out_right(study: Study) -> None:
+    told = study.combinations
+    truth = np.array(
+        [c.evaluate(np.array([TRUTH[n] for n in study.names])) for c in study.identifiability.combinations]
+    )
+    assert told.values.shape == (2, len(told.names))
+    assert np.all(np.abs(told.values - truth) < 4 * told.std_error)
+    assert np.all(told.std_error < 0.2 * np.abs(truth))
+
+
+def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) -> None:
+    def refuse(word: str) -> float:
+        raise AssertionError(f"{word} is no JSON")
+
+    text = as_json("identify", study_result(study, reach=1.96, level=0.95))
+    result = json.loads(text, parse_constant=refuse)
+    assert result["selected"]["half_widths"]["J"] is None
+    assert result["program"].startswith("hybrid_id ")
+    write_parameters(tmp_path / "parameters.csv", study, 1.96)
+    with (tmp_path / "parameters.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * len(study.names)
+    for row in rows:
+        assert (row["claimable"] == "0") == (row["std_error"] == "" == row["lower"])
+        k = study.names.index(row["parameter"])
+        i = [r.records[0] for r in study.sets].index(row["set"])
+        assert math.isclose(float(row["value"]), study.values[i, k], rel_tol=1e-9)
