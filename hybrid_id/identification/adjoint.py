@@ -140,7 +140,7 @@ def train(
         *map(str, (pooled, len(options.windows))),
     ]
     state = read_state(resume, identity) if resume else None
-    interrupted = False
+    interrupted, told = False, 0
     try:
         for stage, window in enumerate([*options.windows, None]):
             if state is not None and stage < state.stage:
@@ -157,19 +157,20 @@ def train(
             if state is None or state.stage < stage:
                 state = begin(problem, base if state is None else problem.theta(state.q), stage, state)
             problem = replace(problem, engine=replace(engine, substeps=state.substeps, fine=state.fine))
-            while bool(state.running.any()) and not interrupted:
+            while not interrupted:
+                if writer is not None and state.iteration > told:
+                    look = validation if state.iteration % options.validate_every == 0 else None
+                    writer.record(_snapshot(problem, state, names, look))
+                    told = state.iteration
+                going = state.running.nonzero().flatten()
+                if progress is not None:
+                    label = "records" if window is None else "windows"
+                    interrupted = bool(progress(label, state.iteration, state.cost, going))
+                if interrupted or going.numel() == 0:
+                    break
                 state = advance(problem, state, tolerance, options.max_iterations, options.refresh)
                 if checkpoint is not None:
                     write_state(checkpoint, state, identity)
-                if writer is not None:
-                    look = validation if state.iteration % options.validate_every == 0 else None
-                    writer.record(_snapshot(problem, state, names, look))
-                if progress is not None:
-                    name, going = (
-                        "records" if window is None else "windows",
-                        state.running.nonzero().flatten(),
-                    )
-                    interrupted = bool(progress(name, state.iteration, state.cost, going))
             if interrupted:
                 break
     except KeyboardInterrupt:

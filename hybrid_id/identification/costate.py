@@ -76,7 +76,7 @@ def gradient(
         weight.requires_grad_(True)
     residual = (batch.y - lin.y) * batch.weight
     slope = -loss.factor(residual) * residual * batch.weight
-    costate = _costates(lin.a, (lin.c.transpose(2, 3) @ slope[..., None])[..., 0])
+    costate = _costates(lin, (lin.c.transpose(2, 3) @ slope[..., None])[..., 0])
     arriving = torch.cat([costate[:, 1:], torch.zeros_like(costate[:, :1])], 1)
     by_theta, by_extra = _parameters(system, engine, batch, x, theta, free, extra, arriving, slope)
     cost = loss.value(residual).sum((1, 2)).where(closed, torch.nan)
@@ -124,17 +124,18 @@ def _linearise(system: System, engine: OdeEngine, batch: Batch, x: Tensor, theta
         back = torch.empty_like(tensor).index_copy_(0, order, tensor)
         return back.reshape(rows, samples, *tensor.shape[2:])
 
-    return Linearisation(**{f.name: unsorted(getattr(lin, f.name)) for f in fields(lin)})
+    tensors = {f.name: getattr(lin, f.name) for f in fields(lin)}
+    return replace(lin, **{n: unsorted(t) for n, t in tensors.items() if isinstance(t, Tensor)})
 
 
-def _costates(a: Tensor, source: Tensor) -> Tensor:
+def _costates(lin: Linearisation, source: Tensor) -> Tensor:
     """Solve ``lambda_k = source_k + A_k' lambda_{k+1}`` for all rows, ``(R, T, n_x)``: condensing, back in time."""
     rows, samples, n_x = source.shape
-    back = a.transpose(2, 3).flip(1)
+    back = lin.a.transpose(2, 3).flip(1)
     forcing = torch.cat([source.flip(1), source.new_zeros(rows, 1, n_x)], 1)
-    none = a.new_zeros(rows, samples + 1, n_x, 0)
-    lin = Linearisation(forcing, torch.cat([back, back[:, :1]], 1), none, none, none, none)
-    return condense(lin, torch.zeros_like(forcing))[:, 1:, :, -1].flip(1)
+    none = source.new_zeros(rows, samples + 1, n_x, 0)
+    chain = replace(lin, x_next=forcing, a=torch.cat([back, back[:, :1]], 1), b=none)
+    return condense(chain, torch.zeros_like(forcing))[:, 1:, :, -1].flip(1)
 
 
 def _parameters(
