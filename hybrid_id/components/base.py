@@ -170,8 +170,9 @@ class Bristle(Friction):
 
 def relax(state: Tensor, speed: Tensor, rate: Tensor, step: Tensor) -> Tensor:
     """Exact solution of dz/dt = speed - rate z after ``step`` at constant speed and rate [1/s] >= 0."""
-    decay = (rate * step).clamp_min(1e-12)  # the limit of (1 - exp(-a)) / a at 0, without a branch
-    return state * torch.exp(-decay) - speed * step * torch.expm1(-decay) / decay
+    decay = rate * step
+    above = decay.clamp_min(1e-12)  # the limit of (1 - exp(-a)) / a at 0, without a branch
+    return state * torch.exp(-decay) - speed * step * torch.expm1(-above) / above
 
 
 class Transmission(Component):

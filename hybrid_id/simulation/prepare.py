@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
+from scipy.integrate import cumulative_trapezoid
 from torch import Tensor
 
 from hybrid_id.errors import InputError
@@ -14,7 +15,10 @@ from hybrid_id.records.measures import rest_samples
 from hybrid_id.records.record import Record
 from hybrid_id.records.smoothing import noise_level, smooth_derivatives
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
 
+RESTING = 5
+"""Samples at rest from which on a record counts as one that starts at rest."""
 SIGNAL_SHARE = 0.004
 """Standard deviation added to each measurement's noise, as a share of the record's: what a good model still misses."""
 
@@ -115,20 +119,23 @@ def make_batch(
         raise InputError("There is no record to simulate; give at least one.")
     outputs = tuple(outputs if outputs is not None else records[0].outputs)
     for record in records:
-        for name in (*system.input_names, *outputs):
+        for name in system.input_names:
             if name not in record.inputs and name not in record.outputs:
                 raise InputError(
                     f"{record.title} has no channel '{name}', which the model needs; "
                     "add it to the dataset or change the model's input."
                 )
+        for name in outputs:
+            if name not in record.outputs:
+                known = ", ".join(record.outputs)
+                raise InputError(
+                    f"{record.title} has no output '{name}' to compare with; it has {known}, so choose among those."
+                )
     samples = max(record.n_samples for record in records)
-    switches = [
-        n for n in (f"enable{j.number}" for j in system.joints) if all(n in r.inputs for r in records)
-    ]
-    u = {
-        name: _padded([record.signal(name) for record in records], samples)
-        for name in (*system.input_names, *switches)
-    }
+    u = {name: _padded([r.signal(name) for r in records], samples) for name in system.input_names}
+    for name in (f"enable{joint.number}" for joint in system.joints):
+        if any(name in r.inputs for r in records):  # a motor without a switch is on
+            u[name] = _padded([r.inputs.get(name, np.ones(r.n_samples)) for r in records], samples)
     dt = _padded([np.append(np.diff(record.time), 0.0) for record in records], samples, hold=False)
     y = torch.stack([_padded([record.outputs[name] for record in records], samples) for name in outputs], -1)
     weight, guess, spread = torch.zeros_like(y), [], []
@@ -162,52 +169,60 @@ def _states(
     """Guess of all states (T, n_x) of one record, and the uncertainty of its first row (n_x,)."""
     states = np.zeros((record.n_samples, len(system.state_names)))
     stds = np.zeros(len(system.state_names))
-    resting = rest_samples(record)
+    rest = rest_samples(record)
     for joint in system.joints:
-        n, r = joint.number, joint.gear_ratio
-        scale = {f"q_m{n}": 1.0, f"q_a{n}": r}
-        measured = [name for name in scale if name in record.outputs]
-        speeds = [name for name in (f"v_m{n}", f"v_a{n}") if name in record.outputs]
-        if measured:
-            name = measured[0]
-            steps = record.sample_time if record.is_uniform else record.time
-            angle, speed, _ = smooth_derivatives(record.outputs[name], steps, noise[name])
-            angle, speed, std = angle * scale[name], speed * scale[name], noise[name] * scale[name]
-        elif speeds:
-            name = speeds[0]
-            factor = 1.0 if name.startswith("v_m") else r
-            speed = smooth_derivatives(record.outputs[name], record.time, noise[name])[0] * factor
-            angle = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(record.time))])
-            std = 0.0
-        else:
+        n, ratio = joint.number, joint.gear_ratio
+        sides = {f"q_m{n}": 1.0, f"q_a{n}": ratio, f"v_m{n}": 1.0, f"v_a{n}": ratio}
+        measured = [name for name in sides if name in record.outputs]
+        if not measured:
             raise InputError(
-                f"{record.title} measures neither angle nor speed of joint {n}; add q_m{n}, q_a{n}, v_m{n} or v_a{n}."
+                f"{record.title} measures neither angle nor speed of joint {n}; add {', '.join(sides)}."
             )
-        rest = resting if len(joint.positions) else 0
-        if measured and rest >= 5:
-            angle[:rest] = np.mean(record.outputs[measured[0]][:rest]) * scale[measured[0]]
-            speed[:rest] = 0.0
-            start_std = (std / np.sqrt(rest), 0.0)
-        else:
-            start_std = (
-                std,
-                4.0 * std / max(20 * record.sample_time, 1e-9) if measured else noise[speeds[0]],
-            )
+        motor = _motion(joint, record, measured[0], noise, rest)
         row = joint.positions[0]
-        states[:, row], states[:, row + 1] = angle, speed
-        stds[row : row + 2] = start_std
-        if not joint.rigid:
-            link = joint.positions[1]
-            states[:, link], states[:, link + 1] = angle / r, speed / r
-            if f"q_a{n}" in record.outputs and f"q_m{n}" in record.outputs:
-                steps = record.sample_time if record.is_uniform else record.time
-                states[:, link], states[:, link + 1], _ = smooth_derivatives(
-                    record.outputs[f"q_a{n}"], steps, noise[f"q_a{n}"]
-                )
-                if rest >= 5:
-                    states[:rest, link], states[:rest, link + 1] = (
-                        np.mean(record.outputs[f"q_a{n}"][:rest]),
-                        0.0,
-                    )
-            stds[link] = stds[row] / r
+        states[:, row : row + 2] = motor[0] * sides[measured[0]]
+        stds[row : row + 2] = motor[1] * sides[measured[0]]
+        if joint.rigid:
+            continue
+        link = joint.positions[1]
+        if f"q_a{n}" in measured:
+            states[:, link : link + 2], stds[link : link + 2] = _motion(joint, record, f"q_a{n}", noise, rest)
+        else:
+            states[:, link : link + 2] = states[:, row : row + 2] / ratio
+            # in motion nobody knows the spring's deflection
+            unknown = 0.1 * states[:, link : link + 2].std(0) if rest < RESTING else 0.0
+            stds[link : link + 2] = stds[row : row + 2] / ratio + unknown
     return states, stds if estimate_start else np.zeros_like(stds)
+
+
+def _motion(
+    joint: Joint, record: Record, name: str, noise: Mapping[str, float], rest: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and speed (T, 2) of one side from its output ``name``, and the uncertainty of the first sample (2,)."""
+    steps = record.sample_time if record.is_uniform else record.time
+    std = noise[name]
+    if name.startswith("v"):
+        speed = smooth_derivatives(record.outputs[name], steps, std)[0]
+        angle, first = cumulative_trapezoid(speed, record.time, initial=0.0), (0.0, std)
+    else:
+        offset, estimated = _encoder_offset(joint, name[:-1])
+        measured = record.outputs[name] - offset
+        angle, speed, _ = smooth_derivatives(measured, steps, std)
+        # at its end a cubic through nine samples, the smoothing's short window, has this slope's error
+        first = std, std / record.sample_time
+        if rest >= RESTING:
+            angle[:rest], first = np.mean(measured[:rest]), (std / np.sqrt(rest), 0.0)
+        if estimated:
+            first = np.ptp(angle) + 1.0, first[1]
+    if rest >= RESTING:
+        speed[:rest], first = 0.0, (first[0], 0.0)
+    return np.stack([angle, speed], 1), np.array(first)
+
+
+def _encoder_offset(joint: Joint, channel: str) -> tuple[float, bool]:
+    """What the sensors of a channel read at the model's zero [rad], and whether a fit may move it."""
+    sensors = [part for _, part in joint.sensors if part.channel == channel]
+    zero = torch.zeros(1, dtype=torch.float64)
+    with torch.no_grad():
+        offset = sum(part.read(part.view(), zero).item() for part in sensors)
+    return offset, any(spec.estimate for part in sensors for spec in part.specs.values())

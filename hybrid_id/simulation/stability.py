@@ -48,12 +48,12 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
                     if grad is not None:
                         jacobian[:, i, j] = grad
         # a bristle that sticks couples back as a spring, its own rate is stepped exactly
-        for row, speed, _ in system.bristle_levels(leaves, p):
-            (grad,) = torch.autograd.grad(speed.sum(), leaves[system.speed_rows[0]], allow_unused=True)
-            jacobian[:, row, system.speed_rows[0]] = 1.0 if grad is None else grad
+        for row, speed, level in system.bristle_levels(leaves, p):
             key, law = system.bristle(row)
-            if law.kind == "dahl":
-                jacobian[:, row] *= p[key].sigma[:, None]
+            stuck = law.rate(p[key], torch.zeros_like(speed), speed, level)
+            for j, grad in enumerate(torch.autograd.grad(stuck.sum(), leaves, allow_unused=True)):
+                if grad is not None:
+                    jacobian[:, row, j] = grad
     jacobian = jacobian[torch.isfinite(jacobian).all(2).all(1)]
     return float(torch.linalg.eigvals(jacobian).abs().max()) if len(jacobian) else math.inf
 
