@@ -1,0 +1,180 @@
+"""Records to tensors: start states, weights, padding, switches, windows."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from drives import flexible_drive, make_record, multisine, rigid_drive, stored
+
+from hybrid_id.components import MotorEncoder
+from hybrid_id.errors import InputError
+from hybrid_id.parameters import Bounded
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
+
+NOISE = {"q_m1": 0.01, "q_a1": 1e-4, "v_m1": 0.1, "i1": 0.01}
+
+
+def record(seed: int = 0, samples: int = 400, outputs: tuple[str, ...] = ("q_m1",), system=None) -> Record:
+    return make_record(
+        system or rigid_drive(),
+        multisine(seed, samples=samples),
+        seed=seed,
+        noise=NOISE,
+        outputs=outputs,
+        name=f"r{seed}",
+    )
+
+
+def test_start_is_the_mean_of_the_samples_at_rest() -> None:
+    r = record()
+    batch = make_batch(rigid_drive(), [r], noise_std=NOISE)
+    assert batch.x[0, 0, 1] == 0.0
+    assert batch.x[0, 0, 0].item() == pytest.approx(r.outputs["q_m1"][:50].mean(), abs=1e-9)
+    assert batch.x0_std[0, 0].item() == pytest.approx(0.01 / np.sqrt(50), rel=0.05)
+    assert batch.x0_std[0, 1] == 0.0
+    held = make_batch(rigid_drive(), [r], noise_std=NOISE, estimate_start=False)
+    assert (held.x0_std == 0).all()
+
+
+def test_start_in_motion_is_free_within_its_uncertainty() -> None:
+    r = record(samples=800)
+    cut = r.between(0.5, 1.2)
+    batch = make_batch(rigid_drive(), [cut], noise_std=NOISE)
+    truth = simulate(rigid_drive(), Engine(), make_batch(rigid_drive(), [r])).x[0, 250, 1].item()
+    assert (batch.x0_std[0] > 0).all()
+    assert abs(batch.x[0, 0, 1].item() - truth) < 3 * batch.x0_std[0, 1].item()
+
+
+def test_records_of_different_length_are_padded() -> None:
+    records = [record(1, samples=300), record(2, samples=500)]
+    batch = make_batch(rigid_drive(), records, noise_std=NOISE)
+    assert batch.dt.shape == (2, 500)
+    assert (batch.dt[0, 299:] == 0).all() and batch.dt[0, 298] > 0 and batch.dt[1, 499] == 0
+    assert (batch.weight[0, 300:] == 0).all() and (batch.weight[0, :300] > 0).all()
+    assert batch.names == ("r1", "r2")
+    free_run = simulate(rigid_drive(), Engine(), batch)
+    alone = simulate(rigid_drive(), Engine(), make_batch(rigid_drive(), records[:1], noise_std=NOISE))
+    torch.testing.assert_close(free_run.y[0, :300], alone.y[0], rtol=0, atol=1e-9)
+
+
+def test_weight_is_noise_plus_a_share_of_the_signal() -> None:
+    r = record(outputs=("q_m1", "i1"))
+    batch = make_batch(rigid_drive(), [r], noise_std=NOISE)
+    for k, name in enumerate(("q_m1", "i1")):
+        std = np.hypot(NOISE[name], 0.004 * np.std(r.outputs[name]))
+        np.testing.assert_allclose(batch.weight[0, :, k], 1 / std)
+    bare = make_batch(rigid_drive(), [r], outputs=["i1"], noise_std=NOISE, signal_share=0.0)
+    np.testing.assert_allclose(bare.weight[0, :, 0], 100.0)
+
+
+def test_noise_is_estimated_where_nobody_tells_it() -> None:
+    batch = make_batch(rigid_drive(), [record(samples=1500)], signal_share=0.0)
+    assert 1 / batch.weight[0, 0, 0].item() == pytest.approx(0.01, rel=0.15)
+
+
+def test_uneven_stamps_become_steps() -> None:
+    r = record()
+    time = r.time + 0.0005 * np.sin(np.arange(r.n_samples))
+    batch = make_batch(rigid_drive(), [replace(r, time=time)], noise_std=NOISE)
+    np.testing.assert_allclose(batch.dt[0, :-1], np.diff(time))
+
+
+@pytest.mark.parametrize("outputs", [("q_a1",), ("v_m1",), ("q_m1", "q_a1"), ("v_a1", "i1")])
+def test_guess_of_the_states_from_any_output(outputs: tuple[str, ...]) -> None:
+    system = flexible_drive()
+    noise = dict.fromkeys(("q_m1", "q_a1", "v_m1", "v_a1", "i1"), 1e-6)
+    u = multisine(3, samples=400)
+    r = make_record(system, u, seed=3, noise=noise, outputs=outputs)
+    batch = make_batch(system, [r], noise_std=noise)
+    truth = simulate(
+        system, Engine(substeps=4), make_batch(system, [r], noise_std=noise, estimate_start=False)
+    ).x[0]
+    link = (batch.x[0, 50:, 3] - truth[50:, 3]).std() / truth[50:, 3].std()
+    assert link < (0.05 if outputs[-1] == "q_a1" else 0.6)
+    assert (batch.x0_std[0, 1] == 0) and (batch.x0_std[0, 3] == 0)  # at rest
+    settled = simulate(system, Engine(substeps=4), replace(batch, x0_std=0 * batch.x0_std))
+    assert settled.status == ("ok",)
+    assert batch.outputs == outputs
+
+
+def test_encoder_offset_is_taken_off_the_start() -> None:
+    system = rigid_drive(vertical=True).with_component("joint1/sensor", MotorEncoder(offset=30.0))
+    r = record(system=system)
+    assert abs(r.outputs["q_m1"][:50].mean() - 30.0) < 0.01
+    batch = make_batch(system, [r], noise_std=NOISE)
+    assert abs(batch.x[0, 0, 0].item()) < 0.01
+    residual = simulate(system, Engine(substeps=4), batch).y[0, :, 0] - batch.y[0, :, 0]
+    assert residual.std() < 0.02
+
+
+def test_switch_is_read_where_records_have_it() -> None:
+    r = record()
+    off = replace(r, inputs={**r.inputs, "enable1": (r.time > 0.3).astype(float)}, name="off")
+    batch = make_batch(rigid_drive(), [r, off], noise_std=NOISE)
+    assert (batch.u["enable1"][0] == 1).all(), "a record without a switch has its motor on"
+    assert (batch.u["enable1"][1, :100] == 0).all()
+    assert "enable1" not in make_batch(rigid_drive(), [r], noise_std=NOISE).u
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"inputs": {"tau1": np.zeros(400)}}, ("'r0'", "'u1'")),
+        ({"outputs": {"i1": np.zeros(400)}}, ("'r0'", "neither angle nor speed")),
+    ],
+)
+def test_missing_channel_is_named(change: dict, words: tuple[str, ...]) -> None:
+    with pytest.raises(InputError) as caught:
+        make_batch(rigid_drive(), [replace(record(), **change)], noise_std=NOISE)
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+def test_output_that_a_record_lacks_is_named() -> None:
+    for outputs in (["q_a1"], ["u1"]):  # u1 is there, but as an input
+        with pytest.raises(InputError, match=outputs[0]):
+            make_batch(rigid_drive(), [record()], outputs=outputs, noise_std=NOISE)
+    with pytest.raises(InputError, match="no record"):
+        make_batch(rigid_drive(), [])
+
+
+def test_windows_cover_the_record_and_start_where_it_is() -> None:
+    batch = make_batch(rigid_drive(), [record(1), record(2, samples=300)], noise_std=NOISE)
+    windows, row = batch.windows(100, 100, torch.full((2, 2), 0.5))
+    assert windows.dt.shape == (7, 100)  # 4 of the long one, 3 of the short one: padding alone makes none
+    assert row.tolist() == [0, 0, 0, 0, 1, 1, 1]
+    assert (windows.dt[:, -1] == 0).all()
+    torch.testing.assert_close(windows.x[1], batch.x[0, 100:200])
+    torch.testing.assert_close(windows.y[6, :, 0], batch.y[1, 200:300, 0])
+    assert (windows.x0_std == 0.5).all()
+
+
+def test_batch_of_some_rows_and_on_a_device() -> None:
+    batch = make_batch(rigid_drive(), [record(1), record(2)], noise_std=NOISE)
+    twice = batch.take(torch.tensor([1, 1, 0])).to("cpu")
+    assert twice.names == ("r2", "r2", "r1") and twice.rows == 3
+    torch.testing.assert_close(twice.y[2], batch.y[0])
+    assert stored(rigid_drive(), 3).shape[1] == twice.rows
+
+
+def test_flexible_record_that_starts_in_motion_leaves_the_link_free() -> None:
+    cut = make_record(flexible_drive(), multisine(1, samples=800), seed=1, noise=NOISE, name="cut").between(
+        0.5, 1.5
+    )
+    batch = make_batch(flexible_drive(), [cut], noise_std=NOISE)
+    assert (batch.x0_std[0] > 0).all()
+
+
+def test_offset_that_is_estimated_frees_the_start_angle() -> None:
+    held, free = (
+        rigid_drive(vertical=True).with_component(
+            "joint1/sensor", MotorEncoder(offset=Bounded(3.0, -1e3, 1e3, "rad", estimate))
+        )
+        for estimate in (False, True)
+    )
+    r = record(system=held)
+    assert make_batch(held, [r], noise_std=NOISE).x0_std[0, 0] < 0.01
+    assert make_batch(free, [r], noise_std=NOISE).x0_std[0, 0] > 1.0
