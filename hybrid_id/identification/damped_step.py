@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.identification.box import solve_box
-from hybrid_id.identification.objective import Evaluation
+from hybrid_id.identification.objective import Evaluation, Loss
 
 REACH = 0.5
 """A step of this share of a parameter costs one residual variance: where records tell nothing, nothing moves."""
@@ -120,7 +120,9 @@ def damped_step(
     )  # fmt: skip
 
 
-def bend(step: DampedStep, part: Evaluation, refused: Evaluation, bounds: Bounds) -> tuple[Tensor, Tensor]:
+def bend(
+    step: DampedStep, part: Evaluation, refused: Evaluation, bounds: Bounds, loss: Loss
+) -> tuple[Tensor, Tensor]:
     """A refused step bent by the curvature that its own trial shows: new parameters ``(G, n_f)`` and nodes.
 
     The trial's residuals less their linear prediction are half the second derivative along the step; correcting them
@@ -130,6 +132,7 @@ def bend(step: DampedStep, part: Evaluation, refused: Evaluation, bounds: Bounds
     """
     along = torch.cat([step.first, step.shift[step.group]], 1)
     curvature = part.residual - (part.jacobian @ along[:, None, :, None])[..., 0] - refused.residual
+    curvature = curvature * loss.factor(part.residual)
     pull = replace(part, gradient=(part.jacobian * curvature[..., None]).sum((1, 2)))
     _, slope, _, back = _reduce(pull, step.group, len(step.values), step.damping, step.near)
     second = torch.linalg.solve(step.matrix, -(slope * step.unit)[..., None])[..., 0]

@@ -101,11 +101,21 @@ def minimise(
     bounds = replace(bounds, scale=torch.maximum(0.1 * start, bounds.scale))
     spread = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
 
-    def at(part: Batch, x: Tensor, point: Tensor, group: Tensor, chunk: int) -> tuple[Evaluation, Tensor]:
-        e = evaluate(system, engine, part, x, point[:, group], free, loss=options.loss, chunk=chunk)
-        return e, bounds.prior_cost(point[index].T).index_add(0, group, e.cost)
+    def at(part: Batch, x: Tensor, point: Tensor, chunk: int) -> Evaluation:
+        return evaluate(system, engine, part, x, point, free, loss=options.loss, chunk=chunk)
 
-    best, cost = at(batch, batch.x if nodes is None else nodes, theta, sets, options.chunk)
+    def total(e: Evaluation, point: Tensor, group: Tensor) -> Tensor:
+        return bounds.prior_cost(point[index].T).index_add(0, group, e.cost)
+
+    def walk(e: Evaluation, part: Batch, point: Tensor, wanted: Tensor) -> Evaluation:
+        # Newton's closing can cycle about a change from stick to slip: a loop over the samples cannot
+        left = wanted.nonzero().flatten()
+        if left.numel() == 0:
+            return e
+        return e.with_rows(left, at(part.take(left), e.x[left], point[:, left], part.dt.shape[1]))
+
+    best = at(batch, batch.x if nodes is None else nodes, theta[:, sets], options.chunk)
+    cost = total(best, theta, sets)
     data = (
         torch.zeros_like(cost)
         .index_add(0, sets, (batch.weight > 0).sum((1, 2)).to(cost.dtype))
@@ -138,7 +148,8 @@ def minimise(
         blur = _worst(part.defect, group, noise)
         honest = (damping[running] < 1.0) & ~closing[running] & ~again[running]
         nearest[running] = torch.where(honest, step.size, nearest[running])
-        done = honest & (step.size < options.tolerance) & (blur < SETTLED)
+        short = honest & (step.size < options.tolerance)
+        done = short & (blur < SETTLED)
         stuck = damping[running] >= STALLED
         if bool((done | stuck).any()):
             # kinks of dry friction can end the descent a fraction of a standard error early
@@ -157,12 +168,18 @@ def minimise(
         x = torch.where(bending[group, None, None], bent_x[rows], step.nodes(part, going))
         # near the end the nodes move so little that no event changes its sample: Newton closes the defects alone
         chunk = 1 if bool(((blur < SHARP) & (step.size < 3.0)).all()) else options.chunk
-        new, new_cost = at(batch.take(rows), x, trial, group, chunk)
+        tried = batch.take(rows)
+        new = at(tried, x, trial[:, group], chunk)
+        cycling = (new.defect > 2 * SETTLED * noise.sqrt()[group]) & (new.defect > 0.7 * part.defect)
+        cycling &= (shut | short)[group]
+        new = walk(new, tried, trial[:, group], cycling)
+        shut = shut.index_fill(0, group[cycling], True)
+        new_cost = total(new, trial, group)
         gained = cost[running] - new_cost
         accepted = torch.isfinite(new_cost) & ((gained >= -1e-9 * cost[running]) | shut)
         redo = ~accepted & torch.isfinite(new_cost) & ~bending & ~shut
         if bool(redo.any()):
-            values, bent_x[rows] = bend(step, part, new, bounds)
+            values, bent_x[rows] = bend(step, part, new, bounds, options.loss)
             bent[:, running] = trial
             bent[index[:, None], running] = values.T
         again[running] = redo
@@ -182,7 +199,9 @@ def minimise(
         if progress is not None and progress(iteration + 1, cost, running):
             leave(torch.ones_like(running, dtype=torch.bool), "interrupted")
             break
-    return Outcome(theta, cost, iterations, status, best, history)
+    noise = (2.0 * cost / data).clamp_min(1e-300)
+    best = walk(best, batch, theta[:, sets], best.defect > SETTLED * noise.sqrt()[sets])
+    return Outcome(theta, total(best, theta, sets), iterations, status, best, history)
 
 
 def _worst(defect: Tensor, group: Tensor, noise: Tensor) -> Tensor:
