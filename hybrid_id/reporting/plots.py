@@ -23,6 +23,8 @@ from hybrid_id.reporting.style import (
 from hybrid_id.statistics.residuals import Whiteness
 from hybrid_id.study import Study
 
+MAX_TICKS = 7
+"""Records that are named under one panel."""
 MAX_NUMBERED = 14
 """Largest matrix whose cells are given as numbers too."""
 
@@ -45,7 +47,9 @@ def parameter_figure(study: Study, reach: float = 1.96) -> Figure:
             grid.flat[k].tick_params(labelbottom=True)
             grid.flat[k].set_xlabel("set" if study.pooled else "record")
         if not np.isfinite(errors).all():
-            grid.flat[0].plot([], [], "o", ms=3.5, mfc="white", mec=COLOURS[0], label="no interval may be claimed")
+            grid.flat[0].plot(
+                [], [], "o", ms=3.5, mfc="white", mec=COLOURS[0], label="no interval may be claimed"
+            )
         handles, labels = grid.flat[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside upper right", ncols=len(labels))
         return figure
@@ -87,7 +91,7 @@ def _parameter(axes: Axes, study: Study, k: int, reach: np.ndarray) -> None:
     axes.set_ylabel(scaled_unit(study.selected.units[k], exponent))
     axes.set_xlim(-0.6, len(x) - 0.4)
     names = ["all" if study.pooled else _short(r.records[0]) for r in study.sets]
-    axes.set_xticks(x if len(x) <= 12 else x[:: math.ceil(len(x) / 12)])
+    axes.set_xticks(x[:: math.ceil(len(x) / MAX_TICKS)])
     axes.set_xticklabels([names[int(i)] for i in axes.get_xticks()])
 
 
@@ -182,20 +186,28 @@ def truth_figure(study: Study, truth: Mapping[str, float], reach: float = 1.96) 
     """Selected set against known values: relative error of each parameter with its interval."""
     errors = reach * study.standard_errors(study.selection.index)
     names = [name for name in study.names if name in truth]
+    share = {name: 100 / abs(truth[name]) * errors[study.names.index(name)] for name in names}
+    halves = [half for half in share.values() if np.isfinite(half)]
+    far = 4.0 * float(np.median(halves)) if halves else np.inf  # one wide interval must not hide all others
     with journal():
         figure = new_figure(0.21 * len(names) + 0.8, 4.5)
         axes = figure.subplots()
         axes.axvline(0.0, color="black", lw=0.6)
+        reaches: list[float] = []
         for row, name in enumerate(names):
             k = study.names.index(name)
-            scale = 100 / abs(truth[name])
-            error, half = scale * (study.selected.values[k] - truth[name]), scale * errors[k]
+            error, half = 100 / abs(truth[name]) * (study.selected.values[k] - truth[name]), share[name]
             known = bool(np.isfinite(half))
+            reaches.append(abs(error) + (half if half < far else 0.0))
+            if far <= half < np.inf:
+                axes.annotate(f"± {half:.0f} %", (1.0, row), (3, 0), xycoords=("axes fraction", "data"),
+                              textcoords="offset points", va="center", fontsize=7, annotation_clip=False)  # fmt: skip
             axes.errorbar(
                 error, row, xerr=half if known else None, fmt="o", ms=4, mfc=COLOURS[1] if known else "white",
                 mec=COLOURS[1], ecolor=COLOURS[0], elinewidth=1.2, capsize=2,
             )  # fmt: skip
         axes.set_yticks(range(len(names)), [symbol(name) for name in names])
+        axes.set_xlim(-1.15 * max(reaches, default=1.0), 1.15 * max(reaches, default=1.0))
         axes.invert_yaxis()
         axes.set_xlabel("estimate − truth [% of the truth], with its interval")
         return figure
