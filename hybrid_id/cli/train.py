@@ -84,6 +84,10 @@ def train(
         with added_results(home) as folder:
             text = write_study(folder, home, "train", config, dataset, study)
     show_study(study, config, home, text, as_json=as_json)
+    remark(
+        f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; 'identify' takes it "
+        "as it is, so small differences between their estimates are the smoothing's"
+    )
     if any(result.status == "interrupted" for result in sets):
         remark(f"stopped by Ctrl-C; 'hybrid-id train {source} --out {home} --resume' goes on from here")
         raise typer.Exit(130)

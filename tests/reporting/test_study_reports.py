@@ -20,7 +20,7 @@ from hybrid_id.reporting.results import as_json, study_result, write_parameters
 from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, symbol, unit
 from hybrid_id.reporting.tables import comparison_table, identifiability_table, study_table, truth_table
 from hybrid_id.statistics.residuals import whiteness
-from hybrid_id.study import Study, compare, identify
+from hybrid_id.study import Comparison, Study, compare, identify
 
 TRUTH = {"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.01, "F_v": 5e-5}
 
@@ -136,10 +136,13 @@ def test_pooled_study_and_diverged_sets_are_drawn(dataset: Dataset, pooled: Stud
     broken = replace(study, cross_validation=replace(study.cross_validation, fits=fits))
     figure = cross_validation_figure(broken)
     assert "div." in [text.get_text() for text in figure.axes[0].texts]
-    mad = rigid_drive().with_values({"J": 1e-9, "P_m1": 1.0})
-    comparison = compare(dataset, {"sound": study.selected_model, "mad": mad})
+    sound = compare(dataset, {"sound": study.selected_model}).replays["sound"]
+    nowhere = {name: np.full(500, np.nan) for name in ("q_m1", "q_a1")}
+    fit, error = (dict.fromkeys(nowhere, value) for value in (-np.inf, np.inf))
+    mad = tuple(replace(run, outputs=nowhere, status="diverged", fit=fit, nrmse=error) for run in sound)
+    comparison = Comparison({"sound": sound, "mad": mad})
     assert pixels(comparison_figure(dataset, comparison, "run_1")).any()
-    assert "run_1" in text_of(comparison_table(comparison))
+    assert "diverged" in text_of(comparison_table(comparison))
 
 
 def test_tables_claim_no_interval_where_there_is_none(study: Study) -> None:
