@@ -25,6 +25,8 @@ SETTLED = 0.01
 """Defects that move the outputs by less than this share of the residuals do not blur the cost."""
 SHARP = 0.1
 """Defects below this share of the residuals need no shooting before the next linearisation."""
+PERFECT = 1e-8
+"""Least variance of the weighted residuals: a record that is met to a ten-thousandth of its noise is met."""
 STALLED = 1e12
 """Damping at which no step is left."""
 
@@ -136,12 +138,12 @@ def minimise(
         for g in running[mask].tolist():
             status[g] = reason
 
-    for iteration in range(options.max_iterations):
+    while running.numel() and int(iterations[running[0]]) < options.max_iterations:
         local = torch.full((count,), -1, device=device)
         local[running] = torch.arange(running.numel(), device=device)
         rows = (local[sets] >= 0).nonzero().flatten()
         group, part = local[sets[rows]], best.take(rows)
-        noise = (2.0 * cost[running] / data[running]).clamp_min(1e-300)
+        noise = (2.0 * cost[running] / data[running]).clamp_min(PERFECT)
         step = damped_step(
             part, group, theta[index][:, running].T, damping[running], noise, spread[rows], bounds
         )
@@ -156,8 +158,6 @@ def minimise(
             leave(stuck, "stalled")
             leave(done | (stuck & (nearest[running] < 0.3)), "converged")
             running = running[~(done | stuck)]
-            if running.numel() == 0:
-                break
             continue
         # after a refusal whose yardstick still had open defects, close those before the next trial
         shut, bending = closing[running], again[running]
@@ -196,10 +196,10 @@ def minimise(
         ease = torch.where(bending, 1.0, ease).where(accepted, growth[running]).where(~(shut | redo), 1.0)
         growth[running] = torch.where(accepted, 2.0, torch.where(redo, 1.0, 2.0) * growth[running])
         damping[running] = (damping[running] * ease).clamp(1e-12, STALLED)
-        if progress is not None and progress(iteration + 1, cost, running):
+        if progress is not None and progress(int(iterations.max()), cost, running):
             leave(torch.ones_like(running, dtype=torch.bool), "interrupted")
             break
-    noise = (2.0 * cost / data).clamp_min(1e-300)
+    noise = (2.0 * cost / data).clamp_min(PERFECT)
     best = walk(best, batch, theta[:, sets], best.defect > SETTLED * noise.sqrt()[sets])
     return Outcome(theta, total(best, theta, sets), iterations, status, best, history)
 
