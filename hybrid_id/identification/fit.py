@@ -22,6 +22,9 @@ from hybrid_id.systems.chain import System
 WINDOW = 0.4
 """Length [s] of the windows of the warm start; one in four is used."""
 
+COARSE = 0.3
+"""Tolerance [standard errors] of every stage but the last."""
+
 Progress = Callable[[str, int, Tensor, Tensor], bool | None]
 
 
@@ -42,7 +45,8 @@ def fit(
     """Identify one parameter set for each row of a batch, or one for all of them.
 
     The warm start fits short windows that begin at measured states, where the problem is nearly convex; the full
-    fit then runs over whole records (output error, paper eq. 2). With several starts each set keeps its best end.
+    fit then runs over whole records (output error, paper eq. 2). With several starts each set keeps its best end; a
+    loss with stages drops the worse half of the starts after each stage.
 
     Args:
         system: model with start values, bounds, priors and roles.
@@ -85,19 +89,30 @@ def fit(
         quick = engine if keep else with_substeps(system, Engine(), many, theta[:, many_sets])
         theta = warm_start(system, quick, many, many_sets, theta, free, bounds, options, report("windows"))
         engine = with_substeps(system, engine, many, theta[:, many_sets])
-    nodes = None
-    for _ in range(3):
-        outcome = minimise(
-            system, engine, many, many_sets, theta, free, bounds, options, report("records"), nodes
-        )
-        finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
-        if finer.substeps == engine.substeps or "interrupted" in outcome.status:
+    nodes, alive, each = None, starts, torch.arange(count, device=device)
+    for loss in options.loss.stages:
+        last = loss == options.loss
+        setting = replace(options, loss=loss, tolerance=max(options.tolerance, 0.0 if last else COARSE))
+        for _ in range(3):
+            outcome = minimise(
+                system, engine, many, many_sets, theta, free, bounds, setting, report("records"), nodes
+            )
+            finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
+            if finer.substeps == engine.substeps or "interrupted" in outcome.status:
+                break
+            engine, theta, nodes = finer, outcome.theta, outcome.at.x
+        cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
+        order = cost.reshape(alive, count).argsort(0)
+        if last or "interrupted" in outcome.status:
             break
-        engine, theta, nodes = finer, outcome.theta, outcome.at.x
-    cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
-    best = cost.reshape(starts, count).argmin(0) * count + torch.arange(count, device=device)
+        # the better half of the starts goes on
+        alive = -(-alive // 2)
+        kept = (order[:alive, sets] * batch.rows + rows).flatten()
+        theta = outcome.theta[:, (order[:alive] * count + each).flatten()]
+        nodes, many, many_sets = outcome.at.x[kept], many.take(kept), many_sets[: kept.numel()]
+    best = order[0] * count + each
     return [
-        make_result(system, batch, many_sets, outcome, int(g), free, bounds, engine, options) for g in best
+        make_result(system, batch, many_sets, outcome, int(g), free, bounds, engine, setting) for g in best
     ]
 
 
@@ -192,7 +207,7 @@ def warm_start(
     if found_windows is None:
         return theta
     windows, row = found_windows
-    coarse = replace(options, max_iterations=15, tolerance=0.3)
+    coarse = replace(options, max_iterations=15, tolerance=COARSE, loss=options.loss.stages[0])
     found = minimise(system, engine, windows, sets[row], theta, free, bounds, coarse, progress)
     usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
     return torch.where(usable, found.theta, theta)

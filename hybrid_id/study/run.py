@@ -15,9 +15,10 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap
+from hybrid_id.statistics.jackknife import autocorrelation_robust
 from hybrid_id.statistics.selection import select
 from hybrid_id.statistics.trust import trust_grades
-from hybrid_id.statistics.uncertainty import Covariance, covariance, robust_covariance
+from hybrid_id.statistics.uncertainty import Covariance, covariance
 from hybrid_id.statistics.variation import mean_interval, variation
 from hybrid_id.study.identifiable import told_by
 from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_nrmse
@@ -90,7 +91,7 @@ def assess(
     batch = batch_of(dataset, system, dataset.train, signal_share, "cpu") if batch is None else batch
     plain = tuple(covariance(r.jacobian, r.residual, prior_information=r.prior_precision) for r in sets)
     robust = tuple(
-        robust_covariance(r.jacobian, r.residual, prior_information=r.prior_precision) for r in sets
+        autocorrelation_robust(r.jacobian, r.residual, prior_information=r.prior_precision) for r in sets
     )
     matrix = cross_validate(sets, batch, pooled=pooled)
     selection = select(matrix)
