@@ -20,6 +20,13 @@ from hybrid_id.errors import InputError
 class Commands(TyperGroup):
     """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
 
+    def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
+        """Run a command; Ctrl-C where nothing is kept says so."""
+        try:
+            return super().invoke(ctx)  # type: ignore[arg-type]
+        except KeyboardInterrupt:
+            raise typer.Exit(_refuse("stopped; no results were written", 130)) from None
+
     def main(self, args: Any = None, prog_name: str | None = None, **extra: Any) -> NoReturn:
         """Run a command line and leave with its exit code."""
         extra["standalone_mode"] = False

@@ -19,7 +19,7 @@ MESSAGES = {
     "target": "stopped at the requested cost",
     "stalled": "no step lowers the cost any more; check the start values, or try more starts",
     "max_iterations": "iterations used up before convergence; raise max_iterations or try more starts",
-    "interrupted": "stopped by the user; the values are those of the last step, resume to go on",
+    "interrupted": "stopped by the user; the values are those of the last step",
     "diverged": "the simulation diverged at the start values; correct units, signs or start values",
 }
 
