@@ -75,7 +75,9 @@ class CompiledStep:
         if key not in _CACHE:
             from torch.fx.experimental.proxy_tensor import make_fx
 
-            _CACHE[key] = torch.compile(make_fx(lambda *arguments: function(*arguments))(*example), dynamic=False)
+            _CACHE[key] = torch.compile(
+                make_fx(lambda *arguments: function(*arguments))(*example), dynamic=False
+            )
         step = _CACHE[key]
 
         def run(*arguments: Tensor) -> Any:
@@ -91,7 +93,9 @@ class CompiledStep:
     def _states(self, x: Tensor, u: Tensor, h: Tensor, theta: Tensor) -> Tensor:
         return torch.stack(self._advance(list(x.unbind(0)), u, h, list(theta.unbind(0))))
 
-    def _jacobian(self, x: Tensor, chain: Tensor, u: Tensor, h: Tensor, theta: Tensor) -> tuple[Tensor, Tensor]:
+    def _jacobian(
+        self, x: Tensor, chain: Tensor, u: Tensor, h: Tensor, theta: Tensor
+    ) -> tuple[Tensor, Tensor]:
         leaves = [row.detach().requires_grad_() for row in x.unbind(0)]
         values = [row.detach().requires_grad_(i in self.free) for i, row in enumerate(theta.unbind(0))]
         wanted = [*leaves, *(values[i] for i in self.free)]
@@ -101,7 +105,10 @@ class CompiledStep:
         for target in after:
             grads = torch.autograd.grad(target.sum(), wanted, retain_graph=True, allow_unused=True)
             grads = [torch.zeros_like(h) if g is None else g for g in grads]
-            through = [sum(g * chain[j, c] for j, g in enumerate(grads[: self.n_x])) for c in range(len(wanted))]
+            through = [
+                sum((g * chain[j, c] for j, g in enumerate(grads[: self.n_x])), torch.zeros_like(h))
+                for c in range(len(wanted))
+            ]
             rows.append(torch.stack([t if c < self.n_x else t + grads[c] for c, t in enumerate(through)]))
         return torch.stack([a.detach() for a in after]), torch.stack(rows)
 

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from hybrid_id.errors import InputError
 from hybrid_id.systems.chain import Channels, Rows, System, Views
 
 
@@ -33,6 +34,14 @@ class Engine:
     substeps: int = 1
     width: float = 0.5
     compiled: bool = False
+
+    def __post_init__(self) -> None:
+        if self.friction not in ("dry", "smooth"):
+            raise InputError(f"The engine's friction '{self.friction}' is not known; use dry or smooth.")
+        if self.substeps < 1 or not self.width > 0.0:
+            raise InputError(
+                f"The engine has {self.substeps} sub-steps and width {self.width}; give at least 1 and more than 0."
+            )
 
     def sample(self, system: System, x: Rows, u: Channels, dt: Tensor, p: Views) -> list[Tensor]:
         """State after ``dt`` seconds under the held channels ``u``; lanes with ``dt`` = 0 stay as they are.

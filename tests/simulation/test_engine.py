@@ -6,6 +6,7 @@ import torch
 from drives import STEP, batch_of, flexible_drive, rigid_drive, run, stored
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, LoadDependent, LuGre, Stribeck
+from hybrid_id.errors import InputError
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link_flexible
 from hybrid_id.twin import friction as twin_friction
@@ -202,3 +203,9 @@ def test_held_input_acts_from_its_own_sample_on() -> None:
     assert x["v_m1"][3] == 0.0 and x["v_m1"][4] > 0.0
     batch = batch_of(rigid_drive(), {"u1": u})
     assert batch.dt[0, -1] == 0.0
+
+
+@pytest.mark.parametrize("wrong", [{"friction": "sticky"}, {"substeps": 0}, {"width": 0.0}])
+def test_unknown_engine_is_refused(wrong: dict) -> None:
+    with pytest.raises(InputError, match="engine"):
+        Engine(**wrong)
