@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.study import Study
 
+MAX_TITLE = 50  # characters that leave room for the legend
+
 
 def reach_of(config: StudyConfig) -> float:
     """Half-width of an interval in standard errors."""
@@ -77,8 +79,11 @@ def study_images(dataset: "Dataset", study: "Study", reach: float) -> "dict[str,
         ),
     }
     for run in replay(dataset, chosen.system, engine=chosen.engine):
-        title = f"{run.record.name} ({run.record.role}), parameter set {study.selection.name}"
-        figures[f"fit_{run.record.name}"] = fit_figure(dataset, run, title)
+        title = f"{run.record.name} ({run.record.role})"
+        with_set = f"{title}, parameter set {study.selection.name}"
+        figures[f"fit_{run.record.name}"] = fit_figure(
+            dataset, run, with_set if len(with_set) < MAX_TITLE else title
+        )
     return {name: pixels(figure) for name, figure in figures.items()}
 
 

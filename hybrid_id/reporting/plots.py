@@ -90,7 +90,7 @@ def _parameter(axes: Axes, study: Study, k: int, reach: np.ndarray) -> None:
     axes.set_title(title, loc="left")
     axes.set_ylabel(scaled_unit(study.selected.units[k], exponent))
     axes.set_xlim(-0.6, len(x) - 0.4)
-    names = ["all" if study.pooled else _short(r.records[0]) for r in study.sets]
+    names = ["all" if study.pooled else _short(r.records[0], i + 1) for i, r in enumerate(study.sets)]
     axes.set_xticks(x[:: math.ceil(len(x) / MAX_TICKS)])
     axes.set_xticklabels([names[int(i)] for i in axes.get_xticks()])
 
@@ -108,7 +108,7 @@ def cross_validation_figure(study: Study) -> Figure:
         image = axes.imshow(shown, cmap="cividis", vmin=low, vmax=100, aspect="auto")
         if n_records <= MAX_NUMBERED:
             for i, j in np.ndindex(matrix.shape):
-                text = f"{matrix[i, j]:.1f}" if np.isfinite(matrix[i, j]) else "div."
+                text = _percent(matrix[i, j]) if np.isfinite(matrix[i, j]) else "div."
                 dark = np.isfinite(shown[i, j]) and shown[i, j] < 0.5 * (low + 100)
                 axes.text(
                     j, i, text, ha="center", va="center", color="white" if dark else "black", fontsize=7
@@ -125,7 +125,7 @@ def cross_validation_figure(study: Study) -> Figure:
         # the numbers by which the set was selected
         side = axes.secondary_yaxis("right")
         pairs = zip(study.selection.mean, study.selection.std, strict=True)
-        side.set_yticks(range(n_sets), [f"{mean:.1f} ± {std:.1f}" for mean, std in pairs])
+        side.set_yticks(range(n_sets), [f"{_percent(mean)} ± {_percent(std)}" for mean, std in pairs])
         side.set_ylabel("mean ± std over the records")
         side.tick_params(length=0)
         side.spines[:].set_visible(False)
@@ -213,7 +213,20 @@ def truth_figure(study: Study, truth: Mapping[str, float], reach: float = 1.96) 
         return figure
 
 
-def _short(name: str) -> str:
-    """The tail of a record's name that fits under a tick."""
+def _short(name: str, number: int) -> str:
+    """What of a record's name fits under a tick: its number at the end, or its place in the dataset."""
     tail = name.rsplit("_", 1)[-1]
-    return tail if tail.isdigit() else name[-6:]
+    return tail if tail.isdigit() and len(tail) <= 3 else str(number)
+
+
+def _percent(value: float) -> str:
+    """A fit as it fits into a cell; how bad a bad one is does not matter."""
+    return (
+        f"{value:.1f}"
+        if 0 <= value < 1000
+        else f"{value:.0f}"
+        if -100 < value < 0
+        else "<−99"
+        if value < 0
+        else ">999"
+    )

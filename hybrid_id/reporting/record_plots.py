@@ -11,7 +11,17 @@ from matplotlib.figure import Figure
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.excitation import Multisine
 from hybrid_id.records.units import stem
-from hybrid_id.reporting.style import COLOURS, DASHES, GREY, journal, label, new_figure, pad
+from hybrid_id.reporting.style import (
+    COLOURS,
+    DASHES,
+    GREY,
+    journal,
+    label,
+    new_figure,
+    pad,
+    scaled_unit,
+    symbol,
+)
 from hybrid_id.study import Comparison, Replay
 
 MAX_INPUTS = 3
@@ -64,7 +74,7 @@ def _overlay(dataset: Dataset, replays: Mapping[str, Replay], title: str) -> Fig
         units = {channel.name: channel.unit for channel in dataset.inputs}
         for axes, name in zip(panels[2 * len(signals) :], inputs, strict=True):
             axes.step(record.time, record.inputs[name], where="post", color="black", lw=0.7)
-            axes.set_ylabel(label(name, units[name]).replace(" ", "\n", 1))
+            axes.set_ylabel(f"{symbol(name)}\n{scaled_unit(units[name], 0)}".rstrip())
             pad(axes)
         panels[-1].set_xlabel("time [s]")
         panels[-1].set_xlim(record.time[0], record.time[-1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -90,7 +91,9 @@ def pixels(figure: Figure) -> np.ndarray:
     """A figure as an image, (H, W, 3) uint8: drawn once, for a file and for TensorBoard."""
     figure.set_dpi(DPI)
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    with warnings.catch_warnings():  # long names may leave no room; the picture is drawn all the same
+        warnings.filterwarnings("ignore", "constrained_layout not applied")
+        canvas.draw()
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
