@@ -108,7 +108,7 @@ def cross_validation_figure(study: Study) -> Figure:
         image = axes.imshow(shown, cmap="cividis", vmin=low, vmax=100, aspect="auto")
         if n_records <= MAX_NUMBERED:
             for i, j in np.ndindex(matrix.shape):
-                text = _percent(matrix[i, j]) if np.isfinite(matrix[i, j]) else "div."
+                text = _percent(float(matrix[i, j])) if np.isfinite(matrix[i, j]) else "div."
                 dark = np.isfinite(shown[i, j]) and shown[i, j] < 0.5 * (low + 100)
                 axes.text(
                     j, i, text, ha="center", va="center", color="white" if dark else "black", fontsize=7
