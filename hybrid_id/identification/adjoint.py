@@ -21,10 +21,11 @@ from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification import least_squares
+from hybrid_id.identification.checkpoint import read_state, write_state
 from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.fit import Progress, make_bounds, measured_windows
 from hybrid_id.identification.objective import Loss, evaluate
-from hybrid_id.identification.quasi_newton import State, advance, begin, read_state, write_state
+from hybrid_id.identification.quasi_newton import State, advance, begin
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.prepare import Batch
@@ -156,7 +157,6 @@ def train(
                 )
             if state is None or state.stage < stage:
                 state = begin(problem, base if state is None else problem.theta(state.q), stage, state)
-            problem = replace(problem, engine=replace(engine, substeps=state.substeps, fine=state.fine))
             while not interrupted:
                 if writer is not None and state.iteration > told:
                     look = validation if state.iteration % options.validate_every == 0 else None
@@ -183,6 +183,9 @@ def train(
 
 def _snapshot(problem: Problem, state: State, names: tuple[str, ...], validation: Batch | None) -> Snapshot:
     """What the writer is told of a state."""
+    problem = replace(
+        problem, engine=replace(problem.engine, substeps=state.substeps, fine=state.fine, gradient="backprop")
+    )
     theta, info = problem.theta(state.q), [problem.system.table[i] for i in problem.free]
     return Snapshot(
         step=state.iteration,
@@ -202,9 +205,8 @@ def _validation_loss(problem: Problem, theta: Tensor, batch: Batch) -> Tensor:
     """Loss per measurement of every set on the records of a batch, ``(G,)``; NaN where a simulation diverged."""
     count = theta.shape[1]
     many = batch.take(torch.arange(batch.rows, device=theta.device).repeat(count))
-    engine = replace(problem.engine, gradient="backprop")
     spread = theta.repeat_interleave(batch.rows, 1)
-    _, lin, closed = free_run(problem.system, engine, many, many.x, spread)
+    _, lin, closed = free_run(problem.system, problem.engine, many, many.x, spread)
     cost = problem.loss.value((many.y - lin.y) * many.weight).sum((1, 2)).where(closed, torch.nan)
     return cost.reshape(count, batch.rows).sum(1) / (batch.weight > 0).sum()
 

@@ -9,14 +9,11 @@ H. B. Nielsen, Damping Parameter in Marquardt's Method, IMM-REP-1999-05.
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, fields, replace
-from pathlib import Path
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from hybrid_id.errors import InputError
 from hybrid_id.identification.box import solve_box
 from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.rollout import rollout
@@ -31,7 +28,7 @@ class State:
 
     Attributes:
         stage: number of the stage; began: gradients before it; iteration: gradients so far.
-        substeps, fine: steps of the engine in this stage.
+        substeps, fine: steps of the engine.
         q: unknowns, ``(G, N)``; slope, cost: gradient and cost there.
         metric: ``(G, N, N)``, positive definite.
         damping: added share of the metric's diagonal, ``(G,)``; growth: its factor when a step fails.
@@ -93,6 +90,26 @@ def begin(problem: Problem, theta: Tensor, stage: int, before: State | None) -> 
     return _renew(problem, state, fine.nonzero().flatten())
 
 
+def _with_stable_steps(problem: Problem, state: State) -> tuple[Problem, State]:
+    """The problem with the steps that the engine needs where the sets stand now, and the state under it."""
+    before = replace(problem.engine, substeps=state.substeps, fine=state.fine)
+    theta, batch = problem.theta(state.q)[:, problem.sets], replace(problem.batch, x=state.nodes)
+    engine = before.stable(problem.system, batch, theta)
+    problem = replace(problem, engine=engine)
+    if engine == before:
+        return problem, state
+    cost, slope, run = problem.value(state.q, state.nodes)
+    kept = state.running & torch.isfinite(cost) & torch.isfinite(slope).all(1)
+    rows = kept[problem.sets]
+    state = replace(
+        state, substeps=engine.substeps, fine=engine.fine, iteration=state.iteration + 1,
+        cost=cost.where(kept, state.cost), slope=slope.where(kept[:, None], state.slope),
+        nodes=run.x.where(rows[:, None, None], state.nodes), y=run.y.where(rows[:, None, None], state.y),
+        steps=state.steps + kept,
+    )  # fmt: skip
+    return problem, _renew(problem, state, kept.nonzero().flatten())
+
+
 def _renew(problem: Problem, state: State, chosen: Tensor) -> State:
     """The state with the metric of some sets taken anew, that of the weights kept."""
     if chosen.numel() == 0:
@@ -135,6 +152,7 @@ def advance(problem: Problem, state: State, tolerance: float, max_iterations: in
         max_iterations: gradients in this stage.
         refresh: accepted steps after which the metric is taken anew.
     """
+    problem, state = _with_stable_steps(problem, state)
     due = (state.age >= refresh) | ((state.age > 0) & (_distance(problem, state) < tolerance))
     state = _renew(problem, state, (state.running & due).nonzero().flatten())
     distance, status, running = _distance(problem, state), list(state.status), state.running.clone()
@@ -193,35 +211,3 @@ def advance(problem: Problem, state: State, tolerance: float, max_iterations: in
 
 def _outer(vector: Tensor) -> Tensor:
     return vector[:, :, None] * vector[:, None, :]
-
-
-def write_state(path: Path, state: State, identity: list[str]) -> None:
-    """Write a checkpoint, under a temporary name first.
-
-    Args:
-        path: the file.
-        state: where the training stands.
-        identity: names of its records and parameters.
-    """
-    content = {f.name: getattr(state, f.name) for f in fields(State)}
-    temporary = path.with_name(path.name + ".tmp")
-    torch.save({"identity": identity, "state": content}, temporary)
-    os.replace(temporary, path)
-
-
-def read_state(path: Path, identity: list[str]) -> State:
-    """Read a checkpoint of the training of these records and parameters."""
-    if not path.is_file():
-        raise InputError(f"There is no checkpoint {path}; start without resuming.")
-    try:
-        content = torch.load(path, weights_only=True)
-        found, state = content["identity"], State(**content["state"])
-    except Exception as error:
-        raise InputError(
-            f"{path} is no checkpoint of a training ({type(error).__name__}); start without resuming."
-        ) from None
-    if found != identity:
-        raise InputError(
-            f"{path} belongs to other records or another model; resume with those, or start anew."
-        )
-    return state

@@ -2,9 +2,10 @@
 
 A record's inputs are held between samples, so that the vector field jumps at every sample and at no other time. Each
 sample is therefore one initial value problem of its own over the unit interval, autonomous, with all samples (of all
-records) as lanes: an adaptive solver never meets a jump, lanes may differ in sample time, and the adjoint, which
-integrates the state backwards and is unstable there (smoothed friction: e^(+4500 t)), starts again from the stored
-state at every sample. Chained over a record this equals one ``odeint_adjoint`` that requests every sample.
+records) as lanes: an adaptive solver never meets a jump, and lanes may differ in sample time. The adjoint integrates
+the state backwards, too, and is unstable there (smoothed friction: e^(+3000 t), a bristle that slides: e^(+10000 t));
+so the state is stored, and the backward integration starts again, at every sample and at every step of a fixed
+method. Chained over a record this equals one ``odeint_adjoint`` that requests the state at all these times.
 
 Source: R. T. Q. Chen et al., "Neural Ordinary Differential Equations", NeurIPS 2018; torchdiffeq 0.2.5.
 """
@@ -12,7 +13,6 @@ Source: R. T. Q. Chen et al., "Neural Ordinary Differential Equations", NeurIPS 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
@@ -110,39 +110,35 @@ class OdeEngine(Engine):
         """State after ``dt`` seconds under the held channels ``u``; arguments as in :meth:`Engine.sample`."""
         start = torch.stack(list(x))
         if self.method in ADAPTIVE:
-            return list(
-                self._integrate(system, start, u, dt, p, {"rtol": self.rtol, "atol": self.atol}).unbind(0)
-            )
+            return list(self._integrate(system, start, u, dt, p, 1).unbind(0))
         near = self.near_rest(system, x, u, dt, p)
         after = start
         for wanted, steps in ((~near, self.substeps), (near, max(self.fine, self.substeps))):
             lanes = wanted.nonzero().squeeze(1)
             if lanes.numel() == 0:
                 continue
-            options = {"options": {"grid_constructor": _grid(steps)}}
             if lanes.numel() == near.numel():
-                return list(self._integrate(system, start, u, dt, p, options).unbind(0))
+                return list(self._integrate(system, start, u, dt, p, steps).unbind(0))
             part = LaneSubset(lanes, near.numel())
             channels = {name: part.take(channel) for name, channel in u.items()}
-            end = self._integrate(
-                system, start[:, lanes], channels, part.take(dt), part.take_views(p), options
-            )
+            end = self._integrate(system, start[:, lanes], channels, part.take(dt), part.take_views(p), steps)
             after = after.index_copy(1, lanes, end)
         return list(after.unbind(0))
 
     def _integrate(
-        self, system: System, start: Tensor, u: Channels, dt: Tensor, p: Views, settings: dict
+        self, system: System, start: Tensor, u: Channels, dt: Tensor, p: Views, steps: int
     ) -> Tensor:
+        """States ``(n_x, B)`` at the sample's end; the state is requested, and so stored, after each of the steps."""
         field = HeldField(system, u, dt, p, self.width)
-        ends = torch.tensor([0.0, 1.0], dtype=start.dtype, device=start.device)
-        settings = {**settings, "method": self.method}
+        times = torch.linspace(0.0, 1.0, steps + 1, dtype=start.dtype, device=start.device)
+        settings: dict = {"method": self.method}
         if self.method in ADAPTIVE:  # a step ends where the sample ends; interpolation would lose the order
-            settings["options"] = {"norm": _largest, "step_t": ends}
+            settings |= {"rtol": self.rtol, "atol": self.atol, "options": {"norm": _largest, "step_t": times}}
         if self.gradient == "backprop" or not torch.is_grad_enabled():
-            return odeint(field, start, ends, **settings)[-1]  # type: ignore[index]
+            return odeint(field, start, times, **settings)[-1]  # type: ignore[index]
         rows = [row for view in p.values() for row in vars(view).values() if row.requires_grad]
         wanted = (*rows, *extra_parameters(system))
-        return odeint_adjoint(field, start, ends, adjoint_params=wanted, **settings)[-1]  # type: ignore[index]
+        return odeint_adjoint(field, start, times, adjoint_params=wanted, **settings)[-1]  # type: ignore[index]
 
     @torch.no_grad()
     def near_rest(self, system: System, x: Rows, u: Channels, dt: Tensor, p: Views) -> Tensor:
@@ -191,11 +187,6 @@ def bristle_rate(system: System, batch: Batch, theta: Tensor) -> float:
 
 def _whole(steps: float) -> int:
     return min(math.ceil(steps), MAX_SUBSTEPS) if math.isfinite(steps) else MAX_SUBSTEPS
-
-
-def _grid(substeps: int) -> Callable[[nn.Module, Tensor, Tensor], Tensor]:
-    """Equal steps over the whole interval, forwards and backwards, with ends that are hit exactly."""
-    return lambda field, start, t: torch.linspace(t[0], t[-1], substeps + 1, dtype=t.dtype, device=t.device)
 
 
 def _largest(x: Tensor) -> Tensor:

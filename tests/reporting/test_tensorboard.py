@@ -10,10 +10,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from hybrid_id.identification.adjoint import TrainOptions, train
 from hybrid_id.reporting.tensorboard import TrainingLog
 from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 
 NOISE = {"q_m1": 0.02}
-ENGINE = Engine("smooth", substeps=32)
+ENGINE = Engine("smooth", substeps=8, width=2.0)
 DRIVE = rigid_drive()
 
 
@@ -31,6 +32,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         results = train(
             DRIVE.with_values({"J": 3e-5, "F_c": 0.006}),
             batch.take(torch.tensor([0, 1])),
+            engine=OdeEngine(fine=8, width=2.0),
             options=options,
             validation=batch.take(torch.tensor([2])),
             writer=log,

@@ -211,8 +211,8 @@ def test_adjoint_on_the_papers_drive_is_within_half_a_percent_and_shrinks_with_t
         engine = OdeEngine(fine=steps)
         exact = by_costates(PAPER, replace(engine, gradient="backprop"), batch)
         errors.append(relative(by_costates(PAPER, engine, batch), exact))
-    assert errors[2] < 5e-3
-    assert errors[0] > 2 * errors[1] > 4 * errors[2], errors
+    assert errors[2] < 5e-4 and errors[1] < 5e-3
+    assert errors[0] > 4 * errors[1] > 16 * errors[2], errors
 
 
 def test_gradients_reach_weights_beyond_the_table() -> None:
