@@ -89,12 +89,19 @@ class FitResult:
                 found.append(name)
         return tuple(found)
 
+    @property
+    def unseen(self) -> tuple[str, ...]:
+        """Estimated parameters on which no measurement depends: they stay where they started."""
+        seen = np.any([np.abs(part).max((0, 1)) > 0.0 for part in self.jacobian], axis=0)
+        return tuple(name for name, told in zip(self.names, seen, strict=True) if not told)
+
     def summary(self) -> str:
         """The fit in a few lines."""
         lines = [f"{', '.join(self.records)}: {self.message} ({self.iterations} iterations)"]
         width = max((len(n) for n in self.names), default=0)
         for name, value, unit in zip(self.names, self.values, self.units, strict=True):
             note = "  at its bound" if name in self.at_bound else ""
+            note += "  not seen by these records" if name in self.unseen else ""
             lines.append(f"  {name:<{width}}  {value:.5g} {unit}{note}")
         lines.append(f"  weighted residual {self.noise_scale:.3g} (1 = as the noise says)")
         return "\n".join(lines)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,80 +13,14 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.measures import rest_samples
 from hybrid_id.records.record import Record
 from hybrid_id.records.smoothing import noise_level, smooth_derivatives
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
 RESTING = 5
-"""Samples at rest from which on a record counts as one that starts at rest."""
+"""Samples at rest from which on a record counts as one that starts at rest, and fewest samples of any record."""
 SIGNAL_SHARE = 0.004
 """Standard deviation added to each measurement's noise, as a share of the record's: what a good model still misses."""
-
-
-@dataclass(frozen=True)
-class Batch:
-    """Records (or windows of records) as rows of one batch, padded at their end with sample time 0 and weight 0.
-
-    Attributes:
-        u: channels, ``(R, T)`` each, held between samples.
-        dt: sample times [s], ``(R, T)``; 0 in each row's last sample and after it.
-        y: measured outputs, ``(R, T, n_y)``.
-        weight: 1 / standard deviation of each measurement, ``(R, T, n_y)``; 0 where there is none.
-        x: first guess of the states at all samples, ``(R, T, n_x)``.
-        x0_std: prior standard deviation of each row's first state around ``x[:, 0]``, ``(R, n_x)``; 0 holds it.
-        outputs: names of the outputs.
-        names: names of the rows.
-    """
-
-    u: Mapping[str, Tensor]
-    dt: Tensor
-    y: Tensor
-    weight: Tensor
-    x: Tensor
-    x0_std: Tensor
-    outputs: tuple[str, ...]
-    names: tuple[str, ...]
-
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return self.y.shape[0]
-
-    def take(self, rows: Tensor) -> Batch:
-        """The batch of some rows (indices may repeat); itself where they are all of them in order."""
-        if len(rows) == self.rows and bool((rows == torch.arange(self.rows, device=rows.device)).all()):
-            return self
-        names = tuple(self.names[i] for i in rows.tolist())
-        picked = {field: getattr(self, field)[rows] for field in ("dt", "y", "weight", "x", "x0_std")}
-        return replace(self, u={name: c[rows] for name, c in self.u.items()}, names=names, **picked)
-
-    def to(self, device: torch.device | str) -> Batch:
-        """The batch on another device."""
-        moved = {field: getattr(self, field).to(device) for field in ("dt", "y", "weight", "x", "x0_std")}
-        return replace(self, u={name: c.to(device) for name, c in self.u.items()}, **moved)
-
-    def windows(self, length: int, stride: int, x0_std: Tensor) -> tuple[Batch, Tensor]:
-        """Short windows of the rows, each with a first state of its own, and the row that each comes from.
-
-        Args:
-            length: samples in a window.
-            stride: samples from one window's start to the next one's.
-            x0_std: prior standard deviation of the first states around the guess, ``(R, n_x)``.
-        """
-        samples, device = self.dt.shape[1], self.dt.device
-        starts = torch.arange(0, max(samples - length, 0) + 1, stride, device=device)
-        index = (starts[:, None] + torch.arange(length, device=device)).clamp_max(samples - 1)
-        row = torch.arange(self.rows, device=device).repeat_interleave(len(starts))
-        cut = {field: getattr(self, field)[:, index].flatten(0, 1) for field in ("dt", "y", "weight", "x")}
-        cut["dt"][:, -1] = 0.0
-        batch = replace(
-            self,
-            u={name: c[:, index].flatten(0, 1) for name, c in self.u.items()},
-            x0_std=x0_std[row],
-            names=tuple(self.names[i] for i in row.tolist()),
-            **cut,
-        )
-        useful = (batch.weight > 0).any(2).any(1).nonzero().flatten()
-        return batch.take(useful), row[useful]
 
 
 def make_batch(
@@ -119,18 +52,7 @@ def make_batch(
         raise InputError("There is no record to simulate; give at least one.")
     outputs = tuple(outputs if outputs is not None else records[0].outputs)
     for record in records:
-        for name in system.input_names:
-            if name not in record.inputs and name not in record.outputs:
-                raise InputError(
-                    f"{record.title} has no channel '{name}', which the model needs; "
-                    "add it to the dataset or change the model's input."
-                )
-        for name in outputs:
-            if name not in record.outputs:
-                known = ", ".join(record.outputs)
-                raise InputError(
-                    f"{record.title} has no output '{name}' to compare with; it has {known}, so choose among those."
-                )
+        _check(system, record, outputs)
     samples = max(record.n_samples for record in records)
     u = {name: _padded([r.signal(name) for r in records], samples) for name in system.input_names}
     for name in (f"enable{joint.number}" for joint in system.joints):
@@ -138,18 +60,60 @@ def make_batch(
             u[name] = _padded([r.inputs.get(name, np.ones(r.n_samples)) for r in records], samples)
     dt = _padded([np.append(np.diff(record.time), 0.0) for record in records], samples, hold=False)
     y = torch.stack([_padded([record.outputs[name] for record in records], samples) for name in outputs], -1)
+    noises = [{name: _noise(record, name, noise_std) for name in record.outputs} for record in records]
     weight, guess, spread = torch.zeros_like(y), [], []
-    for row, record in enumerate(records):
-        noise = {name: _noise(record, name, noise_std) for name in record.outputs}
-        for column, name in enumerate(outputs):
-            std = np.hypot(noise[name], signal_share * np.std(record.outputs[name]))
-            weight[row, : record.n_samples, column] = 1.0 / max(std, 1e-12)
+    deviation = _deviations(records, outputs, noises, signal_share)
+    for row, (record, noise) in enumerate(zip(records, noises, strict=True)):
+        weight[row, : record.n_samples] = torch.tensor(1.0 / deviation[row])
         states, stds = _states(system, record, noise, estimate_start)
         guess.append(states)
         spread.append(stds)
     x = torch.stack([_padded([g[:, i] for g in guess], samples) for i in range(len(system.state_names))], -1)
     x0_std = torch.tensor(np.array(spread), dtype=torch.float64)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
+
+
+def _check(system: System, record: Record, outputs: Sequence[str]) -> None:
+    """Raise InputError where a record cannot be simulated by the system or compared with its outputs."""
+    for name in system.input_names:
+        if name not in record.inputs and name not in record.outputs:
+            raise InputError(
+                f"{record.title} has no channel '{name}', which the model needs; "
+                "add it to the dataset or change the model's input."
+            )
+    for name in outputs:
+        if name not in record.outputs:
+            known = ", ".join(record.outputs)
+            raise InputError(
+                f"{record.title} has no output '{name}' to compare with; it has {known}, so choose among those."
+            )
+    if record.n_samples < RESTING:
+        raise InputError(f"{record.title} has {record.n_samples} samples; give at least {RESTING}.")
+
+
+def _deviations(
+    records: Sequence[Record],
+    outputs: Sequence[str],
+    noises: Sequence[Mapping[str, float]],
+    signal_share: float,
+) -> np.ndarray:
+    """Standard deviation of each record's measurements, ``(R, n_y)``.
+
+    An output that never changes says nothing of its noise: the noisiest of the other records tells, or it counts 1.
+    """
+    deviation = np.array(
+        [
+            [np.hypot(noise[name], signal_share * _spread(record.outputs[name])) for name in outputs]
+            for record, noise in zip(records, noises, strict=True)
+        ]
+    )
+    highest = deviation.max(0, initial=0.0)
+    return np.where(deviation > 0, deviation, np.where(highest > 0, highest, 1.0))
+
+
+def _spread(values: np.ndarray) -> float:
+    """Standard deviation, exactly 0 for values that are all the same."""
+    return float(np.std(values)) if np.ptp(values) > 0 else 0.0
 
 
 def _padded(rows: Sequence[np.ndarray], samples: int, hold: bool = True) -> Tensor:

@@ -12,9 +12,10 @@ from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine, directions
 from hybrid_id.systems.chain import System
 
-LIMIT = {"dry": 0.5, "smooth": 2.5}
+LIMIT = {"dry": 0.5, "smooth": 2.5, "bristle": 0.2}
 """Largest step times eigenvalue: accuracy of the fastest mode for the dry engine, RK4's region of stability (2.78) for
-the smooth one, whose stiff part is the smoothing itself."""
+the smooth one, whose stiff part is the smoothing itself; less with bristles, which alternate with the motion at second
+order."""
 MAX_SUBSTEPS = 64
 
 
@@ -61,5 +62,6 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
 def with_substeps(system: System, engine: Engine, batch: Batch, theta: Tensor) -> Engine:
     """The engine with at least as many sub-steps as stability and accuracy need at these parameters."""
     rate, step = fastest_rate(system, engine, batch, theta), float(batch.dt.max())
-    needed = MAX_SUBSTEPS if not math.isfinite(rate) else math.ceil(step * rate / LIMIT[engine.friction])
+    limit = LIMIT["bristle" if system.bristle_rows else engine.friction]
+    needed = MAX_SUBSTEPS if not math.isfinite(rate) else math.ceil(step * rate / limit)
     return replace(engine, substeps=min(max(engine.substeps, needed, 1), MAX_SUBSTEPS))

@@ -273,3 +273,20 @@ def test_right_model_looks_right_on_the_development_cases(case: str, shared: Pat
             y, simulated = r.outputs[name], free_run.y[row, : r.n_samples, column].numpy()
             share.append(np.sqrt(np.mean((simulated - y) ** 2)) / np.std(y))
     assert np.mean(share) <= 1.10 * oracle["refit"], (np.mean(share), oracle)
+
+
+def test_record_without_motion_tells_nothing_and_says_so() -> None:
+    time = 0.002 * np.arange(400)
+    noise = 0.02 * np.random.default_rng(0).standard_normal(400)
+    still = Record("still", time, {"u1": np.zeros(400)}, {"q_m1": noise})
+    (found,) = fit(TRUTH, make_batch(TRUTH, [still], noise_std=NOISE))
+    assert found.unseen == found.names
+    assert all(v == EXACT[n] for n, v in zip(found.names, found.values, strict=True))
+
+
+@pytest.mark.parametrize("samples", [5, 6, 9, 30])
+def test_few_samples_are_fitted_without_a_fault(samples: int) -> None:
+    cut = record(0, samples=200).between(0.1, 0.1 + 0.002 * (samples - 0.5))
+    assert cut.n_samples == samples
+    (found,) = fit(TRUTH, make_batch(TRUTH, [cut], noise_std=NOISE))
+    assert np.isfinite(found.values).all() and np.isfinite(found.cost)

@@ -176,6 +176,7 @@ def test_what_records_cannot_tell_stays_where_it_was() -> None:
     )
     j = found.jacobian[0].reshape(-1, len(found.names))
     assert (j[:, found.names.index("rotor_share")] == 0).all(), "a rigid gear does not tell the rotor's share"
+    assert found.unseen == ("rotor_share",) and "not seen by these records" in found.summary()
     start = away(system, 1.1).parameter("rotor_share").spec.value
     assert found.values[found.names.index("rotor_share")] == pytest.approx(start)
     assert rank(

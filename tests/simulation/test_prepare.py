@@ -178,3 +178,17 @@ def test_offset_that_is_estimated_frees_the_start_angle() -> None:
     r = record(system=held)
     assert make_batch(held, [r], noise_std=NOISE).x0_std[0, 0] < 0.01
     assert make_batch(free, [r], noise_std=NOISE).x0_std[0, 0] > 1.0
+
+
+def test_output_that_never_changes_takes_its_weight_from_other_records() -> None:
+    time = 0.002 * np.arange(100)
+    still = Record("still", time, {"u1": 0.1 * np.sin(9 * time)}, {"q_m1": np.full(100, 0.4)})
+    batch = make_batch(rigid_drive(), [record(), still])
+    assert batch.weight[1, 0, 0] == batch.weight[0, 0, 0]
+    assert (make_batch(rigid_drive(), [still]).weight == 1.0).all()
+
+
+@pytest.mark.parametrize("samples", [2, 4])
+def test_record_of_a_few_samples_is_refused_by_name(samples: int) -> None:
+    with pytest.raises(InputError, match=rf"record 'r0' has {samples} samples; give at least 5"):
+        make_batch(rigid_drive(), [record().between(0.2, 0.2 + 0.002 * (samples - 0.5))])

@@ -72,3 +72,13 @@ def test_a_rate_that_is_no_number_takes_the_most() -> None:
     theta = torch.full_like(stored(system), math.nan)
     batch = batch_of(system, {"u1": np.ones(20)})
     assert with_substeps(system, Engine(), batch, theta).substeps == MAX_SUBSTEPS
+
+
+def test_bristles_take_finer_steps_than_their_rate_alone() -> None:
+    system = rigid_drive(Coulomb(F_c=0.01)).with_component(FRICTION, Dahl(sigma=0.5))
+    found = rate(system, Engine())
+    assert (
+        chosen(system, Engine())
+        == math.ceil(STEP * found / LIMIT["bristle"])
+        > math.ceil(STEP * found / LIMIT["dry"])
+    )

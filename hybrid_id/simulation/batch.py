@@ -1,0 +1,76 @@
+"""Records as rows of tensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Records (or windows of records) as rows of one batch, padded at their end with sample time 0 and weight 0.
+
+    Attributes:
+        u: channels, ``(R, T)`` each, held between samples.
+        dt: sample times [s], ``(R, T)``; 0 in each row's last sample and after it.
+        y: measured outputs, ``(R, T, n_y)``.
+        weight: 1 / standard deviation of each measurement, ``(R, T, n_y)``; 0 where there is none.
+        x: first guess of the states at all samples, ``(R, T, n_x)``.
+        x0_std: prior standard deviation of each row's first state around ``x[:, 0]``, ``(R, n_x)``; 0 holds it.
+        outputs: names of the outputs.
+        names: names of the rows.
+    """
+
+    u: Mapping[str, Tensor]
+    dt: Tensor
+    y: Tensor
+    weight: Tensor
+    x: Tensor
+    x0_std: Tensor
+    outputs: tuple[str, ...]
+    names: tuple[str, ...]
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return self.y.shape[0]
+
+    def take(self, rows: Tensor) -> Batch:
+        """The batch of some rows (indices may repeat); itself where they are all of them in order."""
+        if len(rows) == self.rows and bool((rows == torch.arange(self.rows, device=rows.device)).all()):
+            return self
+        names = tuple(self.names[i] for i in rows.tolist())
+        picked = {field: getattr(self, field)[rows] for field in ("dt", "y", "weight", "x", "x0_std")}
+        return replace(self, u={name: c[rows] for name, c in self.u.items()}, names=names, **picked)
+
+    def to(self, device: torch.device | str) -> Batch:
+        """The batch on another device."""
+        moved = {field: getattr(self, field).to(device) for field in ("dt", "y", "weight", "x", "x0_std")}
+        return replace(self, u={name: c.to(device) for name, c in self.u.items()}, **moved)
+
+    def windows(self, length: int, stride: int, x0_std: Tensor) -> tuple[Batch, Tensor]:
+        """Short windows of the rows, each with a first state of its own, and the row that each comes from.
+
+        Args:
+            length: samples in a window.
+            stride: samples from one window's start to the next one's.
+            x0_std: prior standard deviation of the first states around the guess, ``(R, n_x)``.
+        """
+        samples, device = self.dt.shape[1], self.dt.device
+        starts = torch.arange(0, max(samples - length, 0) + 1, stride, device=device)
+        index = (starts[:, None] + torch.arange(length, device=device)).clamp_max(samples - 1)
+        row = torch.arange(self.rows, device=device).repeat_interleave(len(starts))
+        cut = {field: getattr(self, field)[:, index].flatten(0, 1) for field in ("dt", "y", "weight", "x")}
+        cut["dt"][:, -1] = 0.0
+        batch = replace(
+            self,
+            u={name: c[:, index].flatten(0, 1) for name, c in self.u.items()},
+            x0_std=x0_std[row],
+            names=tuple(self.names[i] for i in row.tolist()),
+            **cut,
+        )
+        useful = (batch.weight > 0).any(2).any(1).nonzero().flatten()
+        return batch.take(useful), row[useful]
