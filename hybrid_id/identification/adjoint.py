@@ -155,6 +155,8 @@ def train(
                     replace(whole, batch=found[0], sets=sets[found[1]]),
                     options.window_tolerance,
                 )
+            if state is not None:
+                problem.set_weights(state.q)
             if state is None or state.stage < stage:
                 state = begin(problem, base if state is None else problem.theta(state.q), stage, state)
             while not interrupted:
@@ -183,6 +185,7 @@ def train(
 
 def _snapshot(problem: Problem, state: State, names: tuple[str, ...], validation: Batch | None) -> Snapshot:
     """What the writer is told of a state."""
+    problem.set_weights(state.q)
     problem = replace(
         problem, engine=replace(problem.engine, substeps=state.substeps, fine=state.fine, gradient="backprop")
     )
@@ -222,9 +225,7 @@ def _results(problem: Problem, state: State, interrupted: bool, finished: bool) 
     at = evaluate(
         problem.system, engine, batch, nodes.nan_to_num(0.0), theta[:, sets], free, loss=problem.loss, chunk=1
     )
-    offset = theta[free].T - problem.bounds.prior_mean
-    cost = at.cost.new_zeros(theta.shape[1]).index_add(0, sets, at.cost)
-    cost = cost + 0.5 * (problem.bounds.prior_precision * offset.square()).sum(1)
+    cost = problem.bounds.prior_cost(theta[free].T).index_add(0, sets, at.cost)
     status = ["interrupted" if interrupted and s == "running" else s for s in state.status]
     outcome = least_squares.Outcome(theta, cost, state.steps, status, at, state.history)
     settings = least_squares.Options(loss=problem.loss)

@@ -92,6 +92,7 @@ def begin(problem: Problem, theta: Tensor, stage: int, before: State | None) -> 
 
 def _with_stable_steps(problem: Problem, state: State) -> tuple[Problem, State]:
     """The problem with the steps that the engine needs where the sets stand now, and the state under it."""
+    problem.set_weights(state.q)
     before = replace(problem.engine, substeps=state.substeps, fine=state.fine)
     theta, batch = problem.theta(state.q)[:, problem.sets], replace(problem.batch, x=state.nodes)
     engine = before.stable(problem.system, batch, theta)

@@ -87,10 +87,15 @@ class Problem:
         """First state of each row, ``(R, n_x)``."""
         return self.batch.x[:, 0] + self.batch.x0_std * self._states(q)[self.sets, self.slots]
 
+    @property
+    def weights(self) -> int:
+        """Number of weights beyond the table."""
+        return sum(w.numel() for w in self.extra)
+
     def set_weights(self, q: Tensor) -> None:
         """Write the weights beyond the table into the system."""
         if self.extra:
-            torch.nn.utils.vector_to_parameters(q[0, -sum(w.numel() for w in self.extra) :], self.extra)
+            torch.nn.utils.vector_to_parameters(q[0, -self.weights :], self.extra)
 
     def box(self, q: Tensor, *, trust: bool = True) -> tuple[Tensor, Tensor]:
         """Least and largest step from q, ``(G, N)`` each: bounds, and how far a parameter may move at once."""
@@ -106,8 +111,8 @@ class Problem:
         return low.clamp_max(0.0), high.clamp_min(0.0)
 
     def _states(self, q: Tensor) -> Tensor:
-        count = int(self.slots.max() + 1) * self.batch.x.shape[2]
-        return q[:, len(self.free) : len(self.free) + count].reshape(len(q), -1, self.batch.x.shape[2])
+        end = q.shape[1] - self.weights
+        return q[:, len(self.free) : end].reshape(len(q), -1, self.batch.x.shape[2])
 
     def of(self, chosen: Tensor) -> tuple[Problem, Tensor]:
         """The problem of some sets only, and the rows that belong to them."""
@@ -136,8 +141,7 @@ class Problem:
         offset = theta[self.free].T - self.bounds.prior_mean
         states = self._states(q)
         cost = run.cost.new_zeros(len(q)).index_add(0, self.sets, run.cost)
-        cost = cost + 0.5 * (self.bounds.prior_precision * offset.square()).sum(1)
-        cost = cost + 0.5 * states.square().sum((1, 2))
+        cost = cost + self.bounds.prior_cost(theta[self.free].T) + 0.5 * states.square().sum((1, 2))
         by_theta = torch.zeros_like(offset).index_add(0, self.sets, run.theta)
         by_value = self.unit * (by_theta + self.bounds.prior_precision * offset)
         by_state = states.clone()
@@ -149,7 +153,7 @@ class Problem:
         """Metric before any curvature is known, ``(G, N, N)``: the first step changes weights by about 0.01 each."""
         metric = torch.eye(q.shape[1], dtype=q.dtype, device=q.device).repeat(len(q), 1, 1)
         if self.extra:
-            tail = range(q.shape[1] - sum(w.numel() for w in self.extra), q.shape[1])
+            tail = range(q.shape[1] - self.weights, q.shape[1])
             size = slope[:, tail].square().mean(1).sqrt().clamp_min(1e-12) / FIRST_WEIGHT_STEP
             metric[:, tail, tail] = size[:, None].expand(-1, len(tail))
         return metric
@@ -162,8 +166,9 @@ class Problem:
             nodes: the free run there.
             cost: the cost there.
         """
+        self.set_weights(q)
         theta, n_f, n_x = self.theta(q), len(self.free), self.batch.x.shape[2]
-        size = n_f + int(self.slots.max() + 1) * n_x
+        size = q.shape[1] - self.weights
         exact = replace(self.engine, gradient="backprop")
         at = evaluate(
             self.system, exact, self.batch, nodes, theta[:, self.sets], self.free, loss=self.loss, chunk=1

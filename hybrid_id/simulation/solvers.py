@@ -99,6 +99,8 @@ class OdeEngine(Engine):
             raise InputError(
                 f"An ODE solver needs smooth friction, not '{self.friction}'; use friction='smooth'."
             )
+        if self.compiled:
+            raise InputError("An ODE solver has no compiled steps; leave 'compiled' off.")
         if self.method not in FIXED + ADAPTIVE:
             raise InputError(
                 f"Method '{self.method}' is not known; use one of {', '.join(FIXED + ADAPTIVE)}."

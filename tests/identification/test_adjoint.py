@@ -130,6 +130,23 @@ def test_robust_loss_takes_the_weight_off_spikes(batch: Batch) -> None:
     assert np.abs(robust.values / truth - 1).max() < 0.5 * np.abs(plain.values / truth - 1).max()
 
 
+def test_records_of_different_length_and_sample_time_train_side_by_side() -> None:
+    long, short = (
+        make_record(
+            TRUTH, multisine(k, samples=n, rest=10, step=step), seed=k, noise=NOISE, name=f"run_{n}", engine=SMOOTH,
+            step=step,
+        )
+        for k, (n, step) in enumerate(((400, 0.002), (150, 0.003)))
+    )  # fmt: skip
+    together = train(
+        START, make_batch(TRUTH, [long, short], noise_std=NOISE, signal_share=0.0), options=QUICK
+    )
+    for result, record in zip(together, (long, short), strict=True):
+        (alone,) = fit(START, make_batch(TRUTH, [record], noise_std=NOISE, signal_share=0.0), engine=SMOOTH)
+        assert result.n_samples == record.n_samples
+        assert np.abs(in_standard_errors(result, alone)).max() < 0.05
+
+
 # --- stop, resume, fail --------------------------------------------------------------------------------------------
 
 
@@ -239,6 +256,19 @@ def test_weights_of_a_network_train_beside_the_parameters(batch: Batch) -> None:
     assert torque[2] > 0 > torque[0]
     with pytest.raises(InputError, match="one record, or pooled"):
         train(hybrid, batch)
+
+
+def test_weights_resume_to_the_same_numbers(tmp_path: Path, batch: Batch) -> None:
+    hybrid, saved = TRUTH.with_component("joint1/load", SmallNet()), tmp_path / "checkpoint.pt"
+    options = TrainOptions(windows=(), max_iterations=6)
+    (straight,) = train(hybrid, batch, pooled=True, options=options)
+    train(
+        hybrid, batch, pooled=True, options=options, checkpoint=saved, progress=lambda _, k, cost, run: k >= 3
+    )
+    (resumed,) = train(hybrid, batch, pooled=True, options=options, resume=saved)
+    assert resumed.cost == straight.cost
+    for a, b in zip(resumed.system.parameters(), straight.system.parameters(), strict=True):
+        assert torch.equal(a, b)
 
 
 def test_gradient_by_backprop_ends_at_the_same_place(batch: Batch, trained: list[FitResult]) -> None:
