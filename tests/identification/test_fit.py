@@ -8,6 +8,7 @@ import pytest
 import torch
 import yaml
 from drives import make_record, multisine, rigid_drive
+from scipy.optimize import least_squares
 
 from hybrid_id.components import Stribeck
 from hybrid_id.errors import InputError
@@ -290,3 +291,34 @@ def test_few_samples_are_fitted_without_a_fault(samples: int) -> None:
     assert cut.n_samples == samples
     (found,) = fit(TRUTH, make_batch(TRUTH, [cut], noise_std=NOISE))
     assert np.isfinite(found.values).all() and np.isfinite(found.cost)
+
+
+def test_end_is_that_of_an_independent_optimiser() -> None:
+    one = make_batch(TRUTH, [record(4, samples=300)], noise_std=NOISE, signal_share=0.0, estimate_start=False)
+    start = TRUTH.with_values({"J": 2.3e-5, "F_c": 0.009, "F_v": 6e-5})
+    (found,) = fit(start, one)
+    scale = np.array([EXACT[n] for n in found.names])
+
+    def residual(z: np.ndarray) -> np.ndarray:
+        system = TRUTH.with_values(dict(zip(found.names, z * scale, strict=True)))
+        return ((simulate(system, found.engine, one).y - one.y) * one.weight).flatten().numpy()
+
+    best = least_squares(
+        residual, found.values / scale * 1.02, diff_step=1e-5, bounds=(0.1, 10.0), xtol=1e-12
+    )
+    assert found.cost == pytest.approx(best.cost, rel=1e-7)
+    np.testing.assert_allclose(found.values / scale, best.x, rtol=1e-4)
+
+
+def test_smooth_engine_recovers_what_it_made() -> None:
+    smooth = Engine("smooth", substeps=6, width=0.5)
+    runs = [
+        make_record(TRUTH, multisine(k, samples=600), seed=k, noise=NOISE, engine=smooth, name=f"r{k}")
+        for k in range(2)
+    ]
+    batch = make_batch(TRUTH, runs, noise_std=NOISE, signal_share=0.0)
+    (found,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True, engine=smooth)
+    assert found.status == "converged" and found.engine == smooth
+    np.testing.assert_allclose(found.values, [EXACT[n] for n in found.names], rtol=0.01)
+    (dry,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True)
+    assert dry.cost > found.cost
