@@ -15,15 +15,13 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.least_squares import Bounds, Options, minimise
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
 WINDOW = 0.4
 """Length [s] of the windows of the warm start; one in four is used."""
-
-COARSE = 0.3
-"""Tolerance [standard errors] of every stage but the last."""
 
 Progress = Callable[[str, int, Tensor, Tensor], bool | None]
 
@@ -46,7 +44,7 @@ def fit(
 
     The warm start fits short windows that begin at measured states, where the problem is nearly convex; the full
     fit then runs over whole records (output error, paper eq. 2). With several starts each set keeps its best end; a
-    loss with stages drops the worse half of the starts after each stage.
+    loss with stages keeps the best quarter of the starts after each stage.
 
     Args:
         system: model with start values, bounds, priors and roles.
@@ -76,6 +74,7 @@ def fit(
     count = 1 if pooled else batch.rows
     bounds = make_bounds(system, free, device)
     theta = start_points(system, free, bounds, count, starts, spread, seed, start_values).to(device)
+    start = theta[:, :count]
     many = batch.take(rows.repeat(starts)) if starts > 1 else batch
     many_sets = torch.cat([sets + k * count for k in range(starts)])
 
@@ -91,8 +90,7 @@ def fit(
         engine = with_substeps(system, engine, many, theta[:, many_sets])
     nodes, alive, each = None, starts, torch.arange(count, device=device)
     for loss in options.loss.stages:
-        last = loss == options.loss
-        setting = replace(options, loss=loss, tolerance=max(options.tolerance, 0.0 if last else COARSE))
+        setting = replace(options, loss=loss)
         for _ in range(3):
             outcome = minimise(
                 system, engine, many, many_sets, theta, free, bounds, setting, report("records"), nodes
@@ -103,13 +101,19 @@ def fit(
             engine, theta, nodes = finer, outcome.theta, outcome.at.x
         cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
         order = cost.reshape(alive, count).argsort(0)
-        if last or "interrupted" in outcome.status:
+        if loss == options.loss or "interrupted" in outcome.status:
             break
-        # the better half of the starts goes on
-        alive = -(-alive // 2)
-        kept = (order[:alive, sets] * batch.rows + rows).flatten()
-        theta = outcome.theta[:, (order[:alive] * count + each).flatten()]
-        nodes, many, many_sets = outcome.at.x[kept], many.take(kept), many_sets[: kept.numel()]
+        # the best go on twice, from their own and from the measured states; the start joins them, so that it is beaten
+        better = order[: max(1, alive // 4)]
+        theta = outcome.theta[:, (better * count + each).flatten()]
+        theta = torch.cat([theta, theta, start], 1)
+        own = outcome.at.x[(better[:, sets] * batch.rows + rows).flatten()]
+        nodes = torch.cat(
+            [own, batch.x.repeat(len(better), 1, 1), simulate(system, engine, batch, start[:, sets]).x]
+        )
+        alive = 2 * len(better) + 1
+        many = batch.take(rows.repeat(alive))
+        many_sets = torch.cat([sets + k * count for k in range(alive)])
     best = order[0] * count + each
     return [
         make_result(system, batch, many_sets, outcome, int(g), free, bounds, engine, setting) for g in best
@@ -151,12 +155,15 @@ def start_points(
     base = system.theta().detach()[:, None].expand(-1, count) if given is None else given
     generator = np.random.default_rng(seed)
     points = [base.clone()]
+    limits = [limit.to(base.device)[:, None] for limit in (bounds.lower, bounds.upper)]
+    reach = 10.0 * bounds.scale.to(base.device)[:, None]
     for _ in range(starts - 1):
         point = base.clone()
-        factor = torch.tensor(generator.uniform(1.0 - spread, 1.0 + spread, (len(free), count)))
-        moved = point[list(free)] * factor.to(point.device)
-        low, high = bounds.lower.to(point.device)[:, None], bounds.upper.to(point.device)[:, None]
-        point[list(free)] = torch.maximum(torch.minimum(moved, high), low)
+        part = torch.tensor(generator.uniform(-1.0, 1.0, (len(free), count))).to(base.device)
+        here = point[list(free)]
+        # no factor moves a zero: such a parameter is drawn from the range that its steps are measured by
+        moved = torch.where(here == 0, part * reach, here * (1.0 + spread * part))
+        point[list(free)] = torch.maximum(torch.minimum(moved, limits[1]), limits[0])
         points.append(point)
     return torch.cat(points, 1)
 
@@ -207,7 +214,7 @@ def warm_start(
     if found_windows is None:
         return theta
     windows, row = found_windows
-    coarse = replace(options, max_iterations=15, tolerance=COARSE, loss=options.loss.stages[0])
+    coarse = replace(options, max_iterations=15, tolerance=0.3, loss=options.loss.stages[0])
     found = minimise(system, engine, windows, sets[row], theta, free, bounds, coarse, progress)
     usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
     return torch.where(usable, found.theta, theta)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
+from hybrid_id.errors import InputError
 from hybrid_id.simulation.lifted import condense, linearise, shoot
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
@@ -17,11 +18,28 @@ from hybrid_id.systems.chain import System
 class Loss:
     """Loss of a weighted residual r: ``l2`` r^2 / 2, ``huber`` (Huber with threshold ``delta``), ``l1`` |r|.
 
-    ``l1`` is smoothed below ``delta``; both robust losses act through iterative re-weighting.
+    ``l1`` is smoothed below ``delta``; both robust losses act through iterative re-weighting. The valleys of ``l1`` are
+    narrow: a fit walks down its ``stages``, smoothed below each of ``widths`` times ``delta``.
     """
 
     kind: str = "l2"
     delta: float = 3.0
+    widths: tuple[float, ...] = (30.0, 10.0, 3.0, 1.0)
+
+    def __post_init__(self) -> None:
+        if self.kind not in ("l2", "huber", "l1"):
+            raise InputError(f"The loss '{self.kind}' is not known; use l2, huber or l1.")
+        if not self.delta > 0.0:
+            raise InputError(
+                f"The loss has delta = {self.delta}; give a positive number of standard deviations."
+            )
+
+    @property
+    def stages(self) -> tuple[Loss, ...]:
+        """Losses to minimise in turn; the last one is the loss itself."""
+        return tuple(
+            replace(self, delta=w * self.delta) for w in (self.widths if self.kind == "l1" else (1.0,))
+        )
 
     def value(self, r: Tensor) -> Tensor:
         """Loss of each residual."""
