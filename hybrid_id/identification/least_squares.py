@@ -109,12 +109,17 @@ def minimise(
     def total(e: Evaluation, point: Tensor, group: Tensor) -> Tensor:
         return bounds.prior_cost(point[index].T).index_add(0, group, e.cost)
 
-    def walk(e: Evaluation, part: Batch, point: Tensor, wanted: Tensor) -> Evaluation:
-        # Newton's closing can cycle about a change from stick to slip: a loop over the samples cannot
-        left = wanted.nonzero().flatten()
-        if left.numel() == 0:
-            return e
-        return e.with_rows(left, at(part.take(left), e.x[left], point[:, left], part.dt.shape[1]))
+    def walk(e: Evaluation, part: Batch, point: Tensor, wanted: Tensor, whole: Tensor) -> Evaluation:
+        # Newton's closing can cycle about a change from stick to slip: longer chunks do not, nor does a loop
+        limit = (part.weight > 0).sum((1, 2)).clamp_min(1).reciprocal() * 2.0 * e.cost
+        limit = 2.0 * SETTLED * limit.clamp_min(PERFECT).sqrt()
+        for chunk in (16 * options.chunk, part.dt.shape[1]):
+            left = wanted.nonzero().flatten()
+            if left.numel() == 0:
+                break
+            e = e.with_rows(left, at(part.take(left), e.x[left], point[:, left], chunk))
+            wanted = wanted & whole & (e.defect > limit)
+        return e
 
     best = at(batch, batch.x if nodes is None else nodes, theta[:, sets], options.chunk)
     cost = total(best, theta, sets)
@@ -172,7 +177,7 @@ def minimise(
         new = at(tried, x, trial[:, group], chunk)
         cycling = (new.defect > 2 * SETTLED * noise.sqrt()[group]) & (new.defect > 0.7 * part.defect)
         cycling &= (shut | short)[group]
-        new = walk(new, tried, trial[:, group], cycling)
+        new = walk(new, tried, trial[:, group], cycling, short[group])
         shut = shut.index_fill(0, group[cycling], True)
         new_cost = total(new, trial, group)
         gained = cost[running] - new_cost
@@ -200,7 +205,8 @@ def minimise(
             leave(torch.ones_like(running, dtype=torch.bool), "interrupted")
             break
     noise = (2.0 * cost / data).clamp_min(PERFECT)
-    best = walk(best, batch, theta[:, sets], best.defect > SETTLED * noise.sqrt()[sets])
+    open_rows = best.defect > SETTLED * noise.sqrt()[sets]
+    best = walk(best, batch, theta[:, sets], open_rows, open_rows)
     return Outcome(theta, total(best, theta, sets), iterations, status, best, history)
 
 
