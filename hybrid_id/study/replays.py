@@ -59,8 +59,12 @@ def _fits(batch: Batch, simulated: np.ndarray, speeds: Sequence[int]) -> np.ndar
     return fits
 
 
-def engine_error(result: FitResult, batch: Batch, std_error: np.ndarray) -> float:
-    """Change of the estimates when the step is halved, in standard errors, at most (linearised at the estimate)."""
+def engine_error(result: FitResult, batch: Batch) -> float:
+    """Change of the estimates when the step is halved, in standard errors, at most.
+
+    Linearised at the estimate, along the principal axes of what the records tell, so that it holds where single
+    parameters have no standard error.
+    """
     rows = torch.tensor([batch.names.index(name) for name in result.records])
     part = batch.take(rows)
     runs = [simulate(result.system, engine, part).y for engine in (result.engine, halved(result.engine))]
@@ -69,9 +73,10 @@ def engine_error(result: FitResult, batch: Batch, std_error: np.ndarray) -> floa
     jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])
     if not np.all(np.isfinite(change)):
         return float("inf")
-    size = np.where(np.isfinite(std_error), std_error, 0.0)
-    step = np.linalg.lstsq(jacobian * size, change, rcond=1e-9)[0]
-    return float(np.max(np.abs(step), initial=0.0))
+    size = np.linalg.norm(jacobian, axis=0)
+    axes, strength, _ = np.linalg.svd(jacobian / np.where(size > 0, size, 1.0), full_matrices=False)
+    shift = axes[:, strength > 1e-9 * strength[0]].T @ change
+    return float(np.max(np.abs(shift), initial=0.0) / max(result.noise_scale, 1e-300))
 
 
 def test_nrmse(dataset: Dataset, result: FitResult, signal_share: float) -> dict[str, float]:

@@ -115,7 +115,7 @@ def assess(
     spread = variation(values, names, held=held) if len(sets) > 1 else None
     return Study(
         system, tuple(sets), pooled, spread, plain, robust, told, trust, matrix, selection, test,
-        engine_error(chosen, batch, plain[selection.index].std_error),
+        engine_error(chosen, batch),
     )  # fmt: skip
 
 
