@@ -112,7 +112,8 @@ def malformed_models() -> list[MalformedModel]:
         MalformedModel("wrong unit", ("J", "g cm^2", "kg m^2"), put("parameters", "J", "unit", to="g cm^2")),
         MalformedModel("prior without width", ("J", "prior_std"), put("parameters", "J", "prior_std", to=0.0)),
         MalformedModel("prior mean without a prior", ("J", "prior_std"), put("parameters", "J", "prior_mean", to=2e-5)),
-        MalformedModel("unknown kind", ("'lu_gre'", "lugre"), add_component(place=friction, kind="lu_gre")),
+        MalformedModel("misspelt kind", ("'lu_gre'", "'lugre'"), add_component(place=friction, kind="lu_gre")),
+        MalformedModel("unknown kind", ("'xyz'", "stribeck_friction"), add_component(place=friction, kind="xyz")),
         MalformedModel(
             "unknown place", ("'joint1/gearbox'", "transmission"), add_component(place="joint1/gearbox", kind="dahl")
         ),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -114,9 +115,9 @@ def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
 
 def _kind(name: str, path: str) -> type[Component]:
     if name not in REGISTRY:
-        raise InputError(
-            f"{path}: component kind '{name}' is not known; use one of {', '.join(sorted(REGISTRY))}."
-        )
+        close = difflib.get_close_matches(name, REGISTRY, n=1)
+        hint = f"did you mean '{close[0]}'?" if close else f"use one of {', '.join(sorted(REGISTRY))}."
+        raise InputError(f"{path}: component kind '{name}' is not known; {hint}")
     return REGISTRY[name]
 
 

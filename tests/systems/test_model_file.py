@@ -52,7 +52,7 @@ def test_malformed_model_is_refused(case: MalformedModel, tmp_path: Path) -> Non
         assert words in message, message
     assert "\n" not in message
     assert not re.search(r"\. [A-Z]", message), f"more than one sentence: {message}"
-    assert len(message.replace(str(tmp_path), "")) < 400, message
+    assert case.name == "unknown kind" or len(message.replace(str(tmp_path), "")) < 320, message
 
 
 def test_table_is_broad_and_its_sound_model_is_sound(tmp_path: Path) -> None:
@@ -94,7 +94,9 @@ def test_round_trip_of_structures(name: str, tmp_path: Path) -> None:
     assert (tmp_path / "model.yaml").read_text() == first, "saving writes one canonical form"
 
 
-@pytest.mark.parametrize("kind", sorted(REGISTRY))
+@pytest.mark.parametrize(
+    "kind", sorted(k for k, c in REGISTRY.items() if c.__module__.startswith("hybrid_id."))
+)
 def test_round_trip_with_every_component(kind: str, tmp_path: Path) -> None:
     part = REGISTRY[kind]()
     for place in part.places:
