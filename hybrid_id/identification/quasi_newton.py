@@ -18,7 +18,7 @@ from hybrid_id.identification.box import solve_box
 from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.rollout import rollout
 
-DAMPING, LARGEST_DAMPING = 1e-3, 1e8
+DAMPING, LARGEST_DAMPING = 1e-3, 1e4
 """First damping relative to the metric's diagonal, and the one at which a set has stalled."""
 
 
@@ -177,7 +177,7 @@ def advance(problem: Problem, state: State, tolerance: float, max_iterations: in
     predicted = -(state.slope[chosen] * step).sum(1) - 0.5 * (step * pulled).sum(1)
     cost, slope, run = part.value(state.q[chosen] + step, state.nodes[rows])
     finite = torch.isfinite(cost) & torch.isfinite(slope).all(1)
-    accepted = finite & (old - cost >= 1e-4 * predicted - 1e-9 * old)
+    accepted = finite & (old - cost >= 1e-4 * predicted - 1e-10 * old)
     ratio = ((old - cost) / predicted).nan_to_num(0.0).clamp(-10.0, 10.0)
     ease = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(0.1, 2.0)
     growth = state.growth[chosen]
