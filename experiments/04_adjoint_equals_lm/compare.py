@@ -20,7 +20,11 @@ class Comparison:
         names = fitted[0].names
         told = [
             identifiability(
-                r.values, names, jacobian=r.jacobian, prior_information=r.prior_precision, references=("P_m1",)
+                r.values,
+                names,
+                jacobian=r.jacobian,
+                prior_information=r.prior_precision,
+                references=("P_m1",),
             )
             for r in fitted
         ]
