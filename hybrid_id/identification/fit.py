@@ -91,12 +91,13 @@ def fit(
     nodes, alive, each = None, starts, torch.arange(count, device=device)
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
-        for _ in range(3):
+        for refinements_left in (2, 1, 0):
             outcome = minimise(
                 system, engine, many, many_sets, theta, free, bounds, setting, report("records"), nodes
             )
             finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
-            if finer.substeps == engine.substeps or "interrupted" in outcome.status:
+            settled = finer.substeps == engine.substeps or "interrupted" in outcome.status
+            if settled or refinements_left == 0:  # the result names the engine that it was found with
                 break
             engine, theta, nodes = finer, outcome.theta, outcome.at.x
         cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
@@ -186,15 +187,17 @@ def measured_windows(
     length = max(25, round(seconds / step))
     if batch.x.shape[1] < 4 * length:
         return None
-    noise = 1.0 / batch.weight.amax((1, 2))
-    size = 0.1 * batch.x.std(1)
-    x0_std = torch.zeros_like(batch.x0_std)
+    noise = dict(zip(batch.outputs, (1.0 / batch.weight.amax(1)).unbind(1), strict=True))
+    x0_std = 0.1 * batch.x.std(1)
+    x0_std[:, system.bristle_rows] = 0.0
     for joint in system.joints:
-        for row in joint.positions:
-            ratio = 1.0 if row == joint.positions[0] else joint.gear_ratio
-            measured = ratio == 1.0 or f"q_a{joint.number}" in batch.outputs
-            x0_std[:, row] = noise / ratio if measured else size[:, row]
-            x0_std[:, row + 1] = noise / ratio / (20 * step) if measured else size[:, row + 1]
+        # behind a rigid gear either encoder tells both sides
+        link = joint.gear_ratio if joint.rigid else 1.0
+        for side, row, ratio in (("a", joint.positions[-1], link), ("m", joint.positions[0], 1.0)):
+            if (angle := noise.get(f"q_{side}{joint.number}")) is not None:
+                x0_std[:, row], x0_std[:, row + 1] = ratio * angle, ratio * angle / (20 * step)
+            if (speed := noise.get(f"v_{side}{joint.number}")) is not None:
+                x0_std[:, row + 1] = ratio * speed
     return batch.windows(length, every * length, x0_std)
 
 
