@@ -7,15 +7,28 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from drives import flexible_drive, make_record, multisine, rigid_drive
+from drives import STEP, flexible_drive, make_record, measure, multisine, rigid_drive
 from scipy import stats
 
-from hybrid_id.components import AsymmetricStribeck, LinkEncoder, MotorEncoder
+from hybrid_id.components import (
+    AsymmetricStribeck,
+    Component,
+    Dahl,
+    LinkEncoder,
+    LoadDependent,
+    LuGre,
+    MotorEncoder,
+    PositionLoop,
+    Stribeck,
+    TorqueCommand,
+    TorqueMotor,
+)
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System
 
 NOISE = {"q_m1": 0.02, "q_a1": 2e-4, "i1": 0.02, "tau1": 1e-3}
@@ -262,3 +275,89 @@ def test_other_single_outputs_tell_a_rigid_drive(output: str) -> None:
     ]
     results = fit(away(RIGID), make_batch(RIGID, runs, noise_std=noise, signal_share=0.0))
     assert_recovered(results, RIGID)
+
+
+def test_records_of_different_length_and_sample_time_pool() -> None:
+    generator = np.random.default_rng(0)
+    runs = []
+    for k, (samples, step) in enumerate(((701, 0.002), (400, 0.005), (997, 0.001))):
+        voltage = multisine(k, samples=samples, step=step, rest=round(0.1 / step))
+        runs.append(make_record(RIGID, voltage, seed=k, noise=NOISE, step=step, name=f"r{k}"))
+    steps = 0.002 * generator.uniform(0.6, 1.4, 599)  # jittered stamps, used as they are
+    voltage = multisine(9, samples=600)
+    y = measure(RIGID, {"u1": voltage}, step=steps, engine=Engine(substeps=4))["q_m1"]
+    time = np.concatenate([[0.0], np.cumsum(steps)])
+    runs.append(
+        Record("jittered", time, {"u1": voltage}, {"q_m1": y + 0.02 * generator.standard_normal(600)})
+    )
+    (found,) = fit(away(RIGID), make_batch(RIGID, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
+    assert_recovered([found], RIGID)
+    assert found.n_samples == 701 + 400 + 997 + 600
+
+
+def bench(channels: dict[str, np.ndarray | float], system: System, seed: int, noise: float = 0.02) -> Record:
+    """A record of a system under any channels."""
+    samples = max(np.size(c) for c in channels.values())
+    y = measure(system, channels, engine=Engine(substeps=4))["q_m1"]
+    noisy = y + noise * np.random.default_rng(seed).standard_normal(samples)
+    inputs = {name: np.broadcast_to(c, samples) for name, c in channels.items()}
+    return Record(f"r{seed}", STEP * np.arange(samples), inputs, {"q_m1": noisy})
+
+
+def test_commanded_torque_tells_absolute_values() -> None:
+    truth = rigid_drive().with_component("joint1/motor", TorqueMotor())
+    truth = only(truth.with_component("joint1/input", TorqueCommand()), "J", "F_c", "F_v")
+    runs = [bench({"tau1": 0.0025 * multisine(k, samples=800)}, truth, k) for k in range(4)]
+    results = fit(away(truth), make_batch(truth, runs, noise_std=NOISE, signal_share=0.0))
+    assert_recovered(results, truth)
+    assert rank(information(results[0])) == 3
+
+
+def test_motor_that_is_switched_off_now_and_then() -> None:
+    enable = (np.arange(800) % 300 < 200).astype(float)
+    runs = [bench({"u1": multisine(k, samples=800), "enable1": enable}, RIGID, k) for k in range(4)]
+    assert_recovered(fit(away(RIGID), make_batch(RIGID, runs, noise_std=NOISE, signal_share=0.0)), RIGID)
+
+
+def test_servo_in_its_position_loop() -> None:
+    truth = rigid_drive(ratio=1.0).with_component("joint1/input", PositionLoop(duty_per_rad=0.003))
+    truth = only(truth.with_values({"J": 2e-4, "F_c": 0.02}), "J", "F_c", "P_m2")
+    time = STEP * np.arange(1000)
+    runs = [
+        bench(
+            {"goal1": np.sin(2 * np.pi * (0.5 + 0.5 * k) * time + k) * (time > 0.1), "gain1": 400.0, "supply1": 12.0},
+            truth, k, 1e-3,
+        )
+        for k in range(4)
+    ]  # fmt: skip
+    results = fit(away(truth), make_batch(truth, runs, noise_std={"q_m1": 1e-3}, signal_share=0.0))
+    assert_recovered(results, truth)
+
+
+@pytest.mark.parametrize(
+    "law, free",
+    [
+        (LoadDependent(mu=0.2), ("mu", "G_l")),
+        (Stribeck(F_drop=0.008, v_s=20.0), ("F_drop", "v_s")),
+        (LuGre(sigma_0=0.5, sigma_1=1e-3), ("sigma_0", "sigma_1")),
+        (Dahl(sigma=0.5), ("sigma",)),
+    ],
+    ids=lambda value: getattr(value, "kind", ""),
+)
+def test_friction_laws_are_found(law: Component, free: tuple[str, ...]) -> None:
+    vertical, noise = "G_l" in free, {"q_m1": 0.005}
+    truth = rigid_drive(vertical=vertical, ratio=30.0).with_component("joint1/motor_friction", law)
+    truth = only(truth.with_values({"G_l": 0.6}) if vertical else truth, "J", "F_c", "F_v", *free)
+    runs = [
+        make_record(
+            truth,
+            multisine(k, samples=1000, amplitude=3.0),
+            seed=k,
+            noise=noise,
+            engine=Engine(substeps=12),
+            name=f"r{k}",
+        )
+        for k in range(3)
+    ]
+    results = fit(away(truth, 1.2), make_batch(truth, runs, noise_std=noise, signal_share=0.0))
+    assert_recovered(results, truth)
