@@ -12,7 +12,7 @@ from hybrid_id.components.friction import (
     Viscous,
 )
 from hybrid_id.components.input import CurrentCommand, DutySupply, PositionLoop, TorqueCommand, Voltage
-from hybrid_id.components.load import Gravity, OneLink, TwoInertias
+from hybrid_id.components.load import Gravity, LoggedLoad, OneLink, TwoInertias
 from hybrid_id.components.motor import CurrentMotor, DCMotor, TorqueMotor
 from hybrid_id.components.sensor import LinkEncoder, MotorEncoder
 from hybrid_id.components.transmission import LinearSpring, Rigid
@@ -33,6 +33,7 @@ __all__ = [
     "LinearSpring",
     "LinkEncoder",
     "LoadDependent",
+    "LoggedLoad",
     "LuGre",
     "MotorEncoder",
     "OneLink",

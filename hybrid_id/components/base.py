@@ -216,6 +216,18 @@ class LoadTorque(Component):
         raise NotImplementedError
 
 
+class LoggedTorque(Component):
+    """Place ``load``: a torque at the link that opposes the motor, from logged channels."""
+
+    places = ("load",)
+    channels: ClassVar[tuple[str, ...]] = ()
+    """Channels that it reads, without the joint's number."""
+
+    def torque(self, p: SimpleNamespace, channels: Mapping[str, Tensor]) -> Tensor:
+        """Torque at the link [N m] that the drive must overcome, ``(B,)``."""
+        raise NotImplementedError
+
+
 class Sensor(Component):
     """Place ``sensor``: the true quantity to the measured output."""
 

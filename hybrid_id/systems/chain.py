@@ -170,7 +170,7 @@ class System(nn.Module):
     @property
     def input_names(self) -> list[str]:
         """Channels that the system reads (``enable<joint>`` is read where a record has it)."""
-        return [f"{c}{j.number}" for j in self.joints for c in j.input[1].channels]
+        return [f"{c}{j.number}" for j in self.joints for c in j.channels]
 
     # --- equations of motion -------------------------------------------------------------------------------------
 

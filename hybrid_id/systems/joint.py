@@ -17,6 +17,7 @@ from hybrid_id.components.base import (
     Inertia,
     Input,
     LoadTorque,
+    LoggedTorque,
     Motor,
     Sensor,
     Transmission,
@@ -97,6 +98,8 @@ class Joint:
         self.transmission = cast("tuple[str, Transmission]", only(Transmission, "transmission"))
         self.inertia = cast("tuple[str, Inertia]", only(Inertia, "inertia (one_link, two_inertias)"))
         self.loads = cast("list[tuple[str, LoadTorque]]", of(LoadTorque))
+        self.logged = cast("list[tuple[str, LoggedTorque]]", of(LoggedTorque))
+        self.channels = [c for _, part in (self.input, *self.logged) for c in part.channels]
         self.sensors = cast("list[tuple[str, Sensor]]", of(Sensor))
         self.rigid = self.transmission[1].rigid
         self.frictions = {
@@ -187,11 +190,11 @@ class Joint:
         key, inertia = self.inertia
         if self.rigid:
             total, level, load = inertia.total(p[key], r), motor_level, v.new_zeros(1)
-            if self.frictions["link_friction"] or self.loads:
+            if self.frictions["link_friction"] or self.loads or self.logged:
                 link_smooth, link_level = self.friction(
                     "link_friction", x, p, v / r, magnitudes[0] / r, forwards[0]
                 )
-                load = (link_smooth + self.load_torque(q / r, v / r, p)) / r
+                load = (link_smooth + self.load_torque(q / r, v / r, u, p)) / r
                 drive, level = drive - load, level + link_level / r
             if factor is None:
                 return [SpeedBalance(total, drive, level)]
@@ -206,12 +209,14 @@ class Joint:
         link_smooth, link_level = self.friction("link_friction", x, p, va, magnitudes[1], forwards[1])
         return [
             SpeedBalance(rotor, drive - torque / r, motor_level),
-            SpeedBalance(link, torque - link_smooth - self.load_torque(qa, va, p), link_level),
+            SpeedBalance(link, torque - link_smooth - self.load_torque(qa, va, u, p), link_level),
         ]
 
-    def load_torque(self, angle: Tensor, speed: Tensor, p: Views) -> Tensor:
+    def load_torque(self, angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Torque of the load at the link, ``(B,)``."""
-        return _sum([part.torque(p[key], angle, speed) for key, part in self.loads], angle)
+        logged = {name: u[f"{name}{self.number}"] for name in self.channels}
+        torques = [part.torque(p[key], angle, speed) for key, part in self.loads]
+        return _sum([*torques, *(part.torque(p[key], logged) for key, part in self.logged)], angle)
 
     def output(self, channel: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """A measured output by channel name (``q_m``, ``v_m``, ``q_a``, ``v_a``, ``i``, ``tau``), ``(B,)``."""

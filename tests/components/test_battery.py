@@ -17,6 +17,7 @@ from hybrid_id.components.base import (
     Inertia,
     Input,
     LoadTorque,
+    LoggedTorque,
     Motor,
     Sensor,
     Transmission,
@@ -29,7 +30,16 @@ from hybrid_id.systems import System, one_link, one_link_flexible
 DIRECTED = {"asymmetric_stribeck", "asymmetric_stribeck_eq8"}
 """Friction laws that claim to differ with the direction of motion; every other one is odd in the speed."""
 
-CHANNELS = {"u": 6.0, "duty": 0.4, "supply": 12.0, "goal": 0.5, "gain": 400.0, "tau": 0.05, "i": 0.7}
+CHANNELS = {
+    "u": 6.0,
+    "duty": 0.4,
+    "supply": 12.0,
+    "goal": 0.5,
+    "gain": 400.0,
+    "tau": 0.05,
+    "i": 0.7,
+    "w": 0.2,
+}
 """A value for every input channel that a component may read."""
 
 SPEED = torch.tensor([-300.0, -20.0, -0.3, 0.0, 0.2, 15.0, 90.0, 800.0], dtype=torch.float64)
@@ -72,6 +82,8 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found |= {"rotor": part.rotor(p, 50.0) * one, "link": part.link(p, 50.0) * one}
     if isinstance(part, LoadTorque):
         found["torque"] = part.torque(p, q, v)
+    if isinstance(part, LoggedTorque):
+        found["torque"] = part.torque(p, {name: CHANNELS[name] * (0.5 + 0.1 * q) for name in part.channels})
     if isinstance(part, Sensor):
         found["reading"] = part.read(p, q)
     return {name: value * one for name, value in found.items() if value is not None}
