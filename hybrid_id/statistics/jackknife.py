@@ -22,10 +22,10 @@ def jackknife_covariance(
 ) -> Covariance:
     """Delete-a-block jackknife, each estimate moved by one exact Gauss-Newton step of the reduced data.
 
-    ``V = (B - 1) / B sum_b d_b d_b'`` with ``d_b = -(H - H_b)^-1 g_b``. It corrects for the part of the residuals that
-    the fit itself absorbed, which the sandwich estimate misses on one record of slowly varying residuals. Sources:
-    J. G. MacKinnon, H. White, J. Econometrics 29 (1985), for single samples; J. G. MacKinnon, M. O. Nielsen, M. D. Webb,
-    "Cluster-robust inference: a guide to empirical practice", J. Econometrics 232 (2023), for blocks (CR3).
+    ``V = (B - 1) / B sum_b d_b d_b'`` with ``d_b = -(H - H_b)^-1 g_b``. It corrects for the part of the residuals
+    that the fit itself absorbed, which the sandwich estimate misses on one record of slowly varying residuals.
+    Sources: J. G. MacKinnon, H. White, J. Econometrics 29 (1985), for single samples; J. G. MacKinnon, M. O. Nielsen,
+    M. D. Webb, "Cluster-robust inference: a guide to empirical practice", J. Econometrics 232 (2023), for blocks (CR3).
 
     Args:
         jacobian: weighted Jacobian of one record or of several (convention: `uncertainty`).

@@ -1,4 +1,4 @@
-"""Delete-a-block jackknife: right for white residuals, and for slow ones where the plain covariance is too confident."""
+"""Delete-a-block jackknife: right for white residuals, and for slow ones, where plain is too confident."""
 
 import numpy as np
 
