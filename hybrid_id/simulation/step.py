@@ -58,7 +58,7 @@ class Engine:
         for _ in range(self.substeps):
             rows = self._relax_bristles(system, rows, p, 0.5 * h)
             if self.friction == "dry":
-                rows = _slide(system, rows, u, h, p, events=len(system.speed_rows))
+                rows = _slide(system, rows, u, h, p, events=2 * len(system.speed_rows))
             else:
                 rows = rk4(rows, h, lambda now: system.rates(now, u, p, width=self.width))
             rows = self._relax_bristles(system, rows, p, 0.5 * h)
@@ -85,8 +85,20 @@ def rk4(x: Sequence[Tensor], h: Tensor, rates) -> list[Tensor]:
     return [a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)]
 
 
-def _slide(system: System, x: list[Tensor], u: Channels, h: Tensor, p: Views, events: int) -> list[Tensor]:
-    """One step with dry friction: to the moment at which a speed reaches zero, then stick or slide on.
+Directions = Sequence[Tensor | None]
+"""Direction of dry friction for each speed, ``(B,)``; None where a speed has no dry friction."""
+
+
+def _slide(
+    system: System,
+    x: list[Tensor],
+    u: Channels,
+    h: Tensor,
+    p: Views,
+    events: int,
+    released: Tensor | None = None,
+) -> list[Tensor]:
+    """One step with dry friction: to the moment at which a speed reaches zero or breaks away, and on from there.
 
     Args:
         system: equations of motion.
@@ -94,39 +106,46 @@ def _slide(system: System, x: list[Tensor], u: Channels, h: Tensor, p: Views, ev
         u: channels, ``(B,)`` each.
         h: step [s], ``(B,)``.
         p: parameter views.
-        events: speeds that may still reach zero within the step; one more stops there until the next step.
+        events: how often that may still happen within the step; after that, what reaches zero stays until the next.
+        released: direction in which each dry speed breaks away just now, else 0, ``(dry speeds, B)``.
     """
     signs = directions(system, x, u, p)
-    dry = [(row, sign) for row, sign in zip(system.speed_rows, signs, strict=True) if sign is not None]
+    dry = [k for k, sign in enumerate(signs) if sign is not None]
+    rows = [system.speed_rows[k] for k in dry]
+    if not dry:
+        return rk4(x, h, lambda now: system.rates(now, u, p, signs))
+    sense = torch.stack([sign for sign in signs if sign is not None])
+    if released is not None:
+        sense = torch.where(released != 0, released, sense)
+    signs = [sense[dry.index(k)] if k in dry else None for k in range(len(signs))]
     # a speed that is held has forgotten its value: a small push would have been stopped at once
     x = list(x)
-    for row, sign in dry:
+    for row, sign in zip(rows, sense, strict=True):
         x[row] = x[row] * sign.abs()
-    after = rk4(x, h, lambda rows: system.rates(rows, u, p, signs))
-    if not dry:
-        return after
-    crossed = torch.stack([sign * after[row] < 0 for row, sign in dry])
-    lanes = crossed.any(0).nonzero().squeeze(1)
+    after = rk4(x, h, lambda now: system.rates(now, u, p, signs))
+    crossed = torch.stack([sign * after[row] < 0 for row, sign in zip(rows, sense, strict=True)])
+    leaves, when = _breakaways(system, x, after, u, p, sense, dry)
+    lanes = (crossed | (leaves != 0)).any(0).nonzero().squeeze(1)
     if lanes.numel() == 0:
         return after
     if events == 0:
-        for (row, _), hit in zip(dry, crossed, strict=True):
+        for row, hit in zip(rows, crossed, strict=True):
             after[row] = after[row].where(~hit, torch.zeros_like(h))
         return after
     part = LaneSubset(lanes, h.shape[0])
-    u, p, h, crossed = part.take_all(u), part.take_views(p), part.take(h), part.take(crossed)
+    u, p, h = part.take_all(u), part.take_views(p), part.take(h)
+    crossed, leaves, when = part.take(crossed), part.take(leaves), part.take(when)
+    before, end = [part.take(row) for row in x], [part.take(row) for row in after]
     signs = [None if sign is None else part.take(sign) for sign in signs]
-    at, late = _reach_rest(
-        system,
-        [part.take(row) for row in x],
-        [part.take(row) for row in after],
-        u, h, p, signs, [row for row, _ in dry], crossed,
-    )  # fmt: skip
-    rest = _slide(system, at, u, h - late, p, events - 1)
+    at, moment, first = _next_event(system, before, end, u, h, p, signs, rows, crossed, when)
+    leaves = torch.where(
+        torch.arange(len(rows), device=h.device)[:, None] == first, leaves, torch.zeros_like(leaves)
+    )
+    rest = _slide(system, at, u, h - moment, p, events - 1, leaves)
     return [row.index_put((lanes,), new) for row, new in zip(after, rest, strict=True)]
 
 
-def _reach_rest(
+def _next_event(
     system: System,
     before: list[Tensor],
     after: list[Tensor],
@@ -136,28 +155,30 @@ def _reach_rest(
     signs: Directions,
     rows: list[int],
     crossed: Tensor,
-) -> tuple[list[Tensor], Tensor]:
-    """State at the moment at which the first of the speeds reaches zero, and that moment [s], ``(B,)``.
+    when: Tensor,
+) -> tuple[list[Tensor], Tensor, Tensor]:
+    """State at the moment at which the first of the dry speeds reaches zero or breaks away, that moment, and which.
 
     Args:
         system: equations of motion.
         before: state rows before the step.
-        after: state rows after the step without regard to what happens at zero speed.
+        after: state rows after the step without regard to events.
         u: channels.
         h: step [s].
         p: parameter views.
         signs: directions of dry friction before that moment.
         rows: state rows of the speeds that carry dry friction.
         crossed: which of them pass zero within the step, ``(len(rows), B)``.
+        when: share of the step after which they break away, 1 where they do not, ``(len(rows), B)``.
     """
-    fractions = torch.stack(
+    shares = torch.stack(
         [
-            torch.where(hit, before[row] / torch.where(hit, before[row] - after[row], h), torch.ones_like(h))
-            for row, hit in zip(rows, crossed, strict=True)
+            torch.where(hit, before[row] / torch.where(hit, before[row] - after[row], h), start)
+            for row, hit, start in zip(rows, crossed, when, strict=True)
         ]
     )
-    fraction, first = fractions.min(0)
-    moment = fraction * h
+    share, first = shares.min(0)
+    moment = share * h
     # the chord's estimate of that moment, then one Newton step on the speed that reaches zero there
     at = rk4(before, moment, lambda now: system.rates(now, u, p, signs))
     rates = system.rates(at, u, p, signs)
@@ -169,33 +190,55 @@ def _reach_rest(
     at = [a - late * k for a, k in zip(at, rates, strict=True)]
     for i, row in enumerate(rows):
         at[row] = torch.where(first == i, torch.zeros_like(h), at[row])
-    return at, moment - late
+    return at, moment - late, first
 
 
-Directions = Sequence[Tensor | None]
-"""Direction of dry friction for each speed, ``(B,)``; None where a speed has no dry friction."""
+@torch.no_grad()
+def _breakaways(
+    system: System, x: Rows, after: Rows, u: Channels, p: Views, sense: Tensor, dry: list[int]
+) -> tuple[Tensor, Tensor]:
+    """Direction in which held speeds break away within the step, else 0, and after which share of it, else 1.
+
+    The moment has no gradient and needs none: motion sets in with no acceleration. A single speed that is held holds
+    all that could move it, so that it waits for the next sample.
+    """
+    leaves, when = torch.zeros_like(sense), torch.ones_like(sense)
+    lanes = (sense == 0).any(0).nonzero().squeeze(1)
+    if len(system.speed_rows) == 1 or lanes.numel() == 0:
+        return leaves, when
+    part = LaneSubset(lanes, sense.shape[1])
+    u, p = part.take_all(u), part.take_views(p)
+    start, end = (_pushes(system, [part.take(row) for row in rows], u, p) for rows in (x, after))
+    for i, k in enumerate(dry):
+        (_, short), (push, over) = start[k], end[k]
+        loose = (part.take(sense[i]) == 0) & (over > 0)
+        leaves[i, lanes] = torch.sign(push) * loose
+        when[i, lanes] = torch.where(
+            loose, short / torch.where(loose, short - over, -torch.ones_like(over)), 1.0
+        )
+    return leaves, when.clamp(0.0, 1.0)
+
+
+def _pushes(system: System, x: Rows, u: Channels, p: Views) -> list[tuple[Tensor, Tensor]]:
+    """For each speed the torque that pushes it from rest, and by how much that exceeds what dry friction holds."""
+    zeros = [torch.zeros_like(x[row]) for row in system.speed_rows]
+    forwards = [(b.smooth > 0).to(x[0].dtype) for b in system.balances(x, u, p, zeros, zeros)]
+    found = system.balances(x, u, p, zeros, forwards)
+    return [(b.smooth, b.smooth.abs() - b.holding_level()) for b in found]
 
 
 @torch.no_grad()
 def directions(system: System, x: Rows, u: Channels, p: Views) -> Directions:
     """Direction of dry friction for each speed: its sign, and at rest the push where it exceeds the level, else 0."""
-    speeds = [x[row] for row in system.speed_rows]
-    signs = [torch.sign(v) if dry else None for v, dry in zip(speeds, system.dry, strict=True)]
-    if not any(s is not None and bool((s == 0).any()) for s in signs):
-        return signs
-    zeros = [torch.zeros_like(v) for v in speeds]
-    push = system.balances(x, u, p, zeros, zeros)
-    forwards = [
-        torch.where(v == 0, (b.smooth > 0).to(v.dtype), (v > 0).to(v.dtype))
-        for v, b in zip(speeds, push, strict=True)
+    signs = [
+        torch.sign(x[row]) if dry else None for row, dry in zip(system.speed_rows, system.dry, strict=True)
     ]
-    found: list[Tensor | None] = []
-    for sign, balance in zip(signs, system.balances(x, u, p, zeros, forwards), strict=True):
-        if sign is not None:
-            breakaway = balance.smooth.abs() > balance.holding_level()
-            sign = torch.where(sign == 0, torch.sign(balance.smooth) * breakaway, sign)
-        found.append(sign)
-    return found
+    if not any(sign is not None and bool((sign == 0).any()) for sign in signs):
+        return signs
+    return [
+        None if sign is None else torch.where(sign == 0, torch.sign(push) * (over > 0), sign)
+        for sign, (push, over) in zip(signs, _pushes(system, x, u, p), strict=True)
+    ]
 
 
 class LaneSubset:

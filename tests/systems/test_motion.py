@@ -12,6 +12,7 @@ from hybrid_id.components import (
     Dahl,
     DutySupply,
     LoadDependent,
+    LoggedLoad,
     LuGre,
     MotorEncoder,
     PositionLoop,
@@ -265,3 +266,17 @@ def test_bristles_slide_as_coulomb_and_hold_before(law) -> None:
     assert force[-1] == pytest.approx(0.02 * 0.4, rel=1e-4)
     assert held["q_m1"][-1] >= 0.99 * force[-1] / 5.0  # deflected, with what it slid while it swung in
     assert held["q_m1"][-1] < 0.03
+
+
+def test_logged_load_acts_at_the_link() -> None:
+    # a constant torque of 3 N m at the link opposes the motor: 0.03 N m at the rotor behind a gear of 100
+    load = LoggedLoad(c_w=1.5)
+    rigid = coasting(F_c=0.0).with_component("joint1/load", load)
+    assert rigid.input_names == ["u1", "w1"]
+    x = run(rigid, {"u1": zeros(40), "w1": 2.0})
+    np.testing.assert_allclose(x["v_m1"], -0.03 / 2e-5 * STEP * np.arange(40))
+    values = {"J_m": 1e-5, "J_a": 0.1, "k": 400.0, "d": 2.0, "F_cm": 0.0, "F_vm": 0.0, "F_va": 0.0}
+    flexible = one_link_flexible(100.0).with_values(values | COASTING).with_component("joint1/load", load)
+    x = run(flexible, {"u1": zeros(150), "w1": 2.0})
+    momentum = 100.0 * 1e-5 * x["v_m1"] + 0.1 * x["v_a1"]
+    np.testing.assert_allclose(momentum, -3.0 * STEP * np.arange(150), rtol=1e-9, atol=1e-12)
