@@ -12,7 +12,7 @@ from hybrid_id.components.friction import (
     Viscous,
 )
 from hybrid_id.components.input import CurrentCommand, DutySupply, PositionLoop, TorqueCommand, Voltage
-from hybrid_id.components.load import Gravity, LoggedLoad, OneLink, TwoInertias
+from hybrid_id.components.load import ConstantTorque, Gravity, LoggedLoad, OneLink, Spring, TwoInertias
 from hybrid_id.components.motor import CurrentMotor, DCMotor, TorqueMotor
 from hybrid_id.components.sensor import LinkEncoder, MotorEncoder
 from hybrid_id.components.transmission import LinearSpring, Rigid
@@ -23,6 +23,7 @@ __all__ = [
     "AsymmetricStribeck",
     "AsymmetricStribeckEq8",
     "Component",
+    "ConstantTorque",
     "Coulomb",
     "CurrentCommand",
     "CurrentMotor",
@@ -39,6 +40,7 @@ __all__ = [
     "OneLink",
     "PositionLoop",
     "Rigid",
+    "Spring",
     "Stribeck",
     "TorqueCommand",
     "TorqueMotor",
