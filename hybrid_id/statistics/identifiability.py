@@ -122,7 +122,7 @@ def identifiability(
         InputError: A parameter of value zero without a scale.
     """
     values = np.asarray(values, float)
-    size = np.where(values == 0, 0.0 if scale is None else scale, np.abs(values))
+    size = np.where(values == 0, 0.0 if scale is None else scale, values)  # signed: d ln θ = d θ / θ
     if np.any(size == 0):
         zero = names[int(np.flatnonzero(size == 0)[0])]
         raise InputError(f"identifiability: {zero} is zero, so relative changes mean nothing; give its scale")

@@ -223,3 +223,13 @@ def test_covariance_of_a_combination_is_the_delta_method(rng):
     sets = np.tile(DRIVE, (20_000, 1))
     sets[:, [0, 1]] += spread * rng.standard_normal((20_000, 2))
     assert ratio.std_error(DRIVE, covariance) == pytest.approx(np.std(ratio.evaluate(sets)), rel=0.05)
+
+
+def test_a_negative_parameter_scales_with_the_others():
+    """``(P u - c w) / J`` with c < 0: all three may be multiplied by one number, and c/P is told, not c P."""
+    rng = np.random.default_rng(0)
+    u, w = rng.normal(size=(2, 500))
+    jacobian = 1e3 * jacobian_of(lambda p: (p[0] * u - p[1] * w) / p[2], [2.0, -0.5, 3.0])
+    told = identifiability(np.array([2.0, -0.5, 3.0]), ["P", "c", "J"], jacobian=jacobian, references=["P"])
+    assert told.directions[0].text.startswith("P, c, J may all be multiplied by one number")
+    assert [c.text for c in told.combinations] == ["c/P", "J/P"]
