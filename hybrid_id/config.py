@@ -112,11 +112,13 @@ class Output(_Section):
         folder: of the results; `--out` stands in for it.
         figures: PNG pictures.
         tensorboard: event files.
+        report: everything on one page, report.html.
     """
 
     folder: Path | None = None
     figures: bool = True
     tensorboard: bool = True
+    report: bool = True
 
 
 class StudyConfig(_Section):

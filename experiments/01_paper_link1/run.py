@@ -24,9 +24,15 @@ for seed, (dataset, truths) in enumerate(make_link1_seeds(config, range(options.
         description = model_description(config, seed, priors=name.startswith("with "))
         system = build_model(ModelFile.model_validate(description))
         if seed == 0:
-            print(f"\n{name}: what the records can tell, before any fit\n{preflight(dataset, system).summary()}")
+            print(
+                f"\n{name}: what the records can tell, before any fit\n{preflight(dataset, system).summary()}"
+            )
         campaign.add(seed, identify(dataset, system, seed=seed), truths, dataset)
         print(f"seed {seed}, {name}: done", flush=True)
 result = {name: campaign.report(name) for name, campaign in campaigns.items()}
-print(CLAIMS.format(**{f"{k}_{key}": v for k, r in zip("ab", result.values(), strict=True) for key, v in r.items()}))
+print(
+    CLAIMS.format(
+        **{f"{k}_{key}": v for k, r in zip("ab", result.values(), strict=True) for key, v in r.items()}
+    )
+)
 write_yaml(options.out, result)

@@ -38,7 +38,9 @@ class Campaign:
         """Scores one study: z of each claimed quantity (sets, k), std/mean, fits of the selected set."""
         told = study.identifiability
         truth = np.array([[run[name] for name in study.names] for run in truths])
-        errors = [np.maximum(p.std_error, r.std_error) for p, r in zip(study.covariances, study.robust, strict=True)]
+        errors = [
+            np.maximum(p.std_error, r.std_error) for p, r in zip(study.covariances, study.robust, strict=True)
+        ]
         if told.claimable.all():
             self.names = study.names
             values, target = study.values, truth
@@ -47,10 +49,7 @@ class Campaign:
             values = np.stack([c.evaluate(study.values) for c in told.combinations], 1)
             target = np.stack([c.evaluate(truth) for c in told.combinations], 1)
             errors = [
-                [
-                    max(c.std_error(v, p.matrix), c.std_error(v, r.matrix))
-                    for c in told.combinations
-                ]
+                [max(c.std_error(v, p.matrix), c.std_error(v, r.matrix)) for c in told.combinations]
                 for v, p, r in zip(study.values, study.covariances, study.robust, strict=True)
             ]
         self.held = told.prior_share > 0.5
@@ -64,7 +63,9 @@ class Campaign:
     def report(self, name):
         """Prints the table of the variant and returns its figures."""
         z, percent = np.concatenate(self.z), np.mean(self.percent, 0)
-        print(f"\n{name}: mean over {len(self.z)} seeds\n{'':18} std/mean %   Table 2 %   rms z   |z| max   cover %")
+        print(
+            f"\n{name}: mean over {len(self.z)} seeds\n{'':18} std/mean %   Table 2 %   rms z   |z| max   cover %"
+        )
         for k, quantity in enumerate(self.names):
             printed = f"{PAPER[quantity]:10.2f}" if quantity in PAPER else " " * 10
             cover = 100 * np.mean(np.abs(z[:, k]) < 1.96)
@@ -83,7 +84,10 @@ class Campaign:
             "position": position, "velocity": velocity,
             "truth_position": truth_position, "truth_velocity": truth_velocity,
         }  # fmt: skip
-        return {key: round(float(value), 4) for key, value in figures.items()} | {"below": int(below), "rows": sum(own)}
+        return {key: round(float(value), 4) for key, value in figures.items()} | {
+            "below": int(below),
+            "rows": sum(own),
+        }
 
 
 def truth_fit(records: tuple[Record, ...], truths, chosen: int) -> np.ndarray:

@@ -52,7 +52,7 @@ def identify(
 ) -> None:
     """Identify one parameter set for each train record (or one over all), with variation, cross-validation and trust.
 
-    Writes result.json, parameters.csv, model.yaml, pictures and TensorBoard events into the folder of results.
+    Writes report.html, result.json, parameters.csv, model.yaml, pictures and TensorBoard events.
     """
     config = study_config(
         source,

@@ -47,17 +47,25 @@ def write_study(
     write_models(folder, study)
     write_parameters(folder / "parameters.csv", study, reach)
     config.save(folder / "config.yaml", home=home)
-    if config.output.figures or config.output.tensorboard:
+    wish = config.output
+    if wish.figures or wish.tensorboard or wish.report:
         images = study_images(dataset, study, reach)
-        if config.output.figures:
+        if wish.figures:
             from hybrid_id.reporting.style import save
 
             for name, image in images.items():
                 save(image, folder / f"{name}.png")
-        if config.output.tensorboard:
+        if wish.tensorboard:
             from hybrid_id.reporting.events import write_study_events
 
             write_study_events(folder / "tensorboard", study, images, curves=command != "train")
+        if wish.report:
+            from hybrid_id.records.quality import check_dataset
+            from hybrid_id.reporting.html.study_page import study_page
+
+            findings = [finding for finding in check_dataset(dataset) if finding.severity != "info"]
+            page = study_page(dataset, study, images, reach=reach, level=level, findings=findings)
+            page.write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")
     return text
 
@@ -95,4 +103,5 @@ def show_study(study: "Study", config: StudyConfig, home: Path, text: str, *, as
     from hybrid_id.reporting.tables import study_table
 
     show(study_table(study, reach_of(config), config.statistics.level))
-    show(f"results are in {home}: parameters.csv, result.json, model.yaml, pictures, config.yaml")
+    page = "report.html, " if config.output.report else ""
+    show(f"results are in {home}: {page}parameters.csv, result.json, model.yaml, pictures, config.yaml")

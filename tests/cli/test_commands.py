@@ -85,6 +85,7 @@ def test_identify_writes_everything(identified: tuple[Path, str]) -> None:
         "models",
         "config.yaml",
         "tensorboard",
+        "report.html",
     }
     assert not any(path.name.startswith(".") for path in out.parent.iterdir())
 

@@ -1,0 +1,122 @@
+"""A page of sections that hold the same tables and remarks as the terminal, and the pictures beside them."""
+
+from __future__ import annotations
+
+import base64
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+from jinja2 import Environment, PackageLoader
+from matplotlib.image import imsave
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id import __version__
+from hybrid_id.reporting.style import DPI
+
+_TEMPLATES = Environment(
+    loader=PackageLoader("hybrid_id.reporting.html", "."),
+    autoescape=True,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One cell of a table as it is printed."""
+
+    text: str
+    style: str
+    number: bool
+
+
+@dataclass(frozen=True)
+class Block:
+    """One thing on the page: ``kind`` is text, table or picture."""
+
+    kind: str
+    text: str = ""
+    style: str = ""
+    heads: tuple[Cell, ...] = ()
+    rows: tuple[tuple[Cell, ...], ...] = ()
+    source: str = ""
+
+
+@dataclass
+class Section:
+    """A heading and what stands under it."""
+
+    title: str
+    blocks: list[Block] = field(default_factory=list)
+
+    def add(self, *things: RenderableType) -> Section:
+        """Append what the terminal prints: text, rich tables, and groups of them."""
+        for thing in things:
+            if isinstance(thing, Group):
+                self.add(*thing.renderables)
+            elif isinstance(thing, Table):
+                self.blocks.append(_table(thing))
+            else:
+                text = Text.from_markup(thing) if isinstance(thing, str) else thing
+                self.blocks.append(Block("text", str(text), _style(text)))
+        return self
+
+    def picture(self, image: np.ndarray, caption: str) -> Section:
+        """Append an image, (H, W, 3) uint8, with its caption, which also serves readers who cannot see it."""
+        file = BytesIO()
+        imsave(file, image, dpi=DPI, format="png")
+        data = base64.b64encode(file.getvalue()).decode("ascii")
+        self.blocks.append(Block("picture", caption, source=f"data:image/png;base64,{data}"))
+        return self
+
+
+@dataclass
+class Page:
+    """A result as one HTML file.
+
+    Attributes:
+        title: what it is a result of.
+        lead: the outcome in a sentence or two.
+        sections: in the order of the page; their titles make its table of contents.
+    """
+
+    title: str
+    lead: str = ""
+    sections: list[Section] = field(default_factory=list)
+
+    def section(self, title: str) -> Section:
+        """Append an empty section and return it."""
+        self.sections.append(Section(title))
+        return self.sections[-1]
+
+    def html(self) -> str:
+        """The page as text; everything that came from the user is escaped."""
+        return _TEMPLATES.get_template("page.html.j2").render(page=self, version=__version__)
+
+    def write(self, path: Path) -> None:
+        """Write the page."""
+        path.write_text(self.html(), encoding="utf-8")
+
+
+def _table(table: Table) -> Block:
+    columns = table.columns
+    right = [column.justify == "right" for column in columns]
+    heads = tuple(Cell(str(c.header), "", number) for c, number in zip(columns, right, strict=True))
+    rows = zip(*(list(column.cells) for column in columns), strict=True)
+    cells = tuple(
+        tuple(Cell(str(cell), _style(cell), number) for cell, number in zip(row, right, strict=True))
+        for row in rows
+    )
+    return Block("table", str(table.title or ""), heads=heads, rows=cells)
+
+
+def _style(thing: object) -> str:
+    """Colour words of a rich text as one CSS class."""
+    if not isinstance(thing, Text):
+        return ""
+    words = [str(thing.style), *(str(span.style) for span in thing.spans)]
+    return next((colour for colour in ("red", "yellow", "green") for word in words if colour in word), "")

@@ -1,0 +1,64 @@
+"""The page: what the terminal says, complete, escaped, in one file that fetches nothing."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id.reporting.html.page import Page
+
+VOID = {"meta", "img", "br", "link"}
+
+
+class Balanced(HTMLParser):
+    """Fails where a tag is closed that was not the last to be opened."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def page() -> Page:
+    table = Table()
+    table.add_column("parameter")
+    table.add_column("value", justify="right")
+    table.add_row("J <b>", Text("2e-05", style="red"))
+    made = Page("Identification of <arm>", "One set & its page.")
+    made.section("Parameters").add(Group(table, Text("at a bound: F_c", style="yellow")), "plain words")
+    made.section("Pictures").picture(np.zeros((4, 6, 3), dtype=np.uint8), "nothing to see")
+    return made
+
+
+def test_page_is_well_formed_and_escaped() -> None:
+    text = page().html()
+    parser = Balanced()
+    parser.feed(text)
+    assert parser.open == []
+    assert "J &lt;b&gt;" in text
+    assert "Identification of &lt;arm&gt;" in text
+    assert "One set &amp; its page." in text
+
+
+def test_page_holds_tables_remarks_and_pictures() -> None:
+    text = page().html()
+    assert re.search(r'<td class="number red">2e-05</td>', text)
+    assert '<p class="yellow">at a bound: F_c</p>' in text
+    assert '<p class="">plain words</p>' in text
+    assert 'alt="nothing to see"' in text
+    assert text.count("data:image/png;base64,") == 1
+
+
+def test_page_fetches_nothing() -> None:
+    links = re.findall(r'(?:src|href)="([^"]*)"', page().html())
+    assert links
+    assert all(link.startswith(("#", "data:")) for link in links)
