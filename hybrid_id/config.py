@@ -42,6 +42,18 @@ class Preprocessing(_Section):
     signal_share: float = Field(default=0.004, ge=0, lt=1)
 
 
+class Previous(_Section):
+    """An earlier stage, whose identified values this one starts from.
+
+    Attributes:
+        model: the model file that the earlier stage has written.
+        hold: names of parameters that keep the earlier value and are not estimated again.
+    """
+
+    model: Path
+    hold: list[str] = []
+
+
 class Identification(_Section):
     """How the parameters are found.
 
@@ -126,6 +138,7 @@ class StudyConfig(_Section):
 
     dataset: Path
     model: Path
+    previous: Previous | None = None
     preprocessing: Preprocessing = Preprocessing()
     identification: Identification = Identification()
     training: Training = Training()
@@ -206,7 +219,8 @@ def _with_paths(values: Mapping[str, Any], move: Any) -> dict[str, Any]:
     for key in ("dataset", "model"):
         if isinstance(result.get(key), str):
             result[key] = move(result[key])
-    output = result.get("output")
-    if isinstance(output, dict) and isinstance(output.get("folder"), str):
-        result["output"] = {**output, "folder": move(output["folder"])}
+    for key, name in (("previous", "model"), ("output", "folder")):
+        section = result.get(key)
+        if isinstance(section, dict) and isinstance(section.get(name), str):
+            result[key] = {**section, name: move(section[name])}
     return result

@@ -6,7 +6,7 @@ import typer
 
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.folder import refuse_taken, required, results_folder
-from hybrid_id.cli.inputs import checked_records
+from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
@@ -74,9 +74,7 @@ def identify(
         )
     dataset = checked_records(config.dataset, config.preprocessing)
     use_threads(threads)
-    from hybrid_id.systems.model_file import load_model
-
-    system = load_model(config.model)
+    system = load_system(config)
     use_device(config.identification.device)
     study, stopped = run(dataset, system, config, jobs=jobs)
 

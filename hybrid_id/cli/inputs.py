@@ -4,12 +4,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import remark
-from hybrid_id.config import Preprocessing
+from hybrid_id.config import Preprocessing, StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.quality import Finding
+    from hybrid_id.systems.chain import System
 
 
 def load_records(path: Path, preprocessing: Preprocessing | None = None) -> "Dataset":
@@ -64,3 +65,19 @@ def checked_records(path: Path, preprocessing: Preprocessing) -> "Dataset":
         more = f" ({len(warnings) - 1} more: 'hybrid-id check {path}')" if len(warnings) > 1 else ""
         remark(f"warning: {warnings[0].message}{more}")
     return dataset
+
+
+def load_system(config: StudyConfig) -> "System":
+    """The model of a study, started at what an earlier stage has found where the study names one."""
+    from hybrid_id.systems.model_file import load_model
+
+    system, stage = load_model(config.model), config.previous
+    if stage is None:
+        return system
+    from hybrid_id.systems.stage import carry_over
+
+    previous = load_model(stage.model)
+    try:
+        return carry_over(system, previous, stage.hold)
+    except InputError as error:
+        raise InputError(f"previous ({stage.model}): {error}") from None

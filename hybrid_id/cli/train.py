@@ -8,7 +8,7 @@ import typer
 
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.folder import CHECKPOINT, added_results, live_folder, refuse_taken, required
-from hybrid_id.cli.inputs import checked_records
+from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
@@ -68,9 +68,7 @@ def train(
     refuse_taken(home, force=force or resume)
     dataset = checked_records(config.dataset, config.preprocessing)
     use_threads(threads)
-    from hybrid_id.systems.model_file import load_model
-
-    system = load_model(config.model)
+    system = load_system(config)
     use_device(config.identification.device)
     from hybrid_id.cli.study import show_study, write_study
     from hybrid_id.study import assess

@@ -88,6 +88,14 @@ CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
         ("'rec_0'", "5 s"),
     ),
     "unknown device": ("dataset: DATA\nmodel: MODEL\nidentification: {device: abacus}\n", ("'abacus'",)),
+    "stage holds a stranger": (
+        "dataset: DATA\nmodel: MODEL\nprevious: {model: MODEL, hold: [f_3]}\n",
+        ("previous", "'f_3'", "both models have"),
+    ),
+    "stage without its model": (
+        "dataset: DATA\nmodel: MODEL\nprevious: {model: nowhere.yaml}\n",
+        ("nowhere.yaml",),
+    ),
     "not YAML": ("dataset: [DATA\nmodel: ]\n", ("study.yaml", "row 2")),
     "list": ("- dataset: DATA\n", ("study.yaml", "top level")),
     "key twice": ("dataset: DATA\ndataset: DATA\n", ("study.yaml", "row 2", "'dataset'")),
