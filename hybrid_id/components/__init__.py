@@ -4,6 +4,7 @@ from hybrid_id.components.base import PLACES, REGISTRY, Component
 from hybrid_id.components.friction import (
     AsymmetricStribeck,
     AsymmetricStribeckEq8,
+    AsymmetricTanh,
     Coulomb,
     Dahl,
     LoadDependent,
@@ -12,16 +13,37 @@ from hybrid_id.components.friction import (
     Viscous,
 )
 from hybrid_id.components.input import CurrentCommand, DutySupply, PositionLoop, TorqueCommand, Voltage
-from hybrid_id.components.load import ConstantTorque, Gravity, LoggedLoad, OneLink, Spring, TwoInertias
+from hybrid_id.components.load import (
+    ArmGravity,
+    ConstantTorque,
+    Gravity,
+    JointCoupling,
+    LinkInertia,
+    LoggedLoad,
+    OneLink,
+    Spring,
+    TwoInertias,
+)
 from hybrid_id.components.motor import CurrentMotor, DCMotor, TorqueMotor
 from hybrid_id.components.sensor import LinkEncoder, MotorEncoder
-from hybrid_id.components.transmission import LinearSpring, Rigid
+from hybrid_id.components.transmission import (
+    Backlash,
+    BacklashFlexibility,
+    HardeningSpring,
+    JointFlexibility,
+    LinearSpring,
+    Rigid,
+)
 
 __all__ = [
     "PLACES",
     "REGISTRY",
+    "ArmGravity",
     "AsymmetricStribeck",
     "AsymmetricStribeckEq8",
+    "AsymmetricTanh",
+    "Backlash",
+    "BacklashFlexibility",
     "Component",
     "ConstantTorque",
     "Coulomb",
@@ -31,8 +53,12 @@ __all__ = [
     "Dahl",
     "DutySupply",
     "Gravity",
+    "HardeningSpring",
+    "JointCoupling",
+    "JointFlexibility",
     "LinearSpring",
     "LinkEncoder",
+    "LinkInertia",
     "LoadDependent",
     "LoggedLoad",
     "LuGre",

@@ -182,9 +182,16 @@ class Transmission(Component):
     single = True
     rigid: ClassVar[bool] = False
 
-    def torque(self, p: SimpleNamespace, deflection: Tensor, rate: Tensor) -> Tensor:
-        """Spring torque at the link [N m] from deflection q_m/r - q_a [rad] and its rate [rad/s], ``(B,)``."""
+    def torque(self, p: SimpleNamespace, deflection: Tensor, rate: Tensor, inertia: Tensor) -> Tensor:
+        """Spring torque at the link [N m] from deflection q_m/r - q_a [rad] and its rate [rad/s], ``(B,)``.
+
+        ``inertia`` is rotor and link in series, at the link [kg m^2]: with a stiffness it tells a frequency.
+        """
         raise NotImplementedError
+
+    def loaded(self, p: SimpleNamespace) -> Tensor | None:
+        """A deflection [rad] at which the spring is as stiff as it gets, where that is not zero: steps suit it."""
+        return None
 
 
 class Inertia(Component):

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
+from hybrid_id.systems.balance import Directions
 from hybrid_id.systems.chain import Channels, Rows, System, Views
 
 
@@ -83,10 +84,6 @@ def rk4(x: Sequence[Tensor], h: Tensor, rates) -> list[Tensor]:
     k4 = rates([a + h * k for a, k in zip(x, k3, strict=True)])
     sixth = h / 6.0
     return [a + sixth * (b + 2.0 * (c + d) + e) for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)]
-
-
-Directions = Sequence[Tensor | None]
-"""Direction of dry friction for each speed, ``(B,)``; None where a speed has no dry friction."""
 
 
 def _slide(
@@ -208,23 +205,18 @@ def _breakaways(
         return leaves, when
     part = LaneSubset(lanes, sense.shape[1])
     u, p = part.take_all(u), part.take_views(p)
-    start, end = (_pushes(system, [part.take(row) for row in rows], u, p) for rows in (x, after))
+    signs = [part.take(sense[dry.index(k)]) if k in dry else None for k in range(len(system.speed_rows))]
+    start, end = (
+        system.rest([part.take(row) for row in rows], u, p, signs).pushes(signs) for rows in (x, after)
+    )
     for i, k in enumerate(dry):
-        (_, short), (push, over) = start[k], end[k]
+        (_, short), (side, over) = start[k], end[k]
         loose = (part.take(sense[i]) == 0) & (over > 0)
-        leaves[i, lanes] = torch.sign(push) * loose
+        leaves[i, lanes] = side * loose
         when[i, lanes] = torch.where(
             loose, short / torch.where(loose, short - over, -torch.ones_like(over)), 1.0
         )
     return leaves, when.clamp(0.0, 1.0)
-
-
-def _pushes(system: System, x: Rows, u: Channels, p: Views) -> list[tuple[Tensor, Tensor]]:
-    """For each speed the torque that pushes it from rest, and by how much that exceeds what dry friction holds."""
-    zeros = [torch.zeros_like(x[row]) for row in system.speed_rows]
-    forwards = [(b.smooth > 0).to(x[0].dtype) for b in system.balances(x, u, p, zeros, zeros)]
-    found = system.balances(x, u, p, zeros, forwards)
-    return [(b.smooth, b.smooth.abs() - b.holding_level()) for b in found]
 
 
 @torch.no_grad()
@@ -235,10 +227,7 @@ def directions(system: System, x: Rows, u: Channels, p: Views) -> Directions:
     ]
     if not any(sign is not None and bool((sign == 0).any()) for sign in signs):
         return signs
-    return [
-        None if sign is None else torch.where(sign == 0, torch.sign(push) * (over > 0), sign)
-        for sign, (push, over) in zip(signs, _pushes(system, x, u, p), strict=True)
-    ]
+    return system.rest(x, u, p, signs).settle(signs)
 
 
 class LaneSubset:

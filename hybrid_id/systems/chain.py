@@ -13,7 +13,9 @@ from torch import Tensor, nn
 from hybrid_id.components.base import PLACES, Bristle, Component
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded, ParameterInfo
-from hybrid_id.systems.joint import Joint, SpeedBalance
+from hybrid_id.systems.arm import Arm
+from hybrid_id.systems.balance import Balances, Directions, Rest, SpeedBalance
+from hybrid_id.systems.joint import Joint
 
 Rows = Sequence[Tensor]
 Channels = Mapping[str, Tensor]
@@ -95,6 +97,9 @@ class System(nn.Module):
         self.dry = [is_dry for joint in self.joints for is_dry in joint.dry]
         self.bristle_rows = [row for joint in self.joints for *_, row in joint.bristles.values()]
         self.table = self._name_parameters()
+        self.arm = Arm(self.joints, cast("dict[str, Component]", dict(self.components.items())))
+        with torch.no_grad():
+            self.arm.check({key: cast(Component, part).view() for key, part in self.components.items()})
 
     def _name_parameters(self) -> list[ParameterInfo]:
         entries = [(key, s) for key, c in self.components.items() for s in cast(Component, c).declared]
@@ -108,8 +113,6 @@ class System(nn.Module):
                 name = symbol if symbols.count(symbol) == 1 else f"{symbol}_{joint}_{place}_{kind}"
             table.append(ParameterInfo(name, key, symbol, part.declared[symbol].doc, part.specs[symbol]))
         return table
-
-    # --- composition ---------------------------------------------------------------------------------------------
 
     def with_component(self, where: str, component: Component) -> System:
         """A new system that has ``component`` too (in a place that holds exactly one, instead of the old one)."""
@@ -152,8 +155,6 @@ class System(nn.Module):
             f"The system has no parameter '{name}'; it has {', '.join(i.name for i in self.table)}."
         )
 
-    # --- parameters as vectors -----------------------------------------------------------------------------------
-
     def theta(self) -> Tensor:
         """Stored parameter values in table order, ``(n_p,)``; gradients flow to the torch parameters."""
         return torch.stack(
@@ -165,6 +166,7 @@ class System(nn.Module):
         views: dict[str, SimpleNamespace] = {key: SimpleNamespace() for key in self.components}
         for info, row in zip(self.table, theta, strict=True):
             setattr(views[info.component], info.symbol, row)
+        self.arm.guard(views)
         return views
 
     @property
@@ -172,24 +174,28 @@ class System(nn.Module):
         """Channels that the system reads (``enable<joint>`` is read where a record has it)."""
         return [f"{c}{j.number}" for j in self.joints for c in j.channels]
 
-    # --- equations of motion -------------------------------------------------------------------------------------
-
-    def balances(
-        self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows
-    ) -> list[SpeedBalance]:
+    def balances(self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows) -> Balances:
         """Torque balance of every speed, in the order of ``speed_rows``."""
         found: list[SpeedBalance] = []
         for joint in self.joints:
             n = slice(len(found), len(found) + len(joint.positions))
             found += joint.balances(x, u, p, magnitudes[n], forwards[n])
-        return found
+        return self.arm.couple(found, x, p)
+
+    def rest(self, x: Rows, u: Channels, p: Views, directions: Directions) -> Rest:
+        """What may hold the speeds whose direction is 0: the balances with their friction either way."""
+        known = list(zip((x[row] for row in self.speed_rows), directions, strict=True))
+        magnitudes = [v.abs() if d is None else (d * v).clamp_min(0.0) for v, d in known]
+        ahead = [((v if d is None else d) >= 0).to(v.dtype) for v, d in known]
+        back = [((v if d is None else d) > 0).to(v.dtype) for v, d in known]
+        return Rest(self.balances(x, u, p, magnitudes, ahead), self.balances(x, u, p, magnitudes, back))
 
     def rates(
         self,
         x: Rows,
         u: Channels,
         p: Views,
-        directions: Sequence[Tensor | None] | None = None,
+        directions: Directions | None = None,
         width: float = 0.5,
     ) -> list[Tensor]:
         """Time derivative of the state rows (bristle rows excepted: zero here, see ``bristle_rates``).
@@ -209,24 +215,15 @@ class System(nn.Module):
         magnitudes = [v.abs() if sign is None else (sign * v).clamp_min(0.0) for v, sign in each]
         forwards = [((v if sign is None else sign) > 0).to(v.dtype) for v, sign in each]
         rates = [torch.zeros_like(x[0])] * len(x)
-        for row, sign, balance in zip(
-            self.speed_rows, signs, self.balances(x, u, p, magnitudes, forwards), strict=True
-        ):
-            rates[row - 1], rates[row] = x[row], balance.acceleration(sign)
-            if directions is not None and sign is not None:
-                rates[row] = rates[row] * sign.abs()
+        found = self.balances(x, u, p, magnitudes, forwards)
+        found = found.accelerations(signs, held=directions is not None)
+        for row, acceleration in zip(self.speed_rows, found, strict=True):
+            rates[row - 1], rates[row] = x[row], acceleration
         return rates
 
     def bristle_levels(self, x: Rows, p: Views) -> list[tuple[int, Tensor, Tensor]]:
         """For each bristle its row, the speed that drives it and the dry level of that speed."""
-        found = []
-        for joint in self.joints:
-            for place, (_, _, row) in joint.bristles.items():
-                motor = place == "motor_friction"
-                v = x[joint.positions[0] + 1] if motor or joint.rigid else x[joint.positions[1] + 1]
-                v = v / joint.gear_ratio if joint.rigid and not motor else v
-                found.append((row, v, joint.dry_level(place, p, v.abs(), (v > 0).to(v.dtype))))
-        return found
+        return [found for joint in self.joints for found in joint.bristle_levels(x, p)]
 
     def bristle(self, row: int) -> tuple[str, Bristle]:
         """Key and component of the bristle that owns a state row."""

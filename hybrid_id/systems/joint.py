@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import cast
 
@@ -23,39 +22,9 @@ from hybrid_id.components.base import (
     Transmission,
 )
 from hybrid_id.errors import InputError
+from hybrid_id.systems.balance import SpeedBalance
 
 Views = Mapping[str, SimpleNamespace]
-
-
-@dataclass
-class SpeedBalance:
-    """Forces on one speed: ``inertia * a = smooth - direction * (level + factor |transmitted|)``.
-
-    ``transmitted = link_share * inertia * a + load`` is the torque through a rigid gear; with a spring the chain
-    knows it beforehand, puts its friction into ``level`` and leaves ``factor`` empty.
-    """
-
-    inertia: Tensor
-    smooth: Tensor
-    level: Tensor
-    factor: Tensor | None = None
-    link_share: Tensor | None = None
-    load: Tensor | None = None
-
-    def acceleration(self, direction: Tensor | None) -> Tensor:
-        """Acceleration for a direction of dry friction in [-1, 1], the load's loop closed exactly."""
-        if direction is None:
-            return self.smooth / self.inertia
-        net = self.smooth - direction * self.level
-        if self.factor is None or self.link_share is None or self.load is None:
-            return net / self.inertia
-        # with |factor| < 1 the transmitted torque has the sign that it has without load-dependent friction
-        signed = direction * self.factor * torch.sign(self.link_share * net + self.load)
-        return (net - signed * self.load) / (self.inertia * (1.0 + signed * self.link_share))
-
-    def holding_level(self) -> Tensor:
-        """Largest dry friction at rest."""
-        return self.level if self.factor is None else self.level + self.factor * cast(Tensor, self.load).abs()
 
 
 class Joint:
@@ -96,7 +65,9 @@ class Joint:
         self.input = cast("tuple[str, Input]", only(Input, "input"))
         self.motor = cast("tuple[str, Motor]", only(Motor, "motor"))
         self.transmission = cast("tuple[str, Transmission]", only(Transmission, "transmission"))
-        self.inertia = cast("tuple[str, Inertia]", only(Inertia, "inertia (one_link, two_inertias)"))
+        self.inertia = cast(
+            "tuple[str, Inertia]", only(Inertia, "inertia (one_link, two_inertias, link_inertia)")
+        )
         self.loads = cast("list[tuple[str, LoadTorque]]", of(LoadTorque))
         self.logged = cast("list[tuple[str, LoggedTorque]]", of(LoggedTorque))
         self.channels = [c for _, part in (self.input, *self.logged) for c in part.channels]
@@ -203,7 +174,8 @@ class Joint:
         rotor, link = inertia.rotor(p[key], r), inertia.link(p[key], r)
         qa, va = x[self.positions[1]], x[self.positions[1] + 1]
         spring_key, spring = self.transmission
-        torque = spring.torque(p[spring_key], q / r - qa, v / r - va)
+        series = rotor * r**2 * link / (rotor * r**2 + link)
+        torque = spring.torque(p[spring_key], q / r - qa, v / r - va, series)
         if factor is not None:
             motor_level = motor_level + factor * (torque / r).abs()
         link_smooth, link_level = self.friction("link_friction", x, p, va, magnitudes[1], forwards[1])
@@ -211,6 +183,24 @@ class Joint:
             SpeedBalance(rotor, drive - torque / r, motor_level),
             SpeedBalance(link, torque - link_smooth - self.load_torque(qa, va, u, p), link_level),
         ]
+
+    def loaded_link(self, x: Sequence[Tensor], p: Views) -> tuple[int, Tensor] | None:
+        """Row of the link's angle and its value [rad] with the spring fully loaded, None where zero load will do."""
+        key, spring = self.transmission
+        deflection = None if self.rigid else spring.loaded(p[key])
+        if deflection is None:
+            return None
+        return self.positions[1], x[self.positions[0]] / self.gear_ratio - deflection
+
+    def bristle_levels(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Tensor, Tensor]]:
+        """For each bristle its row, the speed that drives it and the dry level of that speed."""
+        found = []
+        for place, (_, _, row) in self.bristles.items():
+            motor = place == "motor_friction"
+            v = x[self.positions[0] + 1] if motor or self.rigid else x[self.positions[1] + 1]
+            v = v / self.gear_ratio if self.rigid and not motor else v
+            found.append((row, v, self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype))))
+        return found
 
     def load_torque(self, angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Torque of the load at the link, ``(B,)``."""

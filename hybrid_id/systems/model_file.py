@@ -5,10 +5,11 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from hybrid_id.components import REGISTRY, Gravity
+from hybrid_id.components import REGISTRY, ArmGravity, Gravity
 from hybrid_id.components.base import Component
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
@@ -16,6 +17,8 @@ from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 from hybrid_id.systems.arms import FLAT_NAMES
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_schema import FLAT, SKELETON, ModelFile, ParameterEntry
+
+WEIGHTS = (Gravity.kind, ArmGravity.kind)
 
 Parts = dict[tuple[str, str], dict[str, Bounded]]
 """Parameters of each component of a system, by place and kind."""
@@ -35,15 +38,20 @@ def build_model(file: ModelFile, path: str = "model") -> System:
     """The system that a model file describes; ``path`` is for messages."""
     if file.system not in FLAT:
         raise InputError(f"{path}: system '{file.system}' is not known; use one of {', '.join(FLAT)}.")
-    if len(file.gear_ratio) != 1 or not all(math.isfinite(r) and r > 0 for r in file.gear_ratio):
-        raise InputError(
-            f"{path}: gear_ratio {file.gear_ratio} must hold one positive number for {file.system}."
-        )
+    joints = len({where.split("/")[0] for where, _ in SKELETON[file.system]})
+    if len(file.gear_ratio) != joints or not all(math.isfinite(r) and r > 0 for r in file.gear_ratio):
+        number = "one positive number" if joints == 1 else f"{joints} positive numbers"
+        raise InputError(f"{path}: gear_ratio {file.gear_ratio} must hold {number} for {file.system}.")
     parts: Parts = {(where, part.kind): {} for where, part in SKELETON[file.system]}
     _add_components(parts, file, path)
     _add_parameters(parts, file, path)
-    if (file.gravity == "vertical") != (("joint1/load", Gravity.kind) in parts):
-        verb = "add G_l to" if file.gravity == "vertical" else "set gravity to vertical or remove G_l from"
+    if (file.gravity == "vertical") != any(kind in WEIGHTS for _, kind in parts):
+        name = "G_l" if joints == 1 else "G_l1 and G_l2"
+        verb = (
+            f"add {name} to"
+            if file.gravity == "vertical"
+            else f"set gravity to vertical or remove {name} from"
+        )
         raise InputError(
             f"{path}: gravity is {file.gravity}, which does not fit the parameters; {verb} the file."
         )
@@ -91,8 +99,8 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
 
 
 def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
-    """Put the flat parameters into their components; one that no component needs brings it along."""
-    names = FLAT[file.system]
+    """Put the flat parameters into their components; one that no component needs brings it along, the rest of it 0."""
+    names, listed = FLAT[file.system], set(parts)
     for name, entry in file.parameters.items():
         if name not in names:
             known = ", ".join(names)
@@ -111,6 +119,10 @@ def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
                 "'components'; keep one of them."
             )
         values[symbol] = _bounded(kind, symbol, entry, f"{path}: {name}")
+    for key in set(parts) - listed:
+        for symbol, declared in REGISTRY[key[1]].declared.items():
+            if declared.estimate and symbol not in parts[key]:
+                parts[key][symbol] = replace(declared.bounded(0.0), estimate=False)
 
 
 def _kind(name: str, path: str) -> type[Component]:
@@ -162,7 +174,7 @@ def describe_model(system: System) -> dict[str, Any]:
             parameters |= {flat[where, kind, symbol]: entry for symbol, entry in values.items()}
         else:
             components.append({"place": where, "kind": kind, "parameters": values})
-    gravity = "vertical" if any(key.endswith(f"/{Gravity.kind}") for key in system.components) else "none"
+    gravity = "vertical" if any(key.split("/")[2] in WEIGHTS for key in system.components) else "none"
     order = [name for name in FLAT[system.name] if name in parameters]
     content: dict[str, Any] = {
         "system": system.name,

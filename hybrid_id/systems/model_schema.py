@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from hybrid_id.components import DCMotor, LinearSpring, OneLink, Rigid, TwoInertias, Voltage
+from hybrid_id.components import DCMotor, LinearSpring, LinkInertia, OneLink, Rigid, TwoInertias, Voltage
 from hybrid_id.components.base import Component
 
 Where = tuple[str, str, str]
@@ -37,6 +37,28 @@ FLAT: dict[str, dict[str, Where]] = {
         "G_l": ("joint1/load", "gravity_load", "G_l"),
         "q_0": ("joint1/load", "gravity_load", "q_0"),
     },
+    "two_link": {
+        "P_1": ("joint1/load", "link_inertia", "P"),
+        "P_2": ("joint2/load", "link_inertia", "P"),
+        "P_3": ("joint1/load", "joint_coupling", "P_3"),
+        "P_4": ("joint1/load", "joint_coupling", "P_4"),
+        **{
+            f"{name}{n}": (f"joint{n}/{place}", kind, symbol)
+            for n in (1, 2)
+            for name, place, kind, symbol in (
+                ("rotor_share", "load", "link_inertia", "rotor_share"),
+                ("P_m1m", "motor", "dc_motor", "P_m1"),
+                ("P_m2m", "motor", "dc_motor", "P_m2"),
+                ("F_cm", "motor_friction", "coulomb_friction", "F_c"),
+                ("F_vm", "motor_friction", "viscous_friction", "F_v"),
+                ("F_ca", "link_friction", "coulomb_friction", "F_c"),
+                ("F_va", "link_friction", "viscous_friction", "F_v"),
+            )
+        },
+        "G_l1": ("joint1/load", "arm_gravity", "G_l1"),
+        "G_l2": ("joint1/load", "arm_gravity", "G_l2"),
+        "q_0": ("joint1/load", "arm_gravity", "q_0"),
+    },
 }
 """Flat parameter names of each system. A friction or gravity name that is not listed is absent from the model."""
 
@@ -52,6 +74,16 @@ SKELETON: dict[str, tuple[tuple[str, type[Component]], ...]] = {
         ("joint1/motor", DCMotor),
         ("joint1/transmission", LinearSpring),
         ("joint1/load", TwoInertias),
+    ),
+    "two_link": tuple(
+        (f"joint{n}/{place}", part)
+        for n in (1, 2)
+        for place, part in (
+            ("input", Voltage),
+            ("motor", DCMotor),
+            ("transmission", Rigid),
+            ("load", LinkInertia),
+        )
     ),
 }
 """Components that a system always has, unless the file puts another one into their place."""

@@ -22,12 +22,13 @@ from hybrid_id.components.base import (
     Sensor,
     Transmission,
 )
+from hybrid_id.components.coupling import Coupling
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.step import Engine
-from hybrid_id.systems import System, one_link, one_link_flexible
+from hybrid_id.systems import System, one_link, one_link_flexible, two_link
 
-DIRECTED = {"asymmetric_stribeck", "asymmetric_stribeck_eq8"}
+DIRECTED = {"asymmetric_stribeck", "asymmetric_stribeck_eq8", "asymmetric_tanh"}
 """Friction laws that claim to differ with the direction of motion; every other one is odd in the speed."""
 
 CHANNELS = {
@@ -77,9 +78,13 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
     if isinstance(part, Motor):
         found["torque"] = part.torque(p, 5.0 * q, v)
     if isinstance(part, Transmission) and not part.rigid:
-        found["torque"] = part.torque(p, 0.01 * q, 1e-3 * v)
+        found["torque"] = part.torque(p, 0.01 * q, 1e-3 * v, 0.05 * one)
+        found["loaded"] = part.loaded(p)
     if isinstance(part, Inertia):
         found |= {"rotor": part.rotor(p, 50.0) * one, "link": part.link(p, 50.0) * one}
+    if isinstance(part, Coupling):
+        found["first"], found["second"] = part.torques(p, (q, -0.7 * q), (0.1 * v, -0.2 * v))
+        found["M_11"], found["M_12"] = part.inertia(p, q) or (None, None)
     if isinstance(part, LoadTorque):
         found["torque"] = part.torque(p, q, v)
     if isinstance(part, LoggedTorque):
@@ -179,7 +184,8 @@ def test_friction_is_odd_and_dissipates(kind: str) -> None:
     smooth, dry = part.smooth(p, SPEED), part.dry(p, SPEED.abs(), forward)
     if smooth is not None:
         assert (smooth * SPEED >= 0).all()
-        torch.testing.assert_close(part.smooth(p, -SPEED), -smooth)
+        if kind not in DIRECTED:
+            torch.testing.assert_close(part.smooth(p, -SPEED), -smooth)
     if dry is not None:
         assert (dry >= 0).all()
         if kind not in DIRECTED:
@@ -254,15 +260,24 @@ def test_refuses_what_is_out_of_bounds(kind: str) -> None:
 
 def hosts(part: Component) -> list[Callable[[], System]]:
     """Systems into which a component fits."""
+    arm = [lambda: two_link((50.0, 30.0))]
+    if isinstance(part, Coupling | Inertia):
+        arm = [lambda: two_link((50.0, 30.0)).without_component("joint1/load", "joint_coupling")]
+    if isinstance(part, Coupling):
+        return arm
     if getattr(part, "rigid", False):
-        return [lambda: one_link(50.0)]
-    return [lambda: one_link(50.0), lambda: one_link_flexible(50.0)]
+        return [lambda: one_link(50.0), *arm]
+    return [lambda: one_link(50.0), lambda: one_link_flexible(50.0), *arm]
 
 
 @kinds
 def test_runs_in_every_place_that_it_claims(kind: str) -> None:
     part = REGISTRY[kind]()
-    channels = {f"{name}1": torch.full((3,), value, dtype=torch.float64) for name, value in CHANNELS.items()}
+    channels = {
+        f"{name}{n}": torch.full((3,), value, dtype=torch.float64)
+        for name, value in CHANNELS.items()
+        for n in (1, 2)
+    }
     for place in part.places:
         for host in hosts(part):
             system = host().with_component(f"joint1/{place}", part)

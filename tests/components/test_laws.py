@@ -160,7 +160,9 @@ def test_loads_springs_and_sensors() -> None:
     assert (two.rotor(view(two), r).item(), two.link(view(two), r).item()) == (1e-5, 0.02)
     gravity, spring = Gravity(G_l=2.0), LinearSpring(k=100.0, d=0.5)
     assert gravity.torque(view(gravity), tensor([np.pi / 6]), tensor([9.0])).item() == pytest.approx(1.0)
-    assert spring.torque(view(spring), tensor([0.01]), tensor([0.2])).item() == pytest.approx(1.1)
+    assert spring.torque(view(spring), tensor([0.01]), tensor([0.2]), tensor([0.1])).item() == pytest.approx(
+        1.1
+    )
     pull, bias = Spring(k_s=3.0, q_s=0.5), ConstantTorque(T_0=-0.2)
     assert pull.torque(view(pull), tensor([0.7]), tensor([9.0])).item() == pytest.approx(0.6)
     assert bias.torque(view(bias), tensor([0.7, 0.8]), tensor([9.0, 1.0])).tolist() == [-0.2, -0.2]

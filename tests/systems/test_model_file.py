@@ -21,9 +21,10 @@ from hybrid_id.components import (
     MotorEncoder,
     Stribeck,
 )
+from hybrid_id.components.coupling import Coupling
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
-from hybrid_id.systems import System, one_link, one_link_flexible
+from hybrid_id.systems import System, one_link, one_link_flexible, two_link
 from hybrid_id.systems.model_file import describe_model, load_model, save_model
 
 CASES = malformed_models()
@@ -80,6 +81,10 @@ SYSTEMS = {
     "spring in a rigid arm": one_link(50.0).with_component("joint1/transmission", LinearSpring()),
     "current": one_link(50.0).with_component("joint1/motor", CurrentMotor()),
     "duty": one_link(50.0).with_component("joint1/input", DutySupply()),
+    "arm": two_link((156.0, 84.0)),
+    "arm vertical": two_link((156.0, 84.0), vertical=True),
+    "arm with one spring": two_link((156.0, 84.0)).with_component("joint2/transmission", LinearSpring()),
+    "arm not coupled": two_link((9.0, 8.0)).without_component("joint1/load", "joint_coupling"),
     "offset": one_link(50.0).with_component("joint1/sensor", MotorEncoder(offset=-0.2)),
 }
 
@@ -101,6 +106,8 @@ def test_round_trip_with_every_component(kind: str, tmp_path: Path) -> None:
     part = REGISTRY[kind]()
     for place in part.places:
         host = one_link(20.0) if getattr(part, "rigid", False) else one_link_flexible(20.0)
+        if isinstance(part, Coupling):
+            host = two_link((50.0, 30.0)).without_component("joint1/load", "joint_coupling")
         system = host.with_component(f"joint1/{place}", part)
         assert equal(copy_through_file(system, tmp_path), system)
 

@@ -1,6 +1,7 @@
 """Friction laws: speed to a torque of its sign."""
 
 from hybrid_id.components.friction.asymmetric_stribeck import AsymmetricStribeck, AsymmetricStribeckEq8
+from hybrid_id.components.friction.asymmetric_tanh import AsymmetricTanh
 from hybrid_id.components.friction.coulomb import Coulomb
 from hybrid_id.components.friction.dahl import Dahl
 from hybrid_id.components.friction.load_dependent import LoadDependent
@@ -11,6 +12,7 @@ from hybrid_id.components.friction.viscous import Viscous
 __all__ = [
     "AsymmetricStribeck",
     "AsymmetricStribeckEq8",
+    "AsymmetricTanh",
     "Coulomb",
     "Dahl",
     "LoadDependent",

@@ -17,5 +17,5 @@ class LinearSpring(Transmission):
     k = Parameter(300.0, lower=1e-6, upper=1e9, unit="N m/rad", doc="stiffness")
     d = Parameter(0.5, upper=1e6, unit="N m s/rad", doc="damping")
 
-    def torque(self, p, deflection, rate):
+    def torque(self, p, deflection, rate, inertia):
         return p.k * deflection + p.d * rate

@@ -1,0 +1,40 @@
+"""Play in the gear."""
+
+import torch
+
+from hybrid_id.components.base import Transmission
+from hybrid_id.components.transmission.flexibility import damping, stiffness
+from hybrid_id.parameters import Parameter
+
+
+class Backlash(Transmission):
+    """Dead zone with a spring and a damper that act in contact only.
+
+    With ``delta = q_m / r - q_a`` and the depth e by which it leaves [-gap / 2, gap / 2]:
+    ``tau_s = k e + D``, the damper's ``D = d d(delta)/dt`` held within ``[-k |e|, k |e|]``.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | gap | rad | total play at the link: what the link may move while the rotor is held |
+    | c = 1 / k | rad/(N m) | compliance in contact; 0 is a rigid gear with play (see ``joint_flexibility``) |
+    | zeta | 1 | damping ratio in contact: ``d = 2 zeta sqrt(k J)``, J the inertias of rotor and link in series |
+
+    The damper never exceeds the spring: the teeth do not pull as they part, and they do not meet with a jump of torque,
+    over which no step would be accurate nor a sensitivity exact. gap = c = 0 is the rigid gear, gap = 0 a flexible one,
+    from which fits of richer models start. Source: the classical dead zone, [15] of the paper.
+    """
+
+    kind = "backlash"
+    gap = Parameter(0.0, upper=10.0, unit="rad", doc="total play at the link")
+    compliance = Parameter(0.0, upper=1e6, unit="rad/(N m)", doc="compliance in contact", estimate=False)
+    zeta = Parameter(0.3, upper=2.0, unit="1", doc="damping ratio in contact", estimate=False)
+
+    def torque(self, p, deflection, rate, inertia):
+        half, k = 0.5 * p.gap, stiffness(p.compliance, inertia)
+        beyond = deflection - half * torch.sign(deflection)
+        spring = k * torch.where(deflection.abs() >= half, beyond, torch.zeros_like(beyond))
+        damper = damping(p.zeta, k, inertia) * rate
+        return spring + torch.minimum(torch.maximum(damper, -spring.abs()), spring.abs())
+
+    def loaded(self, p):
+        return 0.5 * p.gap + 1e-6
