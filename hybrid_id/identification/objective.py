@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.simulation.lifted import condense, linearise, shoot
+from hybrid_id.simulation.lifted import condensed, shoot
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -120,12 +120,11 @@ def evaluate(
     """
     if chunk > 1:
         x = shoot(system, engine, x, batch.u, batch.dt, theta, chunk)
-    lin = linearise(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
-    chain = condense(lin, x)
+    measured, chain = condensed(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
     n_x = x.shape[-1]
-    jacobian = lin.output_chain(chain)
+    jacobian = measured.chain(chain)
     closing = jacobian[..., -1]
-    residual = (batch.y - lin.y - closing) * batch.weight
+    residual = (batch.y - measured.y - closing) * batch.weight
     factor = loss.factor(residual)
     jacobian = jacobian[..., :-1] * batch.weight[..., None]
     scaled = (jacobian * factor.sqrt()[..., None]).flatten(1, 2)

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.simulation.compiled import CompiledStep, serves
+from hybrid_id.simulation.measured import Measured, measure
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -31,35 +32,36 @@ LANES = 25_000
 
 
 @dataclass(frozen=True)
-class Linearisation:
-    """Phi and the outputs at all nodes, with Jacobians.
+class Linearisation(Measured):
+    """The outputs and Phi at all nodes, with Jacobians.
 
     Attributes:
         x_next: Phi of each node, ``(R, T, n_x)``; the last node of a row is its own successor.
         a: d x_next / d x, ``(R, T, n_x, n_x)``.
         b: d x_next / d theta, ``(R, T, n_x, n_f)``.
-        y: outputs, ``(R, T, n_y)``.
-        c: d y / d x, ``(R, T, n_y, n_x)``.
-        d: d y / d theta, ``(R, T, n_y, n_f)``.
-        picks: for each output the state that it is, None where it is a function of states and parameters.
     """
 
     x_next: Tensor
     a: Tensor
     b: Tensor
-    y: Tensor
-    c: Tensor
-    d: Tensor
-    picks: tuple[int | None, ...]
 
-    def output_chain(self, chain: Tensor) -> Tensor:
-        """Sensitivities of the outputs from those of the nodes, ``(R, T, n_y, n_x + n_f + 1)``."""
-        states = [pick for pick in self.picks if pick is not None]
-        if len(states) == len(self.picks):
-            return chain[:, :, states]
-        through = self.c @ chain
-        through[..., chain.shape[2] : -1] += self.d
-        return through
+
+def condensed(
+    system: System,
+    engine: Engine,
+    x: Tensor,
+    u: Mapping[str, Tensor],
+    dt: Tensor,
+    theta: Tensor,
+    free: Sequence[int],
+    outputs: Sequence[str],
+) -> tuple[Measured, Tensor]:
+    """Outputs at the nodes, and what :func:`condense` makes of a linearisation there; arguments as there."""
+    if serves(system, engine):
+        chain = CompiledStep(system, engine, tuple(u), free).condensed(x, u, dt, theta)
+        return measure(system, x, u, theta, free, outputs), chain
+    lin = linearise(system, engine, x, u, dt, theta, free, outputs)
+    return lin, condense(lin, x)
 
 
 def linearise(
@@ -85,15 +87,13 @@ def linearise(
         outputs: names of the measured outputs.
     """
     rows, samples, n_x = x.shape
-    n_y, n_f, lanes = len(outputs), len(free), rows * samples
+    lanes, columns = rows * samples, n_x + len(free)
     flat_x, flat_dt = x.reshape(lanes, n_x), dt.reshape(lanes)
     flat_u = {name: channel.reshape(lanes) for name, channel in u.items()}
-    x_next, y = x.new_empty(lanes, n_x), x.new_empty(lanes, n_y)
-    jacobian = x.new_zeros(lanes, n_x + n_y, n_x + n_f)
+    x_next = x.new_empty(n_x, lanes)
+    jacobian = x.new_zeros(n_x, columns, lanes)
     row_of = torch.arange(rows, device=x.device).repeat_interleave(samples)
     theta_rows = theta[:, :1] if bool((theta == theta[:, :1]).all()) else theta
-    picks: list[int | None] = [None] * n_y
-    compiled = CompiledStep(system, engine, tuple(u), free) if serves(system, engine) else None
     for start in range(0, lanes, LANES):
         block = slice(start, min(start + LANES, lanes))
         row = row_of[block]
@@ -102,38 +102,25 @@ def linearise(
         for i in free:
             values[i] = theta[i, row].requires_grad_()
         channels = {name: channel[block] for name, channel in flat_u.items()}
-        p = system.views(values)
-        after: list[Tensor] = []
-        if compiled is not None:
-            point = flat_x[block].T, torch.stack(list(channels.values())), flat_dt[block], theta[:, row]
-            states, chain = compiled.jacobian(*point)
-            x_next[block], jacobian[block, :n_x] = states.T, chain.movedim(2, 0)
         with torch.enable_grad():
-            if compiled is None:
-                after = engine.sample(system, leaves, channels, flat_dt[block], p)
-            measured = system.outputs(outputs, leaves, channels, p)
+            after = engine.sample(system, leaves, channels, flat_dt[block], system.views(values))
         wanted = [*leaves, *(values[i] for i in free)]
-        for i, target in enumerate([*after, *measured], 0 if after else n_x):  # lanes do not mix: one sweep a row
-            (x_next[block, i] if i < n_x else y[block, i - n_x]).copy_(target.detach())
-            alias = next((j for j, leaf in enumerate(leaves) if target is leaf), None)
-            if i >= n_x:
-                picks[i - n_x] = alias
-            if alias is not None:
-                jacobian[block, i, alias] = 1.0
-            elif target.requires_grad:
-                grads = torch.autograd.grad(target.sum(), wanted, retain_graph=True, allow_unused=True)
-                for j, grad in enumerate(grads):
-                    if grad is not None:
-                        jacobian[block, i, j] = grad
-    grid = jacobian.reshape(rows, samples, n_x + n_y, n_x + n_f)
+        for i, target in enumerate(after):  # lanes do not mix: one sweep a row
+            x_next[i, block] = target.detach()
+            if not target.requires_grad:
+                continue
+            grads = torch.autograd.grad(
+                target, wanted, torch.ones_like(target), retain_graph=True, allow_unused=True
+            )
+            for j, grad in enumerate(grads):
+                if grad is not None:
+                    jacobian[i, j, block] = grad
+    grid = jacobian.reshape(n_x, columns, rows, samples).permute(2, 3, 0, 1)
     return Linearisation(
-        x_next.reshape(rows, samples, n_x),
-        grid[:, :, :n_x, :n_x],
-        grid[:, :, :n_x, n_x:],
-        y.reshape(rows, samples, n_y),
-        grid[:, :, n_x:, :n_x],
-        grid[:, :, n_x:, n_x:],
-        tuple(picks),
+        **vars(measure(system, x, u, theta, free, outputs)),
+        x_next=x_next.reshape(n_x, rows, samples).movedim(0, 2),
+        a=grid[..., :n_x],
+        b=grid[..., n_x:],
     )
 
 
@@ -212,6 +199,8 @@ def shoot(
     The defects that remain sit between chunks. A reversal whose time is off then costs one Newton step instead of
     one for each sample by which it moves. Arguments as in :func:`linearise`; returns the new nodes ``(R, T, n_x)``.
     """
+    if serves(system, engine):
+        return CompiledStep(system, engine, tuple(u), ()).shoot(x, u, dt, theta, length)
     rows, samples, n_x = x.shape
     chunks = -(-samples // length)
     pad = chunks * length - samples
@@ -225,16 +214,9 @@ def shoot(
     p = system.views([*_spread(theta, chunks)])
     state = list(starts.unbind(1))
     path = [starts]
-    if serves(system, engine):
-        compiled = CompiledStep(system, engine, tuple(u), ())
-        spread = theta.repeat_interleave(chunks, 1)
     for k in range(length - 1):
         held = {name: c[k] for name, c in channels.items()}
-        if serves(system, engine):
-            after = compiled.states(torch.stack(state), torch.stack(list(held.values())), steps[k], spread)
-            state = list(after.unbind(0))
-        else:
-            state = engine.sample(system, state, held, steps[k], p)
+        state = engine.sample(system, state, held, steps[k], p)
         path.append(torch.stack(state, -1))
     return torch.stack(path, 1).reshape(rows, chunks * length, n_x)[:, :samples]
 

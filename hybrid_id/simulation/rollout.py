@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from hybrid_id.simulation.lifted import condense, linearise, shoot
+from hybrid_id.simulation.lifted import condensed, shoot
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -56,8 +56,7 @@ def simulate(
     for _ in range(12):
         part = batch.take(open_rows)
         nodes = shoot(system, engine, x[open_rows], part.u, part.dt, theta[:, open_rows], 32)
-        lin = linearise(system, engine, nodes, part.u, part.dt, theta[:, open_rows], [], ())
-        step = condense(lin, nodes)[..., -1]
+        step = condensed(system, engine, nodes, part.u, part.dt, theta[:, open_rows], [], ())[1][..., -1]
         nodes = nodes + step
         nodes[:, 0] = first[open_rows]
         x[open_rows] = nodes

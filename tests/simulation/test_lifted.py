@@ -164,7 +164,7 @@ def test_condensing_equals_the_explicit_recursion(
         random(rows, samples, n_x),
     )
     lin = Linearisation(
-        random(rows, samples, n_x), a, b, random(rows, samples, 0), a[:, :, :0], b[:, :, :0], ()
+        random(rows, samples, 0), a[:, :, :0], b[:, :, :0], (), x_next=random(rows, samples, n_x), a=a, b=b
     )
     chain = condense(lin, x)
     current = torch.zeros(rows, n_x, n_x + n_f + 1, dtype=torch.float64)

@@ -1,0 +1,192 @@
+"""C statements of a function of rows: what PyTorch computes in every lane, gradients included, written down once.
+
+The function runs once on example rows while every elementary operation is recorded as one assignment. Lanes do not
+mix, so that the assignments are the body of a loop over lanes that a C compiler turns into vector code.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from hybrid_id.errors import InputError
+
+OPERATIONS: dict[str, str] = {
+    "add": "{0} + {1}", "sub": "{0} - {1}", "rsub": "{1} - {0}", "mul": "{0} * {1}", "div": "{0} / {1}",
+    "neg": "-{0}", "reciprocal": "1.0 / {0}", "abs": "fabs({0})", "square": "{0} * {0}",
+    "sqrt": "sqrt({0})", "rsqrt": "1.0 / sqrt({0})", "exp": "exp({0})", "expm1": "expm1({0})", "log": "log({0})",
+    "log1p": "log1p({0})", "sin": "sin({0})", "cos": "cos({0})", "tan": "tan({0})", "atan": "atan({0})",
+    "asinh": "asinh({0})", "tanh": "tanh({0})", "cosh": "cosh({0})", "sinh": "sinh({0})", "erf": "erf({0})",
+    "sigmoid": "1.0 / (1.0 + exp(-{0}))",
+    "sign": "(double)({0} > 0.0) - (double)({0} < 0.0)", "sgn": "(double)({0} > 0.0) - (double)({0} < 0.0)",
+    "tanh_backward": "{0} * (1.0 - {1} * {1})", "sigmoid_backward": "{0} * {1} * (1.0 - {1})",
+    "lerp": "{0} + {2} * ({1} - {0})", "pow": "pow({0}, {1})", "atan2": "atan2({0}, {1})",
+    "maximum": "{0} > {1} ? {0} : {1}", "minimum": "{0} < {1} ? {0} : {1}",
+    "clamp_min": "{0} > {1} ? {0} : {1}", "clamp_max": "{0} < {1} ? {0} : {1}",
+    "where": "{0} ? {1} : {2}", "threshold_backward": "{1} > {2} ? {0} : 0.0",
+    "gt": "{0} > {1}", "ge": "{0} >= {1}", "lt": "{0} < {1}", "le": "{0} <= {1}", "eq": "{0} == {1}",
+    "ne": "{0} != {1}",
+    "logical_and": "{0} && {1}", "logical_or": "{0} || {1}", "logical_not": "!{0}",
+    "bitwise_and": "{0} && {1}", "bitwise_or": "{0} || {1}", "bitwise_not": "!{0}",
+    "zeros_like": "0.0", "new_zeros": "0.0", "ones_like": "1.0", "new_ones": "1.0", "fill": "{1}", "zero": "0.0",
+    "scalar_tensor": "{0}", "full_like": "{1}", "full": "{1}", "new_full": "{2}",
+    "detach": "{0}", "alias": "{0}", "clone": "{0}", "expand": "{0}", "view": "{0}", "_to_copy": "{0}", "copy": "{1}",
+    "_unsafe_view": "{0}", "reshape": "{0}",
+}  # fmt: skip
+"""C expression of each operation of PyTorch's kernel language; {0}, {1} ... stand for its arguments."""
+FUNCTIONS = (
+    "exp",
+    "expm1",
+    "log",
+    "log1p",
+    "sin",
+    "cos",
+    "tan",
+    "atan",
+    "asinh",
+    "tanh",
+    "cosh",
+    "sinh",
+    "erf",
+)
+"""Functions of one argument that the C library may offer for whole vectors."""
+
+
+class Recorder(TorchDispatchMode):
+    """Writes down what happens to rows; arrays of one value that it has not met are constants.
+
+    Args:
+        rows: example rows, ``(B,)`` each.
+        names: what they are called in C.
+
+    Attributes:
+        statements: the assignments so far.
+
+    Raises:
+        InputError: while recording, an operation that has no C expression.
+    """
+
+    def __init__(self, rows: Sequence[Tensor], names: Sequence[str]) -> None:
+        super().__init__()
+        self.statements: list[str] = []
+        self._alive = list(rows)  # a freed row would lend its address to another
+        self._names = {_address(row): name for row, name in zip(rows, names, strict=True)}
+        self._known: dict[str, str] = {}
+
+    def name(self, row: Tensor) -> str:
+        """C name or constant that holds a row."""
+        found = self._names.get(_address(row))
+        if found is not None:
+            return found
+        if row.numel() != 1:
+            raise InputError(
+                "The model computes with an array of its own, which compiled steps cannot; leave 'compiled' off."
+            )
+        return _literal(row.item())
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None) -> Any:
+        name = func.overloadpacket.__name__
+        key = name.rstrip("_")
+        in_place = name.endswith("_") and not name.endswith("__")
+        result = func(*args, **(kwargs or {}))
+        if key.startswith("empty") or key.startswith("new_empty"):
+            return self._keep(result, "0.0")
+        if key not in OPERATIONS or not isinstance(result, Tensor):
+            raise InputError(
+                f"The model uses '{name}', which compiled steps do not know; leave 'compiled' off."
+            )
+        alpha = (kwargs or {}).get("alpha", 1)
+        given = [self.name(a) if isinstance(a, Tensor) else _literal(a) for a in args if _counts(a)]
+        if alpha != 1:
+            given[1] = f"({_literal(alpha)} * {given[1]})"
+        code = _power(given) if key == "pow" else OPERATIONS[key].format(*given)
+        return self._keep(result if not in_place else args[0], _folded(key, given, code), result.dtype)
+
+    def _keep(self, row: Tensor, code: str, dtype: torch.dtype = torch.float64) -> Tensor:
+        if not _is_atom(code):
+            kind = "_Bool" if dtype == torch.bool else "double"
+            known = self._known.get(kind + code)
+            if known is None:
+                known = self._known[kind + code] = f"t{len(self.statements)}"
+                self.statements.append(f"const {kind} {known} = {code};")
+            code = known
+        self._alive.append(row)
+        self._names[_address(row)] = code
+        return row
+
+
+def record(
+    function: Callable[..., Sequence[Tensor]], names: Sequence[str], examples: Sequence[float]
+) -> tuple[list[str], list[str]]:
+    """Record a function of rows.
+
+    Args:
+        function: takes one row for each name and returns rows.
+        names: C names of its rows.
+        examples: a value for each at which it can be evaluated.
+
+    Returns:
+        The assignments, and the C name or constant of each result.
+    """
+    rows = [torch.full((3,), value, dtype=torch.float64) for value in examples]
+    with Recorder(rows, names) as recorder:
+        results = function(*rows)
+    return recorder.statements, [recorder.name(row) for row in results]
+
+
+def _address(row: Tensor) -> int:
+    return row.untyped_storage().data_ptr()
+
+
+def _counts(argument: Any) -> bool:
+    """Whether an argument is a value (not a shape, a type or a switch)."""
+    return isinstance(argument, Tensor) or (
+        isinstance(argument, int | float) and not isinstance(argument, bool)
+    )
+
+
+def _literal(value: float) -> str:
+    if math.isinf(value) or math.isnan(value):
+        raise InputError(
+            "The model computes with an infinite constant, which compiled steps cannot; leave 'compiled' off."
+        )
+    text = repr(float(value))
+    return f"({text})" if value < 0 else text
+
+
+def _is_atom(code: str) -> bool:
+    return (
+        code.isidentifier()
+        or code.strip("()").replace("e-", "").replace("e+", "").lstrip("-").replace(".", "").isdigit()
+    )
+
+
+def _power(given: Sequence[str]) -> str:
+    base, exponent = given
+    simple = {
+        "2.0": f"{base} * {base}",
+        "1.0": base,
+        "3.0": f"{base} * {base} * {base}",
+        "0.5": f"sqrt({base})",
+    }
+    return simple.get(exponent, OPERATIONS["pow"].format(base, exponent))
+
+
+def _folded(key: str, given: Sequence[str], code: str) -> str:
+    """The expression without terms that are nothing and factors that are one."""
+    if key == "mul" and "0.0" in given:
+        return "0.0"
+    if key == "mul" and "1.0" in given:
+        return given[1] if given[0] == "1.0" else given[0]
+    if key == "add" and "0.0" in given:
+        return given[1] if given[0] == "0.0" else given[0]
+    if key in ("sub", "div") and given[1] == ("0.0" if key == "sub" else "1.0"):
+        return given[0]
+    if key == "neg" and given[0] == "0.0":
+        return "0.0"
+    return code
