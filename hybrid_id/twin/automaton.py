@@ -127,17 +127,29 @@ def _first_switch(
 ) -> np.ndarray:
     """Time (B,) at which the least guard of each run falls through zero.
 
-    Regula falsi with the Illinois weights: bracketed, and superlinear on the nearly straight guards of a step.
+    Regula falsi with the Illinois weights: bracketed, and superlinear on the nearly straight guards of a step. An
+    axis that has just left its rest starts at zero: there the guard over the elapsed time has the later root only.
     """
-    g_low = np.maximum(mechanism.guards(x, mode, u).min(axis=0), 0.0)
+    g_low = mechanism.guards(x, mode, u).min(axis=0)
     g_high = mechanism.guards(whole, mode, u).min(axis=0)
+    from_rest = (g_low <= 0) & (g_high < 0)
+
+    def least_guard(elapsed: np.ndarray) -> np.ndarray:
+        g = mechanism.guards(_runge_kutta(mechanism, x, mode, u, elapsed), mode, u).min(axis=0)
+        return np.where(from_rest, g * remaining / np.maximum(elapsed, np.finfo(float).tiny), g)
+
     low, high = np.where(g_high < 0, 0.0, remaining), remaining  # an empty bracket where nothing switches
+    if from_rest.any():
+        low = np.where(from_rest, 1e-6 * remaining, low)
+        g_low = np.where(from_rest, least_guard(low), g_low)
+        high = np.where(from_rest & (g_low <= 0), low, high)  # back at rest at once
+    g_low = np.maximum(g_low, 0.0)
     g_high = np.minimum(g_high, -np.finfo(float).tiny)
     side = np.zeros(low.size)
     middle = low
     for _ in range(60):
         middle = low + (high - low) * g_low / (g_low - g_high)
-        g = mechanism.guards(_runge_kutta(mechanism, x, mode, u, middle), mode, u).min(axis=0)
+        g = least_guard(middle)
         if np.all((np.abs(g) < tolerance) | (high - low < 1e-16)):
             break
         is_high = g < 0

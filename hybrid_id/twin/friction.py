@@ -91,3 +91,23 @@ class AsymmetricStribeck(Lanes):
         forwards = self.f_11 + (self.f_12 - self.f_11) * np.exp(-np.square((speed - self.f_13) / self.f_14))
         backwards = self.f_21 + (self.f_22 - self.f_21) * np.exp(-np.square((speed - self.f_23) / self.f_24))
         return np.where(np.greater(side, 0), forwards, backwards)
+
+
+@dataclass(frozen=True, eq=False)
+class LinkFriction(Lanes):
+    """Friction on the link's side, eq. (9) of the paper as the reading notes have it.
+
+    tau_fa = (f_a1 Pos(v) + f_a2 Pos(-v)) tanh(70 v). Smooth at rest, so that it brakes and does not hold.
+
+    | symbol | meaning | unit |
+    | --- | --- | --- |
+    | v | speed of the link | rad/s |
+    | f_a1, f_a2 | level forwards and backwards, at the link | N m |
+    """
+
+    f_a1: np.ndarray | float
+    f_a2: np.ndarray | float
+
+    def torque(self, v: np.ndarray) -> np.ndarray:
+        """tau_fa (B,) [N m], of the sign of v."""
+        return np.where(v > 0, self.f_a1, self.f_a2) * np.tanh(70.0 * v)

@@ -1,232 +1,145 @@
-"""The digital twin of the paper's link 1: records whose truth is known, and the model that a user would start from."""
+"""What the paper prints: its tables 1 to 12 in SI units, by the names that the twins use.
 
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import groupby
-from pathlib import Path
-from typing import Any
+Bahrami, Keshmiri, Keshmiri and Taghirad, "Identifying a two linked robot with non-symmetrical modified friction and
+Backlash-flexibility models". Units are those of the reading notes: P_m1 is printed in mN m/V, P_m2 is V s/rad. Of the
+parameters that Tables 6, 7 and 10 call by the motor (f_11m2), the name is kept; J_m,g is J_m here.
+"""
 
-import numpy as np
+from typing import NamedTuple
 
-from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.excitation import design_multisine
-from hybrid_id.records.record import Record
-from hybrid_id.records.yaml_file import validate, write_yaml
-from hybrid_id.twin.automaton import integrate
-from hybrid_id.twin.drive import RigidDrive
-from hybrid_id.twin.friction import AsymmetricStribeck
-from hybrid_id.twin.settings import PARAMETERS, Disturbances, LinkTwin
-
-#: What wears, warms and settles from run to run.
-DRIFTING = ("f_11", "f_12", "f_21", "f_22", "f_3")
-BASE = ("J", "P_m1", "P_m2")
+# Names of before there was more than one machine.
+from hybrid_id.twin.campaign import make_campaign as make_link1  # noqa: F401
+from hybrid_id.twin.campaign import make_campaigns as make_link1_seeds  # noqa: F401
+from hybrid_id.twin.campaign import replay  # noqa: F401
+from hybrid_id.twin.campaign import write_campaign as write_link1  # noqa: F401
+from hybrid_id.twin.model import model_description  # noqa: F401
 
 
-def make_link1(config: Mapping[str, Any], seed: int) -> tuple[Dataset, list[dict[str, float]]]:
-    """Simulate all experiments of the twin once.
+class Variation(NamedTuple):
+    """One row of Tables 2, 4, 6, 7 and 10.
 
-    Args:
-        config: the settings, see `configs/twin_link1.yaml`.
-        seed: of drift, random torques, encoder noise and start angles; the voltages are the same for every seed.
-
-    Returns:
-        The dataset (u1 in V, q_m1 in rad), and for each record its own truth: the twelve parameters of that run
-        and `q_0`, the start angle at the motor.
+    Attributes:
+        percent: std/mean over the experiments [%]; 0 where an earlier stage holds the parameter.
+        best: value in the selected set; None where the print is cut.
     """
-    return make_link1_seeds(config, [seed])[0]
+
+    percent: float
+    best: float | None
 
 
-def make_link1_seeds(
-    config: Mapping[str, Any], seeds: Iterable[int]
-) -> list[tuple[Dataset, list[dict[str, float]]]]:
-    """Simulate the whole campaign for many seeds in one go; each result is that of `make_link1`."""
-    twin = _settings(config)
-    seeds = list(seeds)
-    voltages = _voltages(twin)
-    n_experiments, n_samples = voltages.shape
-    time = twin.sample_time * np.arange(n_samples)
-    generators = [np.random.default_rng([seed, i]) for seed in seeds for i in range(n_experiments)]
-    truths = [_draw_truth(twin, random) for random in generators]
-    torques = np.array(
-        [
-            random.normal(scale=twin.disturbances.torque_noise * twin.truth.f_11, size=n_samples)
-            for random in generators
-        ]
-    )
-    angles, _ = _simulate(truths, np.tile(voltages, (len(seeds), 1)), torques, time, twin.substeps)
-    measured = [
-        encoder(angle, twin.disturbances, random) for angle, random in zip(angles, generators, strict=True)
-    ]
-    results = []
-    for start in range(0, len(truths), n_experiments):
-        runs = slice(start, start + n_experiments)
-        results.append((_dataset(twin, time, voltages, measured[runs]), truths[runs]))
-    return results
+class Fit(NamedTuple):
+    """One row of Tables 3, 5, 8, 9 and 11, of the selected set over all experiments.
 
-
-def replay(
-    records: Iterable[Record], truths: Iterable[Mapping[str, float]], *, substeps: int = 10
-) -> list[dict[str, np.ndarray]]:
-    """Simulate the logged voltages with given parameters, without noise and random torques.
-
-    Args:
-        records: with the input u1 [V].
-        truths: for each record the twelve parameters and `q_0` [rad] (0 where absent), as `make_link1` returns them.
-        substeps: Runge-Kutta steps per sample.
-
-    Returns:
-        For each record the noise-free outputs q_m1 [rad] and v_m1 [rad/s], each (T,).
+    Attributes:
+        mean: average fit [%].
+        std: its standard deviation [%].
+        percent: std/mean [%].
     """
-    outputs = []
-    pairs = list(zip(records, truths, strict=True))
-    for _, group in groupby(pairs, key=lambda pair: pair[0].time.tobytes()):
-        runs = list(group)  # runs over the same time stamps are simulated side by side
-        voltages = np.array([record.inputs["u1"] for record, _ in runs])
-        angles, speeds = _simulate(
-            [truth for _, truth in runs], voltages, np.zeros_like(voltages), runs[0][0].time, substeps
-        )
-        outputs += [{"q_m1": q, "v_m1": v} for q, v in zip(angles, speeds, strict=True)]
-    return outputs
+
+    mean: float
+    std: float
+    percent: float
 
 
-def model_description(config: Mapping[str, Any], seed: int, *, priors: bool = False) -> dict[str, Any]:
-    """Content of the model file that the identification starts from.
+GEAR_RATIO = (156.0, 84.0)
 
-    Args:
-        config: the settings of the twin.
-        seed: of the errors of the start values.
-        priors: add `prior_std` (centre: the nominal) where the settings give one.
-    """
-    twin = _settings(config)
-    size = twin.model.start_error
-    factors = np.random.default_rng([seed, len(twin.excitation.experiments)]).uniform(
-        1 - size, 1 + size, len(PARAMETERS)
-    )
+#: Motor constants of the data sheets.
+TABLE_1 = {"P_m1m1": 19.059e-3, "P_m2m1": 0.0254, "P_m1m2": 42.62e-3, "P_m2m2": 0.0107}
 
-    def entry(name: str, factor: float) -> dict[str, Any]:
-        known = twin.model.parameters[name]
-        off_truth = float(f"{getattr(twin.truth, name) * factor:.6g}")
-        values: dict[str, Any] = {
-            "nominal": off_truth if known.nominal is None else known.nominal,
-            "lower": known.lower,
-            "upper": known.upper,
-            "unit": known.unit,
-        }
-        if priors and known.prior_std is not None:
-            values["prior_std"] = known.prior_std
-        return values
+#: Link 1, rigid: 10 experiments, test 3 selected.
+TABLE_2 = {
+    "J": Variation(16.345, 1.97e-5),
+    "P_m1": Variation(6.436, 19.249e-3),
+    "P_m2": Variation(6.888, 0.025),
+    "f_11": Variation(3.590, 0.010),
+    "f_12": Variation(7.742, 0.030),
+    "f_13": Variation(8.402, 10.541),
+    "f_14": Variation(11.688, 53.005),
+    "f_21": Variation(5.071, 0.010),
+    "f_22": Variation(6.998, 0.031),
+    "f_23": Variation(6.666, 11.313),
+    "f_24": Variation(8.857, 58.093),
+    "f_3": Variation(5.760, 5.04e-5),
+}
+TABLE_3 = {"q_m1": Fit(93.38, 5.08, 5.44), "v_m1": Fit(95.29, 2.16, 2.26)}
 
-    entries = {name: entry(name, factor) for name, factor in zip(PARAMETERS, factors, strict=True)}
-    friction = {name: value for name, value in entries.items() if name not in BASE}
-    return {
-        "system": "one_link",
-        "gear_ratio": [twin.gear_ratio],
-        "gravity": "none",
-        "parameters": {name: entries[name] for name in BASE},
-        "components": [
-            {"place": "joint1/motor_friction", "kind": "asymmetric_stribeck", "parameters": friction}
-        ],
-    }
+#: Link 1, flexible with backlash: test 3 selected; f_3 contradicts Table 2, from which it is said to be held.
+TABLE_4 = {
+    "J_m": Variation(23.16, 1.32e-5),
+    "J_a": Variation(22.0, 0.090),
+    "P_m1": Variation(0.0, 19.25e-3),
+    "P_m2": Variation(0.0, 0.025),
+    "f_a1": Variation(9.34, 0.0063),
+    "f_a2": Variation(8.65, 0.0056),
+    "k": Variation(4.32, 380.16),
+    "alpha": Variation(6.65, 0.31),
+    "beta": Variation(8.09, 169.34),
+    "f_11": Variation(7.65, 0.0089),
+    "f_12": Variation(2.32, 0.0285),
+    "f_13": Variation(15.83, 12.52),
+    "f_14": Variation(13.0, 59.53),
+    "f_21": Variation(8.75, 0.0081),
+    "f_22": Variation(2.45, 0.030),
+    "f_23": Variation(13.29, 14.10),
+    "f_24": Variation(8.99, 63.73),
+    "f_3": Variation(0.0, 6.94e-5),
+}
+TABLE_5 = {"q_m1": Fit(92.64, 4.93, 5.32), "v_m1": Fit(94.26, 3.46, 3.67)}
 
+#: Link 2 at high velocity, joint 1 held: 8 experiments, test 3 selected.
+TABLE_6 = {
+    "P_2": Variation(2.62, 0.135),
+    "f_11m2": Variation(5.64, 0.0024),
+    "f_12m2": Variation(3.18, 0.0103),
+    "f_13m2": Variation(10.49, 17.74),
+    "f_14m2": Variation(6.07, 113.17),
+    "f_21m2": Variation(8.99, 0.0029),
+    "f_22m2": Variation(4.04, 0.0097),
+    "f_23m2": Variation(5.52, 17.95),
+    "f_24m2": Variation(5.03, 108.30),
+}
 
-def write_link1(
-    folder: str | Path, config: Mapping[str, Any], seed: int
-) -> tuple[Dataset, list[dict[str, float]]]:
-    """Simulate the twin into a dataset folder, with its model files and its truth.
+#: Link 2 at low velocity, joint 1 held: 9 experiments, test 3 selected; f_11m2 and f_21m2 are not in it.
+TABLE_7 = {
+    "P_2": Variation(29.36, 0.185),
+    "f_12m2": Variation(1.76, 0.0111),
+    "f_13m2": Variation(20.70, 28.54),
+    "f_14m2": Variation(11.28, 125.96),
+    "f_22m2": Variation(1.57, 0.0112),
+    "f_23m2": Variation(23.65, 19.28),
+    "f_24m2": Variation(21.75, 91.07),
+}
+TABLE_8 = {"q_m2": Fit(86.13, 9.24, 10.73), "v_m2": Fit(96.18, 1.02, 1.06)}
+TABLE_9 = {"q_m2": Fit(82.76, 4.04, 4.88), "v_m2": Fit(83.05, 2.20, 2.65)}
 
-    Beside the dataset go `model.yaml`, `model_priors.yaml` (the same with data-sheet priors) and `truth.yaml`
-    (settings, seed, and the parameters of each run), which no identification reads.
+#: Both links: 12 experiments, test 7 selected; f_3m1 is printed as "2.932E-".
+TABLE_10 = {
+    "f_11m1": Variation(24.11, 0.011),
+    "f_12m1": Variation(4.430, 0.038),
+    "f_13m1": Variation(12.93, 10.182),
+    "f_14m1": Variation(13.62, 51.088),
+    "f_21m1": Variation(29.25, 0.023),
+    "f_22m1": Variation(8.300, 0.039),
+    "f_23m1": Variation(10.48, 16.318),
+    "f_24m1": Variation(18.08, 41.463),
+    "f_3m1": Variation(11.57, None),
+    "f_12m2": Variation(2.49, 0.010),
+    "f_13m2": Variation(12.14, 24.146),
+    "f_14m2": Variation(12.70, 114.718),
+    "f_22m2": Variation(2.80, 0.011),
+    "f_23m2": Variation(27.10, 25.934),
+    "f_24m2": Variation(12.45, 97.418),
+    "P_1": Variation(23.18, 1.101),
+    "P_2": Variation(10.69, 0.136),
+    "P_3": Variation(15.00, 0.148),
+    "P_4": Variation(26.61, 0.068),
+}
+TABLE_11 = {
+    "q_m1": Fit(77.59, 8.35, 10.76),
+    "v_m1": Fit(85.50, 6.24, 7.30),
+    "q_m2": Fit(88.00, 6.70, 7.62),
+    "v_m2": Fit(85.50, 3.49, 4.08),
+}
 
-    Returns:
-        What `make_link1` returns, the dataset as it was made.
-    """
-    folder = Path(folder)
-    dataset, truths = make_link1(config, seed)
-    dataset.save(folder)
-    write_yaml(folder / "model.yaml", model_description(config, seed))
-    write_yaml(folder / "model_priors.yaml", model_description(config, seed, priors=True))
-    runs = {record.name: truth for record, truth in zip(dataset.records, truths, strict=True)}
-    settings = _settings(config).model_dump(mode="json", exclude_none=True)
-    write_yaml(folder / "truth.yaml", {"seed": seed, "records": runs, "settings": settings})
-    return dataset, truths
-
-
-def encoder(angle: np.ndarray, disturbances: Disturbances, random: np.random.Generator) -> np.ndarray:
-    """Reading of the motor's encoder [rad]: white noise, then rounding to the nearest count."""
-    quantum = disturbances.encoder_quantum
-    noisy = angle + random.normal(scale=disturbances.encoder_noise, size=angle.shape)
-    return quantum * np.round(noisy / quantum)
-
-
-def _settings(config: Mapping[str, Any]) -> LinkTwin:
-    """Check the settings; the first fault is an InputError that names its key."""
-    return validate(LinkTwin, config, "settings of the twin")
-
-
-def _voltages(twin: LinkTwin) -> np.ndarray:
-    """Voltage (n_experiments, T) of each experiment: rest, then one period of its multisine."""
-    at_rest = np.zeros(round(twin.rest / twin.sample_time))
-    designs = [
-        design_multisine(
-            experiment.band,
-            sample_time=twin.sample_time,
-            duration=twin.duration - twin.rest,
-            amplitude_limits=experiment.peak,
-            tones=experiment.tones,
-            starts=twin.excitation.starts,
-            seed=experiment.seed,
-        )
-        for experiment in twin.excitation.experiments
-    ]
-    return np.array([np.concatenate((at_rest, design.signal)) for design in designs])
-
-
-def _draw_truth(twin: LinkTwin, random: np.random.Generator) -> dict[str, float]:
-    """Parameters of one run: Table 2 with the drift of that run, and the start angle."""
-    truth = twin.truth.model_dump()
-    drift = twin.disturbances.friction_drift
-    for name in DRIFTING:
-        truth[name] *= random.uniform(1 - drift, 1 + drift)
-    limit = twin.disturbances.start_angle
-    return {**truth, "q_0": random.uniform(-limit, limit)}
-
-
-def _simulate(
-    truths: Sequence[Mapping[str, float]],
-    voltages: np.ndarray,
-    torques: np.ndarray,
-    time: np.ndarray,
-    substeps: int,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Angles and speeds (B, T) of B runs with voltages and random torques (B, T)."""
-    values = {name: np.array([truth[name] for truth in truths]) for name in PARAMETERS}
-    dry = AsymmetricStribeck(**{name: values.pop(name) for name in PARAMETERS[3:-1]})
-    start = np.array([[truth.get("q_0", 0.0) for truth in truths], np.zeros(len(truths))])
-    inputs = np.stack((voltages.T, torques.T), axis=1)
-    states = integrate(RigidDrive(dry=dry, **values), start, inputs, time, substeps=substeps)
-    return states[:, 0].T, states[:, 1].T
-
-
-def _dataset(
-    twin: LinkTwin, time: np.ndarray, voltages: np.ndarray, measured: Sequence[np.ndarray]
-) -> Dataset:
-    """The records of one campaign, named run_00, run_01, ..."""
-    records = [
-        Record(
-            name=f"run_{number:02d}",
-            time=time,
-            inputs={"u1": voltage},
-            outputs={"q_m1": angle},
-            role=plan.role,
-            note=f"multisine {plan.band[0]:g}-{plan.band[1]:g} Hz, {plan.peak:g} V",
-        )
-        for number, (plan, voltage, angle) in enumerate(
-            zip(twin.excitation.experiments, voltages, measured, strict=True)
-        )
-    ]
-    return Dataset(
-        name=twin.name,
-        inputs=(Channel("u1", "V"),),
-        outputs=(Channel("q_m1", "rad", float(f"{twin.disturbances.angle_noise:.4g}")),),
-        records=tuple(records),
-        sample_time=twin.sample_time,
-    )
+#: Inertia of the second link, P_2 [kg m^2], by stage.
+TABLE_12 = {"link 2, high velocity": 0.135, "link 2, low velocity": 0.185, "both links": 0.136}

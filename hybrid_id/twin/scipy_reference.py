@@ -48,7 +48,7 @@ def _one_sample(mechanism: Mechanism, x, mode, u, span, rtol: float, atol: float
             (begin, end),
             x[:, 0],
             method="DOP853",
-            events=[_event(mechanism, mode, u, axis) for axis in range(len(mode))],
+            events=[_event(mechanism, mode, u, axis, begin) for axis in range(len(mode))],
             rtol=rtol,
             atol=atol,
         )
@@ -60,11 +60,14 @@ def _one_sample(mechanism: Mechanism, x, mode, u, span, rtol: float, atol: float
     raise RuntimeError(f"more than {MAX_SWITCHES} switches between stick and slip within one sample")
 
 
-def _event(mechanism: Mechanism, mode, u, axis: int):
-    """The guard of one axis in the form that `solve_ivp` stops at."""
+def _event(mechanism: Mechanism, mode, u, axis: int, begin: float):
+    """The guard of one axis in the form that `solve_ivp` stops at.
+
+    Over the elapsed time, so that an axis that has just left its rest, at a guard of zero, does not stop there again.
+    """
 
     def guard(t: float, y: np.ndarray) -> float:
-        return float(mechanism.guards(y[:, None], mode, u)[axis, 0])
+        return float(mechanism.guards(y[:, None], mode, u)[axis, 0]) / (t - begin) if t > begin else 1.0
 
     guard.terminal = True  # type: ignore[attr-defined]
     guard.direction = -1  # type: ignore[attr-defined]

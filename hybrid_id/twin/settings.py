@@ -1,121 +1,58 @@
-"""What a twin of one rigid link is made of: machine, disturbances, experiments, and the model that users start from."""
+"""All settings of a twin, by kind of machine."""
 
-from typing import Annotated, Literal
+import difflib
+from collections.abc import Iterable, Mapping
+from typing import Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, ValidationInfo, field_validator
+from pydantic import PositiveFloat, PositiveInt, ValidationInfo, field_validator
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.yaml_file import validate
+from hybrid_id.twin.machines import ONE_LINK, ONE_LINK_FLEXIBLE, PEAK_SPEEDS, POSITIVE, Machine, two_link
+from hybrid_id.twin.sections import (
+    ArmExcitation,
+    Disturbances,
+    Excitation,
+    Model,
+    NotNegative,
+    Number,
+    Section,
+)
 
 #: Parameters of the rigid link with asymmetric Stribeck friction, in the order of the paper's Table 2.
-PARAMETERS = ("J", "P_m1", "P_m2", "f_11", "f_12", "f_13", "f_14", "f_21", "f_22", "f_23", "f_24", "f_3")
+PARAMETERS = ONE_LINK.parameters
 
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-
-
-class Section(BaseModel):
-    """Base of the sections: frozen, and an unknown key is an error."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+#: What messages call the settings.
+SOURCE = "settings of the twin"
 
 
-class Truth(Section):
-    """True parameters of the link, named as in Table 2 (SI units)."""
-
-    J: PositiveFloat
-    P_m1: PositiveFloat
-    P_m2: NotNegative
-    f_11: NotNegative
-    f_12: NotNegative
-    f_13: float
-    f_14: PositiveFloat
-    f_21: NotNegative
-    f_22: NotNegative
-    f_23: float
-    f_24: PositiveFloat
-    f_3: NotNegative
-
-
-class Disturbances(Section):
-    """Sizes of all that the identification's model does not know.
-
-    Attributes:
-        friction_drift: half-width of the uniform factors, one for each friction level and f_3, drawn once a run.
-        torque_noise: std of the white random torque, held over a sample, as a fraction of f_11.
-        encoder_counts: counts per motor turn.
-        encoder_noise: std of the white noise before rounding to counts [rad].
-        start_angle: half-width of the uniform start angle [rad, motor].
-    """
-
-    friction_drift: Annotated[float, Field(ge=0, lt=1)]
-    torque_noise: NotNegative
-    encoder_counts: PositiveInt
-    encoder_noise: NotNegative
-    start_angle: NotNegative
-
-    @property
-    def encoder_quantum(self) -> float:
-        """Angle of one count [rad]."""
-        return 2 * np.pi / self.encoder_counts
-
-    @property
-    def angle_noise(self) -> float:
-        """Std of noise and rounding together [rad]."""
-        return float(np.hypot(self.encoder_noise, self.encoder_quantum / np.sqrt(12)))
-
-
-class Experiment(Section):
-    """A multisine: band [Hz], number of tones, peak voltage [V], seed of its phases, and the role of its record."""
-
-    band: tuple[PositiveFloat, PositiveFloat]
-    tones: PositiveInt
-    peak: PositiveFloat
-    seed: int = 0
-    role: Literal["train", "test"] = "train"
-
-
-class Excitation(Section):
-    """The experiments, and from how many phase sets the least crest factor is searched."""
-
-    starts: PositiveInt
-    experiments: Annotated[list[Experiment], Field(min_length=1)]
-
-
-class Knowledge(Section):
-    """What the user's model file says of one parameter; without a nominal it starts off the truth."""
-
-    lower: float
-    upper: float
-    unit: str
-    nominal: float | None = None
-    prior_std: PositiveFloat | None = None
-
-
-class Model(Section):
-    """The model file that goes with the records."""
-
-    start_error: Annotated[float, Field(ge=0, lt=1)]
-    parameters: dict[str, Knowledge]
-
-    @field_validator("parameters")
-    @classmethod
-    def _all_and_no_others(cls, parameters: dict[str, Knowledge]) -> dict[str, Knowledge]:
-        if odd := set(parameters) ^ set(PARAMETERS):
-            raise ValueError(f"must hold exactly {', '.join(PARAMETERS)}; see {', '.join(sorted(odd))}")
-        return parameters
-
-
-class LinkTwin(Section):
+class Twin(Section):
     """All settings of a twin; times in s, `rest` is part of `duration`."""
 
     name: str
+    machine: str = "one_link"
     sample_time: PositiveFloat
     rest: NotNegative
     duration: PositiveFloat
     substeps: PositiveInt
-    gear_ratio: PositiveFloat
-    truth: Truth
+    gear_ratio: Any
+    truth: dict[str, Number]
     disturbances: Disturbances
-    excitation: Excitation
+    excitation: Any
     model: Model
+
+    kind: ClassVar[Machine]
+
+    @property
+    def simulated(self) -> Machine:
+        """The machine that makes the records."""
+        return self.kind
+
+    @property
+    def gear_ratios(self) -> tuple[float, ...]:
+        """One for each motor."""
+        return tuple(np.atleast_1d(self.gear_ratio).tolist())
 
     @field_validator("duration")
     @classmethod
@@ -123,3 +60,94 @@ class LinkTwin(Section):
         if duration < info.data.get("rest", 0.0) + 10 * info.data.get("sample_time", 0.0):
             raise ValueError("must be longer than rest by ten samples or more")
         return duration
+
+    @field_validator("truth")
+    @classmethod
+    def _can_be(cls, truth: dict[str, float]) -> dict[str, float]:
+        _check_names("truth", truth, cls.kind.parameters)
+        for name, value in truth.items():
+            symbol = cls.kind.symbol(name)
+            if (value < 0 and symbol not in PEAK_SPEEDS) or (value == 0 and symbol in POSITIVE):
+                least = "must be positive" if symbol in POSITIVE else "must not be negative"
+                raise InputError(f"{SOURCE}: key 'truth.{name}' is {value:g} and {least}; correct it")
+        return truth
+
+    @field_validator("model")
+    @classmethod
+    def _knows_all(cls, model: Model) -> Model:
+        _check_names("model.parameters", model.parameters, cls.kind.parameters)
+        return model
+
+    @field_validator("disturbances")
+    @classmethod
+    def _has_a_link_to_measure(cls, disturbances: Disturbances) -> Disturbances:
+        if disturbances.link_encoder and "q_a1" not in cls.kind.rows:
+            raise InputError(
+                f"{SOURCE}: key 'disturbances.link_encoder' needs a link that moves apart from its motor; remove it, "
+                "or let machine be one_link_flexible"
+            )
+        return disturbances
+
+
+class LinkTwin(Twin):
+    """One rigid link."""
+
+    kind = ONE_LINK
+    gear_ratio: PositiveFloat
+    excitation: Excitation
+
+
+class FlexibleTwin(LinkTwin):
+    """One link behind a gear with play and flexibility."""
+
+    kind = ONE_LINK_FLEXIBLE
+
+
+class ArmTwin(Twin):
+    """Two links, one of whose joints may be held."""
+
+    kind = two_link()
+    gear_ratio: tuple[PositiveFloat, PositiveFloat]
+    held: Literal[1, 2] | None = None
+    excitation: ArmExcitation
+
+    @property
+    def simulated(self) -> Machine:
+        """The machine that makes the records."""
+        return two_link(self.held)
+
+    @field_validator("truth")
+    @classmethod
+    def _has_mass(cls, truth: dict[str, float]) -> dict[str, float]:
+        p_1, p_2, p_3, p_4 = (truth[f"P_{i}"] for i in (1, 2, 3, 4))
+        # the determinant of the mass matrix is concave in cos q_2: its least value lies at an end
+        if min((p_1 + 2 * c * p_3) * p_2 - (p_4 + c * p_3) ** 2 for c in (-1.0, 1.0)) <= 0:
+            raise InputError(
+                f"{SOURCE}: keys 'truth.P_1' to 'truth.P_4' give a mass matrix that is not positive definite at "
+                "some q_2; lower P_3 or P_4, or raise P_1 or P_2"
+            )
+        return truth
+
+
+TWINS: dict[str, type[Twin]] = {twin.kind.system: twin for twin in (LinkTwin, FlexibleTwin, ArmTwin)}
+
+
+def read_settings(config: Mapping[str, Any]) -> Twin:
+    """Check the settings of a twin; the first fault is an InputError that names its key."""
+    machine = config.get("machine", "one_link")
+    if machine not in TWINS:
+        raise InputError(f"{SOURCE}: key 'machine' is {machine!r}; use one of {', '.join(TWINS)}")
+    return validate(TWINS[machine], config, SOURCE)
+
+
+def _check_names(section: str, given: Iterable[str], names: tuple[str, ...]) -> None:
+    """Refuse a section that does not name each parameter of the machine, and nothing else."""
+    given = list(given)
+    for name in given:
+        if name not in names:
+            close = difflib.get_close_matches(name, names, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else "remove it"
+            raise InputError(f"{SOURCE}: key '{section}.{name}' is unknown; {hint}")
+    for name in names:
+        if name not in given:
+            raise InputError(f"{SOURCE}: key '{section}.{name}' is missing; add it")

@@ -1,155 +1,66 @@
-"""The twin of link 1: what is drawn, what is written, and that its truth replays its records."""
+"""The printed tables, and that the twins' truth is theirs."""
 
-import copy
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hybrid_id.errors import InputError
-from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.yaml_file import read_yaml
-from hybrid_id.twin.demo import write_demo
-from hybrid_id.twin.paper import (
-    DRIFTING,
-    make_link1,
-    make_link1_seeds,
-    model_description,
-    replay,
-    write_link1,
-)
-from hybrid_id.twin.settings import PARAMETERS, LinkTwin
+from hybrid_id.twin import paper
 
-CONFIG = read_yaml(Path(__file__).resolve().parents[2] / "configs" / "twin_link1.yaml")
+CONFIGS = Path(__file__).resolve().parents[2] / "configs"
+FITS = {name: getattr(paper, name) for name in ("TABLE_3", "TABLE_5", "TABLE_8", "TABLE_9", "TABLE_11")}
 
 
-@pytest.fixture
-def short() -> dict:
-    """Two experiments of one second, with the sizes of the real twin."""
-    config = copy.deepcopy(CONFIG)
-    config |= {"duration": 1.0, "substeps": 2}
-    config["excitation"] = {
-        "starts": 1,
-        "experiments": [
-            {"band": [1.1, 8.9], "tones": 5, "peak": 10.0},
-            {"band": [2.2, 10.1], "tones": 5, "peak": 6.0, "role": "test"},
-        ],
-    }
-    return config
+def truth(stage: str) -> dict[str, float]:
+    return read_yaml(CONFIGS / f"twin_{stage}.yaml")["truth"]
 
 
-def test_a_seed_repeats_and_another_differs(short: dict) -> None:
-    (first, truths), (second, others) = make_link1_seeds(short, [4, 5])
-    again, same = make_link1(short, 4)
-    assert truths == same and truths != others
-    for a, b, c in zip(first, again, second, strict=True):
-        np.testing.assert_array_equal(a.outputs["q_m1"], b.outputs["q_m1"])
-        np.testing.assert_array_equal(a.inputs["u1"], c.inputs["u1"])
-        assert np.any(a.outputs["q_m1"] != c.outputs["q_m1"])
+def best(table: dict[str, paper.Variation], motor: str = "") -> dict[str, float]:
+    """Printed values of a table by the twin's names."""
+    return {name.removesuffix(motor): row.best for name, row in table.items() if row.best is not None}
 
 
-def test_records_are_as_the_settings_say(short: dict) -> None:
-    dataset, truths = make_link1(short, 0)
-    assert [record.role for record in dataset] == ["train", "test"]
-    quantum = 2 * np.pi / short["disturbances"]["encoder_counts"]
-    for record, truth, plan in zip(dataset, truths, short["excitation"]["experiments"], strict=True):
-        voltage, angle = record.inputs["u1"], record.outputs["q_m1"]
-        assert record.n_samples == 500
-        assert not voltage[:50].any() and voltage[50:].any()
-        assert 0.95 * plan["peak"] < np.abs(voltage).max() <= plan["peak"] * (1 + 1e-12)
-        np.testing.assert_allclose(angle / quantum, np.round(angle / quantum), atol=1e-6)
-        assert abs(angle[:50].mean() - truth["q_0"]) < 4 * dataset.outputs[0].noise_std / np.sqrt(50)
+@pytest.mark.parametrize("name", FITS)
+def test_printed_ratio_is_that_of_the_printed_numbers(name: str) -> None:
+    for fit in FITS[name].values():
+        assert abs(100 * fit.std / fit.mean - fit.percent) < 0.011  # rounded or cut
 
 
-def test_truth_drifts_run_by_run_within_its_bounds(short: dict) -> None:
-    truths = [truth for _, runs in make_link1_seeds(short, range(20)) for truth in runs]
-    ratios = np.array([[truth[name] / short["truth"][name] for name in PARAMETERS] for truth in truths])
-    drifting = np.isin(PARAMETERS, DRIFTING)
-    assert np.all(ratios[:, ~drifting] == 1)
-    assert np.all(np.abs(ratios[:, drifting] - 1) <= 0.03)
-    assert np.all(ratios[:, drifting].std(axis=0) > 0.01)
-    assert np.abs(np.corrcoef(ratios[:, drifting].T) - np.eye(5)).max() < 0.6, "each factor is its own"
+def test_all_variations_pass_the_30_percent_rule() -> None:
+    tables = (paper.TABLE_2, paper.TABLE_4, paper.TABLE_6, paper.TABLE_7, paper.TABLE_10)
+    assert [len(table) for table in tables] == [12, 18, 9, 7, 19]
+    assert all(0 <= row.percent < 30 for table in tables for row in table.values())
 
 
-def test_replaying_the_truth_leaves_noise_and_random_torques(short: dict) -> None:
-    dataset, truths = make_link1(short, 1)
-    floor = dataset.outputs[0].noise_std
-    for record, output in zip(dataset, replay(dataset, truths, substeps=2), strict=True):
-        assert 0.8 * floor < np.std(record.outputs["q_m1"] - output["q_m1"]) < 1.2 * floor
+def test_truth_of_link_1() -> None:
+    assert truth("link1") == best(paper.TABLE_2)
+    assert truth("link1_flexible") == best(paper.TABLE_4) | {"f_3": paper.TABLE_2["f_3"].best}
 
 
-def test_without_disturbances_only_rounding_is_left(short: dict) -> None:
-    short["disturbances"] |= {"torque_noise": 0.0, "encoder_noise": 0.0, "friction_drift": 0.0}
-    dataset, truths = make_link1(short, 1)
-    for record, output in zip(dataset, replay(dataset, truths, substeps=2), strict=True):
-        assert np.abs(record.outputs["q_m1"] - output["q_m1"]).max() <= np.pi / 128 * (1 + 1e-9)
-        gradient = np.gradient(output["q_m1"], 0.002)
-        assert np.abs(gradient - output["v_m1"])[5:-5].max() < 4
-
-
-def test_replay_takes_records_of_unequal_length(short: dict) -> None:
-    dataset, truths = make_link1(short, 2)
-    long, cut = dataset.records[0], dataset.records[1].between(0.0, 0.5)
-    outputs = replay([long, cut], truths, substeps=2)
-    assert [len(output["q_m1"]) for output in outputs] == [long.n_samples, cut.n_samples]
-    whole = replay(dataset, truths, substeps=2)[1]
-    np.testing.assert_allclose(outputs[1]["v_m1"], whole["v_m1"][: cut.n_samples], atol=1e-9)
-
-
-def test_folder_holds_records_models_and_truth(short: dict, tmp_path: Path) -> None:
-    dataset, truths = write_link1(tmp_path / "twin", short, 3)
-    loaded = Dataset.load(tmp_path / "twin")
-    for made, read in zip(dataset, loaded, strict=True):
-        np.testing.assert_allclose(read.outputs["q_m1"], made.outputs["q_m1"], atol=1e-5)
-        np.testing.assert_allclose(read.inputs["u1"], made.inputs["u1"], atol=1e-6)
-    truth = read_yaml(tmp_path / "twin" / "truth.yaml")
-    assert truth["seed"] == 3
-    assert list(truth["records"].values()) == truths
-    LinkTwin.model_validate(truth["settings"])
-    assert read_yaml(tmp_path / "twin" / "model.yaml") == model_description(short, 3)
-    with_priors = read_yaml(tmp_path / "twin" / "model_priors.yaml")["parameters"]
-    assert {name for name, entry in with_priors.items() if "prior_std" in entry} == {"P_m1", "P_m2"}
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_start_values_are_off_but_inside_their_bounds(seed: int) -> None:
-    model = model_description(CONFIG, seed)
-    (friction,) = model["components"]
-    entries = model["parameters"] | friction["parameters"]
-    assert tuple(entries) == PARAMETERS
-    for name, entry in entries.items():
-        truth = CONFIG["truth"][name]
-        assert entry["lower"] < entry["nominal"] < entry["upper"]
-        assert entry["lower"] < truth < entry["upper"]
-        assert abs(entry["nominal"] / truth - 1) <= 0.5 + 1e-6
-        assert "prior_std" not in entry
-    assert model["parameters"]["P_m1"]["nominal"] == 19.059e-3  # Table 1
-    assert model["parameters"]["P_m2"]["nominal"] == 0.0254
-
-
-def test_demo_is_ready_to_identify(tmp_path: Path) -> None:
-    dataset, truths = write_demo(tmp_path / "demo")
-    assert len(dataset.train) == 5 and len(dataset.test) == 1 and len(truths) == 6
-    assert {path.name for path in (tmp_path / "demo").iterdir()} >= {
-        "dataset.yaml",
-        "model.yaml",
-        "truth.yaml",
+@pytest.mark.parametrize(("stage", "table"), [("link2_high", paper.TABLE_6), ("link2_low", paper.TABLE_7)])
+def test_truth_of_link_2(stage: str, table: dict[str, paper.Variation]) -> None:
+    told = truth(stage)
+    printed = best(paper.TABLE_6, "m2") | best(table, "m2")
+    inertia = paper.TABLE_10["P_2"].best or np.nan
+    assert told["J"] == pytest.approx(inertia / paper.GEAR_RATIO[1] ** 2, rel=1e-6)
+    assert (told["P_m1"], told["P_m2"]) == (paper.TABLE_1["P_m1m2"], paper.TABLE_1["P_m2m2"])
+    assert {name: told[name] for name in printed if name != "P_2"} == {
+        name: value for name, value in printed.items() if name != "P_2"
     }
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        (lambda c: c["truth"].pop("J"), "truth.J"),
-        (lambda c: c["disturbances"].update(torque_nose=0.1), "torque_nose"),
-        (lambda c: c["disturbances"].update(friction_drift=1.5), "friction_drift"),
-        (lambda c: c["model"]["parameters"].pop("f_3"), "f_3"),
-        (lambda c: c["excitation"].update(experiments=[]), "experiments"),
-        (lambda c: c.update(rest=2.0), "duration.*rest"),
-        (lambda c: c["excitation"]["experiments"][0].update(band=[0.2, 400.0]), "Hz"),
-    ],
-)
-def test_bad_settings_are_refused_by_name(short: dict, change, words: str) -> None:
-    change(short)
-    with pytest.raises(InputError, match=words):
-        make_link1(short, 0)
+def test_truth_of_both_links() -> None:
+    told, printed = truth("both_links"), best(paper.TABLE_10)
+    assert {name: told[name] for name in printed} == printed
+    others = {name: told[name] for name in told if name not in printed}
+    assert others == {
+        "P_m1m1": paper.TABLE_4["P_m1"].best,
+        "P_m2m1": paper.TABLE_4["P_m2"].best,
+        "f_3m1": paper.TABLE_2["f_3"].best,
+        "P_m1m2": paper.TABLE_1["P_m1m2"],
+        "P_m2m2": paper.TABLE_1["P_m2m2"],
+        "f_11m2": paper.TABLE_6["f_11m2"].best,
+        "f_21m2": paper.TABLE_6["f_21m2"].best,
+        "f_3m2": truth("link2_high")["f_3"],
+    }
