@@ -131,7 +131,8 @@ def bend(
     acceleration with the trial in place of a finite difference.
     """
     along = torch.cat([step.first, step.shift[step.group]], 1)
-    curvature = part.residual - (part.jacobian @ along[:, None, :, None])[..., 0] - refused.residual
+    curvature = part.residual - (part.jacobian.flatten(1, 2) @ along[..., None]).view_as(part.residual)
+    curvature = curvature - refused.residual
     curvature = curvature * loss.factor(part.residual)
     pull = replace(part, gradient=(part.jacobian * curvature[..., None]).sum((1, 2)))
     _, slope, _, back = _reduce(pull, step.group, len(step.values), step.damping, step.near)
@@ -147,7 +148,7 @@ def bend(
 
 def _moved(part: Evaluation, first: Tensor, shift: Tensor) -> Tensor:
     move = torch.cat([first, shift, first.new_ones(len(first), 1)], 1)
-    return part.x + (part.chain @ move[:, None, :, None])[..., 0]
+    return part.x + (part.chain.flatten(1, 2) @ move[..., None]).view_as(part.x)
 
 
 def _reduce(

@@ -81,13 +81,12 @@ def fit(
     def report(stage: str):
         return None if progress is None else partial(progress, stage)
 
-    engine = with_substeps(system, engine, many, theta[:, many_sets])
     if warm:
         # a smooth law is close to its dry limit, whose steps cost a fraction
-        keep = engine.friction == "dry" or engine.compiled
-        quick = engine if keep else with_substeps(system, Engine(), many, theta[:, many_sets])
+        quick = engine if engine.friction == "dry" or engine.compiled else Engine()
+        quick = with_substeps(system, quick, many, theta[:, many_sets])
         theta = warm_start(system, quick, many, many_sets, theta, free, bounds, options, report("windows"))
-        engine = with_substeps(system, engine, many, theta[:, many_sets])
+    engine = with_substeps(system, engine, many, theta[:, many_sets])
     nodes, alive, each = None, starts, torch.arange(count, device=device)
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
@@ -189,7 +188,7 @@ def measured_windows(
         return None
     noise = dict(zip(batch.outputs, (1.0 / batch.weight.amax(1)).unbind(1), strict=True))
     x0_std = 0.1 * batch.x.std(1)
-    x0_std[:, system.bristle_rows] = 0.0
+    x0_std[:, system.memory_rows] = 0.0
     for joint in system.joints:
         # behind a rigid gear either encoder tells both sides
         link = joint.gear_ratio if joint.rigid else 1.0

@@ -122,22 +122,21 @@ def evaluate(
         x = shoot(system, engine, x, batch.u, batch.dt, theta, chunk)
     measured, chain = condensed(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
     n_x = x.shape[-1]
-    jacobian = measured.chain(chain)
-    closing = jacobian[..., -1]
+    sensitivity = measured.chain(chain)
+    closing = sensitivity[..., -1]
     residual = (batch.y - measured.y - closing) * batch.weight
-    factor = loss.factor(residual)
-    jacobian = jacobian[..., :-1] * batch.weight[..., None]
-    scaled = (jacobian * factor.sqrt()[..., None]).flatten(1, 2)
-    hessian = scaled.transpose(1, 2) @ scaled
-    gradient = -(scaled.transpose(1, 2) @ (residual * factor.sqrt()).flatten(1, 2)[..., None])[..., 0]
     # a held first state keeps its row of the identity, so that it solves to zero
     loose = (batch.x0_std > 0).to(x.dtype)
+    mask = torch.cat([loose, loose.new_ones(len(loose), len(free))], 1)
+    jacobian = sensitivity[..., :-1] * (batch.weight[..., None] * mask[:, None, None])
+    factor = loss.factor(residual)
+    pull = (residual * factor).flatten(1, 2)[..., None]
+    flat = jacobian.flatten(1, 2)
+    scaled = flat if loss.kind == "l2" else flat * factor.flatten(1, 2)[..., None]
+    hessian = scaled.transpose(1, 2) @ flat
+    gradient = -(flat.transpose(1, 2) @ pull)[..., 0]
     precision = loose / batch.x0_std.clamp_min(1e-300).square().where(loose > 0, torch.ones_like(loose))
     shift = x[:, 0] - batch.x[:, 0]
-    mask = torch.cat([loose, loose.new_ones(len(loose), len(free))], 1)
-    jacobian = jacobian * mask[:, None, None, :]
-    hessian = hessian * mask[:, :, None] * mask[:, None, :]
-    gradient = gradient * mask
     hessian[:, range(n_x), range(n_x)] += precision + (1.0 - loose)
     gradient[:, :n_x] += precision * shift
     cost = loss.value(residual).sum((1, 2)) + 0.5 * (precision * shift.square()).sum(1)

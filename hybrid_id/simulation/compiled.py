@@ -37,8 +37,8 @@ _CACHE: dict[tuple[Any, ...], ctypes.CDLL] = {}
 
 
 def serves(system: System, engine: Engine) -> bool:
-    """Whether compiled sub-steps are asked for and possible here (smooth friction, no bristle states)."""
-    return engine.compiled and engine.friction == "smooth" and not system.bristle_rows
+    """Whether compiled sub-steps are asked for and possible here (smooth friction, no states that remember)."""
+    return engine.compiled and engine.friction == "smooth" and not system.memory_rows
 
 
 class CompiledStep:

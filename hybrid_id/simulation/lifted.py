@@ -136,52 +136,41 @@ def condense(lin: Linearisation, x: Tensor) -> Tensor:
         parameter, and (last column) through the defects.
     """
     rows, samples, n_x = x.shape
-    n_f = lin.b.shape[-1]
-    columns = n_x + n_f + 1
+    columns = n_x + lin.b.shape[-1] + 1
     steps = samples - 1
     length = max(1, round(max(steps, 1) ** 0.5))
-    chunks = -(-steps // length)
+    chunks = max(1, -(-steps // length))
     pad = chunks * length - steps
-    identity = torch.eye(n_x, dtype=x.dtype, device=x.device)
-    forcing = x.new_zeros(length, rows, chunks, n_x, columns)
-    transition = x.new_zeros(length, rows, chunks, n_x, n_x)
+    identity = torch.eye(n_x, columns, dtype=x.dtype, device=x.device)
+    chain = x.new_empty(rows, 1 + chunks * length, n_x, columns)
+    chain[:, 0] = identity
+    inside = chain[:, 1:].view(rows, chunks, length, n_x, columns)
 
     def chunked(tensor: Tensor) -> Tensor:
-        """(R, T - 1, ...) to time-major (length, R, chunks, ...)."""
+        """(R, T - 1, ...) to (R, chunks, length, ...)."""
         if pad:
             tensor = torch.cat([tensor, tensor.new_zeros(rows, pad, *tensor.shape[2:])], 1)
-        return tensor.reshape(rows, chunks, length, *tensor.shape[2:]).movedim(2, 0)
+        return tensor.unflatten(1, (chunks, length))
 
-    transition.copy_(chunked(lin.a[:, :-1]))
-    forcing[..., n_x:-1].copy_(chunked(lin.b[:, :-1]))
-    forcing[..., -1].copy_(chunked(lin.x_next[:, :-1] - x[:, 1:]))
-    lanes = rows * chunks
-    transition = transition.reshape(length, lanes, n_x, n_x)
-    forcing = forcing.reshape(length, lanes, n_x, columns)
-    inside = x.new_empty(length, lanes, n_x, columns)
-    current = x.new_zeros(lanes, n_x, columns)
-    current[:, :, :n_x] = identity
+    transition, forcing = chunked(lin.a[:, :-1]), chunked(lin.b[:, :-1])
+    defect = chunked(lin.x_next[:, :-1] - x[:, 1:])
+    current = identity.expand(rows, chunks, n_x, columns)
     for k in range(length):
-        current = torch.baddbmm(forcing[k], transition[k], current)
-        inside[k] = current
-    # across chunks: the state at each chunk's start
-    ends = inside[-1].reshape(rows, chunks, n_x, columns)
-    start = x.new_zeros(rows, n_x, columns)
-    start[:, :, :n_x] = identity
-    starts = x.new_empty(rows, chunks, n_x, columns)
-    for c in range(chunks):
-        starts[:, c] = start
-        step = ends[:, c]
-        start = torch.bmm(step[:, :, :n_x], start)
-        start[:, :, n_x:] += step[:, :, n_x:]
-    spread = starts.reshape(1, lanes, n_x, columns).expand(length, -1, -1, -1)
-    chained = torch.matmul(inside[..., :n_x], spread)
-    chained[..., n_x:] += inside[..., n_x:]
-    chained = chained.reshape(length, rows, chunks, n_x, columns).movedim(0, 2)
-    chained = chained.reshape(rows, chunks * length, n_x, columns)[:, :steps]
-    first = x.new_zeros(rows, 1, n_x, columns)
-    first[:, 0, :, :n_x] = identity
-    return torch.cat([first, chained], 1)
+        now = inside[:, :, k]
+        torch.mul(transition[:, :, k, :, :1], current[:, :, :1], out=now)
+        for j in range(1, n_x):
+            now.addcmul_(transition[:, :, k, :, j : j + 1], current[:, :, j : j + 1])
+        now[..., n_x:-1] += forcing[:, :, k]
+        now[..., -1] += defect[:, :, k]
+        current = now
+    # across chunks: from the chunk's first node to the row's
+    for c in range(1, chunks):
+        start = inside[:, c - 1, -1]
+        now = inside[:, c]
+        through = (now[..., :n_x].flatten(1, 2) @ start).view_as(now)
+        through[..., n_x:] += now[..., n_x:]
+        now.copy_(through)
+    return chain[:, :samples]
 
 
 @torch.no_grad()

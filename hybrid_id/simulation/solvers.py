@@ -38,7 +38,7 @@ REST_STEP = 0.2
 class HeldField(nn.Module):
     """Smooth equations of motion under held inputs, ``dx/ds = dt f(x, u)`` with s = 0 ... 1 over one sample.
 
-    Friction is smoothed as ``tanh(v / width)``; bristles are states like any other.
+    Friction is smoothed as ``tanh(v / width)``; what remembers is a state like any other.
 
     Args:
         system: equations of motion.
@@ -58,11 +58,10 @@ class HeldField(nn.Module):
 
 
 def ode_rates(system: System, x: Rows, u: Channels, p: Views, width: float) -> list[Tensor]:
-    """Time derivative of all state rows, ``(B,)`` each, with smooth friction and the bristles' own rates."""
+    """Time derivative of all state rows, ``(B,)`` each, with smooth friction and what remembers."""
     rates = system.rates(x, u, p, width=width)
-    for row, speed, level in system.bristle_levels(x, p):
-        key, law = system.bristle(row)
-        rates[row] = law.rate(p[key], x[row], speed, level)  # type: ignore[operator]
+    for row, drive, rate in system.relaxations(x, u, p):
+        rates[row] = drive - rate * x[row]
     return rates
 
 
@@ -166,25 +165,18 @@ class OdeEngine(Engine):
         moving = (
             with_substeps(system, Engine("dry"), batch, theta).substeps * REACH["rk4"] / REACH[self.method]
         )
-        bristles = step * bristle_rate(system, batch, theta) / REACH[self.method]
+        memories = step * memory_rate(system, batch, theta) / REACH[self.method]
         resting = step * fastest_rate(system, self, batch, theta) / REST_STEP
-        substeps = max(self.substeps, _whole(moving), _whole(bristles))
+        substeps = max(self.substeps, _whole(moving), _whole(memories))
         return replace(self, substeps=substeps, fine=max(self.fine, substeps, _whole(resting)))
 
 
-def bristle_rate(system: System, batch: Batch, theta: Tensor) -> float:
-    """Largest rate [1/s] at which a bristle forgets, over the batch (0 without bristles); see :class:`HeldField`."""
+def memory_rate(system: System, batch: Batch, theta: Tensor) -> float:
+    """Largest rate [1/s] at which a state forgets, over the batch (0 without memory); see :class:`HeldField`."""
     x = [column.flatten() for column in batch.x.unbind(2)]
+    u = {name: channel.flatten() for name, channel in batch.u.items()}
     p = system.views(list(theta.repeat_interleave(batch.x.shape[1], 1)))
-    fastest = 0.0
-    for row, speed, level in system.bristle_levels(x, p):
-        key, law = system.bristle(row)
-        state = x[row].detach().requires_grad_()
-        with torch.enable_grad():
-            rate = law.rate(p[key], state, speed, level)  # type: ignore[operator]
-        (slope,) = torch.autograd.grad(rate.sum(), state)
-        fastest = max(fastest, float(slope.abs().nan_to_num(0.0).max()))
-    return fastest
+    return max((float(r.nan_to_num(0.0).max()) for _, _, r in system.relaxations(x, u, p)), default=0.0)
 
 
 def _whole(steps: float) -> int:

@@ -12,7 +12,7 @@ from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine, directions
 from hybrid_id.systems.chain import System
 
-LIMIT = {"dry": 0.5, "smooth": 2.5, "bristle": 0.2}
+LIMIT = {"dry": 0.5, "smooth": 2.5, "memory": 0.2}
 """Largest step times eigenvalue: accuracy of the fastest mode for the dry engine, RK4's region of stability (2.78) for
 the smooth one, whose stiff part is the smoothing itself; less with bristles, which alternate with the motion at second
 order."""
@@ -51,11 +51,9 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
                 for j, grad in enumerate(grads):
                     if grad is not None:
                         jacobian[:, i, j] = grad
-        # a bristle that sticks couples back as a spring, its own rate is stepped exactly
-        for row, speed, level in system.bristle_levels(leaves, p):
-            key, law = system.bristle(row)
-            stuck = law.rate(p[key], torch.zeros_like(speed), speed, level)
-            for j, grad in enumerate(torch.autograd.grad(stuck.sum(), leaves, allow_unused=True)):
+        # what remembers couples back through its drive (a bristle that sticks is a spring); its own rate is exact
+        for row, drive, _ in system.relaxations(leaves, u, p):
+            for j, grad in enumerate(torch.autograd.grad(drive.sum(), leaves, allow_unused=True)):
                 if grad is not None:
                     jacobian[:, row, j] = grad
     jacobian = jacobian[torch.isfinite(jacobian).all(2).all(1)]
@@ -65,6 +63,6 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
 def with_substeps(system: System, engine: Engine, batch: Batch, theta: Tensor) -> Engine:
     """The engine with at least as many sub-steps as stability and accuracy need at these parameters."""
     rate, step = fastest_rate(system, engine, batch, theta), float(batch.dt.max())
-    limit = LIMIT["bristle" if system.bristle_rows else engine.friction]
+    limit = LIMIT["memory" if system.memory_rows else engine.friction]
     needed = MAX_SUBSTEPS if not math.isfinite(rate) else math.ceil(step * rate / limit)
     return replace(engine, substeps=min(max(engine.substeps, needed, 1), MAX_SUBSTEPS))

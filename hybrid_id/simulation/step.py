@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from hybrid_id.components.base import relax
 from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import Directions
 from hybrid_id.systems.chain import Channels, Rows, System, Views
@@ -57,23 +58,23 @@ class Engine:
         h = dt / self.substeps
         rows = list(x)
         for _ in range(self.substeps):
-            rows = self._relax_bristles(system, rows, p, 0.5 * h)
+            rows = _remember(system, rows, u, p, 0.5 * h)
             if self.friction == "dry":
                 rows = _slide(system, rows, u, h, p, events=2 * len(system.speed_rows))
             else:
                 rows = rk4(rows, h, lambda now: system.rates(now, u, p, width=self.width))
-            rows = self._relax_bristles(system, rows, p, 0.5 * h)
+            rows = _remember(system, rows, u, p, 0.5 * h)
         return rows
 
-    @staticmethod
-    def _relax_bristles(system: System, x: list[Tensor], p: Views, h: Tensor) -> list[Tensor]:
-        if not system.bristle_rows:
-            return x
-        x = list(x)
-        for row, speed, level in system.bristle_levels(x, p):
-            key, law = system.bristle(row)
-            x[row] = law.advance(p[key], x[row], speed, level, h)
+
+def _remember(system: System, x: list[Tensor], u: Channels, p: Views, h: Tensor) -> list[Tensor]:
+    """The states that remember, ``h`` seconds later at constant motion: exact however stiff they are."""
+    if not system.memory_rows:
         return x
+    after = list(x)
+    for row, drive, rate in system.relaxations(x, u, p):
+        after[row] = relax(x[row], drive, rate, h)
+    return after
 
 
 def rk4(x: Sequence[Tensor], h: Tensor, rates) -> list[Tensor]:
