@@ -27,3 +27,6 @@ def test_component_of_the_guide_works(tmp_path: Path) -> None:
     torque = law.smooth(SimpleNamespace(F_q=torch.tensor([2e-7], dtype=torch.float64)), speed)
     torch.testing.assert_close(torque, 2e-7 * torch.tensor([-9.0, 0.0, 9.0], dtype=torch.float64))
     assert source.count("\n") <= 15
+    assert (GUIDE.parent / "hybrid_id/components/friction/quadratic_drag.py").read_text(
+        encoding="utf-8"
+    ) == source

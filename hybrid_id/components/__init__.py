@@ -9,10 +9,19 @@ from hybrid_id.components.friction import (
     Dahl,
     LoadDependent,
     LuGre,
+    QuadraticDrag,
     Stribeck,
     Viscous,
 )
-from hybrid_id.components.input import CurrentCommand, DutySupply, PositionLoop, TorqueCommand, Voltage
+from hybrid_id.components.input import (
+    CurrentCommand,
+    Deadband,
+    DutySupply,
+    PositionLoop,
+    Saturation,
+    TorqueCommand,
+    Voltage,
+)
 from hybrid_id.components.load import (
     ArmGravity,
     ConstantTorque,
@@ -24,7 +33,14 @@ from hybrid_id.components.load import (
     Spring,
     TwoInertias,
 )
-from hybrid_id.components.motor import CurrentMotor, DCMotor, TorqueMotor
+from hybrid_id.components.motor import (
+    Cogging,
+    CurrentMotor,
+    DCMotor,
+    ElectricalLag,
+    ThermalDerating,
+    TorqueMotor,
+)
 from hybrid_id.components.sensor import LinkEncoder, MotorEncoder
 from hybrid_id.components.transmission import (
     Backlash,
@@ -44,6 +60,7 @@ __all__ = [
     "AsymmetricTanh",
     "Backlash",
     "BacklashFlexibility",
+    "Cogging",
     "Component",
     "ConstantTorque",
     "Coulomb",
@@ -51,7 +68,9 @@ __all__ = [
     "CurrentMotor",
     "DCMotor",
     "Dahl",
+    "Deadband",
     "DutySupply",
+    "ElectricalLag",
     "Gravity",
     "HardeningSpring",
     "JointCoupling",
@@ -65,9 +84,12 @@ __all__ = [
     "MotorEncoder",
     "OneLink",
     "PositionLoop",
+    "QuadraticDrag",
     "Rigid",
+    "Saturation",
     "Spring",
     "Stribeck",
+    "ThermalDerating",
     "TorqueCommand",
     "TorqueMotor",
     "TwoInertias",

@@ -110,8 +110,8 @@ class Motor(Component):
         """Motor torque on the rotor [N m], ``(B,)``."""
         raise NotImplementedError
 
-    def current(self, p: SimpleNamespace, command: Tensor, speed: Tensor) -> Tensor:
-        """Winding current [A], ``(B,)``."""
+    def current(self, p: SimpleNamespace, torque: Tensor) -> Tensor:
+        """Winding current [A] behind a motor torque [N m], ``(B,)``."""
         raise InputError(
             f"A {self.kind} has no current output; measure torque or use a dc_motor or current_motor."
         )
@@ -153,14 +153,11 @@ class Bristle(Friction):
 
     states = ("bristle",)
 
-    def rate(self, p: SimpleNamespace, state: Tensor, speed: Tensor, level: Tensor) -> Tensor:
-        """Time derivative of the state, ``(B,)``."""
-        raise NotImplementedError
+    def relaxation(self, p: SimpleNamespace, speed: Tensor, level: Tensor) -> tuple[Tensor, Tensor]:
+        """Drive and rate [1/s] of the state, ``dz/dt = drive - rate z``, ``(B,)`` each.
 
-    def advance(
-        self, p: SimpleNamespace, state: Tensor, speed: Tensor, level: Tensor, step: Tensor
-    ) -> Tensor:
-        """Exact state after ``step`` seconds at constant speed and level: stable however stiff the bristle."""
+        It is stepped exactly at constant speed and level, which is stable however stiff the bristle.
+        """
         raise NotImplementedError
 
     def torque(self, p: SimpleNamespace, state: Tensor, speed: Tensor, level: Tensor) -> Tensor:
@@ -168,11 +165,11 @@ class Bristle(Friction):
         raise NotImplementedError
 
 
-def relax(state: Tensor, speed: Tensor, rate: Tensor, step: Tensor) -> Tensor:
-    """Exact solution of dz/dt = speed - rate z after ``step`` at constant speed and rate [1/s] >= 0."""
+def relax(state: Tensor, drive: Tensor, rate: Tensor, step: Tensor) -> Tensor:
+    """Exact solution of ``dz/dt = drive - rate z`` after ``step`` at constant drive and rate [1/s] >= 0."""
     decay = rate * step
     above = decay.clamp_min(1e-12)  # the limit of (1 - exp(-a)) / a at 0, without a branch
-    return state * torch.exp(-decay) - speed * step * torch.expm1(-above) / above
+    return state * torch.exp(-decay) - drive * step * torch.expm1(-above) / above
 
 
 class Transmission(Component):

@@ -10,7 +10,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from hybrid_id.components.base import PLACES, Bristle, Component
+from hybrid_id.components.base import PLACES, Component
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.systems.arm import Arm
@@ -34,6 +34,7 @@ class System(nn.Module):
     Attributes:
         state_names: rows of the state, ``(n_x, B)``.
         speed_rows: which of them are speeds.
+        memory_rows: which of them remember: bristles, windings.
         dry: whether dry friction acts on each speed, in the order of ``speed_rows``.
         table: the parameters, in a fixed order; ``theta`` vectors follow it.
 
@@ -95,7 +96,11 @@ class System(nn.Module):
             self.state_names += joint.state_names
         self.speed_rows = [row + 1 for joint in self.joints for row in joint.positions]
         self.dry = [is_dry for joint in self.joints for is_dry in joint.dry]
-        self.bristle_rows = [row for joint in self.joints for *_, row in joint.bristles.values()]
+        self.memory_rows = [
+            row
+            for joint in self.joints
+            for row in range(joint.positions[-1] + 2, joint.positions[0] + len(joint.state_names))
+        ]
         self.table = self._name_parameters()
         self.arm = Arm(self.joints, cast("dict[str, Component]", dict(self.components.items())))
         with torch.no_grad():
@@ -198,7 +203,7 @@ class System(nn.Module):
         directions: Directions | None = None,
         width: float = 0.5,
     ) -> list[Tensor]:
-        """Time derivative of the state rows (bristle rows excepted: zero here, see ``bristle_rates``).
+        """Time derivative of the state rows (those that remember excepted: zero here, see ``relaxations``).
 
         Args:
             x: state rows, ``(B,)`` each.
@@ -221,13 +226,9 @@ class System(nn.Module):
             rates[row - 1], rates[row] = x[row], acceleration
         return rates
 
-    def bristle_levels(self, x: Rows, p: Views) -> list[tuple[int, Tensor, Tensor]]:
-        """For each bristle its row, the speed that drives it and the dry level of that speed."""
-        return [found for joint in self.joints for found in joint.bristle_levels(x, p)]
-
-    def bristle(self, row: int) -> tuple[str, Bristle]:
-        """Key and component of the bristle that owns a state row."""
-        return next((key, law) for j in self.joints for key, law, r in j.bristles.values() if r == row)
+    def relaxations(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, Tensor, Tensor]]:
+        """Row, drive and rate [1/s] of each state that remembers (bristles, windings), ``dz/dt = drive - rate z``."""
+        return [found for joint in self.joints for found in joint.relaxations(x, u, p)]
 
     def outputs(self, names: Sequence[str], x: Rows, u: Channels, p: Views) -> list[Tensor]:
         """Measured outputs by name (``q_m1``, ``i1`` ...), ``(B,)`` each."""

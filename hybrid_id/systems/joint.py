@@ -14,15 +14,14 @@ from hybrid_id.components.base import (
     Component,
     Friction,
     Inertia,
-    Input,
     LoadTorque,
     LoggedTorque,
-    Motor,
     Sensor,
     Transmission,
 )
 from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import SpeedBalance
+from hybrid_id.systems.drive import Drive, only
 
 Views = Mapping[str, SimpleNamespace]
 
@@ -30,7 +29,8 @@ Views = Mapping[str, SimpleNamespace]
 class Joint:
     """The components of one joint, sorted by place, and the rows of the state that they own.
 
-    State rows: ``q_m, v_m``, with a compliant transmission ``q_a, v_a``, then one row a bristle.
+    State rows: ``q_m, v_m``, with a compliant transmission ``q_a, v_a``, then one row a bristle, then those of the
+    winding.
 
     Args:
         number: joint number, from 1.
@@ -54,23 +54,13 @@ class Joint:
                 if isinstance(part, kind) and (place is None or key.split("/")[1] == place)
             ]
 
-        def only(kind: type, what: str) -> tuple[str, Component]:
-            found = of(kind)
-            if len(found) != 1:
-                raise InputError(
-                    f"{self.name} has {len(found)} components of type {what}; it needs exactly one."
-                )
-            return found[0]
-
-        self.input = cast("tuple[str, Input]", only(Input, "input"))
-        self.motor = cast("tuple[str, Motor]", only(Motor, "motor"))
-        self.transmission = cast("tuple[str, Transmission]", only(Transmission, "transmission"))
-        self.inertia = cast(
-            "tuple[str, Inertia]", only(Inertia, "inertia (one_link, two_inertias, link_inertia)")
+        self.transmission = cast(
+            "tuple[str, Transmission]", only(parts, Transmission, self.name, "transmission")
         )
+        kinds = "inertia (one_link, two_inertias, link_inertia)"
+        self.inertia = cast("tuple[str, Inertia]", only(parts, Inertia, self.name, kinds))
         self.loads = cast("list[tuple[str, LoadTorque]]", of(LoadTorque))
         self.logged = cast("list[tuple[str, LoggedTorque]]", of(LoggedTorque))
-        self.channels = [c for _, part in (self.input, *self.logged) for c in part.channels]
         self.sensors = cast("list[tuple[str, Sensor]]", of(Sensor))
         self.rigid = self.transmission[1].rigid
         self.frictions = {
@@ -91,6 +81,9 @@ class Joint:
                     self.bristles[place] = (key, law, first_row + len(self.state_names))
                     self.state_names.append(f"{law.states[0]}_{place[0].replace('l', 'a')}{number}")
 
+        self.drive = Drive(number, parts, first_row, first_row + len(self.state_names))
+        self.state_names += self.drive.state_names
+        self.channels = [c for _, part in (self.drive.input, *self.logged) for c in part.channels]
         motor, link = (self._is_dry(place) for place in self.frictions)
         self.dry = [motor or link] if self.rigid else [motor, link]
 
@@ -99,20 +92,6 @@ class Joint:
         laws = [type(law) for _, law in self.frictions[place]]
         dry = place not in self.bristles and any(law.dry is not Friction.dry for law in laws)
         return dry or any(law.load_factor is not Friction.load_factor for law in laws)
-
-    def command(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
-        """Effective command at the motor, ``(B,)``."""
-        key, part = self.input
-        channels = {name: u[f"{name}{self.number}"] for name in part.channels}
-        row = self.positions[0]
-        return part.command(p[key], channels, x[row], x[row + 1])
-
-    def motor_torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
-        """Motor torque [N m]; a motor that is switched off is an open circuit (no back-EMF)."""
-        key, motor = self.motor
-        torque = motor.torque(p[key], self.command(x, u, p), x[self.positions[0] + 1])
-        enable = u.get(f"enable{self.number}")
-        return torque if enable is None else torque * enable
 
     def dry_level(self, place: str, p: Views, magnitude: Tensor, forward: Tensor) -> Tensor:
         """Sum of the dry levels of a place, ``(B,)``; under a bristle a trace above 0, which it divides by."""
@@ -154,7 +133,7 @@ class Joint:
         r = self.gear_ratio
         q, v = x[self.positions[0]], x[self.positions[0] + 1]
         motor_smooth, motor_level = self.friction("motor_friction", x, p, v, magnitudes[0], forwards[0])
-        drive = self.motor_torque(x, u, p) - motor_smooth
+        drive = self.drive.torque(x, u, p) - motor_smooth
         factors = [law.load_factor(p[key]) for key, law in self.frictions["motor_friction"]]
         factors = [f for f in factors if f is not None]
         factor = sum(factors[1:], factors[0]) if factors else None
@@ -192,15 +171,18 @@ class Joint:
             return None
         return self.positions[1], x[self.positions[0]] / self.gear_ratio - deflection
 
-    def bristle_levels(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Tensor, Tensor]]:
-        """For each bristle its row, the speed that drives it and the dry level of that speed."""
+    def relaxations(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> list[tuple[int, Tensor, Tensor]]:
+        """Row, drive and rate [1/s] of each state that remembers, ``dz/dt = drive - rate z``."""
         found = []
-        for place, (_, _, row) in self.bristles.items():
+        for place, (key, law, row) in self.bristles.items():
             motor = place == "motor_friction"
             v = x[self.positions[0] + 1] if motor or self.rigid else x[self.positions[1] + 1]
             v = v / self.gear_ratio if self.rigid and not motor else v
-            found.append((row, v, self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype))))
-        return found
+            level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype))
+            found.append((row, *law.relaxation(p[key], v, level)))
+        return found + self.drive.relaxations(x, u, p)
 
     def load_torque(self, angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Torque of the load at the link, ``(B,)``."""
@@ -217,12 +199,9 @@ class Joint:
             shift = channel == "v_a"
             value = x[row + shift] / self.gear_ratio if self.rigid else x[self.positions[1] + shift]
         elif channel == "tau":
-            value = self.motor_torque(x, u, p)
+            value = self.drive.torque(x, u, p)
         elif channel == "i":
-            key, motor = self.motor
-            value = motor.current(p[key], self.command(x, u, p), x[row + 1])
-            enable = u.get(f"enable{self.number}")
-            value = value if enable is None else value * enable
+            value = self.drive.current(x, u, p)
         else:
             raise InputError(
                 f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau with the "

@@ -21,8 +21,10 @@ from hybrid_id.components.base import (
     Motor,
     Sensor,
     Transmission,
+    relax,
 )
 from hybrid_id.components.coupling import Coupling
+from hybrid_id.components.drive import CommandMap, RotorTorque, Winding
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.step import Engine
@@ -69,12 +71,21 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["load_factor"] = part.load_factor(p)
     if isinstance(part, Bristle):
         state, level = 0.01 * torch.cos(q), 0.02 + 0.01 * torch.sin(q)
-        found["rate"] = part.rate(p, state, v, level)
-        found["advance"] = part.advance(p, state, v, level, STEP * one)
+        found["drive"], found["rate"] = part.relaxation(p, v, level)
+        found["advance"] = relax(state, *part.relaxation(p, v, level), STEP * one)
         found["bristle torque"] = part.torque(p, state, v, level)
     if isinstance(part, Input):
         channels = {name: CHANNELS[name] * (0.5 + 0.1 * q) for name in part.channels}
         found["command"] = part.command(p, channels, 0.3 * q, v)
+    if isinstance(part, CommandMap):
+        found["command"] = part.map(p, 12.0 * torch.sin(q) ** 5, v)
+    if isinstance(part, RotorTorque):
+        found["torque"] = part.torque(p, q, v)
+    if isinstance(part, Winding):
+        states = [0.1 * one for _ in part.states]
+        found["torque"] = part.torque(p, 0.1 * torch.cos(q), states)
+        for name, pair in zip(part.states, part.relaxations(p, 0.1 * torch.cos(q), states), strict=True):
+            found[f"drive of {name}"], found[f"rate of {name}"] = pair
     if isinstance(part, Motor):
         found["torque"] = part.torque(p, 5.0 * q, v)
     if isinstance(part, Transmission) and not part.rigid:
@@ -168,7 +179,7 @@ def test_gradient_to_the_speed_is_finite_at_rest(kind: str) -> None:
     one = torch.ones_like(v)
     found = [part.smooth(part.view(), v), part.dry(part.view(), v.abs(), one)]
     if isinstance(part, Bristle):
-        found += [part.advance(part.view(), 0.01 * one, v, 0.02 * one, STEP * one)]
+        found += [relax(0.01 * one, *part.relaxation(part.view(), v, 0.02 * one), STEP * one)]
         found += [part.torque(part.view(), 0.01 * one, v, 0.02 * one)]
     for value in found:
         if value is not None and value.requires_grad:
@@ -194,8 +205,13 @@ def test_friction_is_odd_and_dissipates(kind: str) -> None:
     assert factor is None or bool((factor >= 0).all())
     if isinstance(part, Bristle):
         state, level = 0.01 * torch.cos(ANGLE), 0.02 + 0.01 * torch.sin(ANGLE)
-        for method in (part.rate, part.torque):
-            torch.testing.assert_close(method(p, -state, -SPEED, level), -method(p, state, SPEED, level))
+        torch.testing.assert_close(
+            part.torque(p, -state, -SPEED, level), -part.torque(p, state, SPEED, level)
+        )
+        for back, forth, side in zip(
+            part.relaxation(p, -SPEED, level), part.relaxation(p, SPEED, level), (-1.0, 1.0), strict=True
+        ):
+            torch.testing.assert_close(back, side * forth)
 
 
 @bristles
@@ -208,7 +224,7 @@ def test_bristle_takes_energy_over_a_cycle(kind: str) -> None:
     state, energy, cycles = torch.zeros(1, dtype=torch.float64), 0.0, []
     for k in range(4000):
         v = torch.tensor([0.5 * math.sin(2 * math.pi * k * step)], dtype=torch.float64)
-        state = part.advance(p, state, v, level, torch.full_like(v, step))
+        state = relax(state, *part.relaxation(p, v, level), torch.full_like(v, step))
         energy += float(part.torque(p, state, v, level) * v) * step
         if k % 1000 == 999:
             cycles.append(energy)
@@ -223,12 +239,12 @@ def test_exact_update_follows_the_rate(kind: str) -> None:
     p, steps = part.view(), 20000
     v = torch.tensor([-2.0, 0.3, 5.0], dtype=torch.float64)
     level, start = torch.full_like(v, 0.02), torch.full_like(v, 0.004)
-    state = start
+    state, (drive, rate) = start, part.relaxation(p, v, level)
     for _ in range(steps):  # Euler in steps of 1 microsecond
-        state = state + 1e-6 * part.rate(p, state, v, level)
-    exact = part.advance(p, start, v, level, torch.full_like(v, 1e-6 * steps))
+        state = state + 1e-6 * (drive - rate * state)
+    exact = relax(start, drive, rate, torch.full_like(v, 1e-6 * steps))
     torch.testing.assert_close(exact, state, rtol=2e-4, atol=1e-7)
-    stiff = part.advance(p, start, v, level, torch.full_like(v, 1e6))
+    stiff = relax(start, drive, rate, torch.full_like(v, 1e6))
     torch.testing.assert_close(part.torque(p, stiff, v, level), level * v.sign())
 
 

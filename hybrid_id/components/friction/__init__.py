@@ -6,6 +6,7 @@ from hybrid_id.components.friction.coulomb import Coulomb
 from hybrid_id.components.friction.dahl import Dahl
 from hybrid_id.components.friction.load_dependent import LoadDependent
 from hybrid_id.components.friction.lugre import LuGre
+from hybrid_id.components.friction.quadratic_drag import QuadraticDrag
 from hybrid_id.components.friction.stribeck import Stribeck
 from hybrid_id.components.friction.viscous import Viscous
 
@@ -17,6 +18,7 @@ __all__ = [
     "Dahl",
     "LoadDependent",
     "LuGre",
+    "QuadraticDrag",
     "Stribeck",
     "Viscous",
 ]

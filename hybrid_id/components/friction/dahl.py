@@ -1,6 +1,6 @@
 """Dahl's presliding friction."""
 
-from hybrid_id.components.base import Bristle, relax
+from hybrid_id.components.base import Bristle
 from hybrid_id.parameters import Parameter
 
 
@@ -20,11 +20,8 @@ class Dahl(Bristle):
     states = ("F",)
     sigma = Parameter(1.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="stiffness at rest")
 
-    def rate(self, p, state, speed, level):
-        return p.sigma * (speed - speed.abs() * state / level)
-
-    def advance(self, p, state, speed, level, step):
-        return p.sigma * relax(state / p.sigma, speed, p.sigma * speed.abs() / level, step)
+    def relaxation(self, p, speed, level):
+        return p.sigma * speed, p.sigma * speed.abs() / level
 
     def torque(self, p, state, speed, level):
         return state

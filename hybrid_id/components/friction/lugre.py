@@ -1,6 +1,6 @@
 """LuGre friction."""
 
-from hybrid_id.components.base import Bristle, relax
+from hybrid_id.components.base import Bristle
 from hybrid_id.parameters import Parameter
 
 
@@ -23,11 +23,9 @@ class LuGre(Bristle):
     sigma_0 = Parameter(1.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="bristle stiffness")
     sigma_1 = Parameter(1e-3, upper=1e4, unit="N m s/rad", doc="bristle damping")
 
-    def rate(self, p, state, speed, level):
-        return speed - p.sigma_0 * speed.abs() * state / level
-
-    def advance(self, p, state, speed, level, step):
-        return relax(state, speed, p.sigma_0 * speed.abs() / level, step)
+    def relaxation(self, p, speed, level):
+        return speed, p.sigma_0 * speed.abs() / level
 
     def torque(self, p, state, speed, level):
-        return p.sigma_0 * state + p.sigma_1 * self.rate(p, state, speed, level)
+        drive, rate = self.relaxation(p, speed, level)
+        return p.sigma_0 * state + p.sigma_1 * (drive - rate * state)

@@ -18,5 +18,5 @@ class CurrentMotor(Motor):
     def torque(self, p, command, speed):
         return p.k_t * command
 
-    def current(self, p, command, speed):
-        return command
+    def current(self, p, torque):
+        return torque / p.k_t

@@ -26,5 +26,5 @@ class DCMotor(Motor):
     def torque(self, p, command, speed):
         return p.P_m1 * (command - p.P_m2 * speed)
 
-    def current(self, p, command, speed):
-        return self.torque(p, command, speed) / p.P_m2
+    def current(self, p, torque):
+        return torque / p.P_m2

@@ -1,0 +1,26 @@
+"""Torque of magnets and slots."""
+
+import torch
+
+from hybrid_id.components.drive import RotorTorque
+from hybrid_id.parameters import Parameter
+
+
+class Cogging(RotorTorque):
+    """``tau = T_c cos(n q) + T_s sin(n q)`` with the rotor's angle q, zero on average over a turn.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | T_c, T_s | N m | amplitudes, of either sign |
+    | n | 1 | periods per turn of the rotor (least common multiple of poles and slots, or a multiple) |
+
+    Source: J. F. Gieras, Permanent Magnet Motor Technology, 3rd ed., 2009, chapter 6: the fundamental of the series.
+    """
+
+    kind = "cogging"
+    T_c = Parameter(1e-3, lower=-1e3, upper=1e3, unit="N m", doc="amplitude of the cosine")
+    T_s = Parameter(1e-3, lower=-1e3, upper=1e3, unit="N m", doc="amplitude of the sine")
+    n = Parameter(6.0, lower=0.0, upper=1e4, unit="1", doc="periods per turn", estimate=False)
+
+    def torque(self, p, angle, speed):
+        return p.T_c * torch.cos(p.n * angle) + p.T_s * torch.sin(p.n * angle)

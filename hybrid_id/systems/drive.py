@@ -1,0 +1,106 @@
+"""From the logged channels of one joint to the torque of its motor: places ``input`` and ``motor``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import cast
+
+from torch import Tensor
+
+from hybrid_id.components.base import Component, Input, Motor
+from hybrid_id.components.drive import CommandMap, RotorTorque, Winding
+from hybrid_id.errors import InputError
+
+Views = Mapping[str, SimpleNamespace]
+
+
+def only(parts: Mapping[str, Component], kind: type, joint: str, what: str) -> tuple[str, Component]:
+    """Key and component of the one of its kind; InputError where there is none or more."""
+    found = [(key, part) for key, part in parts.items() if isinstance(part, kind)]
+    if len(found) != 1:
+        raise InputError(f"{joint} has {len(found)} components of type {what}; it needs exactly one.")
+    return found[0]
+
+
+class Drive:
+    """Input, motor and what acts beside them.
+
+    Args:
+        number: joint number, from 1.
+        parts: the joint's components by key, in their order.
+        rotor: row of the rotor's angle in the system's state; its speed is the next.
+        first_row: row of the first state that the drive owns.
+
+    Attributes:
+        state_names: of the states that it owns.
+
+    Raises:
+        InputError: no input or no motor.
+    """
+
+    def __init__(self, number: int, parts: Mapping[str, Component], rotor: int, first_row: int) -> None:
+        joint = f"joint{number}"
+        self.number, self.rotor = number, rotor
+        self.input = cast("tuple[str, Input]", only(parts, Input, joint, "input"))
+        self.motor = cast("tuple[str, Motor]", only(parts, Motor, joint, "motor"))
+        self.maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
+        self.torques = [(key, part) for key, part in parts.items() if isinstance(part, RotorTorque)]
+        self.windings: list[tuple[str, Winding, range]] = []
+        self.state_names: list[str] = []
+        for key, part in parts.items():
+            if isinstance(part, Winding):
+                row = first_row + len(self.state_names)
+                self.windings.append((key, part, range(row, row + len(part.states))))
+                self.state_names += [f"{state}{number}" for state in part.states]
+
+    def command(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Effective command at the motor, ``(B,)``."""
+        key, part = self.input
+        channels = {name: u[f"{name}{self.number}"] for name in part.channels}
+        angle, speed = x[self.rotor], x[self.rotor + 1]
+        command = part.command(p[key], channels, angle, speed)
+        for key, step in self.maps:
+            command = step.map(p[key], command, speed)
+        return command
+
+    def torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Torque on the rotor [N m], ``(B,)``."""
+        torque = self._motor_torque(x, u, p)
+        for key, part in self.torques:
+            torque = torque + part.torque(p[key], x[self.rotor], x[self.rotor + 1])
+        return torque
+
+    def current(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Winding current [A], ``(B,)``."""
+        key, motor = self.motor
+        return motor.current(p[key], self._motor_torque(x, u, p))
+
+    def _motor_torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Torque of the motor alone; one that is switched off is an open circuit (no back-EMF)."""
+        key, motor = self.motor
+        torque = motor.torque(p[key], self.command(x, u, p), x[self.rotor + 1])
+        for key, part, rows in self.windings:
+            torque = part.torque(p[key], torque, [x[row] for row in rows])
+        return self._switched(torque, u)
+
+    def _switched(self, torque: Tensor, u: Mapping[str, Tensor]) -> Tensor:
+        enable = u.get(f"enable{self.number}")
+        return torque if enable is None else torque * enable
+
+    def relaxations(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> list[tuple[int, Tensor, Tensor]]:
+        """Row, drive and rate [1/s] of each state, ``dz/dt = drive - rate z``."""
+        if not self.windings:
+            return []
+        key, motor = self.motor
+        torque = motor.torque(p[key], self.command(x, u, p), x[self.rotor + 1])
+        torque = self._switched(torque, u)
+        found = []
+        for key, part, rows in self.windings:
+            states = [x[row] for row in rows]
+            pairs = part.relaxations(p[key], torque, states)
+            found += [(row, drive, rate) for row, (drive, rate) in zip(rows, pairs, strict=True)]
+            torque = part.torque(p[key], torque, states)
+        return found

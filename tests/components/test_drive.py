@@ -1,0 +1,91 @@
+"""What acts between command and rotor, against its own equations, alone and in a simulated drive."""
+
+import numpy as np
+import pytest
+import torch
+from drives import STEP, rigid_drive
+from scipy.integrate import solve_ivp
+
+from hybrid_id.components import Cogging, Deadband, ElectricalLag, Saturation, ThermalDerating
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.step import Engine
+
+J, P_M1, P_M2, F_V = 2e-5, 0.019, 0.0254, 5e-5
+DRIVE = rigid_drive().with_values({"J": J, "P_m1": P_M1, "P_m2": P_M2, "F_c": 0.0, "F_v": F_V})
+
+
+def tensor(values: object) -> torch.Tensor:
+    return torch.as_tensor(values, dtype=torch.float64)
+
+
+def simulated(system, voltage: np.ndarray, channel: str = "v_m1") -> np.ndarray:
+    time = STEP * np.arange(len(voltage))
+    record = Record(
+        "run", time, {"u1": voltage}, {channel: np.zeros_like(voltage), "q_m1": np.zeros_like(voltage)}
+    )
+    batch = make_batch(system, [record], outputs=[channel], noise_std={channel: 1.0})
+    engine = with_substeps(system, Engine(), batch, system.theta()[:, None])
+    with torch.no_grad():
+        return simulate(system, engine, batch).y[0, :, 0].numpy()
+
+
+def test_deadband_in_both_forms() -> None:
+    u = tensor([-3.0, -0.5, 0.0, 0.5, 3.0])
+    less, whole = Deadband(V_0=1.0, jump=0.0), Deadband(V_0=1.0, jump=1.0, width=1e-3)
+    assert less.map(less.view(), u, 0 * u).tolist() == [-2.0, 0.0, 0.0, 0.0, 2.0]
+    torch.testing.assert_close(whole.map(whole.view(), u, 0 * u), tensor([-3.0, 0.0, 0.0, 0.0, 3.0]))
+
+
+def test_saturation_limits_the_voltage() -> None:
+    part, u = Saturation(V_max=2.0), tensor([-5.0, -1.0, 0.0, 1.0, 5.0])
+    assert part.map(part.view(), u, 0 * u).tolist() == [-2.0, -1.0, 0.0, 1.0, 2.0]
+    high = simulated(DRIVE.with_component("joint1/input", part), np.full(300, 8.0))
+    np.testing.assert_allclose(high, simulated(DRIVE, np.full(300, 2.0)), rtol=1e-12)
+
+
+def test_cogging_does_no_work_over_a_turn() -> None:
+    part = Cogging(T_c=2e-3, T_s=-1e-3, n=7.0)
+    angle = tensor(np.linspace(0.0, 2 * np.pi, 701)[:-1])
+    torque = part.torque(part.view(), angle, 0 * angle).detach()
+    assert abs(float(torque.mean())) < 1e-12
+    assert float(torque.abs().max()) == pytest.approx(np.hypot(2e-3, 1e-3), rel=1e-3)
+
+
+def test_electrical_lag_against_the_winding_equation() -> None:
+    # L di/dt + R i = u - k v, J dv/dt = k i - F_v v: two linear equations
+    lag, volts = 4e-3, 6.0
+    system = DRIVE.with_component("joint1/motor", ElectricalLag(T_e=lag))
+    found = simulated(system, np.full(400, volts))
+
+    def rates(_: float, x: np.ndarray) -> list[float]:
+        return [(x[1] - F_V * x[0]) / J, (P_M1 * (volts - P_M2 * x[0]) - x[1]) / lag]
+
+    time = STEP * np.arange(400)
+    exact = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-10).y[0]
+    assert np.abs(found - exact).max() < 2e-3 * np.abs(exact).max()
+
+
+def test_current_lags_with_the_torque() -> None:
+    system = DRIVE.with_component("joint1/motor", ElectricalLag(T_e=4e-3))
+    voltage = np.full(200, 6.0)
+    np.testing.assert_allclose(
+        simulated(system, voltage, "i1"), simulated(system, voltage, "tau1") / P_M2, rtol=1e-9, atol=1e-12
+    )
+
+
+def test_warm_winding_against_its_equation() -> None:
+    settle, heat, volts = 5.0, 4000.0, 8.0
+    system = DRIVE.with_component("joint1/motor", ThermalDerating(T_w=settle, c=heat))
+    found = simulated(system, np.full(2000, volts))
+
+    def rates(_: float, x: np.ndarray) -> list[float]:
+        torque = P_M1 * (volts - P_M2 * x[0]) / (1.0 + x[1])
+        return [(torque - F_V * x[0]) / J, (heat * torque**2 * (1.0 + x[1]) - x[1]) / settle]
+
+    time = STEP * np.arange(2000)
+    exact = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-10).y[0]
+    assert np.abs(found - exact).max() < 1e-3 * np.abs(exact).max()
+    assert found[-1] < 0.99 * simulated(DRIVE, np.full(2000, volts))[-1]
