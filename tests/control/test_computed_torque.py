@@ -1,0 +1,133 @@
+"""Computed torque turns the model round: with the right model the loop does what the design says."""
+
+import numpy as np
+import pytest
+import torch
+
+from hybrid_id.components import AsymmetricStribeck, BacklashFlexibility, TorqueCommand, TorqueMotor
+from hybrid_id.control import ComputedTorque, Reference, sines, track
+from hybrid_id.errors import InputError
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems import System, one_link, one_link_flexible, two_link
+
+STEP = 0.004
+LINK = one_link(156.0, friction=AsymmetricStribeck())
+
+
+class Machine:
+    """A system as the plant of its own: no noise, true angles."""
+
+    def __init__(self, system: System, start: float = 0.0, substeps: int = 1) -> None:
+        self.system, self.engine = system, Engine(substeps=substeps)
+        self.p = system.views(list(system.theta().detach()[:, None]))
+        self.x = [torch.zeros(1, dtype=torch.float64) for _ in system.state_names]
+        self.x[0] += start
+
+    def measure(self) -> np.ndarray:
+        return np.array([self.x[joint.positions[0]].numpy() for joint in self.system.joints])
+
+    def true_angles(self) -> np.ndarray:
+        joints = self.system.joints
+        return np.array(
+            [(self.x[j.positions[-1]] / (j.gear_ratio if j.rigid else 1.0)).numpy() for j in joints]
+        )
+
+    @torch.no_grad()
+    def step(self, voltage: np.ndarray) -> None:
+        u = dict(zip(self.system.input_names, torch.as_tensor(voltage), strict=True))
+        self.x = self.engine.sample(
+            self.system, self.x, u, torch.full((1,), STEP, dtype=torch.float64), self.p
+        )
+
+
+def test_reference_derivatives_belong_together() -> None:
+    found = sines([[(0.3, 0.7), (0.1, 1.9)]], duration=4.0, sample_time=1e-3)
+    for low, high in ((found.angle, found.speed), (found.speed, found.acceleration)):
+        np.testing.assert_allclose(np.gradient(low[:, 0], 1e-3)[2:-2], high[2:-2, 0], rtol=1e-3, atol=1e-3)
+    assert found.angle[0, 0] == found.speed[0, 0] == found.acceleration[0, 0] == 0.0
+
+
+def test_right_model_tracks_and_friction_matters() -> None:
+    reference = sines([[(0.3, 1.0)]], duration=1.4, sample_time=STEP, fade=0.5)
+    errors = {}
+    for name, model in {
+        "right": LINK,
+        "frictionless": LINK.with_values(dict.fromkeys(("f_11", "f_12", "f_21", "f_22", "f_3"), 0.0)),
+    }.items():
+        control = ComputedTorque(model, reference, bandwidth=30.0, limit=24.0)
+        errors[name] = track(control, Machine(LINK), reference, cutoff=1e3).rms.item()
+    assert errors["right"] < 1e-3
+    assert errors["frictionless"] > 3 * errors["right"]
+
+
+def test_error_decays_as_designed() -> None:
+    smooth = LINK.with_values(dict.fromkeys(("f_11", "f_12", "f_21", "f_22"), 0.0))
+    time = STEP * np.arange(100)
+    rest = Reference(time, *(np.zeros((100, 1)) for _ in range(3)))
+    control = ComputedTorque(smooth, rest, bandwidth=20.0, limit=1e3)
+    plant, angles = Machine(smooth, start=1.0), []
+    for k in range(100):
+        angles.append(plant.measure().item())
+        speed = plant.x[1].numpy()[None]
+        plant.step(control.voltage(k, plant.measure(), speed))
+    exact = (1.0 + 20.0 * time) * np.exp(-20.0 * time)  # critically damped
+    assert np.abs(np.array(angles) - exact).max() < 0.03  # the loop is closed only every 2 ms
+
+
+def test_two_links_decouple() -> None:
+    arm = two_link([156.0, 84.0])
+    reference = sines([[(0.2, 0.8)], [(0.3, 1.2)]], duration=1.4, sample_time=STEP, fade=0.5)
+    coupled = [n for n in ("P_3", "P_4") if n in {i.name for i in arm.table}]
+    rigid = ComputedTorque(arm, reference, bandwidth=25.0, limit=48.0)
+    found = track(rigid, Machine(arm), reference, cutoff=1e3)
+    assert (found.rms < 2e-3).all()
+    assert (np.abs(found.voltage) < 48.0).all()
+    if coupled:
+        blind = ComputedTorque(
+            arm.with_values(dict.fromkeys(coupled, 0.0)), reference, bandwidth=25.0, limit=48.0
+        )
+        assert (track(blind, Machine(arm), reference, cutoff=1e3).rms > found.rms).all()
+
+
+def test_spring_with_play_is_led() -> None:
+    spring = BacklashFlexibility(k=380.16, alpha=0.31, beta=169.34)
+    truth = one_link_flexible(156.0, friction=AsymmetricStribeck()).with_component(
+        "joint1/transmission", spring
+    )
+    truth = truth.with_values({"J_m": 1.32e-5, "J_a": 0.09})
+    total = 1.32e-5 + 0.09 / 156.0**2
+    rigid = LINK.with_values({"J": total})
+    reference = sines([[(0.3, 0.5)]], duration=1.4, sample_time=STEP, fade=0.5)
+    errors = [
+        track(
+            ComputedTorque(model, reference, bandwidth=30.0, limit=24.0),
+            Machine(truth, substeps=4),
+            reference,
+            cutoff=1e3,
+        ).rms.item()
+        for model in (truth, rigid)
+    ]
+    assert errors[0] < 0.5 * errors[1]
+
+
+def test_lanes_are_variants_of_the_model() -> None:
+    reference = sines([[(0.3, 0.5)]], duration=0.5, sample_time=STEP)
+    theta = LINK.theta().detach()[:, None].repeat(1, 3)
+    theta[[i.name for i in LINK.table].index("J")] *= torch.tensor([0.75, 1.0, 1.25])
+    many = ComputedTorque(LINK, reference, bandwidth=30.0, limit=24.0, theta=theta)
+    alone = ComputedTorque(LINK, reference, bandwidth=30.0, limit=24.0)
+    q, v = np.full((1, 3), 0.2), np.full((1, 3), 5.0)
+    found = many.voltage(100, q, v)
+    np.testing.assert_allclose(found[:, 1:2], alone.voltage(100, q[:, :1], v[:, :1]))
+    assert len(set(found.flatten())) == 3
+
+
+def test_what_cannot_be_turned_round_is_named() -> None:
+    reference = sines([[(0.3, 0.5)]], duration=0.5, sample_time=STEP)
+    with pytest.raises(InputError, match="moves 1 joints, but the model has 2"):
+        ComputedTorque(two_link([156.0, 84.0]), reference, bandwidth=30.0, limit=24.0)
+    torque = LINK.with_component("joint1/input", TorqueCommand()).with_component(
+        "joint1/motor", TorqueMotor()
+    )
+    with pytest.raises(InputError, match="joint1 is not commanded by a voltage"):
+        ComputedTorque(torque, reference, bandwidth=30.0, limit=24.0)
