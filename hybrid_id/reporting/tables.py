@@ -127,7 +127,7 @@ def _remarks(study: Study) -> list[str]:
     lines += [f"{', '.join(r.records[:3])}: {r.message}" for r in failed[:3]]
     if study.selected.at_bound:
         lines.append(f"at a bound: {', '.join(study.selected.at_bound)}")
-    if not study.pooled and len(study.sets) > 1:
+    if len(study.sets) > 1 or not study.selection.candidate.any():
         lines.append(f"selection: {study.selection.summary()}")
     if study.test_nrmse:
         mean = float(np.mean(list(study.test_nrmse.values())))

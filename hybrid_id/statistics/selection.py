@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.errors import InputError
 from hybrid_id.statistics.cross_validation import CrossValidation
 
 TOLERANCE = 2.0  # points of fit
@@ -45,15 +44,13 @@ def select(matrix: CrossValidation, *, tolerance: float = TOLERANCE, include_own
     """The set of least std/mean of fit among those whose mean fit is within `tolerance` points of the best.
 
     Differs from the paper, which takes the least std/mean of all: that rewards a set which is bad everywhere alike.
-    Sets that diverge on a record, or fit no better than the mean of the data, are never selected.
+    Sets that diverge on a record, or fit no better than the mean of the data, are selected only where there is no
+    other, and the reason says so.
 
     Args:
         matrix: Cross-validation matrix; the signals are averaged.
         tolerance: Points of fit.
         include_own: Whether the record that a set was estimated from counts, as in the paper.
-
-    Raises:
-        InputError: No set simulates all records.
     """
     fits = matrix.matrix() if include_own else matrix.other_records()
     diverged = np.any(np.isneginf(fits), axis=1)
@@ -62,9 +59,7 @@ def select(matrix: CrossValidation, *, tolerance: float = TOLERANCE, include_own
     std = known.std(axis=1, ddof=1).filled(np.nan)
     usable = mean > 0
     if not np.any(usable):
-        raise InputError(
-            "selection: no parameter set simulates every record better than its mean; check the model"
-        )
+        return _least_bad(matrix, fits, mean, std)
     percent = np.where(usable, 100 * np.nan_to_num(std) / np.where(usable, mean, 1.0), np.inf)
 
     candidate = usable & (mean >= mean[usable].max() - tolerance)
@@ -76,3 +71,14 @@ def select(matrix: CrossValidation, *, tolerance: float = TOLERANCE, include_own
         f"sets within {tolerance:g} points of the best mean fit; its own is {mean[index]:.2f} %"
     )
     return Selection(index, name, paper, matrix.set_names[paper], mean, std, percent, candidate, reason)
+
+
+def _least_bad(matrix: CrossValidation, fits: np.ndarray, mean: np.ndarray, std: np.ndarray) -> Selection:
+    """The set that diverges on the fewest records, then of the best mean fit on the others."""
+    finite = np.ma.masked_invalid(fits)
+    rest = finite.mean(axis=1).filled(-np.inf)
+    index = int(np.lexsort((-rest, np.isneginf(fits).sum(axis=1)))[0])
+    name = matrix.set_names[index]
+    reason = f"no parameter set simulates the records better than their mean, and {name} is the least bad; check the model"
+    none = np.zeros(len(mean), dtype=bool)
+    return Selection(index, name, index, name, mean, std, np.full(len(mean), np.inf), none, reason)

@@ -45,9 +45,12 @@ def test_a_set_that_diverges_once_is_never_selected():
     assert selection.mean[0] == -np.inf
 
 
-def test_no_usable_set_is_an_error_in_words():
-    with pytest.raises(InputError, match="no parameter set"):
-        select(matrix([[-5.0, -np.inf], [-1.0, -2.0]]))
+def test_where_no_set_is_usable_the_least_bad_is_named_as_such():
+    selection = select(matrix([[-5.0, -np.inf], [-1.0, -2.0], [-3.0, -9.0]]))
+    assert selection.index == 1
+    assert "no parameter set simulates the records better than their mean" in selection.reason
+    assert not selection.candidate.any()
+    assert select(matrix([[-np.inf, -np.inf]])).index == 0
 
 
 def test_own_record_can_be_left_out():
