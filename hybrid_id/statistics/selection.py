@@ -79,6 +79,7 @@ def _least_bad(matrix: CrossValidation, fits: np.ndarray, mean: np.ndarray, std:
     rest = finite.mean(axis=1).filled(-np.inf)
     index = int(np.lexsort((-rest, np.isneginf(fits).sum(axis=1)))[0])
     name = matrix.set_names[index]
-    reason = f"no parameter set simulates the records better than their mean, and {name} is the least bad; check the model"
+    fault = "no parameter set simulates the records better than their mean"
+    reason = f"{fault}, and {name} is the least bad; check the model"
     none = np.zeros(len(mean), dtype=bool)
     return Selection(index, name, index, name, mean, std, np.full(len(mean), np.inf), none, reason)
