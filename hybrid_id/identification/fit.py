@@ -14,6 +14,7 @@ from torch import Tensor
 from hybrid_id.errors import InputError
 from hybrid_id.identification.least_squares import Bounds, Options, minimise
 from hybrid_id.identification.result import FitResult, make_result
+from hybrid_id.simulation.memory import keep_freed_memory
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -64,6 +65,7 @@ def fit(
     Raises:
         InputError: nothing to estimate.
     """
+    keep_freed_memory()
     options, engine = options or Options(), engine or Engine()
     free = [i for i, info in enumerate(system.table) if info.spec.estimate]
     if not free:

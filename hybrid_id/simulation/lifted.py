@@ -57,7 +57,7 @@ def condensed(
     outputs: Sequence[str],
 ) -> tuple[Measured, Tensor]:
     """Outputs at the nodes, and what :func:`condense` makes of a linearisation there; arguments as there."""
-    if serves(system, engine):
+    if serves(system, engine, x):
         chain = CompiledStep(system, engine, tuple(u), free).condensed(x, u, dt, theta)
         return measure(system, x, u, theta, free, outputs), chain
     lin = linearise(system, engine, x, u, dt, theta, free, outputs)
@@ -104,14 +104,13 @@ def linearise(
         channels = {name: channel[block] for name, channel in flat_u.items()}
         with torch.enable_grad():
             after = engine.sample(system, leaves, channels, flat_dt[block], system.views(values))
+            sums = [target.sum() for target in after]  # lanes do not mix: one sweep a row
         wanted = [*leaves, *(values[i] for i in free)]
-        for i, target in enumerate(after):  # lanes do not mix: one sweep a row
+        for i, target in enumerate(after):
             x_next[i, block] = target.detach()
             if not target.requires_grad:
                 continue
-            grads = torch.autograd.grad(
-                target, wanted, torch.ones_like(target), retain_graph=True, allow_unused=True
-            )
+            grads = torch.autograd.grad(sums[i], wanted, retain_graph=True, allow_unused=True)
             for j, grad in enumerate(grads):
                 if grad is not None:
                     jacobian[i, j, block] = grad
@@ -188,7 +187,7 @@ def shoot(
     The defects that remain sit between chunks. A reversal whose time is off then costs one Newton step instead of
     one for each sample by which it moves. Arguments as in :func:`linearise`; returns the new nodes ``(R, T, n_x)``.
     """
-    if serves(system, engine):
+    if serves(system, engine, x):
         return CompiledStep(system, engine, tuple(u), ()).shoot(x, u, dt, theta, length)
     rows, samples, n_x = x.shape
     chunks = -(-samples // length)

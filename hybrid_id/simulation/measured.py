@@ -64,17 +64,16 @@ def measure(
     channels = {name: channel.reshape(-1) for name, channel in u.items()}
     with torch.enable_grad():
         found = system.outputs(outputs, leaves, channels, system.views(values))
+        sums = [target.sum() for target in found]  # lanes do not mix: one sweep a row
     picks = [next((j for j, leaf in enumerate(leaves) if target is leaf), None) for target in found]
     if all(pick is not None for pick in picks):
         c = torch.eye(n_x, dtype=x.dtype, device=x.device)[picks].expand(rows, samples, n_y, n_x)
         return Measured(x[..., picks], c, x.new_zeros(1).expand(rows, samples, n_y, n_f), tuple(picks))
     jacobian = x.new_zeros(rows * samples, n_y, n_x + n_f)
     wanted = [*leaves, *(values[i] for i in free)]
-    for i, target in enumerate(found):  # lanes do not mix: one sweep a row
-        if target.requires_grad:
-            grads = torch.autograd.grad(
-                target, wanted, torch.ones_like(target), retain_graph=True, allow_unused=True
-            )
+    for i, total in enumerate(sums):
+        if total.requires_grad:
+            grads = torch.autograd.grad(total, wanted, retain_graph=True, allow_unused=True)
             for j, grad in enumerate(grads):
                 if grad is not None:
                     jacobian[:, i, j] = grad

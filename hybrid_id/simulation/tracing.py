@@ -28,7 +28,7 @@ OPERATIONS: dict[str, str] = {
     "lerp": "{0} + {2} * ({1} - {0})", "pow": "pow({0}, {1})", "atan2": "atan2({0}, {1})",
     "maximum": "{0} > {1} ? {0} : {1}", "minimum": "{0} < {1} ? {0} : {1}",
     "clamp_min": "{0} > {1} ? {0} : {1}", "clamp_max": "{0} < {1} ? {0} : {1}",
-    "where": "{0} ? {1} : {2}", "threshold_backward": "{1} > {2} ? {0} : 0.0",
+    "where": "{0} ? {1} : {2}", "masked_fill": "{1} ? {2} : {0}", "threshold_backward": "{1} > {2} ? {0} : 0.0",
     "gt": "{0} > {1}", "ge": "{0} >= {1}", "lt": "{0} < {1}", "le": "{0} <= {1}", "eq": "{0} == {1}",
     "ne": "{0} != {1}",
     "logical_and": "{0} && {1}", "logical_or": "{0} || {1}", "logical_not": "!{0}",
@@ -56,6 +56,9 @@ FUNCTIONS = (
 )
 """Functions of one argument that the C library may offer for whole vectors."""
 
+MIXED = "mixed"
+"""Name of a value that belongs to no lane."""
+
 
 class Recorder(TorchDispatchMode):
     """Writes down what happens to rows; arrays of one value that it has not met are constants.
@@ -78,9 +81,15 @@ class Recorder(TorchDispatchMode):
         self._names = {_address(row): name for row, name in zip(rows, names, strict=True)}
         self._known: dict[str, str] = {}
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        return False  # else PyTorch loads its own compiler, which takes seconds, to keep it away from here
+
     def name(self, row: Tensor) -> str:
         """C name or constant that holds a row."""
         found = self._names.get(_address(row))
+        if found == MIXED:
+            raise InputError("The model adds up lanes, which compiled steps cannot; leave 'compiled' off.")
         if found is not None:
             return found
         if row.numel() != 1:
@@ -89,6 +98,9 @@ class Recorder(TorchDispatchMode):
             )
         return _literal(row.item())
 
+    def _written(self, value: Any) -> str:
+        return self.name(value) if isinstance(value, Tensor) else _literal(value)
+
     def __torch_dispatch__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None) -> Any:
         name = func.overloadpacket.__name__
         key = name.rstrip("_")
@@ -96,15 +108,19 @@ class Recorder(TorchDispatchMode):
         result = func(*args, **(kwargs or {}))
         if key.startswith("empty") or key.startswith("new_empty"):
             return self._keep(result, "0.0")
-        if key not in OPERATIONS or not isinstance(result, Tensor):
+        if key == "sum" and result.ndim == 0:
+            return self._keep(result, MIXED)  # where a gradient starts; nothing may come of its value
+        if key not in (*OPERATIONS, "clamp") or not isinstance(result, Tensor):
             raise InputError(
                 f"The model uses '{name}', which compiled steps do not know; leave 'compiled' off."
             )
         alpha = (kwargs or {}).get("alpha", 1)
-        given = [self.name(a) if isinstance(a, Tensor) else _literal(a) for a in args if _counts(a)]
+        used = OPERATIONS.get(key, "{0}{1}{2}")
+        values = enumerate(a for a in args if _counts(a))
+        given = [self._written(a) if f"{{{k}}}" in used else "" for k, a in values]
         if alpha != 1:
             given[1] = f"({_literal(alpha)} * {given[1]})"
-        code = _power(given) if key == "pow" else OPERATIONS[key].format(*given)
+        code = _expression(key, given, args)
         return self._keep(result if not in_place else args[0], _folded(key, given, code), result.dtype)
 
     def _keep(self, row: Tensor, code: str, dtype: torch.dtype = torch.float64) -> Tensor:
@@ -151,11 +167,9 @@ def _counts(argument: Any) -> bool:
 
 
 def _literal(value: float) -> str:
-    if math.isinf(value) or math.isnan(value):
-        raise InputError(
-            "The model computes with an infinite constant, which compiled steps cannot; leave 'compiled' off."
-        )
-    text = repr(float(value))
+    if math.isnan(value):
+        return "NAN"
+    text = repr(float(value)).replace("inf", "INFINITY")
     return f"({text})" if value < 0 else text
 
 
@@ -166,15 +180,25 @@ def _is_atom(code: str) -> bool:
     )
 
 
-def _power(given: Sequence[str]) -> str:
-    base, exponent = given
-    simple = {
-        "2.0": f"{base} * {base}",
-        "1.0": base,
-        "3.0": f"{base} * {base} * {base}",
-        "0.5": f"sqrt({base})",
-    }
-    return simple.get(exponent, OPERATIONS["pow"].format(base, exponent))
+def _expression(key: str, given: Sequence[str], args: Sequence[Any]) -> str:
+    """C expression of an operation with the names ``given`` of its arguments ``args``."""
+    if key == "pow":
+        base, exponent = given
+        powers = {
+            "2.0": f"{base} * {base}",
+            "1.0": base,
+            "3.0": f"{base} * {base} * {base}",
+            "0.5": f"sqrt({base})",
+        }
+        return powers.get(exponent, OPERATIONS[key].format(base, exponent))
+    if key == "clamp":
+        value, *limits = given
+        below = args[1] is not None
+        above = len(args) > 2 and args[2] is not None
+        low = f"{value} < {limits[0]} ? {limits[0]} : " if below else ""
+        high = f"{value} > {limits[-1]} ? {limits[-1]} : " if above else ""
+        return low + high + value
+    return OPERATIONS[key].format(*given)
 
 
 def _folded(key: str, given: Sequence[str], code: str) -> str:

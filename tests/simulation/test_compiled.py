@@ -55,6 +55,8 @@ def test_compiled_steps_equal_eager_ones(name: str) -> None:
 def test_what_has_no_c_expression_is_named() -> None:
     with pytest.raises(InputError, match="'cumsum'"):
         record(lambda x: [x.cumsum(0)], ["x"], [1.0])
+    with pytest.raises(InputError, match="adds up lanes"):
+        record(lambda x: [x / x.sum()], ["x"], [1.0])
     own = torch.tensor([1.0, 2.0, 3.0])
     with pytest.raises(InputError, match="array of its own"):
         record(lambda x: [x * own], ["x"], [1.0])
@@ -67,20 +69,29 @@ def test_recording_follows_aliases_and_writes_in_place() -> None:
         y += 1.0
         return [alias * 0.0 + y.square() * 1.0, torch.zeros_like(x) * x]
 
+    def limited(x: torch.Tensor) -> list[torch.Tensor]:
+        return [x.clamp(-1.0, 2.0), x.clamp(max=2.0), torch.where(x > 0, x, torch.nan)]
+
+    statements, _ = record(limited, ["x"], [2.0])
+    assert [line.split(" = ")[1] for line in statements] == [
+        "x < (-1.0) ? (-1.0) : x > 2.0 ? 2.0 : x;", "x > 2.0 ? 2.0 : x;", "x > 0.0;", "t2 ? x : NAN;",
+    ]  # fmt: skip
     statements, results = record(function, ["x"], [2.0])
     assert statements == ["const double t0 = x + 1.0;", "const double t1 = t0 * t0;"]
     assert results == ["t1", "0.0"]
 
 
 def test_compilation_serves_smooth_friction_without_memory() -> None:
-    compiled = replace(SMOOTH, compiled=True)
-    assert serves(rigid_drive(), compiled)
-    assert not serves(rigid_drive(), SMOOTH)
-    assert not serves(rigid_drive(), Engine(compiled=True))
-    assert not serves(rigid_drive().with_component("joint1/motor_friction", Dahl()), compiled)
+    compiled, x = replace(SMOOTH, compiled=True), torch.zeros(1, 2, 2, dtype=torch.float64)
+    assert serves(rigid_drive(), compiled, x)
+    assert not serves(rigid_drive(), compiled, x.float())
+    assert not serves(rigid_drive(), SMOOTH, x)
+    assert not serves(rigid_drive(), Engine(compiled=True), x)
+    assert not serves(rigid_drive().with_component("joint1/motor_friction", Dahl()), compiled, x)
 
 
 def test_missing_compiler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
+    monkeypatch.setattr("hybrid_id.simulation.compiled._LIBRARIES", {})
     with pytest.raises(InputError, match="C compiler"):
         CompiledStep(rigid_drive(), SMOOTH, ("u1",), [])
