@@ -64,12 +64,19 @@ def integrate(
     states[0] = x
     mode = mechanism.initial_mode(x)
     for k, sample_time in enumerate(np.diff(time)):
-        u = inputs[k]
-        x, mode = mechanism.settle(x, mode, u, mode == 0)
-        for _ in range(substeps):
-            x, mode = _step(mechanism, x, mode, u, sample_time / substeps)
+        x, mode = advance(mechanism, x, mode, inputs[k], sample_time, substeps=substeps)
         states[k + 1] = x
     return states
+
+
+def advance(
+    mechanism: Mechanism, x: np.ndarray, mode: np.ndarray, u: np.ndarray, sample_time: float, *, substeps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """State (n_x, B) and mode (n_axes, B) after one sample with its inputs u (n_inputs, B) held."""
+    x, mode = mechanism.settle(x, mode, u, mode == 0)
+    for _ in range(substeps):
+        x, mode = _step(mechanism, x, mode, u, sample_time / substeps)
+    return x, mode
 
 
 def _runge_kutta(mechanism: Mechanism, x: np.ndarray, mode: np.ndarray, u: np.ndarray, h) -> np.ndarray:

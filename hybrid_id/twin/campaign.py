@@ -12,13 +12,12 @@ from hybrid_id.records.excitation import design_multisine
 from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.twin.automaton import integrate
+from hybrid_id.twin.draws import Truth, draw_torques, draw_truth, encoders, read_encoder, ripples
 from hybrid_id.twin.machines import ONE_LINK, Machine, start_state
 from hybrid_id.twin.model import model_description
 from hybrid_id.twin.rotor import NO_RIPPLE, TorqueRipple
-from hybrid_id.twin.sections import Encoder, Sines
+from hybrid_id.twin.sections import Sines
 from hybrid_id.twin.settings import Twin, read_settings
-
-Truth = dict[str, float]
 
 
 def make_campaign(config: Mapping[str, Any], seed: int) -> tuple[Dataset, list[Truth]]:
@@ -40,16 +39,14 @@ def make_campaigns(config: Mapping[str, Any], seeds: Iterable[int]) -> list[tupl
     twin = read_settings(config)
     seeds = list(seeds)
     voltages = _voltages(twin)
-    n_experiments, n_motors, n_samples = voltages.shape
+    n_experiments, _, n_samples = voltages.shape
     time = twin.sample_time * np.arange(n_samples)
     generators = [np.random.default_rng([seed, i]) for seed in seeds for i in range(n_experiments)]
     truths = [
-        _draw_truth(twin, experiment.pose, random)
+        draw_truth(twin, experiment.pose, random)
         for experiment, random in zip(twin.excitation.experiments * len(seeds), generators, strict=True)
     ]
-    levels = _per_motor(twin, "f_11")
-    noise = twin.disturbances.torque_noise * levels[:, None]
-    torques = np.array([random.normal(scale=noise, size=(n_motors, n_samples)) for random in generators])
+    torques = np.array([draw_torques(twin, n_samples, random) for random in generators])
     states = _simulate(
         twin.simulated,
         twin.gear_ratios,
@@ -57,13 +54,12 @@ def make_campaigns(config: Mapping[str, Any], seeds: Iterable[int]) -> list[tupl
         np.concatenate((np.tile(voltages, (len(seeds), 1, 1)), torques), axis=1),
         time,
         substeps=twin.substeps,
-        ripples=_ripples(twin, levels),
+        ripples=ripples(twin),
     )
-    encoders = _encoders(twin)
     measured = [
         {
             name: read_encoder(run[twin.simulated.rows.index(name)], encoder, random)
-            for name, encoder in encoders.items()
+            for name, encoder in encoders(twin).items()
         }
         for run, random in zip(states, generators, strict=True)
     ]
@@ -133,12 +129,6 @@ def write_campaign(folder: str | Path, config: Mapping[str, Any], seed: int) -> 
     return dataset, truths
 
 
-def read_encoder(angle: np.ndarray, encoder: Encoder, random: np.random.Generator) -> np.ndarray:
-    """Reading of an encoder [rad]: white noise, then rounding to the nearest count."""
-    noisy = angle + random.normal(scale=encoder.noise, size=angle.shape)
-    return encoder.quantum * np.round(noisy / encoder.quantum)
-
-
 def _voltages(twin: Twin) -> np.ndarray:
     """Voltages (n_experiments, n_motors, T) of each experiment: rest, then one period of each multisine."""
     n_rest, n_samples = round(twin.rest / twin.sample_time), round(twin.duration / twin.sample_time)
@@ -162,36 +152,6 @@ def _signal(twin: Twin, sines: Sines) -> np.ndarray:
         starts=twin.excitation.starts,
         seed=sines.seed,
     ).signal
-
-
-def _per_motor(twin: Twin, symbol: str) -> np.ndarray:
-    """The true parameter of each motor (n_motors,)."""
-    return np.array([twin.truth[symbol + motor] for motor in twin.kind.motors])
-
-
-def _ripples(twin: Twin, levels: np.ndarray) -> list[TorqueRipple]:
-    """The torque ripple of each motor."""
-    ripple = twin.disturbances.torque_ripple
-    return [TorqueRipple(ripple.share * level, ripple.periods) if ripple else NO_RIPPLE for level in levels]
-
-
-def _encoders(twin: Twin) -> dict[str, Encoder]:
-    """The encoder of each measured angle."""
-    encoders = {f"q_m{i + 1}": twin.disturbances.encoder for i in range(len(twin.kind.motors))}
-    link = twin.disturbances.link_encoder
-    return encoders | ({"q_a1": link} if link else {})
-
-
-def _draw_truth(twin: Twin, pose: Sequence[float], random: np.random.Generator) -> Truth:
-    """Parameters of one run, drifted, and the start angle of each motor."""
-    truth = {name: twin.truth[name] for name in twin.kind.parameters}
-    drift = twin.disturbances.friction_drift
-    for name in twin.kind.drifting:
-        truth[name] *= random.uniform(1 - drift, 1 + drift)
-    limit = twin.disturbances.start_angle
-    for motor, angle, ratio in zip(twin.kind.motors, pose, twin.gear_ratios, strict=True):
-        truth[f"q_0{motor}"] = ratio * angle + random.uniform(-limit, limit)
-    return truth
 
 
 def _simulate(
@@ -234,7 +194,7 @@ def _dataset(
         inputs=tuple(Channel(f"u{i + 1}", "V") for i in range(len(twin.kind.motors))),
         outputs=tuple(
             Channel(name, "rad", float(f"{encoder.angle_noise:.4g}"))
-            for name, encoder in _encoders(twin).items()
+            for name, encoder in encoders(twin).items()
         ),
         records=tuple(records),
         sample_time=twin.sample_time,
