@@ -11,6 +11,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from hybrid_id.components import AsymmetricStribeck as AsymmetricStribeck
+    from hybrid_id.components import Backlash as Backlash
     from hybrid_id.components import Component as Component
     from hybrid_id.components import Coulomb as Coulomb
     from hybrid_id.components import Dahl as Dahl
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from hybrid_id.study import replay as replay
     from hybrid_id.systems.arms import one_link as one_link
     from hybrid_id.systems.arms import one_link_flexible as one_link_flexible
+    from hybrid_id.systems.arms import two_link as two_link
     from hybrid_id.systems.chain import System as System
     from hybrid_id.systems.model_file import load_model as load_model
     from hybrid_id.systems.model_file import save_model as save_model
@@ -49,7 +51,8 @@ if TYPE_CHECKING:
 # The same names once more, by the module that defines them; a test keeps the two lists equal.
 _MODULES = {
     "hybrid_id.components": (
-        "AsymmetricStribeck Component Coulomb Dahl DCMotor LinearSpring LoadDependent LuGre Rigid Stribeck Viscous"
+        "AsymmetricStribeck Backlash Component Coulomb Dahl DCMotor LinearSpring LoadDependent LuGre Rigid Stribeck "
+        "Viscous"
     ),
     "hybrid_id.errors": "InputError",
     "hybrid_id.identification.adjoint": "train",
@@ -64,7 +67,7 @@ _MODULES = {
     "hybrid_id.simulation.rollout": "simulate",
     "hybrid_id.simulation.step": "Engine",
     "hybrid_id.study": "Study assess compare identify preflight replay",
-    "hybrid_id.systems.arms": "one_link one_link_flexible",
+    "hybrid_id.systems.arms": "one_link one_link_flexible two_link",
     "hybrid_id.systems.chain": "System",
     "hybrid_id.systems.model_file": "load_model save_model",
 }

@@ -67,11 +67,15 @@ class Balances:
     def accelerations(self, directions: Directions, *, held: bool) -> list[Tensor]:
         """Accelerations for directions of dry friction in [-1, 1]; with ``held``, 0 is at rest and stays there."""
         free = [None if d is None or not held else d.abs() for d in directions]
-        found = [b.acceleration(d) for b, d in zip(self.speeds, directions, strict=True)]
+        found: dict[int, Tensor] = {}
         if self.pair is not None and self.coupling is not None:
-            i, j = self.pair
-            found[i], found[j] = self._coupled(self.pair, self.coupling, directions, free)
-        return [a if f is None else a * f for a, f in zip(found, free, strict=True)]
+            found = dict(
+                zip(self.pair, self._coupled(self.pair, self.coupling, directions, free), strict=True)
+            )
+        for k, balance in enumerate(self.speeds):
+            own = found[k] if k in found else balance.acceleration(directions[k])
+            found[k] = own if (f := free[k]) is None else own * f
+        return [found[k] for k in range(len(self.speeds))]
 
     def _coupled(
         self, pair: tuple[int, int], coupling: Tensor, directions: Directions, free: Directions

@@ -168,12 +168,6 @@ def test_cases_that_come_with_their_models(shared: Path) -> None:
     loaded = 0
     for file in files:
         content = yaml.safe_load(file.read_text())
-        if content["system"] == "two_link":
-            try:
-                load_model(file)
-            except InputError as error:
-                assert str(file) in str(error) and "two_link" in str(error)
-            continue
         system = load_model(file)
         loaded += 1
         assert system.gear_ratio == tuple(content["gear_ratio"])
@@ -181,8 +175,57 @@ def test_cases_that_come_with_their_models(shared: Path) -> None:
             spec = system.parameter(name).spec
             assert (spec.value, spec.lower, spec.upper) == (entry["nominal"], entry["lower"], entry["upper"])
             assert spec.unit == entry["unit"]
+        if content["system"] == "two_link":
+            assert ("joint1/load/joint_coupling" in system.components) == ("P_3" in content["parameters"])
+            continue
         for law in ("coulomb_friction", "viscous_friction"):
             flat = {"coulomb_friction": "F_c", "viscous_friction": "F_v"}[law]
             listed = any(name.startswith(flat) and name[-1] != "a" for name in content["parameters"])
             assert (f"{FRICTION}/{law}" in system.components) == listed
     assert loaded >= 10
+
+
+ARM = {
+    "system": "two_link",
+    "gear_ratio": [156.0, 84.0],
+    "parameters": {
+        "P_1": 1.1,
+        "P_2": 0.136,
+        "P_m1m1": 0.019,
+        "P_m2m1": 0.025,
+        "P_m1m2": 0.043,
+        "P_m2m2": 0.011,
+    },
+}
+
+
+def write_arm(folder: Path, **parameters: float) -> Path:
+    path = folder / "arm.yaml"
+    path.write_text(yaml.safe_dump(ARM | {"parameters": ARM["parameters"] | parameters}))
+    return path
+
+
+def test_what_an_arm_does_not_list_is_absent(tmp_path: Path) -> None:
+    bare = load_model(write_arm(tmp_path))
+    assert not any("joint_coupling" in key or "friction" in key for key in bare.components)
+    half = load_model(write_arm(tmp_path, P_3=0.1, F_cm2=0.003, F_va1=0.2))
+    assert half.parameter("P_4").spec.value == 0.0 and not half.parameter("P_4").spec.estimate
+    assert {"F_cm2", "F_va1"} <= {info.name for info in half.table}
+
+
+@pytest.mark.parametrize(
+    "parameters, change, words",
+    [
+        ({}, {"gear_ratio": [156.0]}, ("gear_ratio", "2 positive numbers", "two_link")),
+        ({"P_3": 0.1, "P_4": 0.4}, {}, ("not positive definite", "P_4 = 0.4")),
+        ({}, {"gravity": "vertical"}, ("gravity is vertical", "G_l1 and G_l2")),
+        ({"G_l1": 2.0}, {}, ("gravity is none", "G_l1 and G_l2")),
+    ],
+)
+def test_malformed_arm_is_refused(parameters: dict, change: dict, words: tuple, tmp_path: Path) -> None:
+    path = write_arm(tmp_path, **parameters)
+    path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | change))
+    with pytest.raises(InputError) as caught:
+        load_model(path)
+    assert all(word in str(caught.value) for word in (str(path), *words)), caught.value
+    assert "\n" not in str(caught.value) and not re.search(r"\. [A-Z]", str(caught.value))
