@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hybrid_id.components import (
     ArmGravity,
+    AsymmetricStribeck,
     Coulomb,
     DCMotor,
     Gravity,
@@ -113,7 +114,8 @@ FLAT_NAMES: dict[str, dict[tuple[str, str], str]] = {
             ("motor_friction/viscous_friction", "F_v", "F_vm"),
             ("link_friction/coulomb_friction", "F_c", "F_ca"),
             ("link_friction/viscous_friction", "F_v", "F_va"),
+            *(("motor_friction/asymmetric_stribeck", name, f"{name}m") for name in AsymmetricStribeck.declared),
         )
     },
 }
-"""Result names of base components where the bare symbol would be ambiguous: the flat names of the model file."""
+"""Result names where the bare symbol would be ambiguous: the flat names of the model file, and the paper's."""
