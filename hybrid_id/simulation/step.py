@@ -17,6 +17,7 @@ from torch import Tensor
 
 from hybrid_id.components.base import relax
 from hybrid_id.errors import InputError
+from hybrid_id.simulation.lanes import LaneSubset
 from hybrid_id.systems.balance import Directions
 from hybrid_id.systems.chain import Channels, Rows, System, Views
 
@@ -229,22 +230,3 @@ def directions(system: System, x: Rows, u: Channels, p: Views) -> Directions:
     if not any(sign is not None and bool((sign == 0).any()) for sign in signs):
         return signs
     return system.rest(x, u, p, signs).settle(signs)
-
-
-class LaneSubset:
-    """A subset of lanes: takes it from rows of length B and leaves rows of length 1 as they are."""
-
-    def __init__(self, lanes: Tensor, count: int) -> None:
-        self.lanes, self.count = lanes, count
-
-    def take(self, row: Tensor) -> Tensor:
-        """The subset of a row."""
-        return row if row.shape[-1] != self.count else row.index_select(-1, self.lanes)
-
-    def take_all(self, u: Channels) -> Channels:
-        """The subset of every channel."""
-        return {name: self.take(channel) for name, channel in u.items()}
-
-    def take_views(self, p: Views) -> Views:
-        """The subset of every parameter."""
-        return {key: type(v)(**self.take_all(vars(v))) for key, v in p.items()}

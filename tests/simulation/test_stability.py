@@ -79,6 +79,6 @@ def test_bristles_take_finer_steps_than_their_rate_alone() -> None:
     found = rate(system, Engine())
     assert (
         chosen(system, Engine())
-        == math.ceil(STEP * found / LIMIT["bristle"])
+        == math.ceil(STEP * found / LIMIT["memory"])
         > math.ceil(STEP * found / LIMIT["dry"])
     )
