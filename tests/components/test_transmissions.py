@@ -127,7 +127,7 @@ def test_compliance_and_damping_ratio_are_a_linear_spring() -> None:
 
 def test_hardening_spring_is_cubic_and_linear_without_its_cube() -> None:
     delta = np.array([-0.05, 0.01, 0.2])
-    found = torque(HardeningSpring(k=158.0, k_3=8261.0, d=0.6), delta, 0.5)
+    found = torque(HardeningSpring(k=158.0, h=8261.0 / 158.0, d=0.6), delta, 0.5)
     np.testing.assert_allclose(found, 158.0 * delta + 8261.0 * delta**3 + 0.3, rtol=1e-13)
     linear = torque(HardeningSpring(k=158.0, d=0.6), delta, 0.5)
     np.testing.assert_array_equal(linear, torque(LinearSpring(k=158.0, d=0.6), delta, 0.5))
@@ -199,7 +199,7 @@ def test_zero_compliance_and_zero_gap_are_the_rigid_gear(part: Transmission) -> 
 
 @pytest.mark.parametrize(
     "part",
-    [Backlash(gap=0.04), BacklashFlexibility(**TABLE_4, d=0.4), HardeningSpring(k=100.0, k_3=3e4, d=0.3)],
+    [Backlash(gap=0.04), BacklashFlexibility(**TABLE_4, d=0.4), HardeningSpring(k=100.0, h=300.0, d=0.3)],
     ids=lambda part: part.kind,
 )
 def test_steps_suit_the_loaded_spring_although_records_start_unloaded(part: Transmission) -> None:
@@ -224,7 +224,7 @@ def test_link_encoder_reads_the_link() -> None:
     [
         Backlash(gap=0.02, compliance=1 / 300.0, zeta=0.2),
         BacklashFlexibility(**TABLE_4),
-        HardeningSpring(k=100.0, k_3=3e4, d=0.3),
+        HardeningSpring(k=100.0, h=300.0, d=0.3),
         JointFlexibility(compliance=0.004),
     ],
     ids=lambda part: part.kind,

@@ -25,7 +25,7 @@ class Backlash(Transmission):
     """
 
     kind = "backlash"
-    gap = Parameter(0.0, upper=10.0, unit="rad", doc="total play at the link")
+    gap = Parameter(0.0, upper=1.0, unit="rad", doc="total play at the link")
     compliance = Parameter(0.0, upper=1e6, unit="rad/(N m)", doc="compliance in contact", estimate=False)
     zeta = Parameter(0.3, upper=2.0, unit="1", doc="damping ratio in contact", estimate=False)
 

@@ -7,25 +7,27 @@ from hybrid_id.parameters import Parameter
 
 
 class HardeningSpring(Transmission):
-    """``tau_s = k delta + k_3 delta^3 + d d(delta)/dt`` with ``delta = q_m / r - q_a``.
+    """``tau_s = k delta (1 + h delta^2) + d d(delta)/dt`` with ``delta = q_m / r - q_a``.
 
     | symbol | unit | meaning |
     | --- | --- | --- |
     | k | N m/rad | stiffness at the link, around zero |
-    | k_3 | N m/rad^3 | cubic stiffness at the link; 0 is ``linear_spring`` |
+    | h = k_3 / k | 1/rad^2 | hardening, k_3 the cubic stiffness [N m/rad^3]; 0 is ``linear_spring`` |
     | d | N m s/rad | damping at the link |
 
-    Source: the cubic spring of harmonic drives (T. Tuttle, W. Seering, IEEE Trans. Robotics Automation 12(3), 1996).
+    At 1 / sqrt(h) the torque is twice the linear one; h is of one size for small joints and large ones, so that a fit
+    that starts at 0 knows how far to step. Source: the cubic spring of harmonic drives (T. Tuttle, W. Seering, IEEE
+    Trans. Robotics and Automation 12(3), 1996), its k_3 written as k h.
     """
 
     kind = "hardening_flexibility"
     k = Parameter(300.0, lower=1e-6, upper=1e9, unit="N m/rad", doc="stiffness around zero")
-    k_3 = Parameter(0.0, upper=1e12, unit="N m/rad^3", doc="cubic stiffness")
+    h = Parameter(0.0, upper=9e4, unit="1/rad^2", doc="hardening")
     d = Parameter(0.5, upper=1e6, unit="N m s/rad", doc="damping")
 
     def torque(self, p, deflection, rate, inertia):
-        return (p.k + p.k_3 * deflection**2) * deflection + p.d * rate
+        return p.k * deflection * (1.0 + p.h * deflection**2) + p.d * rate
 
     def loaded(self, p):
         # twice the stiffness around zero, or as far as a joint's spring is ever wound
-        return torch.sqrt(p.k / (3.0 * p.k_3.clamp_min(1e-12))).clamp_max(0.2)
+        return torch.rsqrt(3.0 * p.h.clamp_min(1.0)).clamp_max(0.2)
