@@ -41,6 +41,7 @@ from hybrid_id.components.motor import (
     ThermalDerating,
     TorqueMotor,
 )
+from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.components.sensor import LinkEncoder, MotorEncoder
 from hybrid_id.components.transmission import (
     Backlash,
@@ -85,6 +86,7 @@ __all__ = [
     "OneLink",
     "PositionLoop",
     "QuadraticDrag",
+    "ResidualNetwork",
     "Rigid",
     "Saturation",
     "Spring",

@@ -1,8 +1,7 @@
 """What every component is: a torch module with declared parameters that sits in one place of the drive chain.
 
-A component reads its parameters from a *view* ``p`` (``p.F_c``, each shaped ``(1,)`` or ``(B,)``), never from its
-own attributes, so that values that are shared by all lanes and values that differ from lane to lane run through
-the same equations.
+A component reads its parameters from a *view* ``p`` (``p.F_c``, each shaped ``(1,)`` or ``(B,)``), never from its own
+attributes, so that values shared by all lanes and values that differ from lane to lane run through the same equations.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class Component(nn.Module):
     places: ClassVar[tuple[str, ...]] = ()
     single: ClassVar[bool] = False
     """Whether its place holds exactly one component (a new one replaces the old one)."""
-    states: ClassVar[tuple[str, ...]] = ()
+    states: tuple[str, ...] = ()
     declared: ClassVar[dict[str, Parameter]] = {}
 
     def __init_subclass__(cls, **kwargs: object) -> None:
@@ -73,6 +72,13 @@ class Component(nn.Module):
     def view(self) -> SimpleNamespace:
         """The stored values as a view, each shaped ``(1,)``; gradients flow to the torch parameters."""
         return SimpleNamespace(**{name: getattr(self, name).reshape(1) for name in self.declared})
+
+    @classmethod
+    def restored(cls, values: Mapping[str, Bounded], options: Mapping, weights: Mapping) -> Component:
+        """The component that a model file describes."""
+        if options or weights:
+            raise InputError(f"{cls.kind} has neither options nor weights; remove them.")
+        return cls(**values)
 
     def extra_repr(self) -> str:
         """Parameters in the printed module."""

@@ -27,9 +27,10 @@ _OF_SYSTEM: WeakKeyDictionary[System, dict[tuple[Any, ...], ctypes.CDLL]] = Weak
 
 
 def serves(system: System, engine: Engine, x: Tensor) -> bool:
-    """Whether compiled sub-steps are asked for and possible here: smooth friction, no states that remember, no GPU."""
+    """Whether compiled sub-steps are asked for and possible here: smooth friction, no memory, no network, no GPU."""
     here = x.device.type == "cpu" and x.dtype == torch.float64
-    return engine.compiled and engine.friction == "smooth" and not system.memory_rows and here
+    plain = not system.memory_rows and not system.networks
+    return engine.compiled and engine.friction == "smooth" and plain and here
 
 
 class CompiledStep:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from hybrid_id.components.base import PLACES, Component
+from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.systems.arm import Arm
@@ -33,8 +34,8 @@ class System(nn.Module):
 
     Attributes:
         state_names: rows of the state, ``(n_x, B)``.
-        speed_rows: which of them are speeds.
-        memory_rows: which of them remember: bristles, windings.
+        speed_rows, memory_rows: which of them are speeds, and which remember (bristles, windings, networks).
+        networks: the residual networks by component key.
         dry: whether dry friction acts on each speed, in the order of ``speed_rows``.
         table: the parameters, in a fixed order; ``theta`` vectors follow it.
 
@@ -93,7 +94,9 @@ class System(nn.Module):
             }
             joint = Joint(i + 1, ratio, parts, len(self.state_names))
             self.joints.append(joint)
+            joint.networks.joints = self.joints
             self.state_names += joint.state_names
+        self.networks = {k: c for k, c in self.components.items() if isinstance(c, ResidualNetwork)}
         self.speed_rows = [row + 1 for joint in self.joints for row in joint.positions]
         self.dry = [is_dry for joint in self.joints for is_dry in joint.dry]
         self.memory_rows = [
@@ -227,11 +230,11 @@ class System(nn.Module):
         return rates
 
     def relaxations(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state that remembers (bristles, windings), ``dz/dt = drive - rate z``."""
+        """Row, drive and rate [1/s] of each state that remembers, ``dz/dt = drive - rate z``."""
         return [found for joint in self.joints for found in joint.relaxations(x, u, p)]
 
     def outputs(self, names: Sequence[str], x: Rows, u: Channels, p: Views) -> list[Tensor]:
-        """Measured outputs by name (``q_m1``, ``i1`` ...), ``(B,)`` each."""
+        """Measured outputs by name (``q_m1``, ``i1`` ...; ``r_motor1``: of the network there), ``(B,)`` each."""
         found = []
         for name in names:
             if not name[-1:].isdigit() or not 1 <= int(name[-1]) <= len(self.joints):

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from torch import Tensor
 
 from hybrid_id.components.base import Component, Input, Motor
 from hybrid_id.components.drive import CommandMap, RotorTorque, Winding
 from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.systems.networks import Networks
 
 Views = Mapping[str, SimpleNamespace]
 
@@ -34,6 +37,7 @@ class Drive:
 
     Attributes:
         state_names: of the states that it owns.
+        networks: of the joint; those at its places act beside the components.
 
     Raises:
         InputError: no input or no motor.
@@ -42,6 +46,7 @@ class Drive:
     def __init__(self, number: int, parts: Mapping[str, Component], rotor: int, first_row: int) -> None:
         joint = f"joint{number}"
         self.number, self.rotor = number, rotor
+        self.networks: Networks | None = None
         self.input = cast("tuple[str, Input]", only(parts, Input, joint, "input"))
         self.motor = cast("tuple[str, Motor]", only(parts, Motor, joint, "motor"))
         self.maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
@@ -54,35 +59,44 @@ class Drive:
                 self.windings.append((key, part, range(row, row + len(part.states))))
                 self.state_names += [f"{state}{number}" for state in part.states]
 
-    def command(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
-        """Effective command at the motor, ``(B,)``."""
+    def command(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views, *, network: bool = True
+    ) -> Tensor:
+        """Effective command at the motor, ``(B,)``; without what a network adds where ``network`` is false."""
         key, part = self.input
         channels = {name: u[f"{name}{self.number}"] for name in part.channels}
         angle, speed = x[self.rotor], x[self.rotor + 1]
         command = part.command(p[key], channels, angle, speed)
         for key, step in self.maps:
             command = step.map(p[key], command, speed)
-        return command
+        added = self._added("input", x, u, p) if network else None
+        return command if added is None else command + added
 
     def torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Torque on the rotor [N m], ``(B,)``."""
-        torque = self._motor_torque(x, u, p)
+        torque = self.motor_torque(x, u, p)
         for key, part in self.torques:
             torque = torque + part.torque(p[key], x[self.rotor], x[self.rotor + 1])
-        return torque
+        added = self._added("motor", x, u, p)
+        return torque if added is None else torque + added
 
     def current(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Winding current [A], ``(B,)``."""
         key, motor = self.motor
-        return motor.current(p[key], self._motor_torque(x, u, p))
+        return motor.current(p[key], self.motor_torque(x, u, p))
 
-    def _motor_torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+    def motor_torque(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views, *, network: bool = True
+    ) -> Tensor:
         """Torque of the motor alone; one that is switched off is an open circuit (no back-EMF)."""
         key, motor = self.motor
-        torque = motor.torque(p[key], self.command(x, u, p), x[self.rotor + 1])
+        torque = motor.torque(p[key], self.command(x, u, p, network=network), x[self.rotor + 1])
         for key, part, rows in self.windings:
             torque = part.torque(p[key], torque, [x[row] for row in rows])
         return self._switched(torque, u)
+
+    def _added(self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor | None:
+        return None if self.networks is None else self.networks.output(place, x, u, p)
 
     def _switched(self, torque: Tensor, u: Mapping[str, Tensor]) -> Tensor:
         enable = u.get(f"enable{self.number}")

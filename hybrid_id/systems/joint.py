@@ -22,6 +22,7 @@ from hybrid_id.components.base import (
 from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import SpeedBalance
 from hybrid_id.systems.drive import Drive, only
+from hybrid_id.systems.networks import LINK_PLACES, Networks
 
 Views = Mapping[str, SimpleNamespace]
 
@@ -30,7 +31,7 @@ class Joint:
     """The components of one joint, sorted by place, and the rows of the state that they own.
 
     State rows: ``q_m, v_m``, with a compliant transmission ``q_a, v_a``, then one row a bristle, then those of the
-    winding.
+    winding and of networks.
 
     Args:
         number: joint number, from 1.
@@ -83,6 +84,8 @@ class Joint:
 
         self.drive = Drive(number, parts, first_row, first_row + len(self.state_names))
         self.state_names += self.drive.state_names
+        self.networks = self.drive.networks = Networks(self, parts, first_row + len(self.state_names))
+        self.state_names += self.networks.state_names
         self.channels = [c for _, part in (self.drive.input, *self.logged) for c in part.channels]
         motor, link = (self._is_dry(place) for place in self.frictions)
         self.dry = [motor or link] if self.rigid else [motor, link]
@@ -101,11 +104,19 @@ class Joint:
         return _sum(terms, magnitude)
 
     def friction(
-        self, place: str, x: Sequence[Tensor], p: Views, speed: Tensor, magnitude: Tensor, forward: Tensor
+        self,
+        place: str,
+        x: Sequence[Tensor],
+        u: Mapping[str, Tensor],
+        p: Views,
+        speed: Tensor,
+        magnitude: Tensor,
+        forward: Tensor,
     ) -> tuple[Tensor, Tensor]:
-        """Smooth torque (bristles included) and dry level of a place at a speed of that side, ``(B,)`` each."""
+        """Smooth torque (bristles, networks included) and dry level of a place at its side's speed, ``(B,)`` each."""
         laws = self.frictions[place]
         terms = [law.smooth(p[key], speed) for key, law in laws]
+        terms.append(self.networks.output(place, x, u, p))
         level = self.dry_level(place, p, magnitude, forward)
         if place in self.bristles:
             key, law, row = self.bristles[place]
@@ -132,7 +143,7 @@ class Joint:
         """
         r = self.gear_ratio
         q, v = x[self.positions[0]], x[self.positions[0] + 1]
-        motor_smooth, motor_level = self.friction("motor_friction", x, p, v, magnitudes[0], forwards[0])
+        motor_smooth, motor_level = self.friction("motor_friction", x, u, p, v, magnitudes[0], forwards[0])
         drive = self.drive.torque(x, u, p) - motor_smooth
         factors = [law.load_factor(p[key]) for key, law in self.frictions["motor_friction"]]
         factors = [f for f in factors if f is not None]
@@ -140,11 +151,12 @@ class Joint:
         key, inertia = self.inertia
         if self.rigid:
             total, level, load = inertia.total(p[key], r), motor_level, v.new_zeros(1)
-            if self.frictions["link_friction"] or self.loads or self.logged:
+            network = any(place in self.networks.by_place for place in LINK_PLACES)
+            if self.frictions["link_friction"] or self.loads or self.logged or network:
                 link_smooth, link_level = self.friction(
-                    "link_friction", x, p, v / r, magnitudes[0] / r, forwards[0]
+                    "link_friction", x, u, p, v / r, magnitudes[0] / r, forwards[0]
                 )
-                load = (link_smooth + self.load_torque(q / r, v / r, u, p)) / r
+                load = (link_smooth + self._load(x, q / r, v / r, u, p)) / r
                 drive, level = drive - load, level + link_level / r
             if factor is None:
                 return [SpeedBalance(total, drive, level)]
@@ -152,16 +164,24 @@ class Joint:
             return [SpeedBalance(total, drive, level, factor, share, load)]
         rotor, link = inertia.rotor(p[key], r), inertia.link(p[key], r)
         qa, va = x[self.positions[1]], x[self.positions[1] + 1]
-        spring_key, spring = self.transmission
-        series = rotor * r**2 * link / (rotor * r**2 + link)
-        torque = spring.torque(p[spring_key], q / r - qa, v / r - va, series)
+        torque = self.spring_torque(x, p)
+        if (added := self.networks.output("transmission", x, u, p)) is not None:
+            torque = torque + added
         if factor is not None:
             motor_level = motor_level + factor * (torque / r).abs()
-        link_smooth, link_level = self.friction("link_friction", x, p, va, magnitudes[1], forwards[1])
+        link_smooth, link_level = self.friction("link_friction", x, u, p, va, magnitudes[1], forwards[1])
         return [
             SpeedBalance(rotor, drive - torque / r, motor_level),
-            SpeedBalance(link, torque - link_smooth - self.load_torque(qa, va, u, p), link_level),
+            SpeedBalance(link, torque - link_smooth - self._load(x, qa, va, u, p), link_level),
         ]
+
+    def spring_torque(self, x: Sequence[Tensor], p: Views) -> Tensor:
+        """Torque of a compliant gear's spring at the link [N m], ``(B,)``."""
+        r, (motor, link) = self.gear_ratio, self.positions
+        (key, inertia), (spring_key, spring) = self.inertia, self.transmission
+        sides = inertia.rotor(p[key], r) * r**2, inertia.link(p[key], r)
+        series = sides[0] * sides[1] / (sides[0] + sides[1])
+        return spring.torque(p[spring_key], x[motor] / r - x[link], x[motor + 1] / r - x[link + 1], series)
 
     def loaded_link(self, x: Sequence[Tensor], p: Views) -> tuple[int, Tensor] | None:
         """Row of the link's angle and its value [rad] with the spring fully loaded, None where zero load will do."""
@@ -182,7 +202,14 @@ class Joint:
             v = v / self.gear_ratio if self.rigid and not motor else v
             level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype))
             found.append((row, *law.relaxation(p[key], v, level)))
-        return found + self.drive.relaxations(x, u, p)
+        return found + self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
+
+    def _load(
+        self, x: Sequence[Tensor], angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views
+    ) -> Tensor:
+        """Torque of the load at the link with a network's, ``(B,)``."""
+        load, added = self.load_torque(angle, speed, u, p), self.networks.output("load", x, u, p)
+        return load if added is None else load + added
 
     def load_torque(self, angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Torque of the load at the link, ``(B,)``."""
@@ -202,6 +229,8 @@ class Joint:
             value = self.drive.torque(x, u, p)
         elif channel == "i":
             value = self.drive.current(x, u, p)
+        elif (added := self.networks.output(channel.removeprefix("r_"), x, u, p)) is not None:
+            value = added
         else:
             raise InputError(
                 f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau with the "

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from hybrid_id.components import REGISTRY, ArmGravity, Gravity
+from hybrid_id.components import REGISTRY, ArmGravity, Gravity, ResidualNetwork
 from hybrid_id.components.base import Component
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
@@ -63,7 +63,11 @@ def build_model(file: ModelFile, path: str = "model") -> System:
                 f"{path}: parameter '{name}' is missing; give its nominal value under 'parameters'."
             )
     try:
-        built = [(where, REGISTRY[kind](**values)) for (where, kind), values in parts.items()]
+        beyond = {(e.place, e.kind): (e.options, e.weights) for e in file.components}
+        built = [
+            (where, REGISTRY[kind].restored(values, *beyond.get((where, kind), ({}, {}))))
+            for (where, kind), values in parts.items()
+        ]
         return System(file.gear_ratio, built, FLAT_NAMES[file.system], name=file.system)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
@@ -174,6 +178,9 @@ def describe_model(system: System) -> dict[str, Any]:
             parameters |= {flat[where, kind, symbol]: entry for symbol, entry in values.items()}
         else:
             components.append({"place": where, "kind": kind, "parameters": values})
+            if isinstance(part, ResidualNetwork):
+                weights = {name: w.detach().tolist() for name, w in part.weights().items()}
+                components[-1] |= {"options": part.options(), "weights": weights}
     gravity = "vertical" if any(key.split("/")[2] in WEIGHTS for key in system.components) else "none"
     order = [name for name in FLAT[system.name] if name in parameters]
     content: dict[str, Any] = {

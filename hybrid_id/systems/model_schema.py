@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -112,11 +112,13 @@ class ParameterEntry(_Section):
 
 
 class ComponentEntry(_Section):
-    """One component beyond the system's defaults."""
+    """One component beyond the system's defaults; a network has options, and weights unless it is fresh."""
 
     place: str
     kind: str
     parameters: dict[str, ParameterEntry | float] = {}
+    options: dict[str, Any] = {}
+    weights: dict[str, list[Any]] = {}
 
 
 class ModelFile(_Section):

@@ -1,0 +1,148 @@
+"""The residual networks of one joint: what they read, what they add, and what they remember."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+from typing import TYPE_CHECKING
+
+import torch
+from torch import Tensor
+
+from hybrid_id.components.base import Component
+from hybrid_id.components.residual import ResidualNetwork
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.systems.joint import Joint
+
+Views = Mapping[str, SimpleNamespace]
+
+LINK_PLACES = ("link_friction", "load")
+SIGNALS = (
+    "angle",
+    "speed",
+    "direction",
+    "command",
+    "torque",
+    "load",
+    "deflection",
+    "deflection_rate",
+    "transmitted",
+)
+HARMONIC = re.compile(r"(sin|cos) ?(\d+(?:\.\d+)?)")
+
+
+class Networks:
+    """Networks by place, one a place.
+
+    Signals that an input may name, of the side (rotor or link) on which the place acts: ``angle`` [rad], ``speed``
+    [rad/s], ``direction`` (the speed once more, whose scale is small, so that tanh makes a sign of it), ``sin n`` and
+    ``cos n`` of n times the angle; and of the joint: ``command`` (effective, in the motor's unit), ``torque`` (the
+    motor's [N m]), ``load`` (at the link [N m], link friction excepted); with a compliant gear ``deflection`` [rad],
+    ``deflection_rate`` [rad/s] and ``transmitted`` (spring torque at the link [N m]). With a joint's number behind it
+    (``angle2``), ``angle`` and ``speed`` are those of that joint's link. All are without what networks add.
+
+    Args:
+        joint: the joint, its drive and loads in place.
+        parts: its components by key.
+        first_row: row of the first hidden state.
+
+    Raises:
+        InputError: an input that its place does not know.
+    """
+
+    def __init__(self, joint: Joint, parts: Mapping[str, Component], first_row: int) -> None:
+        self.joint, self.joints = joint, [joint]
+        self.state_names: list[str] = []
+        self.by_place: dict[str, tuple[str, ResidualNetwork, range]] = {}
+        for key, part in parts.items():
+            if isinstance(part, ResidualNetwork):
+                place, row = key.split("/")[1], first_row + len(self.state_names)
+                self._check(place, part)
+                self.by_place[place] = (key, part, range(row, row + part.memory))
+                self.state_names += [f"{name}_{place}{joint.number}" for name in part.states]
+
+    def _check(self, place: str, part: ResidualNetwork) -> None:
+        rigid, where = self.joint.rigid, f"{self.joint.name}/{place}"
+        if place == "transmission" and rigid:
+            raise InputError(
+                f"A rigid gear has no spring torque to which {part.kind} at '{where}' could add; "
+                "put it at motor_friction, or make the gear compliant."
+            )
+        known = SIGNALS[: 6 if rigid else None]
+        known = tuple(s for s in known if not (place == "input" and s == "torque"))
+        for name in part.inputs:
+            if (
+                name not in known
+                and not HARMONIC.fullmatch(name)
+                and not re.fullmatch(r"(angle|speed)\d", name)
+            ):
+                raise InputError(
+                    f"{part.kind} at '{where}' has no input '{name}'; it knows {', '.join(known)}, sin n, cos n, "
+                    "and angle and speed with a joint's number."
+                )
+
+    def signals(
+        self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> tuple[list[Tensor], list[Tensor]]:
+        """Inputs in their units and hidden states of the network in a place, ``(B,)`` each."""
+        _, part, rows = self.by_place[place]
+        inputs = [self._signal(name, place, x, u, p) for name in part.inputs]
+        return inputs, [x[row] for row in rows]
+
+    def _signal(
+        self, name: str, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> Tensor:
+        joint = self.joint
+        at_link = place in LINK_PLACES
+        if match := HARMONIC.fullmatch(name):
+            function = torch.sin if match[1] == "sin" else torch.cos
+            return function(float(match[2]) * self._motion(joint, x, at_link, 0))
+        if name[-1].isdigit():
+            other = next((j for j in self.joints if j.number == int(name[-1])), None)
+            if other is None:
+                raise InputError(
+                    f"A network's input '{name}' names a joint that is not there; name another one."
+                )
+            return self._motion(other, x, True, int(name.startswith("speed")))
+        if name in ("angle", "speed", "direction"):
+            return self._motion(joint, x, at_link, int(name != "angle"))
+        if name == "command":
+            return joint.drive.command(x, u, p, network=False)
+        if name == "torque":
+            return joint.drive.motor_torque(x, u, p, network=False)
+        angle, speed = self._motion(joint, x, True, 0), self._motion(joint, x, True, 1)
+        if name == "load":
+            return joint.load_torque(angle, speed, u, p)
+        if name == "transmitted":
+            return joint.spring_torque(x, p)
+        row, side = joint.positions[0], int(name == "deflection_rate")
+        return x[row + side] / joint.gear_ratio - (speed if side else angle)
+
+    @staticmethod
+    def _motion(joint: Joint, x: Sequence[Tensor], at_link: bool, order: int) -> Tensor:
+        """Angle (order 0) or speed (1) of the rotor or the link."""
+        if not at_link:
+            return x[joint.positions[0] + order]
+        value = x[joint.positions[-1] + order]
+        return value / joint.gear_ratio if joint.rigid else value
+
+    def output(self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor | None:
+        """What the network in a place adds there, ``(B,)`` in the place's unit; None where there is none."""
+        if place not in self.by_place:
+            return None
+        key, part, _ = self.by_place[place]
+        return part.output(p[key], *self.signals(place, x, u, p))
+
+    def relaxations(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> list[tuple[int, Tensor, Tensor]]:
+        """Row, drive and rate [1/s] of each hidden state, ``dh/dt = drive - rate h``."""
+        found = []
+        for place, (key, part, rows) in self.by_place.items():
+            if part.memory:
+                pairs = part.relaxations(p[key], *self.signals(place, x, u, p))
+                found += [(row, drive, rate) for row, (drive, rate) in zip(rows, pairs, strict=True)]
+        return found
