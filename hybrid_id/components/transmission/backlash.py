@@ -21,7 +21,9 @@ class Backlash(Transmission):
 
     The damper never exceeds the spring: the teeth do not pull as they part, and they do not meet with a jump of torque,
     over which no step would be accurate nor a sensitivity exact. gap = c = 0 is the rigid gear, gap = 0 a flexible one,
-    from which fits of richer models start; a wide gap has valleys of its own, so start at several. Source: the classical dead zone, [15] of the paper.
+    from which fits of richer models start; a wide gap has valleys of its own, so start at several.
+
+    Source: the classical dead zone, [15] of the paper.
     """
 
     kind = "backlash"

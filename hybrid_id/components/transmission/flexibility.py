@@ -36,8 +36,9 @@ class JointFlexibility(Transmission):
 
     The law of ``linear_spring`` in parameters that end at the rigid gear. A truly rigid gear has fewer states, and an
     implicit step would blur the moments at which dry friction stops a side; so c = 0 is a spring at which rotor and
-    link swing at 150 Hz, with which a servo's record agrees to well below an encoder's noise, stepped as any other. Along c a fit meets several
-    valleys: start it, too, where rotor and link swing within the band that the records excite.
+    link swing at 150 Hz, with which a servo's record agrees to well below an encoder's noise, stepped as any other.
+
+    Along c a fit meets several valleys: start it, too, where rotor and link swing within the band of the records.
     """
 
     kind = "joint_flexibility"
