@@ -74,7 +74,7 @@ class Identification(_Section):
     loss: Literal["l2", "huber", "l1"] = "l2"
     threshold: PositiveFloat = 3.0
     starts: PositiveInt = 1
-    max_iterations: PositiveInt = 60
+    max_iterations: PositiveInt = 200
     tolerance: PositiveFloat = 0.01
     friction: Literal["dry", "smooth"] = "dry"
     substeps: PositiveInt = 1

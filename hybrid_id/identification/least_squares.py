@@ -43,7 +43,7 @@ class Options:
         loss: loss of the weighted residuals.
     """
 
-    max_iterations: int = 60
+    max_iterations: int = 200
     tolerance: float = 0.01
     chunk: int = 8
     damping: float = 1e-3
