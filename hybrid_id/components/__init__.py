@@ -2,6 +2,7 @@
 
 from hybrid_id.components.base import PLACES, REGISTRY, Component
 from hybrid_id.components.friction import (
+    AsymmetricFriction,
     AsymmetricStribeck,
     AsymmetricStribeckEq8,
     AsymmetricTanh,
@@ -9,6 +10,7 @@ from hybrid_id.components.friction import (
     Dahl,
     LoadDependent,
     LuGre,
+    PositionDependent,
     QuadraticDrag,
     Stribeck,
     Viscous,
@@ -16,6 +18,7 @@ from hybrid_id.components.friction import (
 from hybrid_id.components.input import (
     CurrentCommand,
     Deadband,
+    Delay,
     DutySupply,
     PositionLoop,
     Saturation,
@@ -48,6 +51,7 @@ from hybrid_id.components.transmission import (
     BacklashFlexibility,
     HardeningSpring,
     JointFlexibility,
+    KinematicError,
     LinearSpring,
     Rigid,
 )
@@ -56,6 +60,7 @@ __all__ = [
     "PLACES",
     "REGISTRY",
     "ArmGravity",
+    "AsymmetricFriction",
     "AsymmetricStribeck",
     "AsymmetricStribeckEq8",
     "AsymmetricTanh",
@@ -70,12 +75,14 @@ __all__ = [
     "DCMotor",
     "Dahl",
     "Deadband",
+    "Delay",
     "DutySupply",
     "ElectricalLag",
     "Gravity",
     "HardeningSpring",
     "JointCoupling",
     "JointFlexibility",
+    "KinematicError",
     "LinearSpring",
     "LinkEncoder",
     "LinkInertia",
@@ -84,6 +91,7 @@ __all__ = [
     "LuGre",
     "MotorEncoder",
     "OneLink",
+    "PositionDependent",
     "PositionLoop",
     "QuadraticDrag",
     "ResidualNetwork",

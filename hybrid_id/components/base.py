@@ -146,36 +146,13 @@ class Friction(Component):
         """
         return None
 
+    def dry_over(self, p: SimpleNamespace, angle: Tensor) -> Tensor | None:
+        """What the joint's angle [rad, at the link] adds to the dry level [N m], ``(B,)``, of either sign."""
+        return None
+
     def load_factor(self, p: SimpleNamespace) -> Tensor | None:
         """Dry friction per unit of torque through the gear [1]."""
         return None
-
-
-class Bristle(Friction):
-    """A friction with memory: it turns the dry interval of its speed into the deflection of a bristle.
-
-    Its one state replaces the projection: the dry laws on the same speed tell the steady-state level.
-    """
-
-    states = ("bristle",)
-
-    def relaxation(self, p: SimpleNamespace, speed: Tensor, level: Tensor) -> tuple[Tensor, Tensor]:
-        """Drive and rate [1/s] of the state, ``dz/dt = drive - rate z``, ``(B,)`` each.
-
-        It is stepped exactly at constant speed and level, which is stable however stiff the bristle.
-        """
-        raise NotImplementedError
-
-    def torque(self, p: SimpleNamespace, state: Tensor, speed: Tensor, level: Tensor) -> Tensor:
-        """Friction torque [N m], ``(B,)``."""
-        raise NotImplementedError
-
-
-def relax(state: Tensor, drive: Tensor, rate: Tensor, step: Tensor) -> Tensor:
-    """Exact solution of ``dz/dt = drive - rate z`` after ``step`` at constant drive and rate [1/s] >= 0."""
-    decay = rate * step
-    above = decay.clamp_min(1e-12)  # the limit of (1 - exp(-a)) / a at 0, without a branch
-    return state * torch.exp(-decay) - drive * step * torch.expm1(-above) / above
 
 
 class Transmission(Component):

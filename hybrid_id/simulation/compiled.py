@@ -27,9 +27,9 @@ _OF_SYSTEM: WeakKeyDictionary[System, dict[tuple[Any, ...], ctypes.CDLL]] = Weak
 
 
 def serves(system: System, engine: Engine, x: Tensor) -> bool:
-    """Whether compiled sub-steps are asked for and possible here: smooth friction, no memory, no network, no GPU."""
+    """Whether compiled sub-steps are asked for and possible here: smooth friction, no memory, network, delay, GPU."""
     here = x.device.type == "cpu" and x.dtype == torch.float64
-    plain = not system.memory_rows and not system.networks
+    plain = not system.memory_rows and not system.networks and not any(j.drive.delay for j in system.joints)
     return engine.compiled and engine.friction == "smooth" and plain and here
 
 

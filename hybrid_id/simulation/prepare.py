@@ -58,6 +58,7 @@ def make_batch(
     for name in (f"enable{joint.number}" for joint in system.joints):
         if any(name in r.inputs for r in records):  # a motor without a switch is on
             u[name] = _padded([r.inputs.get(name, np.ones(r.n_samples)) for r in records], samples)
+    u |= _past(system, records, samples)
     dt = _padded([np.append(np.diff(record.time), 0.0) for record in records], samples, hold=False)
     y = torch.stack([_padded([record.outputs[name] for record in records], samples) for name in outputs], -1)
     noises = [{name: _noise(record, name, noise_std) for name in record.outputs} for record in records]
@@ -71,6 +72,23 @@ def make_batch(
     x = torch.stack([_padded([g[:, i] for g in guess], samples) for i in range(len(system.state_names))], -1)
     x0_std = torch.tensor(np.array(spread), dtype=torch.float64)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
+
+
+def _past(system: System, records: Sequence[Record], samples: int) -> dict[str, Tensor]:
+    """Past samples of the channels that a delay reaches back to, ``u1@k``, and the step ``step1`` [s] between them."""
+    step, found = min(record.sample_time for record in records), {}
+    for joint in system.joints:
+        for name, lags in joint.drive.past(step).items():
+            signals = [r.signal(name) for r in records]
+            for k in range(1, lags + 1):
+                past = [
+                    np.concatenate([np.repeat(s[:1], min(k, len(s))), s[: max(len(s) - k, 0)]])
+                    for s in signals
+                ]
+                found[f"{name}@{k}"] = _padded(past, samples)
+            steps = [np.full(r.n_samples, r.sample_time) for r in records]
+            found[f"step{joint.number}"] = _padded(steps, samples)
+    return found
 
 
 def _check(system: System, record: Record, outputs: Sequence[str]) -> None:

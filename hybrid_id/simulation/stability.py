@@ -37,9 +37,9 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
             leaves[row][::2] = 0.0
     u = {name: channel.reshape(-1)[pick] for name, channel in batch.u.items()}
     p = system.views(list(theta[:, pick // samples]))
-    for link in (joint.loaded_link(leaves, p) for joint in system.joints):
-        if link is not None:
-            leaves[link[0]][1::2] = link[1][1::2]
+    for joint in system.joints:
+        if (loaded := joint.gear.loaded(leaves[joint.positions[0]], p)) is not None:
+            leaves[joint.positions[1]][1::2] = loaded[1::2]
     leaves = [leaf.requires_grad_() for leaf in leaves]
     with torch.enable_grad():
         signs = None if engine.friction == "smooth" else directions(system, leaves, u, p)

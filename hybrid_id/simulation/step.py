@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import relax
+from hybrid_id.components.bristle import relax
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.lanes import LaneSubset
 from hybrid_id.systems.balance import Directions
@@ -56,7 +56,7 @@ class Engine:
             dt: sample time [s], ``(B,)``.
             p: parameter views.
         """
-        h = dt / self.substeps
+        h, u = dt / self.substeps, system.hold(u, p)
         rows = list(x)
         for _ in range(self.substeps):
             rows = _remember(system, rows, u, p, 0.5 * h)

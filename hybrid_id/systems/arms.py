@@ -114,7 +114,10 @@ FLAT_NAMES: dict[str, dict[tuple[str, str], str]] = {
             ("motor_friction/viscous_friction", "F_v", "F_vm"),
             ("link_friction/coulomb_friction", "F_c", "F_ca"),
             ("link_friction/viscous_friction", "F_v", "F_va"),
-            *(("motor_friction/asymmetric_stribeck", name, f"{name}m") for name in AsymmetricStribeck.declared),
+            *(
+                ("motor_friction/asymmetric_stribeck", name, f"{name}m")
+                for name in AsymmetricStribeck.declared
+            ),
         )
     },
 }

@@ -17,6 +17,7 @@ from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.systems.arm import Arm
 from hybrid_id.systems.balance import Balances, Directions, Rest, SpeedBalance
 from hybrid_id.systems.joint import Joint
+from hybrid_id.systems.table import parameter_table
 
 Rows = Sequence[Tensor]
 Channels = Mapping[str, Tensor]
@@ -104,23 +105,10 @@ class System(nn.Module):
             for joint in self.joints
             for row in range(joint.positions[-1] + 2, joint.positions[0] + len(joint.state_names))
         ]
-        self.table = self._name_parameters()
+        self.table = parameter_table(self.components, self.aliases)
         self.arm = Arm(self.joints, cast("dict[str, Component]", dict(self.components.items())))
         with torch.no_grad():
             self.arm.check({key: cast(Component, part).view() for key, part in self.components.items()})
-
-    def _name_parameters(self) -> list[ParameterInfo]:
-        entries = [(key, s) for key, c in self.components.items() for s in cast(Component, c).declared]
-        symbols = [symbol for _, symbol in entries]
-        table = []
-        for key, symbol in entries:
-            part = cast(Component, self.components[key])
-            name = self.aliases.get((key, symbol))
-            if name is None:
-                joint, place, kind = key.split("/")
-                name = symbol if symbols.count(symbol) == 1 else f"{symbol}_{joint}_{place}_{kind}"
-            table.append(ParameterInfo(name, key, symbol, part.declared[symbol].doc, part.specs[symbol]))
-        return table
 
     def with_component(self, where: str, component: Component) -> System:
         """A new system that has ``component`` too (in a place that holds exactly one, instead of the old one)."""
@@ -181,6 +169,12 @@ class System(nn.Module):
     def input_names(self) -> list[str]:
         """Channels that the system reads (``enable<joint>`` is read where a record has it)."""
         return [f"{c}{j.number}" for j in self.joints for c in j.channels]
+
+    def hold(self, u: Channels, p: Views) -> Channels:
+        """Channels as they arrive at the motors; what stays the same over a sample is found once."""
+        for joint in self.joints:
+            u = joint.drive.hold(u, p)
+        return u
 
     def balances(self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows) -> Balances:
         """Torque balance of every speed, in the order of ``speed_rows``."""

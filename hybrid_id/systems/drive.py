@@ -10,6 +10,7 @@ from torch import Tensor
 
 from hybrid_id.components.base import Component, Input, Motor
 from hybrid_id.components.drive import CommandMap, RotorTorque, Winding
+from hybrid_id.components.input.delay import Delay
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,6 +50,7 @@ class Drive:
         self.networks: Networks | None = None
         self.input = cast("tuple[str, Input]", only(parts, Input, joint, "input"))
         self.motor = cast("tuple[str, Motor]", only(parts, Motor, joint, "motor"))
+        self.delay = next(((key, part) for key, part in parts.items() if isinstance(part, Delay)), None)
         self.maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
         self.torques = [(key, part) for key, part in parts.items() if isinstance(part, RotorTorque)]
         self.windings: list[tuple[str, Winding, range]] = []
@@ -59,11 +61,35 @@ class Drive:
                 self.windings.append((key, part, range(row, row + len(part.states))))
                 self.state_names += [f"{state}{number}" for state in part.states]
 
+    def past(self, sample_time: float) -> dict[str, int]:
+        """Channels whose past the drive needs, and how many samples of it."""
+        if self.delay is None:
+            return {}
+        lags = self.delay[1].lags(sample_time)
+        return {f"{name}{self.number}": lags for name in self.input[1].channels}
+
+    def hold(self, u: Mapping[str, Tensor], p: Views) -> Mapping[str, Tensor]:
+        """Channels as they arrive after the delay; without one, or where that has been done before, as they are."""
+        done, step = f"arrived{self.number}", f"step{self.number}"
+        if self.delay is None or done in u:
+            return u
+        if step not in u:
+            raise InputError(
+                f"joint{self.number} has a delay, but its channels have no past; prepare them as a batch."
+            )
+        key, part = self.delay
+        arrived = {**u, done: u[step]}
+        for name in (f"{c}{self.number}" for c in self.input[1].channels):
+            history = [u[name], *(u[f"{name}@{k}"] for k in range(1, len(u)) if f"{name}@{k}" in u)]
+            arrived[name] = part.held(p[key], history, u[step])
+        return arrived
+
     def command(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views, *, network: bool = True
     ) -> Tensor:
         """Effective command at the motor, ``(B,)``; without what a network adds where ``network`` is false."""
         key, part = self.input
+        u = self.hold(u, p)
         channels = {name: u[f"{name}{self.number}"] for name in part.channels}
         angle, speed = x[self.rotor], x[self.rotor + 1]
         command = part.command(p[key], channels, angle, speed)

@@ -6,22 +6,21 @@ from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import cast
 
-import torch
 from torch import Tensor
 
 from hybrid_id.components.base import (
-    Bristle,
     Component,
     Friction,
     Inertia,
     LoadTorque,
     LoggedTorque,
     Sensor,
-    Transmission,
 )
+from hybrid_id.components.bristle import Bristle
 from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import SpeedBalance
 from hybrid_id.systems.drive import Drive, only
+from hybrid_id.systems.gear import Gear
 from hybrid_id.systems.networks import LINK_PLACES, Networks
 
 Views = Mapping[str, SimpleNamespace]
@@ -30,8 +29,7 @@ Views = Mapping[str, SimpleNamespace]
 class Joint:
     """The components of one joint, sorted by place, and the rows of the state that they own.
 
-    State rows: ``q_m, v_m``, with a compliant transmission ``q_a, v_a``, then one row a bristle, then those of the
-    winding and of networks.
+    State rows: ``q_m, v_m``, with a compliant gear ``q_a, v_a``, then those of bristles, windings and networks.
 
     Args:
         number: joint number, from 1.
@@ -55,19 +53,15 @@ class Joint:
                 if isinstance(part, kind) and (place is None or key.split("/")[1] == place)
             ]
 
-        self.transmission = cast(
-            "tuple[str, Transmission]", only(parts, Transmission, self.name, "transmission")
-        )
-        kinds = "inertia (one_link, two_inertias, link_inertia)"
-        self.inertia = cast("tuple[str, Inertia]", only(parts, Inertia, self.name, kinds))
+        self.gear = Gear(self.name, gear_ratio, parts)
+        masses = only(parts, Inertia, self.name, "inertia (one_link, two_inertias, link_inertia)")
+        self.inertia = cast("tuple[str, Inertia]", masses)
         self.loads = cast("list[tuple[str, LoadTorque]]", of(LoadTorque))
         self.logged = cast("list[tuple[str, LoggedTorque]]", of(LoggedTorque))
         self.sensors = cast("list[tuple[str, Sensor]]", of(Sensor))
-        self.rigid = self.transmission[1].rigid
-        self.frictions = {
-            place: cast("list[tuple[str, Friction]]", of(Friction, place))
-            for place in ("motor_friction", "link_friction")
-        }
+        self.rigid = self.gear.rigid
+        places = ("motor_friction", "link_friction")
+        self.frictions = {w: cast("list[tuple[str, Friction]]", of(Friction, w)) for w in places}
         self.state_names = [f"q_m{number}", f"v_m{number}"]
         self.state_names += [] if self.rigid else [f"q_a{number}", f"v_a{number}"]
         self.positions = [first_row + row for row in range(0, len(self.state_names), 2)]
@@ -87,21 +81,28 @@ class Joint:
         self.networks = self.drive.networks = Networks(self, parts, first_row + len(self.state_names))
         self.state_names += self.networks.state_names
         self.channels = [c for _, part in (self.drive.input, *self.logged) for c in part.channels]
-        motor, link = (self._is_dry(place) for place in self.frictions)
-        self.dry = [motor or link] if self.rigid else [motor, link]
+        dry = [self._is_dry(place) for place in self.frictions]
+        self.dry = [any(dry)] if self.rigid else dry
 
     def _is_dry(self, place: str) -> bool:
         """Whether set-valued friction acts in a place; a bristle takes it over, that of the load excepted."""
         laws = [type(law) for _, law in self.frictions[place]]
-        dry = place not in self.bristles and any(law.dry is not Friction.dry for law in laws)
-        return dry or any(law.load_factor is not Friction.load_factor for law in laws)
+        free = place not in self.bristles
+        levels = any(law.dry is not Friction.dry or law.dry_over is not Friction.dry_over for law in laws)
+        return (free and levels) or any(law.load_factor is not Friction.load_factor for law in laws)
 
-    def dry_level(self, place: str, p: Views, magnitude: Tensor, forward: Tensor) -> Tensor:
-        """Sum of the dry levels of a place, ``(B,)``; under a bristle a trace above 0, which it divides by."""
-        terms = [law.dry(p[key], magnitude, forward) for key, law in self.frictions[place]]
-        if place in self.bristles:
-            terms.append(torch.full_like(magnitude, 1e-12))
-        return _sum(terms, magnitude)
+    def dry_level(
+        self, place: str, p: Views, magnitude: Tensor, forward: Tensor, x: Sequence[Tensor]
+    ) -> Tensor:
+        """Sum of the dry levels of a place, ``(B,)``, >= 0; under a bristle a trace more, which it divides by."""
+        laws = self.frictions[place]
+        level = _sum([law.dry(p[key], magnitude, forward) for key, law in laws], magnitude)
+        if any(type(law).dry_over is not Friction.dry_over for _, law in laws):
+            motor = place == "motor_friction" or self.rigid
+            angle = self.gear.map(x[self.positions[0]], p)[0] if motor else x[self.positions[1]]
+            extra = [law.dry_over(p[key], angle) for key, law in laws]
+            level = _sum([level, *extra], magnitude).clamp_min(0.0)
+        return level + 1e-12 if place in self.bristles else level
 
     def friction(
         self,
@@ -117,7 +118,7 @@ class Joint:
         laws = self.frictions[place]
         terms = [law.smooth(p[key], speed) for key, law in laws]
         terms.append(self.networks.output(place, x, u, p))
-        level = self.dry_level(place, p, magnitude, forward)
+        level = self.dry_level(place, p, magnitude, forward, x)
         if place in self.bristles:
             key, law, row = self.bristles[place]
             terms.append(law.torque(p[key], x[row], speed, level))
@@ -150,46 +151,48 @@ class Joint:
         factor = sum(factors[1:], factors[0]) if factors else None
         key, inertia = self.inertia
         if self.rigid:
+            angle, slope, bend = self.gear.map(q, p)
             total, level, load = inertia.total(p[key], r), motor_level, v.new_zeros(1)
+            if bend is not None:
+                carried = inertia.link(p[key], r)
+                total = inertia.rotor(p[key], r) + carried * slope**2
+                drive = drive - carried * slope * bend * v.square()
             network = any(place in self.networks.by_place for place in LINK_PLACES)
             if self.frictions["link_friction"] or self.loads or self.logged or network:
                 link_smooth, link_level = self.friction(
-                    "link_friction", x, u, p, v / r, magnitudes[0] / r, forwards[0]
+                    "link_friction", x, u, p, v * slope, magnitudes[0] * slope, forwards[0]
                 )
-                load = (link_smooth + self._load(x, q / r, v / r, u, p)) / r
-                drive, level = drive - load, level + link_level / r
+                load = (link_smooth + self._load(x, angle, v * slope, u, p)) * slope
+                drive, level = drive - load, level + link_level * slope
             if factor is None:
                 return [SpeedBalance(total, drive, level)]
-            share = inertia.link(p[key], r) / r**2 / total
+            share = inertia.link(p[key], r) * slope**2 / total
             return [SpeedBalance(total, drive, level, factor, share, load)]
         rotor, link = inertia.rotor(p[key], r), inertia.link(p[key], r)
         qa, va = x[self.positions[1]], x[self.positions[1] + 1]
         torque = self.spring_torque(x, p)
+        slope = self.gear.map(q, p)[1]
         if (added := self.networks.output("transmission", x, u, p)) is not None:
             torque = torque + added
         if factor is not None:
-            motor_level = motor_level + factor * (torque / r).abs()
+            motor_level = motor_level + factor * (torque * slope).abs()
         link_smooth, link_level = self.friction("link_friction", x, u, p, va, magnitudes[1], forwards[1])
         return [
-            SpeedBalance(rotor, drive - torque / r, motor_level),
+            SpeedBalance(rotor, drive - torque * slope, motor_level),
             SpeedBalance(link, torque - link_smooth - self._load(x, qa, va, u, p), link_level),
         ]
 
+    def link_motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
+        """Angle [rad] and speed [rad/s] of the link, ``(B,)`` each."""
+        if not self.rigid:
+            return x[self.positions[1]], x[self.positions[1] + 1]
+        angle, slope, _ = self.gear.map(x[self.positions[0]], p)
+        return angle, x[self.positions[0] + 1] * slope
+
     def spring_torque(self, x: Sequence[Tensor], p: Views) -> Tensor:
         """Torque of a compliant gear's spring at the link [N m], ``(B,)``."""
-        r, (motor, link) = self.gear_ratio, self.positions
-        (key, inertia), (spring_key, spring) = self.inertia, self.transmission
-        sides = inertia.rotor(p[key], r) * r**2, inertia.link(p[key], r)
-        series = sides[0] * sides[1] / (sides[0] + sides[1])
-        return spring.torque(p[spring_key], x[motor] / r - x[link], x[motor + 1] / r - x[link + 1], series)
-
-    def loaded_link(self, x: Sequence[Tensor], p: Views) -> tuple[int, Tensor] | None:
-        """Row of the link's angle and its value [rad] with the spring fully loaded, None where zero load will do."""
-        key, spring = self.transmission
-        deflection = None if self.rigid else spring.loaded(p[key])
-        if deflection is None:
-            return None
-        return self.positions[1], x[self.positions[0]] / self.gear_ratio - deflection
+        rotor, link = (x[row : row + 2] for row in self.positions)
+        return self.gear.torque(rotor, link, self.inertia, p)
 
     def relaxations(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
@@ -199,8 +202,8 @@ class Joint:
         for place, (key, law, row) in self.bristles.items():
             motor = place == "motor_friction"
             v = x[self.positions[0] + 1] if motor or self.rigid else x[self.positions[1] + 1]
-            v = v / self.gear_ratio if self.rigid and not motor else v
-            level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype))
+            v = v * self.gear.map(x[self.positions[0]], p)[1] if self.rigid and not motor else v
+            level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype), x)
             found.append((row, *law.relaxation(p[key], v, level)))
         return found + self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
 
@@ -223,8 +226,7 @@ class Joint:
         if channel in ("q_m", "v_m"):
             value = x[row + (channel == "v_m")]
         elif channel in ("q_a", "v_a"):
-            shift = channel == "v_a"
-            value = x[row + shift] / self.gear_ratio if self.rigid else x[self.positions[1] + shift]
+            value = self.link_motion(x, p)[channel == "v_a"]
         elif channel == "tau":
             value = self.drive.torque(x, u, p)
         elif channel == "i":

@@ -99,35 +99,32 @@ class Networks:
         at_link = place in LINK_PLACES
         if match := HARMONIC.fullmatch(name):
             function = torch.sin if match[1] == "sin" else torch.cos
-            return function(float(match[2]) * self._motion(joint, x, at_link, 0))
+            return function(float(match[2]) * self._motion(joint, x, p, at_link, 0))
         if name[-1].isdigit():
             other = next((j for j in self.joints if j.number == int(name[-1])), None)
             if other is None:
                 raise InputError(
                     f"A network's input '{name}' names a joint that is not there; name another one."
                 )
-            return self._motion(other, x, True, int(name.startswith("speed")))
+            return self._motion(other, x, p, True, int(name.startswith("speed")))
         if name in ("angle", "speed", "direction"):
-            return self._motion(joint, x, at_link, int(name != "angle"))
+            return self._motion(joint, x, p, at_link, int(name != "angle"))
         if name == "command":
             return joint.drive.command(x, u, p, network=False)
         if name == "torque":
             return joint.drive.motor_torque(x, u, p, network=False)
-        angle, speed = self._motion(joint, x, True, 0), self._motion(joint, x, True, 1)
+        angle, speed = self._motion(joint, x, p, True, 0), self._motion(joint, x, p, True, 1)
         if name == "load":
             return joint.load_torque(angle, speed, u, p)
         if name == "transmitted":
             return joint.spring_torque(x, p)
-        row, side = joint.positions[0], int(name == "deflection_rate")
-        return x[row + side] / joint.gear_ratio - (speed if side else angle)
+        row = joint.positions[0]
+        return joint.gear.deflection(x[row : row + 2], (angle, speed), p)[name == "deflection_rate"]
 
     @staticmethod
-    def _motion(joint: Joint, x: Sequence[Tensor], at_link: bool, order: int) -> Tensor:
+    def _motion(joint: Joint, x: Sequence[Tensor], p: Views, at_link: bool, order: int) -> Tensor:
         """Angle (order 0) or speed (1) of the rotor or the link."""
-        if not at_link:
-            return x[joint.positions[0] + order]
-        value = x[joint.positions[-1] + order]
-        return value / joint.gear_ratio if joint.rigid else value
+        return joint.link_motion(x, p)[order] if at_link else x[joint.positions[0] + order]
 
     def output(self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor | None:
         """What the network in a place adds there, ``(B,)`` in the place's unit; None where there is none."""

@@ -9,9 +9,8 @@ import torch
 from drives import STEP
 from torch import Tensor
 
-from hybrid_id.components import PLACES, REGISTRY
+from hybrid_id.components import PLACES, REGISTRY, Delay, KinematicError
 from hybrid_id.components.base import (
-    Bristle,
     Component,
     Friction,
     Inertia,
@@ -21,8 +20,8 @@ from hybrid_id.components.base import (
     Motor,
     Sensor,
     Transmission,
-    relax,
 )
+from hybrid_id.components.bristle import Bristle, relax
 from hybrid_id.components.coupling import Coupling
 from hybrid_id.components.drive import CommandMap, RotorTorque, Winding
 from hybrid_id.components.residual import ResidualNetwork
@@ -31,7 +30,7 @@ from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible, two_link
 
-DIRECTED = {"asymmetric_stribeck", "asymmetric_stribeck_eq8", "asymmetric_tanh"}
+DIRECTED = {"asymmetric_friction", "asymmetric_stribeck", "asymmetric_stribeck_eq8", "asymmetric_tanh"}
 """Friction laws that claim to differ with the direction of motion; every other one is odd in the speed."""
 
 CHANNELS = {
@@ -58,14 +57,6 @@ def of(base: type[Component]) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("kind", sorted(k for k, c in own.items() if issubclass(c, base)))
 
 
-def awake(kind: str) -> Component:
-    """A component of a kind; a network with the weights that a training could give it, since its own are 0 at first."""
-    part = REGISTRY[kind]()
-    if isinstance(part, ResidualNetwork):
-        torch.nn.init.constant_(part.weights()["layers.2.weight"], 0.01)
-    return part
-
-
 kinds, frictions, bristles = of(Component), of(Friction), of(Bristle)
 
 
@@ -78,6 +69,7 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["dry forward"] = part.dry(p, v.abs(), one)
         found["dry backward"] = part.dry(p, v.abs(), zero)
         found["load_factor"] = part.load_factor(p)
+        found["over the angle"] = part.dry_over(p, q)
     if isinstance(part, Bristle):
         state, level = 0.01 * torch.cos(q), 0.02 + 0.01 * torch.sin(q)
         found["drive"], found["rate"] = part.relaxation(p, v, level)
@@ -86,6 +78,10 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
     if isinstance(part, Input):
         channels = {name: CHANNELS[name] * (0.5 + 0.1 * q) for name in part.channels}
         found["command"] = part.command(p, channels, 0.3 * q, v)
+    if isinstance(part, Delay):
+        found["held"] = part.held(p, [torch.sin(q + k) for k in range(4)], 0.002 * one)
+    if isinstance(part, KinematicError):
+        found["error"], found["slope"], found["bend"] = part.error(p, q)
     if isinstance(part, CommandMap):
         found["command"] = part.map(p, 12.0 * torch.sin(q) ** 5, v)
     if isinstance(part, RotorTorque):
@@ -152,7 +148,7 @@ def test_is_float64_and_contributes(kind: str) -> None:
 
 @kinds
 def test_batched_equals_looped(kind: str) -> None:
-    part = awake(kind)
+    part = REGISTRY[kind]()
     values = lane_values(part)
     together = answers(part, SimpleNamespace(**values))
     for lane in range(LANES):
@@ -165,7 +161,7 @@ def test_batched_equals_looped(kind: str) -> None:
 
 @kinds
 def test_every_parameter_reaches_the_equation(kind: str) -> None:
-    part = awake(kind)
+    part = REGISTRY[kind]()
     values = {n: v.requires_grad_() for n, v in lane_values(part).items()}
     found = answers(part, SimpleNamespace(**values))
     for name, value in values.items():
@@ -301,7 +297,7 @@ def hosts(part: Component, place: str) -> list[Callable[[], System]]:
 
 @kinds
 def test_runs_in_every_place_that_it_claims(kind: str) -> None:
-    part = awake(kind)
+    part = REGISTRY[kind]()
     channels = {
         f"{name}{n}": torch.full((3,), value, dtype=torch.float64)
         for name, value in CHANNELS.items()
@@ -313,6 +309,9 @@ def test_runs_in_every_place_that_it_claims(kind: str) -> None:
             assert all(f"{name}1" in system.input_names for name in getattr(part, "channels", ()))
             p = system.views(list(system.theta().detach()[:, None]))
             dt = torch.full((3,), 0.001, dtype=torch.float64)
+            channels["step1"] = dt
+            for name, lags in system.joints[0].drive.past(0.001).items():
+                channels |= {f"{name}@{k}": channels[name] for k in range(1, lags + 1)}
             for engine in (Engine("dry", 2), Engine("smooth", 40)):
                 x = [torch.zeros(3, dtype=torch.float64) for _ in system.state_names]
                 for _ in range(12):

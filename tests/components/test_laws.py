@@ -32,7 +32,8 @@ from hybrid_id.components import (
     TwoInertias,
     Viscous,
 )
-from hybrid_id.components.base import Component, relax
+from hybrid_id.components.base import Component
+from hybrid_id.components.bristle import relax
 from hybrid_id.errors import InputError
 
 SPEED = np.array([-400.0, -60.0, -8.0, -0.5, 0.5, 8.0, 60.0, 400.0])

@@ -1,6 +1,6 @@
 """Dahl's presliding friction."""
 
-from hybrid_id.components.base import Bristle
+from hybrid_id.components.bristle import Bristle
 from hybrid_id.parameters import Parameter
 
 

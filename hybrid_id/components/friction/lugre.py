@@ -1,6 +1,6 @@
 """LuGre friction."""
 
-from hybrid_id.components.base import Bristle
+from hybrid_id.components.bristle import Bristle
 from hybrid_id.parameters import Parameter
 
 

@@ -2,6 +2,7 @@
 
 from hybrid_id.components.input.current_command import CurrentCommand
 from hybrid_id.components.input.deadband import Deadband
+from hybrid_id.components.input.delay import Delay
 from hybrid_id.components.input.duty import DutySupply
 from hybrid_id.components.input.position_loop import PositionLoop
 from hybrid_id.components.input.saturation import Saturation
@@ -11,6 +12,7 @@ from hybrid_id.components.input.voltage import Voltage
 __all__ = [
     "CurrentCommand",
     "Deadband",
+    "Delay",
     "DutySupply",
     "PositionLoop",
     "Saturation",

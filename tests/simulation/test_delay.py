@@ -1,0 +1,52 @@
+"""A delay shifts the held command, by whole and by broken samples, and the records tell it."""
+
+import numpy as np
+import pytest
+import torch
+from drives import STEP, measure, multisine, rigid_drive
+
+from hybrid_id.components import Delay
+from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import fit
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
+
+DRIVE = rigid_drive()
+VOLTAGE = np.concatenate([np.zeros(20), 4.0 * np.sin(np.arange(200) / 9.0)])
+
+
+def delayed(seconds: float) -> object:
+    return DRIVE.with_component("joint1/input", Delay(T_d=seconds))
+
+
+def run(system, voltage: np.ndarray) -> np.ndarray:
+    record = Record("run", STEP * np.arange(len(voltage)), {"u1": voltage}, {"q_m1": np.zeros_like(voltage)})
+    batch = make_batch(system, [record], noise_std={"q_m1": 1.0}, estimate_start=False)
+    with torch.no_grad():
+        return simulate(system, Engine(substeps=2), batch).y[0, :, 0].numpy()
+
+
+@pytest.mark.parametrize("samples", [0, 1, 4])
+def test_whole_samples_shift_the_command(samples: int) -> None:
+    shifted = np.concatenate([np.zeros(samples), VOLTAGE[: len(VOLTAGE) - samples]])
+    np.testing.assert_allclose(run(delayed(samples * STEP), VOLTAGE), run(DRIVE, shifted), atol=1e-9)
+
+
+def test_broken_samples_mix_two() -> None:
+    mixed = 0.75 * VOLTAGE + 0.25 * np.concatenate([[0.0], VOLTAGE[:-1]])
+    np.testing.assert_allclose(run(delayed(0.25 * STEP), VOLTAGE), run(DRIVE, mixed), atol=1e-9)
+
+
+def test_fit_finds_a_delay_from_none() -> None:
+    voltage = multisine(1, samples=400, amplitude=7.0)
+    y = run(delayed(2.6 * STEP), voltage) + 0.01 * np.random.default_rng(1).standard_normal(400)
+    record, start = Record("run", STEP * np.arange(400), {"u1": voltage}, {"q_m1": y}), delayed(0.0)
+    (found,) = fit(start, make_batch(start, [record], noise_std={"q_m1": 0.01}))
+    assert found.values[found.names.index("T_d")] == pytest.approx(2.6 * STEP, abs=1e-4)
+
+
+def test_channels_without_a_past_are_refused() -> None:
+    with pytest.raises(InputError, match="joint1 has a delay, but its channels have no past"):
+        measure(delayed(STEP), {"u1": VOLTAGE})

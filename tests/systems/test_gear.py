@@ -1,0 +1,80 @@
+"""A gear whose ratio is not constant carries the link as its map says; friction may follow the joint's angle."""
+
+import numpy as np
+import torch
+from drives import STEP
+from scipy.integrate import solve_ivp
+
+from hybrid_id.components import AsymmetricFriction, Coulomb, KinematicError, PositionDependent
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems import System, one_link, one_link_flexible
+
+RATIO, J, SHARE = 20.0, 3e-5, 0.4
+FREE = one_link(RATIO).with_values(
+    {"J": J, "rotor_share": SHARE, "P_m1": 0.02, "P_m2": 0.0, "F_c": 0.0, "F_v": 0.0}
+)
+
+
+def run(
+    system: System, voltage: np.ndarray, outputs: tuple[str, ...] = ("q_m1",), substeps: int = 4
+) -> np.ndarray:
+    zeros = np.zeros_like(voltage)
+    record = Record(
+        "run", STEP * np.arange(len(voltage)), {"u1": voltage}, dict.fromkeys((*outputs, "q_m1"), zeros)
+    )
+    batch = make_batch(system, [record], outputs=outputs, noise_std=dict.fromkeys(outputs, 1.0))
+    with torch.no_grad():
+        return simulate(system, Engine(substeps=substeps), batch).y[0].numpy()
+
+
+def test_rigid_gear_with_kinematic_error_against_its_lagrangian() -> None:
+    # (J_m + g'^2 J_a) q'' + J_a g' g'' q'^2 = tau with g = q/r + E_c (cos q - 1) + E_s sin q
+    e_c, e_s, volts = 4e-3, -3e-3, 1.5
+    error = KinematicError(E_c=e_c, E_s=e_s, n=1.0)
+    found = run(FREE.with_component("joint1/transmission", error), np.full(250, volts), ("q_m1", "q_a1"))
+    rotor, link = SHARE * J, (1.0 - SHARE) * J * RATIO**2
+
+    def rates(_: float, x: np.ndarray) -> list[float]:
+        slope = 1.0 / RATIO - e_c * np.sin(x[0]) + e_s * np.cos(x[0])
+        bend = -e_c * np.cos(x[0]) - e_s * np.sin(x[0])
+        return [x[1], (0.02 * volts - link * slope * bend * x[1] ** 2) / (rotor + slope**2 * link)]
+
+    time = STEP * np.arange(250)
+    q = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-11, atol=1e-11).y[0]
+    np.testing.assert_allclose(found[:, 0], q, atol=1e-3)
+    np.testing.assert_allclose(found[:, 1], q / RATIO + e_c * (np.cos(q) - 1) + e_s * np.sin(q), atol=1e-4)
+
+
+def test_without_amplitude_the_gear_is_the_ideal_one() -> None:
+    none = KinematicError(E_c=0.0, E_s=0.0)
+    volts = 2.0 * np.sin(np.arange(200) / 20.0)
+    for system in (FREE, one_link_flexible(RATIO)):
+        same = run(system.with_component("joint1/transmission", none), volts)
+        np.testing.assert_allclose(same, run(system, volts), rtol=1e-9, atol=1e-12)
+
+
+def test_friction_over_the_angle_holds_in_one_place_only() -> None:
+    # level 0.02 + 0.02 cos q_link: 0.03 N m of motor torque hold at 0 and move at half a turn
+    dry = FREE.with_component("joint1/motor_friction", Coulomb(F_c=0.02)).with_component(
+        "joint1/motor_friction", PositionDependent(A_c=0.02, A_s=0.0)
+    )
+    moved = []
+    for start in (0.0, np.pi * RATIO):
+        record = Record("run", STEP * np.arange(60), {"u1": np.full(60, 1.5)}, {"q_m1": np.full(60, start)})
+        batch = make_batch(dry, [record], noise_std={"q_m1": 1.0}, estimate_start=False)
+        with torch.no_grad():
+            y = simulate(dry, Engine(), batch).y[0, :, 0].numpy()
+        moved.append(y[-1] - y[0])
+    assert moved[0] == 0.0
+    assert moved[1] > 1.0
+
+
+def test_asymmetric_friction_takes_either_sign() -> None:
+    speed = torch.tensor([2.0, -2.0], dtype=torch.float64)
+    forward = (speed > 0).to(speed.dtype)
+    for excess, expected in ((3e-3, [3e-3, 0.0]), (-3e-3, [0.0, 3e-3])):
+        law = AsymmetricFriction(F_a=excess, D_a=0.0)
+        assert law.dry(law.view(), speed.abs(), forward).tolist() == expected
