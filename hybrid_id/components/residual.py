@@ -20,13 +20,13 @@ MEMORY_TIMES = (0.01, 1.0)
 
 
 class ResidualNetwork(Component):
-    """``r = gain S g(z, h)``, ``z_i = (signal_i - m_i) / s_i``, ``T_j dh_j/dt = tanh(A (z, h) + b)_j - h_j``.
+    """``r = S g(z, h) + b_0``, ``z_i = (signal_i - m_i) / s_i``, ``T_j dh_j/dt = tanh(A (z, h) + a)_j - h_j``.
 
     | symbol | unit | meaning |
     | --- | --- | --- |
     | r | that of its place | V at ``input``, N m elsewhere, with the sign of what else acts in the place |
-    | gain | 1 | share of the network's output that acts; 0 is the physics alone |
     | S | that of r | output scale |
+    | b_0 | that of r | constant beside the network; 0 and held unless told otherwise |
     | g | 1 | layers of tanh, the last one linear and zero at the start, so that r = 0 exactly |
     | m, s | that of the signal | shift and scale of each input, from the data |
     | h, T | 1, s | hidden states (with ``memory``) in (-1, 1), and the times over which they forget |
@@ -47,13 +47,13 @@ class ResidualNetwork(Component):
         seed: of the first weights.
         shift, scale: m and s of each input (default: 0 and 1).
         output_scale: S.
-        values: the gain.
+        values: b_0.
     """
 
     kind = "residual_network"
     places = ("input", "motor", "motor_friction", "transmission", "link_friction", "load")
-    gain = Parameter(
-        1.0, lower=0.0, upper=10.0, doc="share of the network's output that acts", estimate=False
+    b_0 = Parameter(
+        0.0, lower=-1e6, upper=1e6, unit="place", doc="constant beside the network", estimate=False
     )
     shift: Tensor
     scale: Tensor
@@ -91,8 +91,7 @@ class ResidualNetwork(Component):
             first, last = map(math.log, MEMORY_TIMES)
             times = torch.linspace(first, last, memory, dtype=torch.float64)
             self.log_time = nn.Parameter(times)
-        for weight in self.layers[-1].parameters():
-            nn.init.zeros_(weight)
+        self.fall_asleep()
 
     def _check(self, shift: Sequence[float] | None, scale: Sequence[float] | None, output: float) -> None:
         """Raise InputError where the options do not describe a network."""
@@ -113,6 +112,11 @@ class ResidualNetwork(Component):
                 "a positive output_scale and lipschitz; correct its options."
             )
 
+    def fall_asleep(self) -> None:
+        """Make the last layer zero, and with it the output."""
+        for weight in self.layers[-1].parameters():
+            nn.init.zeros_(weight)
+
     def weights(self) -> dict[str, nn.Parameter]:
         """The weights by name."""
         return {name: w for name, w in self.named_parameters() if name not in self.declared}
@@ -132,7 +136,7 @@ class ResidualNetwork(Component):
             if bound is not None:
                 weight = weight * (bound / weight.abs().sum(1, keepdim=True).clamp_min(bound))
             z = _affine(weight, self._weight(p, f"layers.{k}.bias"), torch.tanh(z) if k else z)
-        return p.gain * self.output_scale * z[0]
+        return self.output_scale * z[0] + p.b_0
 
     def relaxations(
         self, p: SimpleNamespace, signals: Sequence[Tensor], states: Sequence[Tensor]

@@ -12,6 +12,7 @@ data say a million times more than of others take equal steps, and 15-30 gradien
 from __future__ import annotations
 
 import copy
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -67,6 +68,7 @@ class Snapshot:
         train, validation: loss per measurement, ``(G,)``; validation only where it was looked at.
         gradient_norm: length of the gradient in the metric, in standard errors, ``(G,)``.
         batch, sets, simulated: the rows (windows at first, then whole records), set of each, simulated outputs.
+        scalars: further figures by tag.
     """
 
     step: int
@@ -79,6 +81,7 @@ class Snapshot:
     batch: Batch
     sets: Tensor
     simulated: Tensor
+    scalars: Mapping[str, float] = field(default_factory=dict)
 
 
 class Writer(Protocol):
@@ -196,7 +199,7 @@ def _snapshot(problem: Problem, state: State, names: tuple[str, ...], validation
         table=tuple((i.component, i.symbol) for i in info),
         values=theta[problem.free].T,
         train=state.cost / problem.data,
-        validation=None if validation is None else _validation_loss(problem, theta, validation),
+        validation=None if validation is None else validation_loss(problem, theta, validation),
         gradient_norm=state.distance,
         batch=problem.batch,
         sets=problem.sets,
@@ -204,7 +207,7 @@ def _snapshot(problem: Problem, state: State, names: tuple[str, ...], validation
     )
 
 
-def _validation_loss(problem: Problem, theta: Tensor, batch: Batch) -> Tensor:
+def validation_loss(problem: Problem, theta: Tensor, batch: Batch) -> Tensor:
     """Loss per measurement of every set on the records of a batch, ``(G,)``; NaN where a simulation diverged."""
     count = theta.shape[1]
     many = batch.take(torch.arange(batch.rows, device=theta.device).repeat(count))

@@ -98,18 +98,22 @@ def free_run(
     closed = closed.to(x.device)
     for _ in range(NEWTON_STEPS):
         part = batch.take(opened)
-        step = condense(_linearise(system, cheap, part, x[opened], theta[:, opened]), x[opened])[..., -1]
+        step = condense(linearise_sorted(system, cheap, part, x[opened], theta[:, opened]), x[opened])[
+            ..., -1
+        ]
         x[opened] = x[opened] + step
         size = step.abs().amax((1, 2)) / x[opened].abs().amax((1, 2)).clamp_min(1e-12)
         closed[opened] = size <= tolerance
         opened = opened[(size > tolerance) & torch.isfinite(size)]
         if opened.numel() == 0:
             break
-    return x, _linearise(system, engine, batch, x.nan_to_num(0.0), theta), closed
+    return x, linearise_sorted(system, engine, batch, x.nan_to_num(0.0), theta), closed
 
 
-def _linearise(system: System, engine: OdeEngine, batch: Batch, x: Tensor, theta: Tensor) -> Linearisation:
-    """Linearise by the states at all nodes, the lanes sorted by effort so that few blocks hold the costly ones."""
+def linearise_sorted(
+    system: System, engine: OdeEngine, batch: Batch, x: Tensor, theta: Tensor, free: Sequence[int] = ()
+) -> Linearisation:
+    """Linearise at all nodes, the lanes sorted by effort so that few blocks hold the costly ones."""
     rows, samples, n_x = x.shape
     flat = x.reshape(-1, 1, n_x)
     spread = theta.repeat_interleave(samples, 1)
@@ -118,7 +122,7 @@ def _linearise(system: System, engine: OdeEngine, batch: Batch, x: Tensor, theta
     near = engine.near_rest(system, flat[:, 0].unbind(1), u, dt, system.views(list(spread)))
     order = near.to(torch.int8).argsort(stable=True)
     u = {name: channel[order, None] for name, channel in u.items()}
-    lin = linearise(system, engine, flat[order], u, dt[order, None], spread[:, order], [], batch.outputs)
+    lin = linearise(system, engine, flat[order], u, dt[order, None], spread[:, order], free, batch.outputs)
 
     def unsorted(tensor: Tensor) -> Tensor:
         back = torch.empty_like(tensor).index_copy_(0, order, tensor)

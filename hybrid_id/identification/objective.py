@@ -9,6 +9,7 @@ from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.lifted import condensed, shoot
+from hybrid_id.simulation.measured import Measured
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -121,13 +122,26 @@ def evaluate(
     if chunk > 1:
         x = shoot(system, engine, x, batch.u, batch.dt, theta, chunk)
     measured, chain = condensed(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
+    return assess(batch, x, measured, chain, loss)
+
+
+def assess(batch: Batch, x: Tensor, measured: Measured, chain: Tensor, loss: Loss) -> Evaluation:
+    """The objective and its quadratic model from condensed sensitivities.
+
+    Args:
+        batch: rows of data.
+        x: nodes, ``(R, T, n_x)``.
+        measured: outputs there.
+        chain: see :func:`hybrid_id.simulation.lifted.condense`.
+        loss: loss of the weighted residuals.
+    """
     n_x = x.shape[-1]
     sensitivity = measured.chain(chain)
     closing = sensitivity[..., -1]
     residual = (batch.y - measured.y - closing) * batch.weight
     # a held first state keeps its row of the identity, so that it solves to zero
     loose = (batch.x0_std > 0).to(x.dtype)
-    mask = torch.cat([loose, loose.new_ones(len(loose), len(free))], 1)
+    mask = torch.cat([loose, loose.new_ones(len(loose), chain.shape[-1] - n_x - 1)], 1)
     jacobian = sensitivity[..., :-1] * (batch.weight[..., None] * mask[:, None, None])
     factor = loss.factor(residual)
     pull = (residual * factor).flatten(1, 2)[..., None]

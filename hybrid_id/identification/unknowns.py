@@ -13,7 +13,9 @@ from torch import Tensor, nn
 
 from hybrid_id.identification.costate import Gradient, gradient
 from hybrid_id.identification.least_squares import Bounds
-from hybrid_id.identification.objective import Loss, evaluate
+from hybrid_id.identification.network_metric import linearise_with_weights
+from hybrid_id.identification.objective import Loss, assess, evaluate
+from hybrid_id.simulation.lifted import condense
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System
@@ -40,6 +42,7 @@ class Problem:
         bounds: their box and priors.
         extra: weights beyond the table.
         loss: loss of the weighted residuals.
+        hold: whether the free parameters stay where they are, while weights and first states move.
     """
 
     system: System
@@ -51,6 +54,7 @@ class Problem:
     bounds: Bounds
     extra: list[nn.Parameter]
     loss: Loss
+    hold: bool = False
 
     @property
     def slots(self) -> Tensor:
@@ -92,6 +96,11 @@ class Problem:
         """Number of weights beyond the table."""
         return sum(w.numel() for w in self.extra)
 
+    @property
+    def network_weights(self) -> int:
+        """Number of those that belong to residual networks."""
+        return sum(w.numel() for part in self.system.networks.values() for w in part.weights().values())
+
     def set_weights(self, q: Tensor) -> None:
         """Write the weights beyond the table into the system."""
         if self.extra:
@@ -108,6 +117,8 @@ class Problem:
         if trust:
             low[:, :size] = torch.maximum(low[:, :size], -0.6 * scale)
             high[:, :size] = torch.minimum(high[:, :size], 1.5 * scale)
+        if self.hold:
+            low[:, :size], high[:, :size] = 0.0, 0.0
         return low.clamp_max(0.0), high.clamp_min(0.0)
 
     def _states(self, q: Tensor) -> Tensor:
@@ -161,6 +172,8 @@ class Problem:
     def curvature(self, q: Tensor, nodes: Tensor, cost: Tensor) -> Tensor:
         """Gauss-Newton matrix in the parameters and first states, ``(G, n, n)``, from forward sensitivities.
 
+        With networks, whose weights all sets share, in the weights too, ``(1, N, N)``.
+
         Args:
             q: unknowns.
             nodes: the free run there.
@@ -170,20 +183,33 @@ class Problem:
         theta, n_f, n_x = self.theta(q), len(self.free), self.batch.x.shape[2]
         size = q.shape[1] - self.weights
         exact = replace(self.engine, gradient="backprop")
-        at = evaluate(
-            self.system, exact, self.batch, nodes, theta[:, self.sets], self.free, loss=self.loss, chunk=1
-        )
+        networks = bool(self.extra) and self.weights == self.network_weights
+        if networks:
+            lin = linearise_with_weights(
+                self.system, exact, self.batch, nodes, theta[:, self.sets], self.free
+            )
+            at, size = assess(self.batch, nodes, lin, condense(lin, nodes), self.loss), q.shape[1]
+        else:
+            at = evaluate(
+                self.system, exact, self.batch, nodes, theta[:, self.sets], self.free, loss=self.loss, chunk=1
+            )
         unit = self.batch.x0_std.where(self.batch.x0_std > 0, torch.ones_like(self.batch.x0_std))
-        factor = torch.cat([unit, self.unit.expand(len(unit), -1)], 1)
+        one = unit.new_ones(len(unit), self.weights if networks else 0)
+        factor = torch.cat([unit, self.unit.expand(len(unit), -1), one], 1)
         hessian = at.hessian * factor[:, :, None] * factor[:, None, :]
         full = torch.eye(size, dtype=q.dtype, device=q.device).repeat(len(q), 1, 1)
         prior = (
             self.bounds.prior_precision * self.unit.square() + (2.0 * cost / self.data / REACH**2)[:, None]
         )
-        full[:, :n_f, :n_f] = torch.diag_embed(prior).index_add(0, self.sets, hessian[:, n_x:, n_x:])
+        shared = [*range(n_f), *range(size - one.shape[1], size)]
+        own = torch.cat(
+            [prior, prior.new_full((len(q), one.shape[1]), float((2.0 * cost / self.data)[0]))], 1
+        )
+        grid = torch.tensor(shared, device=q.device)
+        full[:, grid[:, None], grid] = torch.diag_embed(own).index_add(0, self.sets, hessian[:, n_x:, n_x:])
         for row, (g, slot) in enumerate(zip(self.sets.tolist(), self.slots.tolist(), strict=True)):
             at_slot = slice(n_f + slot * n_x, n_f + (slot + 1) * n_x)
             full[g, at_slot, at_slot] = hessian[row, :n_x, :n_x]
-            full[g, :n_f, at_slot] = hessian[row, n_x:, :n_x]
-            full[g, at_slot, :n_f] = hessian[row, :n_x, n_x:]
+            full[g, grid, at_slot] = hessian[row, n_x:, :n_x]
+            full[g, at_slot][:, grid] = hessian[row, :n_x, n_x:]
         return full

@@ -20,7 +20,8 @@ class TrainingLog:
     """Writer of a training; pass it to :func:`hybrid_id.identification.adjoint.train`, best in a ``with``.
 
     Tags: ``loss/train``, ``loss/validation`` (per measurement), ``gradient/norm`` (in standard errors),
-    ``fit/<signal>`` [%], ``parameters/<joint>/<symbol>``; figures ``simulated/<signal>`` when it is closed.
+    ``fit/<signal>`` [%], ``parameters/<joint>/<symbol>``, of networks ``residual/share_<output>`` and
+    ``residual/price``; figures ``simulated/<signal>`` when it is closed.
 
     Args:
         folder: where the runs go, one folder a set.
@@ -53,7 +54,7 @@ class TrainingLog:
             scalars = {"loss/train": snapshot.train[g], "gradient/norm": snapshot.gradient_norm[g]}
             if snapshot.validation is not None:
                 scalars["loss/validation"] = snapshot.validation[g]
-            scalars |= dict(zip(tags, snapshot.values[g], strict=True))
+            scalars |= dict(zip(tags, snapshot.values[g], strict=True)) | dict(snapshot.scalars)
             rows = (snapshot.sets == g).nonzero().flatten().tolist()
             for k, signal in enumerate(snapshot.batch.outputs):
                 fits = [

@@ -1,0 +1,222 @@
+"""Training of physics with residual networks, in stages: physics, the networks with physics held, both together.
+
+The networks' outputs have a price, so that they add only what the physics cannot say. The ladder of prices is climbed
+down, each rung from the one above; validation records tell where each training stops and which rung is worth its
+freedom. Gradients are the adjoint's, steps are Gauss-Newton's (see :mod:`hybrid_id.identification.quasi_newton`).
+
+Sources: Y. Yin et al., APHYNITY, ICLR 2021 (least-norm augmentation); L. Prechelt, Early stopping, 1998.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from hybrid_id.errors import InputError
+from hybrid_id.identification.adjoint import Writer
+from hybrid_id.identification.checkpoint import read_checkpoint
+from hybrid_id.identification.fit import fit, make_bounds
+from hybrid_id.identification.hybrid_course import Course, Found, Progress, Stage, Trainer
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.network_data import with_scales
+from hybrid_id.identification.objective import Loss
+from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.unknowns import Problem
+from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
+
+
+@dataclass(frozen=True)
+class HybridOptions:
+    """Settings of a hybrid training.
+
+    Attributes:
+        prices: of the networks' mean square output, falling (see :func:`.network_data.with_price`).
+        windows: stages in which the networks alone train, before the whole records: (length [s], one in this many).
+        max_iterations: gradients in a stage.
+        tolerance: a stage has converged when the next step is shorter than this many standard errors.
+        patience: looks at the validation records without a gain after which a stage ends.
+        validate_every: gradients between two looks.
+        worth: a rung further down must lower the validation loss by more than this share, and by what chance does.
+        loss: loss of the weighted residuals.
+    """
+
+    prices: tuple[float, ...] = (10.0, 1.0, 0.1, 0.01)
+    windows: tuple[tuple[float, int], ...] = ((0.1, 4), (0.4, 2), (1.6, 1))
+    max_iterations: int = 40
+    tolerance: float = 0.1
+    patience: int = 6
+    validate_every: int = 2
+    worth: float = 0.02
+    loss: Loss = field(default_factory=Loss)
+
+    @property
+    def stages(self) -> list[Stage]:
+        """The networks alone, on windows of growing length and whole records; then all together, price by price."""
+        alone = [Stage(0, self.prices[0], window, True) for window in (*self.windows, None)]
+        return alone + [Stage(k, price, None, False) for k, price in enumerate(self.prices)]
+
+
+@dataclass(frozen=True, eq=False)
+class Rung:
+    """One price of the ladder and what the training came to; the first is physics alone, at an infinite price.
+
+    Attributes:
+        price: of the networks' output.
+        system: the trained system.
+        train, validation: loss per measurement.
+        iterations: gradients up to here.
+        status: how the training ended.
+    """
+
+    price: float
+    system: System
+    train: float
+    validation: float
+    iterations: int
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class HybridResult:
+    """What a hybrid training ends with.
+
+    Attributes:
+        physics: Levenberg-Marquardt fit of the physics alone.
+        rungs: the ladder, physics first.
+        chosen: number of the rung that the validation records choose.
+        engine: with which all of them are simulated.
+        interrupted: whether the training was stopped before its end.
+    """
+
+    physics: FitResult
+    rungs: tuple[Rung, ...]
+    chosen: int
+    engine: OdeEngine
+    interrupted: bool
+
+    @property
+    def system(self) -> System:
+        """The chosen system."""
+        return self.rungs[self.chosen].system
+
+
+def train_hybrid(
+    system: System,
+    batch: Batch,
+    validation: Batch,
+    *,
+    engine: OdeEngine | None = None,
+    options: HybridOptions | None = None,
+    writer: Writer | None = None,
+    checkpoint: Path | None = None,
+    resume: Path | None = None,
+    progress: Progress | None = None,
+) -> HybridResult:
+    """Train one set of parameters and weights over all rows of a batch.
+
+    Ctrl-C ends the training with the rungs that it has.
+
+    Args:
+        system: model with at least one residual network; what its networks have learnt before is forgotten.
+        batch: records to train on.
+        validation: records that tell when to stop and which price to choose.
+        engine: solver and kind of gradient.
+        options: settings.
+        writer: takes the course of the training.
+        checkpoint: file that holds the training after each gradient.
+        resume: checkpoint of the same training to go on from, to the same numbers.
+        progress: called with (stage, gradients so far, loss per measurement); true ends the training.
+
+    Raises:
+        InputError: no network, nothing to estimate, or a checkpoint of another training.
+    """
+    options, engine = options or HybridOptions(), engine or OdeEngine()
+    if not system.networks:
+        raise InputError(
+            "The model has no residual network to train; add one to a place, or use a plain fit."
+        )
+    prices = options.prices
+    if not prices or sorted(set(prices), reverse=True) != list(prices) or prices[-1] < 0.0:
+        raise InputError(
+            f"The prices {list(prices)} are no ladder; give falling numbers that are not negative."
+        )
+    physics = fit_physics(system, batch, engine, options.loss)
+    values = {name: physics.system.parameter(name).spec.value for name in physics.names}
+    system = with_scales(system.with_values(values), batch).to(batch.x.device)
+    for part in system.networks.values():
+        part.fall_asleep()
+    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+    theta = system.theta().detach()[:, None]
+    engine = engine.stable(system, batch, theta.expand(-1, batch.rows))
+    sets = torch.zeros(batch.rows, dtype=torch.long, device=batch.x.device)
+    bounds, extra = make_bounds(system, free, batch.x.device), extra_parameters(system)
+    trainer = Trainer(
+        Problem(system, engine, batch, sets, theta, free, bounds, extra, options.loss), validation, options.stages,
+        options.max_iterations, options.tolerance, options.patience, options.validate_every,
+        ["hybrid", *batch.names, *system.components, *(stage.label for stage in options.stages)],
+        writer, checkpoint, progress,
+    )  # fmt: skip
+    fresh = torch.nn.utils.parameters_to_vector(extra).detach().clone()
+    alone = trainer.found(theta, fresh, 0, physics.status)
+    course = Course(0, theta, fresh)
+    if resume is not None:
+        course = Course.of(read_checkpoint(resume, trainer.identity))
+    try:
+        interrupted = trainer.run(course)
+    except KeyboardInterrupt:
+        interrupted = True
+    found = [alone, *course.found]
+    rungs = [_rung(system, extra, price, f) for price, f in zip((torch.inf, *prices), found, strict=False)]
+    chosen = choose([f.validation for f in found], options.worth)
+    return HybridResult(physics, tuple(rungs), chosen, replace(engine, gradient="backprop"), interrupted)
+
+
+def fit_physics(system: System, batch: Batch, engine: OdeEngine, loss: Loss) -> FitResult:
+    """Pooled Levenberg-Marquardt fit of a system without its networks, by the solver that trains them."""
+    for key in system.networks:
+        where, _, kind = key.rpartition("/")
+        system = system.without_component(where, kind)
+    (rough,) = fit(
+        system,
+        batch,
+        pooled=True,
+        engine=Engine("smooth", engine.substeps, engine.width),
+        options=Options(loss=loss),
+    )
+    exact = replace(engine, gradient="backprop")
+    exact = exact.stable(rough.system, batch, rough.system.theta().detach()[:, None].expand(-1, batch.rows))
+    (found,) = fit(rough.system, batch, pooled=True, engine=exact, options=Options(loss=loss), warm=False)
+    return found
+
+
+def choose(losses: Sequence[Tensor], worth: float) -> int:
+    """The first rung that is not worse than the best by more than the share ``worth`` and two standard errors.
+
+    Args:
+        losses: validation loss of each rung in each part of the records.
+        worth: share of the best one's loss.
+    """
+    best = min(losses, key=lambda parts: float(parts.mean()))
+    for k, parts in enumerate(losses):
+        excess = parts - best
+        error = float(excess.std()) / len(excess) ** 0.5
+        if float(excess.mean()) <= worth * float(best.mean()) + 2.0 * error:
+            return k
+    return len(losses) - 1
+
+
+def _rung(system: System, extra: Sequence[torch.nn.Parameter], price: float, found: Found) -> Rung:
+    """A rung as a system of its own."""
+    torch.nn.utils.vector_to_parameters(found.weights, extra)
+    theta: Tensor = found.theta[:, 0]
+    trained = system.with_values(
+        {i.name: float(theta[k]) for k, i in enumerate(system.table) if i.spec.estimate}
+    )
+    return Rung(price, trained, found.train, float(found.validation.mean()), found.iterations, found.status)

@@ -1,0 +1,237 @@
+"""Hybrid training: a network finds what the physics lacks and leaves the physics what is its own."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from drives import make_record, multisine, rigid_drive
+
+from hybrid_id.components import Cogging, ResidualNetwork
+from hybrid_id.errors import InputError
+from hybrid_id.identification.adjoint import Snapshot
+from hybrid_id.identification.fit import make_bounds
+from hybrid_id.identification.hybrid import HybridOptions, HybridResult, train_hybrid
+from hybrid_id.identification.network_data import networks_of, with_memory, with_price, with_scales
+from hybrid_id.identification.network_metric import linearise_with_weights
+from hybrid_id.identification.objective import Loss
+from hybrid_id.identification.unknowns import Problem
+from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems import System
+
+NOISE = {"q_m1": 0.02}
+ENGINE = OdeEngine(fine=4, width=2.0)
+STEP = 0.004
+
+
+def drive() -> System:
+    """The physics, its torque scale known."""
+    system = rigid_drive(ratio=20.0).with_values({"F_c": 0.005})
+    return system.with_specs({"P_m1": replace(system.parameter("P_m1").spec, estimate=False)})
+
+
+def records(system: System, count: int = 4, samples: int = 300) -> list:
+    return [
+        make_record(
+            system, multisine(k, samples=samples, rest=10, amplitude=2.5, step=STEP), seed=k, noise=NOISE,
+            name=f"run_{k}", engine=Engine("smooth", 4, width=2.0), step=STEP,
+        )
+        for k in range(count)
+    ]  # fmt: skip
+
+
+def hybrid(**options) -> System:
+    settings = {"inputs": ("speed", "sin 3", "cos 3"), "hidden": (6,)} | options
+    return drive().with_component("joint1/motor", ResidualNetwork(**settings))
+
+
+def batches(system: System, made: list) -> tuple[Batch, Batch]:
+    """Three records to train on, one to validate on."""
+    whole = make_batch(system, made, noise_std=NOISE, signal_share=0.0)
+    return whole.take(torch.arange(3)), whole.take(torch.tensor([3]))
+
+
+QUICK = HybridOptions(prices=(1.0, 0.1), windows=((0.1, 2), (0.3, 1)), max_iterations=20)
+WITHHELD = drive().with_component("joint1/motor", Cogging(T_c=0.0, T_s=2.5e-3, n=3.0))
+
+
+@pytest.fixture(scope="module")
+def made() -> list:
+    return records(WITHHELD)
+
+
+@pytest.fixture(scope="module")
+def found(made: list) -> HybridResult:
+    return train_hybrid(hybrid(), *batches(hybrid(), made), engine=ENGINE, options=QUICK)
+
+
+def deviation(loss: float) -> float:
+    """RMS error in units of the noise from a loss per measurement."""
+    return math.sqrt(2.0 * loss)
+
+
+def test_the_network_finds_what_was_withheld(found: HybridResult) -> None:
+    physics, best = found.rungs[0], found.rungs[found.chosen]
+    assert deviation(physics.train) > 3.0 and physics.price == math.inf
+    assert found.chosen > 0
+    assert deviation(best.train) < 1.1 and deviation(best.validation) < 1.5
+    part = next(iter(best.system.networks.values()))
+    angle = torch.linspace(0.0, 6.0, 50, dtype=torch.float64)
+    signals = [10.0 * torch.ones_like(angle), torch.sin(3.0 * angle), torch.cos(3.0 * angle)]
+    torque = part.output(part.view(), signals, []).detach()
+    truth = 2.5e-3 * torch.sin(3.0 * angle)
+    assert float((torque - truth).norm() / truth.norm()) < 0.25
+
+
+def test_the_physics_keeps_its_meaning(found: HybridResult) -> None:
+    for name in ("J", "F_c"):
+        truth = drive().parameter(name).spec.value
+        alone, together = (
+            abs(s.parameter(name).spec.value / truth - 1.0) for s in (found.physics.system, found.system)
+        )
+        assert together < 0.03 < alone or together < alone
+
+
+def test_resume_goes_on_to_the_same_numbers(tmp_path: Path, made: list, found: HybridResult) -> None:
+    saved = tmp_path / "checkpoint.pt"
+    data = batches(hybrid(), made)
+    for stop in (4, 25):
+        stopped = train_hybrid(
+            hybrid(), *data, engine=ENGINE, options=QUICK, checkpoint=saved, resume=saved if saved.exists() else None,
+            progress=lambda label, k, loss, stop=stop: k >= stop,
+        )  # fmt: skip
+        assert stopped.interrupted
+    resumed = train_hybrid(hybrid(), *data, engine=ENGINE, options=QUICK, resume=saved)
+    assert not resumed.interrupted and resumed.chosen == found.chosen
+    for a, b in zip(resumed.rungs, found.rungs, strict=True):
+        assert (a.train, a.validation, a.iterations, a.status) == (
+            b.train,
+            b.validation,
+            b.iterations,
+            b.status,
+        )
+        for one, other in zip(a.system.parameters(), b.system.parameters(), strict=True):
+            assert torch.equal(one, other)
+
+
+def test_nothing_missing_leaves_the_physics_alone(tmp_path: Path) -> None:
+    system = hybrid()
+    result = train_hybrid(system, *batches(system, records(drive())), engine=ENGINE, options=QUICK)
+    assert result.chosen == 0
+    assert all(deviation(rung.validation) < 1.1 for rung in result.rungs)
+
+
+def test_interrupt_keeps_physics_and_the_checkpoint(tmp_path: Path, made: list) -> None:
+    class Pressed:
+        def record(self, snapshot: Snapshot) -> None:
+            assert set(snapshot.scalars) == {"residual/share_r_motor1", "residual/price"}
+            assert snapshot.simulated.shape == snapshot.batch.y.shape
+            if snapshot.step == 3:
+                raise KeyboardInterrupt
+
+    saved = tmp_path / "checkpoint.pt"
+    result = train_hybrid(
+        hybrid(), *batches(hybrid(), made), engine=ENGINE, options=QUICK, writer=Pressed(), checkpoint=saved
+    )
+    assert result.interrupted and len(result.rungs) == 1 and saved.exists()
+
+
+# --- what it is made of ----------------------------------------------------------------------------------------------
+
+
+def awake(system: System, size: float = 0.2) -> System:
+    """The system with random weights in the last layers of its networks."""
+    generator = torch.Generator().manual_seed(4)
+    with torch.no_grad():
+        for part in system.networks.values():
+            last = f"layers.{len(part.hidden)}.weight"
+            part.weights()[last].copy_(size * torch.randn(part.weights()[last].shape, generator=generator))
+    return system
+
+
+def problem_of(system: System, batch: Batch, price: float) -> Problem:
+    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+    sets = torch.zeros(batch.rows, dtype=torch.long)
+    theta, extra = system.theta().detach()[:, None], extra_parameters(system)
+    priced = with_price(system, batch, price)
+    return Problem(system, ENGINE, priced, sets, theta, free, make_bounds(system, free), extra, Loss())
+
+
+@pytest.mark.parametrize("memory", [0, 2])
+def test_gradient_by_the_adjoint_with_price_and_memory(made: list, memory: int) -> None:
+    system = awake(hybrid(memory=memory))
+    batch = (
+        batches(system, made)[0]
+        .take(torch.tensor([0]))
+        .windows(40, 400, torch.zeros(1, len(system.state_names)))[0]
+    )
+    problem = problem_of(with_scales(system, batch), batch, 50.0)
+    q = problem.start(problem.base)
+    slope = problem.value(q, batch.x)[1]
+    generator = torch.Generator().manual_seed(5)
+    for _ in range(3):
+        way = torch.randn(q.shape, generator=generator, dtype=q.dtype)
+        ahead, behind = (float(problem.value(q + side * 1e-5 * way, batch.x)[0]) for side in (1, -1))
+        assert (ahead - behind) / 2e-5 == pytest.approx(float((slope * way).sum()), rel=2e-3)
+
+
+@pytest.mark.parametrize("memory", [0, 2])
+def test_metric_of_the_weights_is_that_of_a_sample(made: list, memory: int) -> None:
+    system = awake(hybrid(memory=memory))
+    batch = batches(system, made)[0].take(torch.tensor([0]))
+    system = with_scales(system, batch)
+    batch = with_price(system, with_memory(system, batch, system.theta().detach()[:, None]), 4.0)
+    theta, engine = system.theta().detach()[:, None], replace(ENGINE, gradient="backprop", substeps=2)
+    free = [0]
+    lin = linearise_with_weights(system, engine, batch, batch.x, theta, free)
+    extra = extra_parameters(system)
+    assert lin.b.shape[-1] == lin.d.shape[-1] == 1 + sum(w.numel() for w in extra)
+    vector = torch.nn.utils.parameters_to_vector(extra).detach()
+    way = torch.randn(len(vector), generator=torch.Generator().manual_seed(6), dtype=vector.dtype)
+    moved = []
+    for side in (1, -1):
+        torch.nn.utils.vector_to_parameters(vector + side * 1e-5 * way, extra)
+        moved.append(linearise_with_weights(system, engine, batch, batch.x, theta, free))
+    torch.testing.assert_close((moved[0].y - moved[1].y) / 2e-5, lin.d[..., 1:] @ way, rtol=1e-6, atol=1e-9)
+    truth, told = ((moved[0].x_next - moved[1].x_next) / 2e-5)[:, :-1], (lin.b[..., 1:] @ way)[:, :-1]
+    for row in range(truth.shape[-1]):
+        assert float((truth[..., row] - told[..., row]).norm() / truth[..., row].norm()) < 0.2
+
+
+def test_scales_come_from_the_data(made: list) -> None:
+    system = hybrid(inputs=("angle", "speed", "direction", "sin 3"))
+    batch = batches(system, made)[0]
+    (name, place, part, _), *_ = networks_of(with_scales(system, batch))
+    assert (name, place) == ("r_motor1", "motor")
+    speed = float(batch.x[..., 1].square().mean().sqrt())
+    assert part.scale.tolist() == pytest.approx(
+        [float(batch.x[..., 0].std()), speed, 0.02 * speed, 1.0], rel=1e-9
+    )
+    assert part.shift.tolist() == pytest.approx([float(batch.x[..., 0].mean()), 0.0, 0.0, 0.0])
+    assert 0.003 < float(part.output_scale) < 0.05
+
+
+def test_a_price_is_a_measurement_of_zero(made: list) -> None:
+    system = awake(hybrid())
+    batch = batches(system, made)[0]
+    system = with_scales(system, batch)
+    priced = with_price(system, batch, 9.0)
+    assert priced.outputs == ("q_m1", "r_motor1") and with_price(system, batch, 0.0) is batch
+    run = simulate(system, replace(ENGINE, gradient="backprop"), priced)
+    part = next(iter(system.networks.values()))
+    share = (run.y[..., 1] / part.output_scale).square().mean()
+    cost = Loss().value((priced.y - run.y)[..., 1] * priced.weight[..., 1]).mean()
+    assert float(cost) == pytest.approx(0.5 * 9.0 * float(share))
+
+
+def test_faults_are_told(made: list) -> None:
+    data = batches(hybrid(), made)
+    with pytest.raises(InputError, match="no residual network"):
+        train_hybrid(drive(), *data)
+    for prices in ((), (0.1, 1.0), (1.0, 1.0), (1.0, -1.0)):
+        with pytest.raises(InputError, match="no ladder"):
+            train_hybrid(hybrid(), *data, options=HybridOptions(prices=prices))
