@@ -49,6 +49,7 @@ def train(
 ) -> None:
     """Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.
 
+    With a `hybrid` section in the study file, residual networks train beside the physics (configs/study_hybrid.yaml).
     While it runs, `tensorboard --logdir DIR` shows its course. Ctrl-C ends it with what it has; --resume goes on.
     """
     config = study_config(
@@ -63,6 +64,12 @@ def train(
     )
     home = required(config.output.folder)
     saved = home / CHECKPOINT
+    if config.hybrid is not None:
+        from hybrid_id.cli.hybrid import train_with_networks
+
+        return train_with_networks(
+            source, config, home, resume=resume, force=force, as_json=as_json, threads=threads
+        )
     if resume and not saved.exists():
         raise InputError(f"{home} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
     refuse_taken(home, force=force or resume)

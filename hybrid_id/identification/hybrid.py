@@ -13,12 +13,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Writer
 from hybrid_id.identification.checkpoint import read_checkpoint
+from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.hybrid_course import Course, Found, Progress, Stage, Trainer
 from hybrid_id.identification.least_squares import Options
@@ -73,6 +75,7 @@ class Rung:
         train, validation: loss per measurement.
         iterations: gradients up to here.
         status: how the training ended.
+        errors: standard errors of the estimated parameters, ``(n_f,)``; with networks, their weights are unknown too.
     """
 
     price: float
@@ -81,6 +84,7 @@ class Rung:
     validation: float
     iterations: int
     status: str
+    errors: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,7 +177,7 @@ def train_hybrid(
     except KeyboardInterrupt:
         interrupted = True
     found = [alone, *course.found]
-    rungs = [_rung(system, extra, price, f) for price, f in zip((torch.inf, *prices), found, strict=False)]
+    rungs = [_rung(trainer, price, f) for price, f in zip((torch.inf, *prices), found, strict=False)]
     chosen = choose([f.validation for f in found], options.worth)
     return HybridResult(physics, tuple(rungs), chosen, replace(engine, gradient="backprop"), interrupted)
 
@@ -212,11 +216,21 @@ def choose(losses: Sequence[Tensor], worth: float) -> int:
     return len(losses) - 1
 
 
-def _rung(system: System, extra: Sequence[torch.nn.Parameter], price: float, found: Found) -> Rung:
-    """A rung as a system of its own."""
-    torch.nn.utils.vector_to_parameters(found.weights, extra)
-    theta: Tensor = found.theta[:, 0]
-    trained = system.with_values(
-        {i.name: float(theta[k]) for k, i in enumerate(system.table) if i.spec.estimate}
-    )
-    return Rung(price, trained, found.train, float(found.validation.mean()), found.iterations, found.status)
+def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
+    """A rung as a system of its own, with standard errors from the Gauss-Newton matrix of all that it trained."""
+    system, theta = trainer.whole.system, found.theta
+    stage = Stage(0, price if price < torch.inf else 0.0, None, False)
+    problem = trainer.problem(stage, Course(0, theta, found.weights))
+    assert problem is not None  # whole records need no windows
+    values = {info.name: float(theta[k, 0]) for k, info in enumerate(system.table) if info.spec.estimate}
+    engine = replace(problem.engine, gradient="backprop")
+    nodes = free_run(system, engine, problem.batch, problem.batch.x, theta.expand(-1, problem.batch.rows))[0]
+    noise, size = theta.new_full((1,), found.train * float(problem.data[0])), len(problem.free)
+    matrix = problem.curvature(problem.start(theta), nodes.nan_to_num(0.0), noise)[0]
+    keep = slice(None) if price < torch.inf else slice(0, len(matrix) - problem.weights)
+    spread = torch.linalg.pinv(matrix[keep, keep], hermitian=True).diagonal()[:size].clamp_min(0.0)
+    errors = (2.0 * found.train * spread).sqrt() * problem.unit
+    return Rung(
+        price, system.with_values(values), found.train, float(found.validation.mean()), found.iterations, found.status,
+        errors.cpu().numpy(),
+    )  # fmt: skip

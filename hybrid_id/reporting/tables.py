@@ -24,7 +24,7 @@ _GRADE = {"A": "green", "B": "green", "C": "yellow", "D": "red"}
 
 def records_table(dataset: Dataset) -> Table:
     """Length, sampling and role of each record."""
-    table = _table("record", "role", "samples>", "length [s]>", "step [ms]>", "sampling", "note")
+    table = open_table("record", "role", "samples>", "length [s]>", "step [ms]>", "sampling", "note")
     for record in dataset:
         steps = "uniform" if record.is_uniform else "jittered"
         table.add_row(
@@ -55,7 +55,9 @@ def identifiability_table(told: Identifiability) -> RenderableType:
     else:
         words = f"all {len(told.names)} parameters can be told (condition number {told.condition_number:.3g})"
         parts.append(Text(words, style="green"))
-    table = _table("what the records tell", "predicted error>", "what the records tell ", "predicted error >")
+    table = open_table(
+        "what the records tell", "predicted error>", "what the records tell ", "predicted error >"
+    )
     cells = [
         (c.text, f"± {100 * std:.2g} %")
         for c, std in zip(told.combinations, told.combination_std, strict=True)
@@ -82,7 +84,7 @@ def study_table(study: Study, reach: float, level: float) -> RenderableType:
     heads = ["parameter", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
     heads += [f"± ({100 * level:g} %)>", "unit"]
     heads += [] if study.variation is None else ["mean of sets>", "std/mean>"]
-    table = _table(*heads, "trust")
+    table = open_table(*heads, "trust")
     for k, name in enumerate(study.names):
         trust = study.trust[k]
         known = bool(np.isfinite(errors[k]))
@@ -114,7 +116,7 @@ def _combinations_table(study: Study, reach: float, level: float) -> Table:
         row = [name, f"{told.values[index, k]:.5g}", f"{reach * told.std_error[index, k]:.2g}"]
         rows.append(row if told.variation is None else [*row, f"{told.variation.percent[k]:.2f} %"])
     half = (len(rows) + 1) // 2
-    table = _table(*heads, *(f" {head}" for head in heads))
+    table = open_table(*heads, *(f" {head}" for head in heads))
     for k in range(half):
         table.add_row(*rows[k], *(rows[half + k] if half + k < len(rows) else ()))
     return table
@@ -143,7 +145,7 @@ def comparison_table(comparison: Comparison) -> Table:
     fits, errors = comparison.table("fit"), comparison.table("nrmse")
     labels = list(comparison.replays)
     head = [f"{label}\n{measure}>" for label in labels for measure in ("fit [%]", "NRMSE")]
-    table = _table("record", "role", "output", *head)
+    table = open_table("record", "role", "output", *head)
     replays = comparison.replays[labels[0]]
     for row, replay in enumerate(replays):
         for column, signal in enumerate(comparison.signals):
@@ -170,7 +172,7 @@ def comparison_table(comparison: Comparison) -> Table:
 def truth_table(study: Study, truth: Mapping[str, float], reach: float, level: float) -> Table:
     """Known values beside the estimates of the selected set."""
     errors = reach * study.standard_errors(study.selection.index)
-    table = _table(
+    table = open_table(
         "parameter", "truth>", "estimate>", f"± ({100 * level:g} %)>", "unit", "off by>", "in the interval"
     )
     for k, name in enumerate(study.names):
@@ -193,7 +195,7 @@ def count(number: int, noun: str) -> str:
     return f"{number} {noun}{'s' * (number != 1)}"
 
 
-def _table(*heads: str) -> Table:
+def open_table(*heads: str) -> Table:
     """An open table; a head that ends in '>' stands over numbers."""
     table = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
     for head in heads:

@@ -11,129 +11,43 @@ output: {folder: ../runs/my_robot}
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveFloat, PositiveInt, model_validator
+from pydantic import model_validator
 
+from hybrid_id.config.sections import (
+    Hybrid,
+    Identification,
+    Network,
+    Output,
+    Preprocessing,
+    Previous,
+    Section,
+    Statistics,
+    Training,
+)
 from hybrid_id.errors import InputError
-from hybrid_id.records.schema import ResampleEntry
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 
 MODEL_NAME = "model.yaml"
+__all__ = [
+    "MODEL_NAME",
+    "Hybrid",
+    "Identification",
+    "Network",
+    "Output",
+    "Preprocessing",
+    "Previous",
+    "Statistics",
+    "StudyConfig",
+    "Training",
+    "beside",
+    "load_config",
+    "study_config",
+]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Preprocessing(_Section):
-    """What is done to the records before anything else.
-
-    Attributes:
-        records: names of the records to use; all where it is left out.
-        between: only the samples stamped between these two [s].
-        resample: bring jittered stamps to a uniform grid.
-        signal_share: standard deviation added to each measurement's noise, as a share of the record's own.
-    """
-
-    records: list[str] | None = Field(default=None, min_length=1)
-    between: tuple[float, float] | None = None
-    resample: ResampleEntry | None = None
-    signal_share: float = Field(default=0.004, ge=0, lt=1)
-
-
-class Previous(_Section):
-    """An earlier stage, whose identified values this one starts from.
-
-    Attributes:
-        model: the model file that the earlier stage has written.
-        hold: names of parameters that keep the earlier value and are not estimated again.
-    """
-
-    model: Path
-    hold: list[str] = []
-
-
-class Identification(_Section):
-    """How the parameters are found.
-
-    Attributes:
-        pooled: one set over all train records instead of one a record.
-        loss: of the weighted residuals; `huber` and `l1` bear spikes.
-        threshold: weighted residual from which `huber` grows linearly.
-        starts: start points; the best end counts.
-        max_iterations, tolerance: of the fit; converged when a step is under `tolerance` standard errors.
-        friction: `dry` (the joint really stops), or `smooth` (tanh).
-        substeps: least number of integration steps a sample; stability may ask for more.
-        width: smoothing speed of `smooth` [rad/s].
-        seed: of start points and bootstrap.
-        device: `cpu` or `cuda`.
-    """
-
-    pooled: bool = False
-    loss: Literal["l2", "huber", "l1"] = "l2"
-    threshold: PositiveFloat = 3.0
-    starts: PositiveInt = 1
-    max_iterations: PositiveInt = 200
-    tolerance: PositiveFloat = 0.01
-    friction: Literal["dry", "smooth"] = "dry"
-    substeps: PositiveInt = 1
-    width: PositiveFloat = 0.5
-    seed: int = Field(default=0, ge=0)
-    device: str = "cpu"
-
-
-class Training(_Section):
-    """How `train` finds them by the adjoint method; pooled, loss, threshold and seed are those of the identification.
-
-    Attributes:
-        method: torchdiffeq's solver, rk4 or dopri5 say.
-        gradient: `adjoint`, or `backprop` through the steps.
-        substeps, fine: least number of steps a sample, and of a sample in which a speed comes near zero.
-        width: speed over which friction is smoothed [rad/s].
-        windows: stages before the whole records, each (length of a window [s], use one window in this many).
-        max_iterations, tolerance: of each stage; converged when a step is under `tolerance` standard errors.
-        validate_every: gradients between two looks at the test records.
-    """
-
-    method: str = "rk4"
-    gradient: Literal["adjoint", "backprop"] = "adjoint"
-    substeps: PositiveInt = 1
-    fine: PositiveInt = 32
-    width: PositiveFloat = 0.5
-    windows: list[tuple[PositiveFloat, PositiveInt]] = [(0.2, 4)]
-    max_iterations: PositiveInt = 100
-    tolerance: PositiveFloat = 0.01
-    validate_every: PositiveInt = 5
-
-
-class Statistics(_Section):
-    """What is said about the parameters.
-
-    Attributes:
-        level: confidence of the intervals.
-    """
-
-    level: float = Field(default=0.95, gt=0, lt=1)
-
-
-class Output(_Section):
-    """Where the results go, and which.
-
-    Attributes:
-        folder: of the results; `--out` stands in for it.
-        figures: PNG pictures.
-        tensorboard: event files.
-        report: everything on one page, report.html.
-    """
-
-    folder: Path | None = None
-    figures: bool = True
-    tensorboard: bool = True
-    report: bool = True
-
-
-class StudyConfig(_Section):
+class StudyConfig(Section):
     """All of a study file."""
 
     dataset: Path
@@ -142,6 +56,7 @@ class StudyConfig(_Section):
     preprocessing: Preprocessing = Preprocessing()
     identification: Identification = Identification()
     training: Training = Training()
+    hybrid: Hybrid | None = None
     statistics: Statistics = Statistics()
     output: Output = Output()
 

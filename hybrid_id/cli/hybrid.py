@@ -1,0 +1,135 @@
+"""`train` with a `hybrid` section: physics with residual networks."""
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from hybrid_id.cli.console import err, remark, show
+from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, refuse_taken
+from hybrid_id.cli.inputs import checked_records, load_system
+from hybrid_id.cli.options import use_device, use_threads
+from hybrid_id.config import Hybrid, StudyConfig
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.study.hybrid import HybridStudy
+    from hybrid_id.systems.chain import System
+
+
+def train_with_networks(
+    source: Path, config: StudyConfig, home: Path, *, resume: bool, force: bool, as_json: bool, threads: int
+) -> None:
+    """Train, write the folder of results and print them."""
+    assert config.hybrid is not None  # the caller's condition
+    if resume and not (home / CHECKPOINT).exists():
+        raise InputError(f"{home} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
+    refuse_taken(home, force=force or resume)
+    dataset = checked_records(config.dataset, config.preprocessing)
+    use_threads(threads)
+    system = with_networks(load_system(config), config.hybrid, config.identification.seed)
+    use_device(config.identification.device)
+    from hybrid_id.reporting.hybrid import hybrid_result, hybrid_tables
+    from hybrid_id.reporting.results import as_json as to_json
+
+    with live_folder(home, force=force, resume=resume):
+        config.save(home / "config.yaml")
+        study = _train(dataset, system, config, home, resume=resume)
+        text = to_json("train", {"dataset": dataset.name} | hybrid_result(study))
+        with added_results(home) as folder:
+            _write(folder, home, config, dataset, study, text)
+    if as_json:
+        stdout().print(text, markup=False, soft_wrap=True)
+    else:
+        show(hybrid_tables(study, dataset))
+        show(
+            f"results are in {home}: report.html, result.json, model.yaml, physics.yaml, pictures, config.yaml"
+        )
+    if study.result.interrupted:
+        remark(f"stopped by Ctrl-C; 'hybrid-id train {source} --out {home} --resume' goes on from here")
+        raise typer.Exit(130)
+
+
+def with_networks(system: "System", wish: Hybrid, seed: int) -> "System":
+    """The model with the networks that the config asks for."""
+    from hybrid_id.components import ResidualNetwork
+
+    for network in [] if system.networks else wish.networks:
+        part = ResidualNetwork(
+            inputs=network.inputs,
+            hidden=network.hidden,
+            memory=network.memory,
+            lipschitz=network.lipschitz,
+            seed=seed,
+        )
+        system = system.with_component(network.place, part)
+    return system
+
+
+def _train(
+    dataset: "Dataset", system: "System", config: StudyConfig, folder: Path, *, resume: bool
+) -> "HybridStudy":
+    """Train as the config says, with checkpoints and TensorBoard events in the folder."""
+    from hybrid_id.identification.hybrid import HybridOptions
+    from hybrid_id.identification.objective import Loss
+    from hybrid_id.reporting.tensorboard import TrainingLog
+    from hybrid_id.simulation.solvers import OdeEngine
+    from hybrid_id.study.hybrid import hybridise
+
+    wish, how = config.hybrid, config.training
+    assert wish is not None
+    engine = OdeEngine(
+        substeps=how.substeps, width=how.width, fine=how.fine, method=how.method, gradient=how.gradient
+    )
+    options = HybridOptions(
+        tuple(wish.prices), tuple(wish.windows), wish.max_iterations, wish.tolerance, wish.patience,
+        wish.validate_every, wish.worth, Loss(config.identification.loss, config.identification.threshold),
+    )  # fmt: skip
+    console, saved = err(), folder / CHECKPOINT
+    waiting = console.status("physics alone") if console.is_terminal else nullcontext()
+    with (
+        TrainingLog(folder / "tensorboard") if config.output.tensorboard else nullcontext() as log,
+        waiting as line,
+    ):
+
+        def progress(stage: str, count: int, loss: float) -> bool:
+            if line is not None:
+                line.update(
+                    f"{stage}: gradient {count}, error {(2.0 * loss) ** 0.5:.4g} (1 = as the noise says)"
+                )
+            return False
+
+        return hybridise(
+            dataset, system, engine=engine, options=options, validation=wish.validation,
+            device=config.identification.device, signal_share=config.preprocessing.signal_share, writer=log,
+            checkpoint=saved, resume=saved if resume else None, progress=progress,
+        )  # fmt: skip
+
+
+def _write(
+    folder: Path, home: Path, config: StudyConfig, dataset: "Dataset", study: "HybridStudy", text: str
+) -> None:
+    """Write all files of a hybrid study into `folder`, which will be `home`."""
+    from hybrid_id.reporting.hybrid import hybrid_images, hybrid_page
+    from hybrid_id.reporting.style import save
+    from hybrid_id.systems.model_file import save_model
+
+    save_model(study.result.system, folder / "model.yaml")
+    save_model(study.result.physics.system, folder / "physics.yaml")
+    config.save(folder / "config.yaml", home=home)
+    images = hybrid_images(study)
+    if config.output.figures:
+        for name, image in images.items():
+            save(image, folder / f"{name}.png")
+    if config.output.tensorboard:
+        from torch.utils.tensorboard.writer import SummaryWriter
+
+        with SummaryWriter(str(folder / "tensorboard" / "figures")) as writer:
+            for name, image in images.items():
+                writer.add_image(f"figures/{name}", image, dataformats="HWC")
+    if config.output.report:
+        hybrid_page(dataset, study, images).write(folder / "report.html")
+    (folder / RESULT).write_text(text + "\n", encoding="utf-8")

@@ -1,0 +1,172 @@
+"""The sections of a study file, with all their defaults."""
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+)
+
+from hybrid_id.records.schema import ResampleEntry
+
+
+class Section(BaseModel):
+    """A part of a study file; unknown keys are errors."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Preprocessing(Section):
+    """What is done to the records before anything else.
+
+    Attributes:
+        records: names of the records to use; all where it is left out.
+        between: only the samples stamped between these two [s].
+        resample: bring jittered stamps to a uniform grid.
+        signal_share: standard deviation added to each measurement's noise, as a share of the record's own.
+    """
+
+    records: list[str] | None = Field(default=None, min_length=1)
+    between: tuple[float, float] | None = None
+    resample: ResampleEntry | None = None
+    signal_share: float = Field(default=0.004, ge=0, lt=1)
+
+
+class Previous(Section):
+    """An earlier stage, whose identified values this one starts from.
+
+    Attributes:
+        model: the model file that the earlier stage has written.
+        hold: names of parameters that keep the earlier value and are not estimated again.
+    """
+
+    model: Path
+    hold: list[str] = []
+
+
+class Identification(Section):
+    """How the parameters are found.
+
+    Attributes:
+        pooled: one set over all train records instead of one a record.
+        loss: of the weighted residuals; `huber` and `l1` bear spikes.
+        threshold: weighted residual from which `huber` grows linearly.
+        starts: start points; the best end counts.
+        max_iterations, tolerance: of the fit; converged when a step is under `tolerance` standard errors.
+        friction: `dry` (the joint really stops), or `smooth` (tanh).
+        substeps: least number of integration steps a sample; stability may ask for more.
+        width: smoothing speed of `smooth` [rad/s].
+        seed: of start points and bootstrap.
+        device: `cpu` or `cuda`.
+    """
+
+    pooled: bool = False
+    loss: Literal["l2", "huber", "l1"] = "l2"
+    threshold: PositiveFloat = 3.0
+    starts: PositiveInt = 1
+    max_iterations: PositiveInt = 200
+    tolerance: PositiveFloat = 0.01
+    friction: Literal["dry", "smooth"] = "dry"
+    substeps: PositiveInt = 1
+    width: PositiveFloat = 0.5
+    seed: int = Field(default=0, ge=0)
+    device: str = "cpu"
+
+
+class Training(Section):
+    """How `train` finds them by the adjoint method; pooled, loss, threshold and seed are those of the identification.
+
+    Attributes:
+        method: torchdiffeq's solver, rk4 or dopri5 say.
+        gradient: `adjoint`, or `backprop` through the steps.
+        substeps, fine: least number of steps a sample, and of a sample in which a speed comes near zero.
+        width: speed over which friction is smoothed [rad/s].
+        windows: stages before the whole records, each (length of a window [s], use one window in this many).
+        max_iterations, tolerance: of each stage; converged when a step is under `tolerance` standard errors.
+        validate_every: gradients between two looks at the test records.
+    """
+
+    method: str = "rk4"
+    gradient: Literal["adjoint", "backprop"] = "adjoint"
+    substeps: PositiveInt = 1
+    fine: PositiveInt = 32
+    width: PositiveFloat = 0.5
+    windows: list[tuple[PositiveFloat, PositiveInt]] = [(0.2, 4)]
+    max_iterations: PositiveInt = 100
+    tolerance: PositiveFloat = 0.01
+    validate_every: PositiveInt = 5
+
+
+class Network(Section):
+    """One residual network: see `hybrid_id.components.ResidualNetwork`.
+
+    Attributes:
+        place: where it acts, `joint1/motor`.
+        inputs: names of its signals (`hybrid_id.systems.networks.Networks` lists them).
+        hidden: neurons of each hidden layer.
+        memory: hidden states; 0 for none.
+        lipschitz: bound of its steepness in scaled inputs and output; none where it is left out.
+    """
+
+    place: str = "joint1/motor"
+    inputs: list[str] = Field(default=["speed", "angle"], min_length=1)
+    hidden: list[PositiveInt] = [8]
+    memory: NonNegativeInt = 0
+    lipschitz: PositiveFloat | None = None
+
+
+class Hybrid(Section):
+    """How `train` trains physics with networks; solver, gradient and width are those of `training`.
+
+    Attributes:
+        networks: what is added to the model; none where the model file has its own.
+        prices: of the networks' mean square output, falling; the validation records choose among them.
+        windows: stages in which the networks alone train, before the whole records, as in `training`.
+        max_iterations, tolerance: of each stage.
+        patience, validate_every: looks at the validation records without a gain that end a stage; gradients between.
+        worth: share by which a lower price has to lower the validation loss.
+        validation: names of the records that validate; by default the last fifth of the train records, and with one
+            train record the test records.
+    """
+
+    networks: list[Network] = [Network()]
+    prices: list[NonNegativeFloat] = Field(default=[10.0, 1.0, 0.1, 0.01], min_length=1)
+    windows: list[tuple[PositiveFloat, PositiveInt]] = [(0.1, 4), (0.4, 2), (1.6, 1)]
+    max_iterations: PositiveInt = 40
+    tolerance: PositiveFloat = 0.1
+    patience: PositiveInt = 6
+    validate_every: PositiveInt = 2
+    worth: float = Field(default=0.02, ge=0, lt=1)
+    validation: list[str] | None = Field(default=None, min_length=1)
+
+
+class Statistics(Section):
+    """What is said about the parameters.
+
+    Attributes:
+        level: confidence of the intervals.
+    """
+
+    level: float = Field(default=0.95, gt=0, lt=1)
+
+
+class Output(Section):
+    """Where the results go, and which.
+
+    Attributes:
+        folder: of the results; `--out` stands in for it.
+        figures: PNG pictures.
+        tensorboard: event files.
+        report: everything on one page, report.html.
+    """
+
+    folder: Path | None = None
+    figures: bool = True
+    tensorboard: bool = True
+    report: bool = True

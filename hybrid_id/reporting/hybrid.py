@@ -1,0 +1,172 @@
+"""A hybrid training as plain data, tables, pictures and a page."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.html.page import Page
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, symbol
+from hybrid_id.reporting.tables import open_table, records_table
+from hybrid_id.study.hybrid import HybridStudy
+from hybrid_id.study.network_role import NetworkRole
+
+
+def hybrid_result(study: HybridStudy) -> dict[str, Any]:
+    """Everything that a hybrid training tells, as plain data."""
+    result = study.result
+    rows = zip(
+        study.names, study.units, study.physics, study.physics_error, study.hybrid, study.hybrid_error, study.drift,
+        strict=True,
+    )  # fmt: skip
+    heads = ("unit", "physics", "physics_std_error", "hybrid", "hybrid_std_error", "drift_sigma")
+    return {
+        "validation_records": study.validation,
+        "chosen_price": result.rungs[result.chosen].price,
+        "physics_alone": result.chosen == 0,
+        "interrupted": result.interrupted,
+        "parameters": {name: dict(zip(heads, row, strict=True)) for name, *row in rows},
+        "ladder": [
+            {
+                "price": r.price, "train_loss": r.train, "validation_loss": r.validation, "status": r.status,
+                "gradients": r.iterations,
+            }
+            for r in result.rungs
+        ],
+        "networks": [
+            {
+                "where": role.where, "unit": role.unit, "rms": role.rms, "share": role.share,
+                "variance_share": role.variance_share, "overlap": role.overlap, "alike": dict(role.alike),
+            }
+            for role in study.roles
+        ],
+        "weighted_error": {n: {"physics": a, "hybrid": b} for n, (a, b) in study.errors.items()},
+        "warnings": study.warnings,
+    }  # fmt: skip
+
+
+def hybrid_tables(study: HybridStudy, dataset: Dataset) -> RenderableType:
+    """Parameters, the ladder of prices, the networks and the errors, with the warnings in words."""
+    parts: list[RenderableType] = [drift_table(study), ladder_table(study), role_table(study.roles)]
+    parts += [error_table(study, dataset), *(Text(warning, style="yellow") for warning in study.warnings)]
+    return Group(*parts)
+
+
+def drift_table(study: HybridStudy) -> Table:
+    """Parameters without and with the networks."""
+    table = open_table("parameter", "physics alone>", "±>", "hybrid>", "± >", "unit", "drift [σ]>")
+    rows = zip(
+        study.names, study.physics, study.physics_error, study.hybrid, study.hybrid_error, study.units, study.drift,
+        strict=True,
+    )  # fmt: skip
+    for name, before, error, after, other, unit, drift in rows:
+        moved = f"{drift:+.1f}" if math.isfinite(drift) else "0"
+        table.add_row(
+            name, f"{before:.5g}", f"{1.96 * error:.2g}", f"{after:.5g}", f"{1.96 * other:.2g}", unit, moved
+        )
+    return table
+
+
+def ladder_table(study: HybridStudy) -> Table:
+    """The prices, what was lost at each, and which one the validation records chose."""
+    table = open_table("price", "train error>", "validation error>", "gradients>", "ended", "")
+    for k, rung in enumerate(study.result.rungs):
+        price = "physics alone" if math.isinf(rung.price) else f"{rung.price:g}"
+        errors = (f"{math.sqrt(2.0 * loss):.3f}" for loss in (rung.train, rung.validation))
+        table.add_row(
+            price, *errors, str(rung.iterations), rung.status, "chosen" if k == study.result.chosen else ""
+        )
+    return table
+
+
+def role_table(roles: tuple[NetworkRole, ...]) -> Table:
+    """What each network does."""
+    heads = ("RMS>", "share of torque>", "of variance>", "overlap with physics>", "most alike")
+    table = open_table("network", *heads)
+    for role in roles:
+        name, cosine = role.alike[0] if role.alike else ("", 0.0)
+        table.add_row(
+            role.where, f"{role.rms:.3g} {role.unit}", f"{100 * role.share:.2g} %",
+            f"{100 * role.variance_share:.2g} %", f"{role.overlap:.2f}", f"{name} ({cosine:.2f})",
+        )  # fmt: skip
+    return table
+
+
+def error_table(study: HybridStudy, dataset: Dataset) -> Table:
+    """Free-run error of each record, 1 where it is as the weights say."""
+    table = open_table("record", "role", "physics alone>", "hybrid>")
+    for name, (before, after) in study.errors.items():
+        role = "validation" if name in study.validation else dataset[name].role
+        table.add_row(name, role, f"{before:.3g}", f"{after:.3g}")
+    return table
+
+
+def drift_figure(study: HybridStudy) -> Figure:
+    """A bar a parameter: how far it moved when the networks came in, in standard errors."""
+    drift = np.nan_to_num(study.drift)
+    with journal():
+        figure = new_figure(0.22 * len(drift) + 0.8, 3.5)
+        axes = figure.subplots()
+        far = np.abs(drift) > 3.0
+        axes.barh(np.arange(len(drift)), drift, color=np.where(far, COLOURS[1], COLOURS[0]), height=0.6)
+        axes.axvspan(-3.0, 3.0, color=GREY, alpha=0.15, lw=0)
+        axes.axvline(0.0, color=GREY, lw=0.6)
+        axes.set_yticks(np.arange(len(drift)), [symbol(name) for name in study.names])
+        axes.invert_yaxis()
+        axes.set_xlabel("drift from physics alone to hybrid [standard errors]")
+    return figure
+
+
+def map_figure(role: NetworkRole) -> Figure:
+    """A network's output over speed and angle, and the motion of the records."""
+    with journal():
+        figure = new_figure(2.6, 4.6)
+        axes = figure.subplots()
+        reach = float(np.abs(role.map).max()) or 1.0
+        image = axes.pcolormesh(
+            role.angle, role.speed, role.map, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
+        )
+        axes.plot(role.seen[:, 1], role.seen[:, 0], ".", ms=1.2, color="black", alpha=0.35, label="records")
+        axes.set(xlabel="angle [rad]", ylabel="speed [rad/s]", title=f"network at {role.where}")
+        figure.colorbar(image, label=f"output [{role.unit.replace(' ', chr(0x2009))}]")
+    return figure
+
+
+def hybrid_images(study: HybridStudy) -> dict[str, np.ndarray]:
+    """Pictures by the name of their file, (H, W, 3)."""
+    figures = {"drift": drift_figure(study)}
+    figures |= {f"map_{role.where.replace('/', '_')}": map_figure(role) for role in study.roles}
+    return {name: pixels(figure) for name, figure in figures.items()}
+
+
+def hybrid_page(dataset: Dataset, study: HybridStudy, images: dict[str, np.ndarray]) -> Page:
+    """The page of a hybrid training."""
+    result = study.result
+    lead = f"Physics with {len(study.roles)} residual network(s), trained on {dataset.name}. "
+    lead += (
+        study.warnings[0][:1].upper() + study.warnings[0][1:] + "."
+        if study.warnings
+        else (
+            f"The price {result.rungs[result.chosen].price:g} was chosen; no network does the physics' work."
+        )
+    )
+    page = Page(f"Physics and networks on {dataset.name}", lead)
+    page.section("Parameters").add(drift_table(study), *study.warnings).picture(
+        images["drift"],
+        "How far each parameter moved when the networks came in; grey: within three standard errors.",
+    )
+    networks = page.section("Networks").add(role_table(study.roles))
+    for name, image in images.items():
+        if name.startswith("map_"):
+            networks.picture(image, "Output over speed and angle; black: where the records have been.")
+    page.section("Ladder of prices").add(ladder_table(study))
+    page.section("Errors").add(error_table(study, dataset))
+    page.section("Records").add(records_table(dataset))
+    return page

@@ -1,0 +1,170 @@
+"""Physics alone and physics with networks on the same records, and whether the parameters keep their meaning."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+from hybrid_id.identification.adjoint import Writer
+from hybrid_id.identification.hybrid import HybridOptions, HybridResult, train_hybrid
+from hybrid_id.identification.hybrid_course import Progress
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.solvers import OdeEngine
+from hybrid_id.study.network_role import NetworkRole, network_roles
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.chain import System
+
+OVERLAP, SMALL, DRIFT = 0.5, 0.01, 3.0
+"""Overlap with the physics from which on a network is said to do its work, share of the torque under which it does next
+to nothing, and drift in standard errors from which on a parameter is said to have moved."""
+
+
+@dataclass(frozen=True, eq=False)
+class HybridStudy:
+    """Result of :func:`hybridise`.
+
+    Attributes:
+        result: the training.
+        validation: names of the records that chose.
+        names, units: of the estimated parameters.
+        physics, hybrid: their values without and with the networks, ``(n_f,)``.
+        physics_error, hybrid_error: their standard errors, ``(n_f,)``.
+        roles: what each network of the chosen system does on the train records; of the lowest price where physics alone
+            is chosen.
+        errors: RMS of the weighted output error by record, physics and hybrid; 1 is the noise floor.
+    """
+
+    result: HybridResult
+    validation: tuple[str, ...]
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    physics: np.ndarray
+    hybrid: np.ndarray
+    physics_error: np.ndarray
+    hybrid_error: np.ndarray
+    roles: tuple[NetworkRole, ...]
+    errors: dict[str, tuple[float, float]]
+
+    @property
+    def drift(self) -> np.ndarray:
+        """Change of each parameter from physics alone to hybrid in standard errors of the difference, ``(n_f,)``."""
+        return (self.hybrid - self.physics) / np.hypot(self.physics_error, self.hybrid_error)
+
+    @property
+    def warnings(self) -> list[str]:
+        """In words, where a network does the physics' work and the parameters may not mean what their names say."""
+        return _warnings(self)
+
+
+def hybridise(
+    dataset: Dataset,
+    system: System,
+    *,
+    engine: OdeEngine | None = None,
+    options: HybridOptions | None = None,
+    validation: Sequence[str] | None = None,
+    device: str = "cpu",
+    signal_share: float = SIGNAL_SHARE,
+    writer: Writer | None = None,
+    checkpoint: Path | None = None,
+    resume: Path | None = None,
+    progress: Progress | None = None,
+) -> HybridStudy:
+    """Train a model with networks on the train records, and say what the networks do there.
+
+    Args:
+        dataset: train records are trained on; test records are only scored, unless they have to validate.
+        system: model with at least one residual network.
+        engine: solver and kind of gradient.
+        options: settings of the training.
+        validation: names of the records that choose price and end (default: see :func:`split`).
+        device: torch device.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        writer: takes the course of the training.
+        checkpoint: file that holds the training.
+        resume: checkpoint to go on from.
+        progress: called after each gradient; see :func:`hybrid_id.identification.hybrid.train_hybrid`.
+    """
+    train, held = split(dataset, validation)
+    batch, looked = (batch_of(dataset, system, part, signal_share, device) for part in (train, held))
+    result = train_hybrid(
+        system.to(device), batch, looked, engine=engine, options=options, writer=writer, checkpoint=checkpoint,
+        resume=resume, progress=progress,
+    )  # fmt: skip
+    first, chosen = result.rungs[0], result.rungs[result.chosen]
+    info = [i for i in first.system.table if i.spec.estimate]
+    values = [np.array([s.parameter(i.name).spec.value for i in info]) for s in (first.system, chosen.system)]
+    roles = network_roles(result.rungs[result.chosen or -1].system, result.engine, batch)
+    everything = batch_of(dataset, system, dataset.records, signal_share, device)
+    misses = []
+    for trained in (first.system, chosen.system):
+        run = simulate(trained, result.engine, everything)
+        square = ((run.y - everything.y) * everything.weight).square().sum((1, 2))
+        misses.append((square / (everything.weight > 0).sum((1, 2))).sqrt().tolist())
+    return HybridStudy(
+        result, tuple(r.name for r in held), tuple(i.name for i in info), tuple(i.spec.unit for i in info),
+        values[0], values[1], first.errors, chosen.errors, roles,
+        {name: (a, b) for name, a, b in zip(everything.names, *misses, strict=True)},
+    )  # fmt: skip
+
+
+def split(
+    dataset: Dataset, names: Sequence[str] | None = None
+) -> tuple[tuple[Record, ...], tuple[Record, ...]]:
+    """Records to train on and to validate on.
+
+    Named records validate. Otherwise the last fifth of the train records does (at least one), so that the test records
+    stay unseen; with a single train record the test records have to.
+
+    Raises:
+        InputError: a name that is no record, or too few records.
+    """
+    train = list(dataset.train)
+    if names is not None:
+        if unknown := [name for name in names if name not in {r.name for r in dataset}]:
+            raise InputError(
+                f"Validation record '{unknown[0]}' is not in dataset '{dataset.name}'; name one that is."
+            )
+        held = [dataset[name] for name in names]
+        train = [record for record in train if record.name not in names]
+    elif len(train) > 1:
+        count = max(1, len(train) // 5)
+        train, held = train[:-count], train[-count:]
+    else:
+        held = list(dataset.test)
+    if not train or not held:
+        raise InputError(
+            f"Dataset '{dataset.name}' has {len(dataset.train)} train and {len(dataset.test)} test records; a hybrid "
+            "training needs one to train on and another one to validate on."
+        )
+    return tuple(train), tuple(held)
+
+
+def _warnings(study: HybridStudy) -> list[str]:
+    """In words, where a network does the physics' work."""
+    if study.result.chosen == 0:
+        return ["the validation records ask for no network: physics alone is as good, so it is what is kept"]
+    found = []
+    for role in study.roles:
+        if role.share > SMALL and role.overlap > OVERLAP:
+            names = " and ".join(name for name, cosine in role.alike[:2] if cosine > 0.2) or role.alike[0][0]
+            found.append(
+                f"the network at {role.where} does work that the physics could do: {100 * role.overlap:.0f} % of the "
+                f"accelerations it causes look like a change of the parameters, of {names} above all; do not read "
+                "these as physical"
+            )
+    for name, drift in zip(study.names, study.drift, strict=True):
+        if math.isfinite(drift) and abs(drift) > DRIFT:
+            found.append(
+                f"{name} moved by {drift:+.1f} standard errors when the networks came in: without them it made up for "
+                "what the model lacks, or with them it lost a part of its meaning"
+            )
+    return found
