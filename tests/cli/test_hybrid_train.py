@@ -1,0 +1,104 @@
+"""`train` with a hybrid section: results, figures, warnings, and what happens to a run that is killed."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drives import make_record, multisine, rigid_drive
+
+from hybrid_id.components import Cogging
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.model_file import load_model, save_model
+
+HYBRID = """
+dataset: {data}
+training: {{width: 2.0, fine: 4}}
+hybrid:
+  networks: [{{place: joint1/motor, inputs: [speed, sin 3, cos 3], hidden: [4]}}]
+  prices: [1.0]
+  windows: [[0.2, 2]]
+  max_iterations: 6
+"""
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study file for a drive whose cogging the model lacks."""
+    physics = rigid_drive(ratio=20.0).with_values({"F_c": 0.005})
+    physics = physics.with_specs({"P_m1": replace(physics.parameter("P_m1").spec, estimate=False)})
+    truth = physics.with_component("joint1/motor", Cogging(T_c=0.0, T_s=2.5e-3, n=3.0))
+    voltages = [multisine(k, samples=160, rest=10, amplitude=2.5, step=0.004) for k in range(4)]
+    engine = Engine("smooth", 4, width=2.0)
+    records = [
+        make_record(truth, u, seed=k, noise={"q_m1": 0.02}, name=f"run_{k}", engine=engine, step=0.004)
+        for k, u in enumerate(voltages)
+    ]
+    records[3] = replace(records[3], role="test")
+    folder = tmp_path_factory.mktemp("hybrid")
+    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.02),)
+    Dataset("cogging drive", *channels, tuple(records), 0.004).save(folder / "data")
+    save_model(physics, folder / "data" / "model.yaml")
+    (folder / "study.yaml").write_text(HYBRID.format(data=folder / "data"))
+    return folder / "study.yaml"
+
+
+def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shown = run("train", study, "--out", out)
+    assert shown.code == 0
+    assert all(
+        words in shown.out for words in ("drift", "share of torque", "overlap", "physics alone", "chosen")
+    )
+    result = json.loads((out / "result.json").read_text())
+    assert result["validation_records"] == ["run_1"] or result["validation_records"] == ["run_2"]
+    (network,) = result["networks"]
+    assert (
+        network["where"] == "joint1/motor"
+        and 0.0 < network["share"] < 1.0
+        and 0.0 <= network["overlap"] <= 1.0
+    )
+    assert set(result["parameters"]) == {"P_m2", "F_c", "F_v", "J"}
+    assert [rung["price"] for rung in result["ladder"]] == [None, 1.0]
+    errors = result["weighted_error"]["run_0"]
+    assert errors["hybrid"] < 0.5 * errors["physics"]
+    model = load_model(out / "model.yaml")
+    assert (
+        set(model.networks) == {"joint1/motor/residual_network"}
+        and not load_model(out / "physics.yaml").networks
+    )
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png") == 2 and "Ladder of prices" in page
+    assert (out / "map_joint1_motor.png").stat().st_size > 1000
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(out / "tensorboard" / "hybrid")).Reload()
+    tags = {"loss/train", "loss/validation", "gradient/norm", "residual/share_r_motor1", "fit/q_m1"}
+    assert tags <= set(events.Tags()["scalars"])
+    assert np.isfinite([e.value for e in events.Scalars("loss/train")]).all()
+
+    again = run("train", out / "config.yaml", "--out", out, "--resume", "--json")
+    assert again.code == 0 and json.loads(again.out)["networks"] == result["networks"]
+    assert (
+        run(
+            "simulate", study.parent / "data", "--model", out / "model.yaml", "--out", tmp_path / "replay"
+        ).code
+        == 0
+    )
+
+
+def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> None:
+    text = study.read_text()
+    for old, new, words in (
+        ("hidden: [4]", "hiden: [4]", "hiden"),
+        ("inputs: [speed, sin 3, cos 3]", "inputs: [colour]", "no input 'colour'"),
+        ("joint1/motor", "joint1/sensor", "joint1/sensor"),
+        ("prices: [1.0]", "prices: [0.1, 1.0]", "no ladder"),
+        ("max_iterations: 6", "validation: [run_9]", "run_9"),
+    ):
+        assert old in text
+        (tmp_path / "study.yaml").write_text(text.replace(old, new))
+        told = run("train", tmp_path / "study.yaml", "--out", tmp_path / "out")
+        assert told.code == 2 and words in told.err and not (tmp_path / "out").exists()
