@@ -1,6 +1,7 @@
 """`check`: what the records are worth before anything is fitted to them."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -8,6 +9,10 @@ from hybrid_id.cli.console import out, show
 from hybrid_id.cli.inputs import load_records, refuse_errors
 from hybrid_id.cli.options import DatasetArgument, JsonOption, ModelOption, ThreadsOption, use_threads
 from hybrid_id.config import beside
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.statistics.identifiability import Identifiability
 
 
 def check(
@@ -40,6 +45,7 @@ def check(
 
         out().print(to_json("check", check_result(data, findings, told)), markup=False, soft_wrap=True)
         refuse_errors(findings)
+        _refuse_nothing(told, path)
         return
     from hybrid_id.reporting.tables import findings_list, identifiability_table, records_table
 
@@ -54,3 +60,12 @@ def check(
         show("", f"What these records tell about {path}, at its start values and before any fit:")
         show(identifiability_table(told))
     refuse_errors(findings)
+    _refuse_nothing(told, path)
+
+
+def _refuse_nothing(told: "Identifiability | None", path: Path | None) -> None:
+    """Raise where the records tell no parameter and no combination of parameters."""
+    if told is not None and not told.combinations and not told.claimable.any():
+        raise InputError(
+            f"the records tell nothing about the parameters of {path}; make new ones in which the drive moves"
+        )

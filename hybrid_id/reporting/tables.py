@@ -55,17 +55,12 @@ def identifiability_table(told: Identifiability) -> RenderableType:
     else:
         words = f"all {len(told.names)} parameters can be told (condition number {told.condition_number:.3g})"
         parts.append(Text(words, style="green"))
-    table = open_table(
-        "what the records tell", "predicted error>", "what the records tell ", "predicted error >"
-    )
     cells = [
         (c.text, f"± {100 * std:.2g} %")
         for c, std in zip(told.combinations, told.combination_std, strict=True)
     ]
-    half = (len(cells) + 1) // 2
-    for k in range(half):
-        table.add_row(*cells[k], *(cells[half + k] if half + k < len(cells) else ("", "")))
-    parts.append(table)
+    if cells:
+        parts.append(_two_a_row(["what the records tell", "predicted error>"], cells))
     if told.not_claimable:
         parts.append(
             Text(
@@ -100,12 +95,12 @@ def study_table(study: Study, reach: float, level: float) -> RenderableType:
                 spread.stylize("red")
             row += [f"{study.variation.mean[k]:.5g}", spread]
         table.add_row(*row, Text(trust.grade, style=_GRADE[trust.grade]))
-    combined = [] if study.identifiability.claimable.all() else [_combinations_table(study, reach, level)]
+    combined = [] if study.identifiability.claimable.all() else _combinations(study, reach, level)
     return Group(table, *combined, *(Text(line) for line in _remarks(study)))
 
 
-def _combinations_table(study: Study, reach: float, level: float) -> Table:
-    """The functions of parameters that do have an interval where parameters alone have none, two a row."""
+def _combinations(study: Study, reach: float, level: float) -> list[Table]:
+    """The functions of parameters that do have an interval where parameters alone have none; no table without any."""
     told, index = study.combinations, study.selection.index
     heads = ["what is identified", "value>", f"± ({100 * level:g} %)>"]
     heads += [] if told.variation is None else ["std/mean>"]
@@ -115,6 +110,11 @@ def _combinations_table(study: Study, reach: float, level: float) -> Table:
             continue
         row = [name, f"{told.values[index, k]:.5g}", f"{reach * told.std_error[index, k]:.2g}"]
         rows.append(row if told.variation is None else [*row, f"{told.variation.percent[k]:.2f} %"])
+    return [_two_a_row(heads, rows)] if rows else []
+
+
+def _two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """A table of two columns of rows, so that it is half as long."""
     half = (len(rows) + 1) // 2
     table = open_table(*heads, *(f" {head}" for head in heads))
     for k in range(half):

@@ -27,6 +27,8 @@ def long_run_covariance(series: Sequence[np.ndarray]) -> tuple[np.ndarray, int]:
     Returns:
         Covariance (p, p), and the reach of the correlation that it counts, in samples.
     """
+    if not series[0].shape[1]:  # the records tell nothing
+        return np.zeros((0, 0)), 0
     chunk = max(max(len(s) for s in series) // _CHUNKS, 1)
     sums = [np.add.reduceat(s, np.arange(0, len(s), chunk)) for s in series]
     size = np.sqrt(np.sum([np.sum(s**2, axis=0) for s in sums], axis=0))

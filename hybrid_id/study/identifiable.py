@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
+from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import evaluate
@@ -46,7 +47,12 @@ def preflight(dataset: Dataset, system: System, *, signal_share: float = SIGNAL_
     """What the train records can tell about the model's parameters, before any fit, at its start values.
 
     The sensitivities are those of a free run linearised along the measured motion.
+
+    Raises:
+        InputError: nothing to estimate, or missing channels.
     """
+    if not any(info.spec.estimate for info in system.table):
+        raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
     batch = batch_of(dataset, system, dataset.train or dataset.records, signal_share, "cpu")
     free = [i for i, info in enumerate(system.table) if info.spec.estimate]
     theta = system.theta().detach()[:, None].expand(-1, batch.rows)

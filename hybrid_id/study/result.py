@@ -92,17 +92,18 @@ class Study:
 
     @property
     def combinations(self) -> Combinations:
-        """The identifiable combinations of the selected set's records, for every set."""
+        """The identifiable combinations of the selected set's records, for every set; c = 0 where nothing is told."""
         told = self.identifiability.combinations
+        shape = (len(self.sets), len(told))
         with np.errstate(divide="ignore", invalid="ignore"):  # a parameter at zero has no relative error
             errors = np.array(
                 [
                     [max(c.std_error(r.values, cov.matrix) for cov in pair) for c in told]
                     for r, *pair in zip(self.sets, self.covariances, self.robust, strict=True)
                 ]
-            )
+            ).reshape(shape)
         errors = np.where(np.isnan(errors), np.inf, errors)
-        values = np.stack([c.evaluate(self.values) for c in told], 1)
+        values = np.array([c.evaluate(self.values) for c in told]).reshape(shape[::-1]).T
         names = tuple(c.text for c in told)
         return Combinations(names, values, errors, variation(values, names) if len(self.sets) > 1 else None)
 

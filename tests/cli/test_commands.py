@@ -14,12 +14,14 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from drives import make_record, rigid_drive
 
 from hybrid_id import __version__
 from hybrid_id.cli.folder import added_results, live_folder, results_folder
 from hybrid_id.cli.progress import FitProgress
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems.model_file import load_model
 from hybrid_id.twin.demo import DEMO
 
@@ -58,6 +60,26 @@ def test_check_says_what_can_be_told(run, drive: Path) -> None:
         "all 3 parameters can be told" in words.out
     )  # both motor constants are given, so nothing is degenerate
     assert "identified" not in run("check", drive, "--model", drive / "model.yaml").err
+
+
+@pytest.mark.parametrize("options", [[], ["--json"]])
+def test_check_refuses_records_that_tell_nothing(
+    run, drive: Path, tmp_path: Path, options: list[str]
+) -> None:
+    stuck = make_record(rigid_drive(), np.zeros(10), seed=0, noise={"q_m1": 0.01}, name="stuck")
+    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),)
+    Dataset("stuck drive", *channels, (stuck,), 0.002).save(tmp_path / "stuck")
+    said = run("check", tmp_path / "stuck", "--model", drive / "model.yaml", *options)
+    assert said.code == 2
+    assert "tell nothing about the parameters of" in said.err
+
+
+def test_check_refuses_model_without_unknowns(run, drive: Path, tmp_path: Path) -> None:
+    fixed = tmp_path / "fixed.yaml"
+    fixed.write_text((drive / "model.yaml").read_text().replace("estimate: true", "estimate: false"))
+    said = run("check", drive, "--model", fixed)
+    assert said.code == 2
+    assert "no parameter to estimate" in said.err
 
 
 def test_check_as_json(run, drive: Path) -> None:

@@ -19,6 +19,7 @@ from hybrid_id.reporting.record_plots import comparison_figure, excitation_figur
 from hybrid_id.reporting.results import as_json, study_result, write_parameters
 from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, symbol, unit
 from hybrid_id.reporting.tables import comparison_table, identifiability_table, study_table, truth_table
+from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.statistics.residuals import whiteness
 from hybrid_id.study import Comparison, Study, compare, identify
 
@@ -163,6 +164,17 @@ def test_combinations_come_out_right(study: Study) -> None:
     assert told.values.shape == (2, len(told.names))
     assert np.all(np.abs(told.values - truth) < 4 * told.std_error)
     assert np.all(told.std_error < 0.2 * np.abs(truth))
+
+
+def test_study_that_identifies_nothing_has_no_combinations(study: Study) -> None:
+    p = len(study.names)
+    told = identifiability(np.ones(p), study.names, jacobian=np.zeros((50, p)))
+    nothing = replace(study, identifiability=told)
+    assert nothing.combinations.values.shape == nothing.combinations.std_error.shape == (2, 0)
+    assert study_result(nothing, reach=1.96, level=0.95)["combinations"] == {}
+    assert "what is identified" not in text_of(study_table(nothing, 1.96, 0.95))
+    assert "what the records tell" not in text_of(identifiability_table(told))
+    assert pixels(parameter_figure(nothing)).any()
 
 
 def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) -> None:

@@ -106,3 +106,8 @@ def test_undetermined_parameters_have_infinite_errors_and_the_others_keep_theirs
 def test_perfect_residuals_do_not_break_it(regression):
     design, _, _ = regression(n_samples=100)
     assert np.all(np.isfinite(robust_covariance(design, np.zeros(100)).std_error))
+
+
+def test_records_that_tell_nothing_leave_no_standard_error():
+    result = robust_covariance(np.zeros((10, 3)), np.linspace(-1, 1, 10))
+    assert np.all(np.isinf(result.std_error))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.quality import Finding
+from hybrid_id.records.finding import Finding
 from hybrid_id.reporting.html.page import Page
 from hybrid_id.reporting.tables import (
     count,
