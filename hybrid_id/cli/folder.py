@@ -30,6 +30,7 @@ def refuse_taken(path: Path, *, force: bool) -> None:
         path: Folder of the results.
         force: Whether results of an earlier run may be replaced; other files never are.
     """
+    _remove(_make_parents(path))  # a trial: rights and names are known only by it
     if path.is_symlink() or (path.exists() and not path.is_dir()):
         raise InputError(f"{path} is no folder; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
@@ -67,9 +68,7 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
             new.replace(path)
             complete = True
     finally:
-        for folder in [] if complete else made:
-            with suppress(OSError):
-                folder.rmdir()
+        _remove([] if complete else made)
 
 
 @contextmanager
@@ -95,9 +94,7 @@ def live_folder(path: Path, *, force: bool, resume: bool) -> Iterator[None]:
             shutil.rmtree(path)
             if replaced:
                 aside.replace(path)
-            for folder in made:
-                with suppress(OSError):
-                    folder.rmdir()
+            _remove(made)
         raise
     if replaced:
         shutil.rmtree(aside)
@@ -118,15 +115,23 @@ def added_results(path: Path) -> Iterator[Path]:
 
 
 def _make_parents(path: Path) -> list[Path]:
-    """Make the folders above a path; returns those that were not there, innermost first."""
-    missing = [folder for folder in path.absolute().parents if not folder.exists()]
+    """Make the folders above a path, and try one beside it; returns those that were not there, innermost first."""
+    missing: list[Path] = []
     try:
+        missing = [folder for folder in path.absolute().parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}."):
+            return missing
     except OSError as error:
-        raise InputError(f"{path.parent} cannot be made ({error.strerror}); give another folder") from None
-    if not os.access(path.parent, os.W_OK):
-        raise InputError(f"{path.parent} cannot be written to; give another folder")
-    return missing
+        _remove(missing)
+        raise InputError(f"{path} cannot be made ({error.strerror}); give another place") from None
+
+
+def _remove(folders: list[Path]) -> None:
+    """Remove folders that are empty, innermost first."""
+    for folder in folders:
+        with suppress(OSError):
+            folder.rmdir()
 
 
 @contextmanager
