@@ -1,12 +1,12 @@
 """Checks of records before anything is fitted to them: what is wrong, where, and what to do about it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import replace
 
 import numpy as np
 
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.finding import Finding, Severity, worst_first
 from hybrid_id.records.measures import (
     DRIVES,
     count_turns,
@@ -18,7 +18,7 @@ from hybrid_id.records.measures import (
     stretches,
 )
 from hybrid_id.records.record import Record
-from hybrid_id.records.resample import find_gaps
+from hybrid_id.records.sampling import check_sampling, check_steps
 from hybrid_id.records.units import stem
 
 __all__ = [
@@ -30,80 +30,36 @@ __all__ = [
     "start_position",
 ]
 
-MIN_SAMPLES = 200
 SPIKE = 12.0  # times noise or quantisation step
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One result of a check.
-
-    Attributes:
-        severity: `error` (a fit would be meaningless), `warning` (it may be wrong) or `info`.
-        code: Short name of the check, to filter by.
-        message: A sentence that names record and channel and says what to do.
-        record: Name of the record; empty for the dataset as a whole.
-        channel: Name of the channel, where there is one.
-    """
-
-    severity: Literal["error", "warning", "info"]
-    code: str
-    message: str
-    record: str = ""
-    channel: str = ""
 
 
 def check_record(record: Record) -> list[Finding]:
     """Check one record's sampling, inputs and outputs; worst findings first."""
-    findings = [*_sampling(record), *_excitation(record)]
+    findings = [*check_sampling(record), *_excitation(record)]
     for name, values in record.outputs.items():
         findings += [
             Finding(severity, code, f"{record.name}, {name}: {words}", record.name, name)
             for severity, code, words in _output(record, name, values)
         ]
-    return _sorted(findings)
+    return worst_first(findings)
 
 
 def check_dataset(dataset: Dataset) -> list[Finding]:
     """Check a dataset as a whole and every record in it; worst first, what records share said once."""
-    findings = [*_roles(dataset), *_repeats(dataset)]
+    findings = [*_roles(dataset), *_repeats(dataset), *check_steps(dataset), *_dead_inputs(dataset)]
     findings += [Finding("info", "resampled", report.message, report.record) for report in dataset.resampling]
     for channel in dataset.outputs:
         findings += _across_records(dataset, channel)
     findings += _merged([finding for record in dataset for finding in check_record(record)])
-    return _sorted(findings)
-
-
-def _sorted(findings: list[Finding]) -> list[Finding]:
-    return sorted(findings, key=lambda finding: ("error", "warning", "info").index(finding.severity))
-
-
-def _sampling(record: Record) -> Iterator[Finding]:
-    name, step = record.name, record.sample_time
-    if record.n_samples < MIN_SAMPLES:
-        words = f"{name} has {record.n_samples} samples; record longer, at least {MIN_SAMPLES}"
-        yield Finding("warning", "short", words, name)
-    if gaps := find_gaps(record):
-        words = (
-            f"{name}: samples are missing at {len(gaps)} places, first after {gaps[0][0]:.4g} s for "
-            f"{1e3 * gaps[0][1]:.3g} ms ({gaps[0][1] / step:.0f} steps); cut the record there with 'between'"
-        )
-        yield Finding("warning", "gap", words, name)
-    if not record.is_uniform:
-        steps = np.diff(record.time)
-        words = (
-            f"{name}: stamps are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart (median "
-            f"{1e3 * step:.3g} ms, spread {steps.std() / step:.1%}) and are used as they are; "
-            "'resample: true' makes them uniform"
-        )
-        yield Finding("info", "jitter", words, name)
+    return worst_first(findings)
 
 
 def _excitation(record: Record) -> Iterator[Finding]:
     name = record.name
     drives = {key: values for key, values in record.inputs.items() if stem(key) in (*DRIVES, "goal")}
     if drives and not any(np.ptp(values) for values in drives.values()):
-        words = f"{name}: {', '.join(drives)} never change, so only a free motion is seen; excite the drive"
+        verb = "changes" if len(drives) == 1 else "change"
+        words = f"{name}: {', '.join(drives)} never {verb}, so only a free motion is seen; excite the drive"
         yield Finding("warning", "no_excitation", words, name)
     moving = [values for values in (*drives.values(), *record.outputs.values()) if np.ptp(values)]
     if drives and max((count_turns(values, 0.05 * np.ptp(values)) for values in moving), default=0) < 2:
@@ -121,9 +77,7 @@ def _excitation(record: Record) -> Iterator[Finding]:
             yield Finding("info", "clipped_input", words, name, channel)
 
 
-def _output(
-    record: Record, name: str, values: np.ndarray
-) -> Iterator[tuple[Literal["error", "warning", "info"], str, str]]:
+def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Severity, str, str]]:
     """Yield (severity, code, words) for one output."""
     if np.ptp(values) == 0:
         yield "error", "constant", f"it is {values[0]:g} throughout; check its column and its sensor"
@@ -204,6 +158,22 @@ def _roles(dataset: Dataset) -> Iterator[Finding]:
     if not dataset.test:
         words = f"{dataset.name} has no test record, so nothing is held back; give one the role 'test'"
         yield Finding("info", "no_test", words)
+
+
+def _dead_inputs(dataset: Dataset) -> Iterator[Finding]:
+    """Inputs that push the motor and never change in any train record; an error where none of them does."""
+    values = {
+        channel.name: np.concatenate([record.inputs[channel.name] for record in dataset.train])
+        for channel in (dataset.inputs if dataset.train else ())
+        if stem(channel.name) in (*DRIVES, "goal")
+    }
+    dead = [name for name, signal in values.items() if np.ptp(signal) == 0]
+    for name in dead:
+        words = (
+            f"{name} is {values[name][0]:g} in every sample of every train record, so nothing shows how it drives the "
+            "motor; check its column, or add a record in which it changes"
+        )
+        yield Finding("error" if len(dead) == len(values) else "warning", "dead_input", words, channel=name)
 
 
 def _repeats(dataset: Dataset) -> Iterator[Finding]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from hybrid_id import __version__
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.quality import Finding
+from hybrid_id.records.finding import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.study import Comparison, Replay, Study
 from hybrid_id.systems.model_file import save_model

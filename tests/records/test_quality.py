@@ -113,7 +113,12 @@ def test_faults_of_an_output(change, code: str) -> None:
 def test_faults_of_sampling() -> None:
     keep = np.r_[0:1000, 1010:T]
     part = {"time": TIME[keep], "inputs": {"u1": VOLTAGE[keep]}, "outputs": {"q_m1": motion()[keep]}}
-    assert {"gap", "jitter"} <= codes(check_record(Record("a", **part)))
+    found = {finding.code: finding for finding in check_record(Record("a", **part))}
+    assert (found["gap"].severity, found["jitter"].severity) == ("error", "info")
+    assert "missing at 1 place, first after 1.998 s for 22 ms" in found["gap"].message
+    assert "'resample: {max_gap: 11}'" in found["gap"].message
+    slow = next(f for f in check_record(record(time=1e3 * TIME)) if f.code == "slow_step")
+    assert "a: its samples are 2 s apart" in slow.message
     assert "short" in codes(check_record(record().between(1.0, 1.1)))
 
 
@@ -162,6 +167,21 @@ def test_good_dataset_has_nothing_to_warn_of() -> None:
 )
 def test_faults_of_a_dataset(data: Dataset, code: str, severity: str) -> None:
     assert (code, severity) in {(finding.code, finding.severity) for finding in check_dataset(data)}
+
+
+def test_steps_that_differ_name_the_record() -> None:
+    data = replace(dataset(record("a")), sample_time=None, records=(record("a"), record("b", time=20 * TIME)))
+    (finding,) = (f for f in check_dataset(data) if f.code == "unequal_steps")
+    assert finding.message.startswith("b: its samples are 40 ms apart where those of a are 2 ms apart")
+
+
+def test_an_input_that_never_changes_in_training_is_an_error() -> None:
+    still = {"u1": np.full(T, 2.0)}
+    dead = dataset(record("a", inputs=still), record("b", seed=2, role="test"))
+    assert "dead_input" in codes(check_dataset(dead))
+    assert check_dataset(dead)[0].severity == "error"
+    one_moves = dataset(record("a", inputs=still), record("b", seed=2))
+    assert "dead_input" not in codes(check_dataset(one_moves))
 
 
 def test_what_many_records_share_is_said_once() -> None:
