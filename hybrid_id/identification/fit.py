@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
+from hybrid_id.identification.horizons import grow, hidden_links
 from hybrid_id.identification.least_squares import Bounds, Options, minimise
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.simulation.memory import keep_freed_memory
@@ -43,9 +44,10 @@ def fit(
 ) -> list[FitResult]:
     """Identify one parameter set for each row of a batch, or one for all of them.
 
-    The warm start fits short windows that begin at measured states, where the problem is nearly convex; the full
-    fit then runs over whole records (output error, paper eq. 2). With several starts each set keeps its best end; a
-    loss with stages keeps the best quarter of the starts after each stage.
+    The warm start fits short windows that begin at measured states, where the problem is nearly convex (behind a
+    spring without an encoder: horizons that grow from the records' starts); the full fit then runs over whole
+    records (output error, paper eq. 2). With several starts each set keeps its best end; a loss with stages keeps the
+    best quarter of the starts after each stage.
 
     Args:
         system: model with start values, bounds, priors and roles.
@@ -87,9 +89,19 @@ def fit(
         # a smooth law is close to its dry limit, whose steps cost a fraction
         quick = engine if engine.friction == "dry" or engine.compiled else Engine()
         quick = with_substeps(system, quick, many, theta[:, many_sets])
-        theta = warm_start(system, quick, many, many_sets, theta, free, bounds, options, report("windows"))
+        if hidden_links(system, batch):
+            theta = grow(
+                system, quick, batch, sets, theta[:, ::count], free, bounds, options, report("windows")
+            )
+            starts, many, many_sets = 1, batch, sets
+        else:
+            theta = warm_start(
+                system, quick, many, many_sets, theta, free, bounds, options, report("windows")
+            )
     engine = with_substeps(system, engine, many, theta[:, many_sets])
     nodes, alive, each = None, starts, torch.arange(count, device=device)
+    if hidden_links(system, batch):  # the batch's guess has no spring loaded
+        nodes = simulate(system, engine, many, theta[:, many_sets]).x
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
         for refinements_left in (2, 1, 0):

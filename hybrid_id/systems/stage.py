@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from hybrid_id.errors import InputError
 from hybrid_id.systems.chain import System
 
 
-def carry_over(system: System, previous: System, hold: Sequence[str] = ()) -> System:
+def carry_over(
+    system: System, previous: System, hold: Sequence[str] = (), names: Mapping[str, str] | None = None
+) -> System:
     """The system started at the values that an earlier stage found.
 
     Paper, sections III.D and IV: the flexible model of link 1 keeps the motor and viscous parameters of the rigid
@@ -19,12 +21,14 @@ def carry_over(system: System, previous: System, hold: Sequence[str] = ()) -> Sy
         system: model of this stage.
         previous: identified model of the earlier stage.
         hold: names of parameters that keep the earlier value; this fit does not move them.
+        names: what the earlier stage calls parameters of this model, where it calls them otherwise.
 
     Raises:
         InputError: a parameter to hold that one of the models lacks, a unit that differs, or a value outside this
             stage's bounds.
     """
     found = {info.name: info.spec for info in previous.table}
+    found |= {here: found[there] for here, there in (names or {}).items() if there in found}
     own = {info.name: info.spec for info in system.table}
     for name in hold:
         if name not in found or name not in own:
