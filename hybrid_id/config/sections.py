@@ -86,7 +86,7 @@ class Training(Section):
         method: torchdiffeq's solver, rk4 or dopri5 say.
         gradient: `adjoint`, or `backprop` through the steps.
         substeps, fine: least number of steps a sample, and of a sample in which a speed comes near zero.
-        width: speed over which friction is smoothed [rad/s].
+        width: speed over which friction is smoothed [rad/s]; the smaller, the nearer to dry friction, and the slower.
         windows: stages before the whole records, each (length of a window [s], use one window in this many).
         max_iterations, tolerance: of each stage; converged when a step is under `tolerance` standard errors.
         validate_every: gradients between two looks at the test records.
@@ -96,7 +96,7 @@ class Training(Section):
     gradient: Literal["adjoint", "backprop"] = "adjoint"
     substeps: PositiveInt = 1
     fine: PositiveInt = 32
-    width: PositiveFloat = 0.5
+    width: PositiveFloat = 0.05
     windows: list[tuple[PositiveFloat, PositiveInt]] = [(0.2, 4)]
     max_iterations: PositiveInt = 100
     tolerance: PositiveFloat = 0.01
