@@ -96,6 +96,8 @@ class Input(Component):
 
     places = ("input",)
     single = True
+    gives: ClassVar[str] = "V"
+    """Unit of its command."""
     channels: ClassVar[tuple[str, ...]] = ()
     """Channels that it reads, without the joint's number."""
 
@@ -111,6 +113,8 @@ class Motor(Component):
 
     places = ("motor",)
     single = True
+    takes: ClassVar[str] = "V"
+    """Unit of the command that it takes."""
 
     def torque(self, p: SimpleNamespace, command: Tensor, speed: Tensor) -> Tensor:
         """Motor torque on the rotor [N m], ``(B,)``."""

@@ -45,7 +45,7 @@ def fit(
     """Identify one parameter set for each row of a batch, or one for all of them.
 
     The warm start fits short windows that begin at measured states, where the problem is nearly convex (behind a
-    spring without an encoder: horizons that grow from the records' starts); the full fit then runs over whole
+    gear with play and no encoder: horizons that grow from the records' starts); the full fit then runs over whole
     records (output error, paper eq. 2). With several starts each set keeps its best end; a loss with stages keeps the
     best quarter of the starts after each stage.
 

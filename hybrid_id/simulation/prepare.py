@@ -46,10 +46,12 @@ def make_batch(
         estimate_start: whether a fit may move the start state within its uncertainty.
 
     Raises:
-        InputError: no record, or a channel that the system needs is missing.
+        InputError: no record, a channel that the system needs is missing, or a motor that takes no such command.
     """
     if not records:
         raise InputError("There is no record to simulate; give at least one.")
+    for joint in system.joints:
+        joint.drive.check()
     outputs = tuple(outputs if outputs is not None else records[0].outputs)
     for record in records:
         _check(system, record, outputs)

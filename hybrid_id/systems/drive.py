@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 from torch import Tensor
 
-from hybrid_id.components.base import Component, Input, Motor
+from hybrid_id.components.base import REGISTRY, Component, Input, Motor
 from hybrid_id.components.drive import CommandMap, RotorTorque, Winding
 from hybrid_id.components.input.delay import Delay
 from hybrid_id.errors import InputError
@@ -60,6 +60,16 @@ class Drive:
                 row = first_row + len(self.state_names)
                 self.windings.append((key, part, range(row, row + len(part.states))))
                 self.state_names += [f"{state}{number}" for state in part.states]
+
+    def check(self) -> None:
+        """Raise InputError where the motor takes another kind of command than its input gives."""
+        joint, source, motor = f"joint{self.number}", self.input[1], self.motor[1]
+        if source.gives != motor.takes:
+            fits = [k for k, c in REGISTRY.items() if issubclass(c, Motor) and c.takes == source.gives]
+            raise InputError(
+                f"{source.kind} at {joint}/input gives {source.gives}, but {motor.kind} at {joint}/motor takes "
+                f"{motor.takes}; put {' or '.join(sorted(fits))} there."
+            )
 
     def past(self, sample_time: float) -> dict[str, int]:
         """Channels whose past the drive needs, and how many samples of it."""

@@ -6,7 +6,8 @@ import torch
 from drives import STEP, rigid_drive
 from scipy.integrate import solve_ivp
 
-from hybrid_id.components import Cogging, Deadband, ElectricalLag, Saturation, ThermalDerating
+from hybrid_id.components import Cogging, CurrentCommand, Deadband, ElectricalLag, Saturation, ThermalDerating
+from hybrid_id.errors import InputError
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
@@ -89,3 +90,12 @@ def test_warm_winding_against_its_equation() -> None:
     exact = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-10, atol=1e-10).y[0]
     assert np.abs(found - exact).max() < 1e-3 * np.abs(exact).max()
     assert found[-1] < 0.99 * simulated(DRIVE, np.full(2000, volts))[-1]
+
+
+def test_motor_must_take_what_its_input_gives() -> None:
+    system = DRIVE.with_component("joint1/input", CurrentCommand())
+    record = Record("run", STEP * np.arange(20), {"i1": np.zeros(20)}, {"q_m1": np.zeros(20)})
+    with pytest.raises(
+        InputError, match="gives A, but dc_motor at joint1/motor takes V; put current_motor there"
+    ):
+        make_batch(system, [record])

@@ -7,6 +7,7 @@ class CurrentCommand(Input):
     """A drive with an inner current loop: the command is the winding current. Reads channel ``i`` [A]."""
 
     kind = "current_command"
+    gives = "A"
     channels = ("i",)
 
     def command(self, p, channels, angle, speed):

@@ -13,6 +13,7 @@ class CurrentMotor(Motor):
     """
 
     kind = "current_motor"
+    takes = "A"
     k_t = Parameter(0.05, lower=1e-9, upper=1e3, unit="N m/A", doc="torque constant")
 
     def torque(self, p, command, speed):

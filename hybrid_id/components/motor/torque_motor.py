@@ -13,6 +13,7 @@ class TorqueMotor(Motor):
     """
 
     kind = "torque_motor"
+    takes = "N m"
     gain = Parameter(1.0, upper=10.0, unit="1", doc="delivered per commanded torque", estimate=False)
 
     def torque(self, p, command, speed):
