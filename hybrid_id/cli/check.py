@@ -34,11 +34,13 @@ def check(
     told = None
     if path is not None:
         use_threads(threads)
-        from hybrid_id.study import preflight
+        from hybrid_id.records.finding import worst_first
+        from hybrid_id.study import check_start_values, preflight
         from hybrid_id.systems.model_file import load_model
 
         system = load_model(path)
         told = preflight(data, system)
+        findings = worst_first([*check_start_values(data, system), *findings])
     if as_json:
         from hybrid_id.reporting.results import as_json as to_json
         from hybrid_id.reporting.results import check_result
@@ -47,7 +49,7 @@ def check(
         refuse_errors(findings)
         _refuse_nothing(told, path)
         return
-    from hybrid_id.reporting.tables import findings_list, identifiability_table, records_table
+    from hybrid_id.reporting.tables import count, findings_list, identifiability_table, records_table
 
     shown = [
         finding for finding in findings if full or finding.severity != "info" or finding.code == "resampled"
@@ -55,7 +57,7 @@ def check(
     show(records_table(data), "", findings_list(shown))
     hidden = len(findings) - len(shown)
     if hidden:
-        show(f"({hidden} more remarks: --full)")
+        show(f"({count(hidden, 'more remark')}: --full)")
     if told is not None:
         show("", f"What these records tell about {path}, at its start values and before any fit:")
         show(identifiability_table(told))

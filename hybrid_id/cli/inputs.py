@@ -9,8 +9,10 @@ from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.records.quality import Finding
+    from hybrid_id.records.finding import Finding
     from hybrid_id.systems.chain import System
+
+MAX_WARNINGS = 5  # said before a fit; `check` says them all
 
 
 def load_records(path: Path, preprocessing: Preprocessing | None = None) -> "Dataset":
@@ -54,16 +56,17 @@ def refuse_errors(findings: "list[Finding]") -> None:
 
 
 def checked_records(path: Path, preprocessing: Preprocessing) -> "Dataset":
-    """Load records for a fit; errors end the command, warnings are counted."""
+    """Load records for a fit; errors end the command, the worst warnings are said."""
     from hybrid_id.records.quality import check_dataset
 
     dataset = load_records(path, preprocessing)
     findings = check_dataset(dataset)
     refuse_errors(findings)
     warnings = [finding for finding in findings if finding.severity == "warning"]
-    if warnings:
-        more = f" ({len(warnings) - 1} more: 'hybrid-id check {path}')" if len(warnings) > 1 else ""
-        remark(f"warning: {warnings[0].message}{more}")
+    for finding in warnings[:MAX_WARNINGS]:
+        remark(f"warning: {finding.message}")
+    if len(warnings) - MAX_WARNINGS > 0:
+        remark(f"({len(warnings) - MAX_WARNINGS} more: 'hybrid-id check {path}')")
     return dataset
 
 

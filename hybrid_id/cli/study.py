@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.console import show
+from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import RESULT
 from hybrid_id.config import StudyConfig
 
@@ -96,7 +96,11 @@ def study_images(dataset: "Dataset", study: "Study", reach: float) -> "dict[str,
 
 
 def show_study(study: "Study", config: StudyConfig, home: Path, text: str, *, as_json: bool) -> None:
-    """Print the study, as a table or as JSON, and where its files are."""
+    """Print the study, as a table or as JSON, and where its files are; say so where it explains nothing."""
+    from hybrid_id.study import check_fit
+
+    if words := check_fit(study):
+        remark(f"warning: {words}")
     if as_json:
         stdout().print(text, markup=False, soft_wrap=True)
         return

@@ -28,7 +28,7 @@ def check_sampling(record: Record) -> Iterator[Finding]:
         yield Finding("warning", "slow_step", words, name)
     if gaps := find_gaps(record):
         places = "place" if len(gaps) == 1 else "places"
-        longest = np.ceil(max(length for _, length in gaps) / step)
+        longest = np.floor(max(length for _, length in gaps) / step) + 1
         words = (
             f"{name}: samples are missing at {len(gaps)} {places}, first after {gaps[0][0]:.4g} s for "
             f"{1e3 * gaps[0][1]:.3g} ms ({gaps[0][1] / step:.0f} steps), and a fit would take the input as held "

@@ -2,6 +2,7 @@
 
 from hybrid_id.study.comparison import Comparison, Replay, compare, replay
 from hybrid_id.study.identifiable import preflight
+from hybrid_id.study.plausibility import check_fit, check_start_values
 from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import assess, identify
 
@@ -11,6 +12,8 @@ __all__ = [
     "Replay",
     "Study",
     "assess",
+    "check_fit",
+    "check_start_values",
     "compare",
     "identify",
     "preflight",

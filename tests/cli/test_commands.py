@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -66,7 +67,7 @@ def test_check_says_what_can_be_told(run, drive: Path) -> None:
 def test_check_refuses_records_that_tell_nothing(
     run, drive: Path, tmp_path: Path, options: list[str]
 ) -> None:
-    stuck = make_record(rigid_drive(), np.zeros(10), seed=0, noise={"q_m1": 0.01}, name="stuck")
+    stuck = make_record(rigid_drive(), np.linspace(0.0, 1e-3, 10), seed=0, noise={"q_m1": 0.01}, name="stuck")
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),)
     Dataset("stuck drive", *channels, (stuck,), 0.002).save(tmp_path / "stuck")
     said = run("check", tmp_path / "stuck", "--model", drive / "model.yaml", *options)
@@ -80,6 +81,19 @@ def test_check_refuses_model_without_unknowns(run, drive: Path, tmp_path: Path) 
     said = run("check", drive, "--model", fixed)
     assert said.code == 2
     assert "no parameter to estimate" in said.err
+
+
+@pytest.mark.parametrize(("channel", "change"), [("u1", {"unit": "mV"}), ("q_m1", {"scale": -1})])
+def test_wrong_units_and_signs_do_not_pass_silently(
+    run, drive: Path, tmp_path: Path, channel: str, change: dict
+) -> None:
+    shutil.copytree(drive, tmp_path / "wrong")
+    file = tmp_path / "wrong" / "dataset.yaml"
+    values = yaml.safe_load(file.read_text()) | {"columns": {channel: {"column": channel, **change}}}
+    file.write_text(yaml.safe_dump(values))
+    words = run("check", tmp_path / "wrong", "--json").out
+    assert "the model's start values explain less than the mean of the records (normalised RMSE" in words
+    assert "start values explain" not in run("check", drive, "--json").out
 
 
 def test_check_as_json(run, drive: Path) -> None:

@@ -116,7 +116,7 @@ def test_faults_of_sampling() -> None:
     found = {finding.code: finding for finding in check_record(Record("a", **part))}
     assert (found["gap"].severity, found["jitter"].severity) == ("error", "info")
     assert "missing at 1 place, first after 1.998 s for 22 ms" in found["gap"].message
-    assert "'resample: {max_gap: 11}'" in found["gap"].message
+    assert "'resample: {max_gap: 12}'" in found["gap"].message
     slow = next(f for f in check_record(record(time=1e3 * TIME)) if f.code == "slow_step")
     assert "a: its samples are 2 s apart" in slow.message
     assert "short" in codes(check_record(record().between(1.0, 1.1)))

@@ -21,7 +21,7 @@ from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, s
 from hybrid_id.reporting.tables import comparison_table, identifiability_table, study_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.statistics.residuals import whiteness
-from hybrid_id.study import Comparison, Study, compare, identify
+from hybrid_id.study import Comparison, Study, check_fit, compare, identify
 
 TRUTH = {"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.01, "F_v": 5e-5}
 
@@ -144,6 +144,14 @@ def test_pooled_study_and_diverged_sets_are_drawn(dataset: Dataset, pooled: Stud
     comparison = Comparison({"sound": sound, "mad": mad})
     assert pixels(comparison_figure(dataset, comparison, "run_1")).any()
     assert "diverged" in text_of(comparison_table(comparison))
+
+
+def test_a_fit_worse_than_the_mean_is_said(study: Study) -> None:
+    assert check_fit(study) == ""
+    fits = np.full_like(study.cross_validation.fits, -50.0)
+    worse = replace(study, cross_validation=replace(study.cross_validation, fits=fits))
+    assert "less than the mean of the records (normalised RMSE 1.5); check signs" in check_fit(worse)
+    assert "check signs" in check_fit(replace(study, test_nrmse={"run_2": 1.2}))
 
 
 def test_tables_claim_no_interval_where_there_is_none(study: Study) -> None:
