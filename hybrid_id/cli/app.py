@@ -21,11 +21,11 @@ class Commands(TyperGroup):
     """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
-        """Run a command; Ctrl-C where nothing is kept says so."""
+        """Run a command; Ctrl-C says what is kept."""
         try:
             return super().invoke(ctx)  # type: ignore[arg-type]
-        except KeyboardInterrupt:
-            raise typer.Exit(_refuse("stopped; no results were written", 130)) from None
+        except KeyboardInterrupt as stop:
+            raise typer.Exit(_refuse(str(stop) or "stopped; no results were written", 130)) from None
 
     def main(self, args: Any = None, prog_name: str | None = None, **extra: Any) -> NoReturn:
         """Run a command line and leave with its exit code."""
@@ -47,7 +47,7 @@ class Commands(TyperGroup):
 
 def _refuse(message: str, code: int = 2) -> int:
     sentence = " ".join(message.split())
-    print(f"Error: {sentence}{'' if sentence.endswith('.') else '.'}", file=sys.stderr)
+    print(f"Error: {sentence}{'' if sentence.endswith(('.', '?')) else '.'}", file=sys.stderr)
     return code
 
 

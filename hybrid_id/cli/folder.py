@@ -35,6 +35,10 @@ def refuse_taken(path: Path, *, force: bool) -> None:
         raise InputError(f"{path} is no folder; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
         return
+    if not force and (path / CHECKPOINT).exists() and not (path / RESULT).exists():
+        raise InputError(
+            f"{path} holds an unfinished training; {_go_on(path)}, or give another folder, or --force to replace it"
+        )
     if not force:
         raise InputError(f"{path} is not empty; give another folder, or --force to replace the results in it")
     if not _is_ours(path / RESULT) and not (path / CHECKPOINT).exists():
@@ -69,6 +73,21 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
             complete = True
     finally:
         _remove([] if complete else made)
+
+
+@contextmanager
+def resumable(path: Path) -> Iterator[None]:
+    """Let Ctrl-C say how a training goes on whose checkpoint is in the folder."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if (path / CHECKPOINT).exists():
+            raise KeyboardInterrupt(f"stopped; {_go_on(path)} from its last checkpoint") from None
+        raise
+
+
+def _go_on(path: Path) -> str:
+    return f"'hybrid-id train {path / 'config.yaml'} --out {path} --resume' goes on"
 
 
 @contextmanager

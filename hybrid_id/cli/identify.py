@@ -1,5 +1,8 @@
 """`identify`: from records and a model to parameters with statistics."""
 
+import signal
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -99,10 +102,11 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int 
     with FitProgress(n_sets, wish.max_iterations) as progress:
         if jobs > 1:
             progress.say(f"fitting {len(dataset.train)} records in {jobs} processes")
-            sets = _fit_in_processes(dataset, system, config, jobs)
+            sets = _fit_in_processes(dataset, system, config, jobs, progress)
             progress.say("statistics")
             share = config.preprocessing.signal_share
-            return assess(dataset, system, sets, pooled=False, seed=wish.seed, signal_share=share), False
+            study = assess(dataset, system, sets, pooled=False, seed=wish.seed, signal_share=share)
+            return study, progress.stopped
         settings = fit_settings(config, progress)
         study = identify_all(
             dataset, system, device=wish.device, signal_share=config.preprocessing.signal_share, **settings
@@ -127,19 +131,28 @@ def fit_settings(config: StudyConfig, progress: "FitProgress | None" = None) -> 
     }
 
 
-def _fit_in_processes(dataset: "Dataset", system: "System", config: StudyConfig, jobs: int) -> list[Any]:
+def _fit_in_processes(
+    dataset: "Dataset", system: "System", config: StudyConfig, jobs: int, progress: "FitProgress"
+) -> list[Any]:
     """One fit a record, the records shared between processes."""
     from joblib import Parallel, delayed
 
     records = dataset.train
     parts = [records[k::jobs] for k in range(min(jobs, len(records)))]
-    found = Parallel(n_jobs=jobs)(delayed(_fit_part)(dataset, part, system, config) for part in parts)
+    with TemporaryDirectory() as folder:
+        progress.flag = stop = Path(folder) / "stop"
+        found = Parallel(n_jobs=jobs)(
+            delayed(fit_part)(dataset, part, system, config, stop) for part in parts
+        )
     by_record = {result.records[0]: result for results in found for result in results}  # type: ignore[union-attr]
     return [by_record[record.name] for record in records]
 
 
-def _fit_part(dataset: "Dataset", records: Any, system: "System", config: StudyConfig) -> list[Any]:
-    """The share of one process."""
+def fit_part(
+    dataset: "Dataset", records: Any, system: "System", config: StudyConfig, stop: Path
+) -> list[Any]:
+    """The share of one process; it ends early when the file `stop` is there."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the first process decides
     use_threads(1)
     from hybrid_id.identification.fit import fit
     from hybrid_id.simulation.prepare import make_batch
@@ -147,4 +160,5 @@ def _fit_part(dataset: "Dataset", records: Any, system: "System", config: StudyC
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
     batch = make_batch(system, records, noise_std=noise, signal_share=config.preprocessing.signal_share)
     device = config.identification.device
-    return fit(system.to(device), batch.to(device), **fit_settings(config))
+    settings = fit_settings(config) | {"progress": lambda *_: stop.exists()}
+    return fit(system.to(device), batch.to(device), **settings)

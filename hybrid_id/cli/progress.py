@@ -3,6 +3,7 @@
 import signal
 import threading
 import time
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -25,6 +26,7 @@ class FitProgress:
 
     Attributes:
         stopped: whether the user asked the fit to end.
+        flag: file that is made then, for other processes to see.
     """
 
     def __init__(self, n_sets: int, max_iterations: int, *, polite: bool = True) -> None:
@@ -36,6 +38,7 @@ class FitProgress:
         self._task = self._bar.add_task("start", total=n_sets, left="")
         self._last = (0, 0.0)
         self._before: Any = None
+        self.flag: Path | None = None
 
     def __enter__(self) -> "FitProgress":
         self._bar.start()
@@ -68,6 +71,8 @@ class FitProgress:
     def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
         self.stopped = True
         self._restore()
+        if self.flag is not None:
+            self.flag.touch()
         remark(
             "stopping after this iteration with the values so far; press Ctrl-C again to leave without results"
         )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hybrid_id.cli.console import remark
-from hybrid_id.cli.folder import CHECKPOINT, added_results, live_folder, refuse_taken, required
+from hybrid_id.cli.folder import CHECKPOINT, added_results, live_folder, refuse_taken, required, resumable
 from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import (
     DeviceOption,
@@ -63,39 +63,39 @@ def train(
         },
     )
     home = required(config.output.folder)
-    saved = home / CHECKPOINT
-    if config.hybrid is not None:
-        from hybrid_id.cli.hybrid import train_with_networks
+    with resumable(home):
+        if config.hybrid is not None:
+            from hybrid_id.cli.hybrid import train_with_networks
 
-        return train_with_networks(
-            source, config, home, resume=resume, force=force, as_json=as_json, threads=threads
+            return train_with_networks(
+                source, config, home, resume=resume, force=force, as_json=as_json, threads=threads
+            )
+        if resume and not (home / CHECKPOINT).exists():
+            raise InputError(f"{home} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
+        refuse_taken(home, force=force or resume)
+        dataset = checked_records(config.dataset, config.preprocessing)
+        use_threads(threads)
+        system = load_system(config)
+        use_device(config.identification.device)
+        from hybrid_id.cli.study import show_study, write_study
+        from hybrid_id.study import assess
+
+        wish = config.identification
+        with live_folder(home, force=force, resume=resume):
+            config.save(home / "config.yaml")
+            sets = _run(dataset, system, config, home, resume=resume)
+            share = config.preprocessing.signal_share
+            study = assess(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
+            with added_results(home) as folder:
+                text = write_study(folder, home, "train", config, dataset, study)
+        show_study(study, config, home, text, as_json=as_json)
+        remark(
+            f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; 'identify' takes "
+            "it as it is, so small differences between their estimates are the smoothing's"
         )
-    if resume and not saved.exists():
-        raise InputError(f"{home} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
-    refuse_taken(home, force=force or resume)
-    dataset = checked_records(config.dataset, config.preprocessing)
-    use_threads(threads)
-    system = load_system(config)
-    use_device(config.identification.device)
-    from hybrid_id.cli.study import show_study, write_study
-    from hybrid_id.study import assess
-
-    wish = config.identification
-    with live_folder(home, force=force, resume=resume):
-        config.save(home / "config.yaml")
-        sets = _run(dataset, system, config, home, resume=resume)
-        share = config.preprocessing.signal_share
-        study = assess(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
-        with added_results(home) as folder:
-            text = write_study(folder, home, "train", config, dataset, study)
-    show_study(study, config, home, text, as_json=as_json)
-    remark(
-        f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; 'identify' takes it "
-        "as it is, so small differences between their estimates are the smoothing's"
-    )
-    if any(result.status == "interrupted" for result in sets):
-        remark(f"stopped by Ctrl-C; 'hybrid-id train {source} --out {home} --resume' goes on from here")
-        raise typer.Exit(130)
+        if any(result.status == "interrupted" for result in sets):
+            remark(f"stopped by Ctrl-C; 'hybrid-id train {source} --out {home} --resume' goes on from here")
+            raise typer.Exit(130)
 
 
 def _run(

@@ -19,8 +19,9 @@ from drives import make_record, rigid_drive
 
 from hybrid_id import __version__
 from hybrid_id.cli.folder import added_results, live_folder, results_folder
+from hybrid_id.cli.identify import fit_part
 from hybrid_id.cli.progress import FitProgress
-from hybrid_id.config import StudyConfig, load_config
+from hybrid_id.config import StudyConfig, load_config, study_config
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems.model_file import load_model
@@ -306,15 +307,17 @@ def test_demo_ends_with_what_was_found(run, tmp_path: Path) -> None:
     assert "may all be multiplied by one number" in again.out
 
 
-def test_first_interrupt_asks_the_fit_to_end() -> None:
+def test_first_interrupt_asks_the_fit_to_end(tmp_path: Path) -> None:
     if threading.current_thread() is not threading.main_thread():
         pytest.skip("signals arrive in the main thread")
     before = signal.getsignal(signal.SIGINT)
     with FitProgress(2, 60) as progress:
+        progress.flag = tmp_path / "stop"
         assert progress("records", 1, None, [0, 1]) is False
         os.kill(os.getpid(), signal.SIGINT)
         time.sleep(0.01)
         assert progress("records", 2, None, [0, 1]) is True
+        assert progress.flag.exists()
         assert signal.getsignal(signal.SIGINT) is before  # the second one interrupts as usual
     assert signal.getsignal(signal.SIGINT) is before
 
@@ -328,6 +331,34 @@ def test_interrupted_fit_is_written_and_says_so(run, drive: Path, tmp_path: Path
     assert "stopped by Ctrl-C" in outcome.err
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert {one["status"] for one in result["sets"]} == {"interrupted"}
+
+
+@pytest.mark.parametrize("trained", [True, False])
+def test_ctrl_c_names_the_checkpoint_where_there_is_one(
+    run, drive: Path, tmp_path: Path, monkeypatch, trained: bool
+) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    out = tmp_path / "out"
+    if trained:
+        out.mkdir()
+        (out / "checkpoint.pt").write_bytes(b"")
+        words = run("identify", drive, "--out", out).err
+        assert f"{out} holds an unfinished training; 'hybrid-id train {out}/config.yaml" in words
+    monkeypatch.setattr("hybrid_id.cli.train.checked_records", stop)
+    outcome = run("train", drive, "--out", out, *(["--resume"] if trained else []))
+    assert outcome.code == 130
+    assert (f"--out {out} --resume' goes on" in outcome.err) == trained
+    assert ("no results were written" in outcome.err) != trained
+
+
+def test_interrupt_reaches_the_other_processes(drive: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(signal, "signal", lambda *_: None)  # as in a process of its own
+    data, config = Dataset.load(drive), study_config(drive, {})
+    (tmp_path / "stop").touch()
+    (found,) = fit_part(data, data.train[:1], load_model(config.model), config, tmp_path / "stop")
+    assert found.status == "interrupted"
 
 
 def test_config_round_trip(tmp_path: Path) -> None:
