@@ -87,6 +87,7 @@ def _train(
     options = HybridOptions(
         tuple(wish.prices), tuple(wish.windows), wish.max_iterations, wish.tolerance, wish.patience,
         wish.validate_every, wish.worth, Loss(config.identification.loss, config.identification.threshold),
+        config.identification.starts, config.identification.seed,
     )  # fmt: skip
     console, saved = err(), folder / CHECKPOINT
     waiting = console.status("physics alone") if console.is_terminal else nullcontext()

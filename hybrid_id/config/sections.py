@@ -140,7 +140,7 @@ class Hybrid(Section):
     windows: list[tuple[PositiveFloat, PositiveInt]] = [(0.1, 4), (0.4, 2), (1.6, 1)]
     max_iterations: PositiveInt = 40
     tolerance: PositiveFloat = 0.1
-    patience: PositiveInt = 6
+    patience: PositiveInt = 10
     validate_every: PositiveInt = 2
     worth: float = Field(default=0.02, ge=0, lt=1)
     validation: list[str] | None = Field(default=None, min_length=1)

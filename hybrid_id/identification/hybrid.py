@@ -47,16 +47,20 @@ class HybridOptions:
         validate_every: gradients between two looks.
         worth: a rung further down must lower the validation loss by more than this share, and by what chance does.
         loss: loss of the weighted residuals.
+        starts: start points of the fit of physics alone.
+        seed: of these.
     """
 
     prices: tuple[float, ...] = (10.0, 1.0, 0.1, 0.01)
     windows: tuple[tuple[float, int], ...] = ((0.1, 4), (0.4, 2), (1.6, 1))
     max_iterations: int = 40
     tolerance: float = 0.1
-    patience: int = 6
+    patience: int = 10
     validate_every: int = 2
     worth: float = 0.02
     loss: Loss = field(default_factory=Loss)
+    starts: int = 1
+    seed: int = 0
 
     @property
     def stages(self) -> list[Stage]:
@@ -151,7 +155,7 @@ def train_hybrid(
         raise InputError(
             f"The prices {list(prices)} are no ladder; give falling numbers that are not negative."
         )
-    physics = fit_physics(system, batch, engine, options.loss)
+    physics = fit_physics(system, batch, engine, options)
     values = {name: physics.system.parameter(name).spec.value for name in physics.names}
     system = with_scales(system.with_values(values), batch).to(batch.x.device)
     for part in system.networks.values():
@@ -182,26 +186,23 @@ def train_hybrid(
     return HybridResult(physics, tuple(rungs), chosen, replace(engine, gradient="backprop"), interrupted)
 
 
-def fit_physics(system: System, batch: Batch, engine: OdeEngine, loss: Loss) -> FitResult:
+def fit_physics(system: System, batch: Batch, engine: OdeEngine, options: HybridOptions) -> FitResult:
     """Pooled Levenberg-Marquardt fit of a system without its networks, by the solver that trains them."""
     for key in system.networks:
         where, _, kind = key.rpartition("/")
         system = system.without_component(where, kind)
+    settings, smooth = Options(loss=options.loss), Engine("smooth", engine.substeps, engine.width)
     (rough,) = fit(
-        system,
-        batch,
-        pooled=True,
-        engine=Engine("smooth", engine.substeps, engine.width),
-        options=Options(loss=loss),
+        system, batch, pooled=True, engine=smooth, options=settings, starts=options.starts, seed=options.seed
     )
     exact = replace(engine, gradient="backprop")
     exact = exact.stable(rough.system, batch, rough.system.theta().detach()[:, None].expand(-1, batch.rows))
-    (found,) = fit(rough.system, batch, pooled=True, engine=exact, options=Options(loss=loss), warm=False)
+    (found,) = fit(rough.system, batch, pooled=True, engine=exact, options=settings, warm=False)
     return found
 
 
 def choose(losses: Sequence[Tensor], worth: float) -> int:
-    """The first rung that is not worse than the best by more than the share ``worth`` and two standard errors.
+    """The first rung that is not worse than the best by more than the share ``worth`` and a standard error.
 
     Args:
         losses: validation loss of each rung in each part of the records.
@@ -211,7 +212,7 @@ def choose(losses: Sequence[Tensor], worth: float) -> int:
     for k, parts in enumerate(losses):
         excess = parts - best
         error = float(excess.std()) / len(excess) ** 0.5
-        if float(excess.mean()) <= worth * float(best.mean()) + 2.0 * error:
+        if float(excess.mean()) <= worth * float(best.mean()) + error:
             return k
     return len(losses) - 1
 
