@@ -7,6 +7,9 @@ from dataclasses import dataclass, replace
 
 from hybrid_id.errors import InputError
 
+NARROWEST_PRIOR = 1e-9
+"""Least standard deviation of a prior as a share of the parameter; a narrower one only spoils the numerics."""
+
 
 @dataclass(frozen=True)
 class Parameter:
@@ -41,7 +44,7 @@ class Bounded:
     """One concrete parameter of one component: value, bounds, unit, role in a fit, optional Gaussian prior.
 
     Raises:
-        InputError: empty interval, non-finite value, or value outside the bounds.
+        InputError: empty interval, non-finite value, value outside the bounds, or prior that no fit can use.
     """
 
     value: float
@@ -55,19 +58,33 @@ class Bounded:
     def check(self, name: str) -> Bounded:
         """Return self, or raise with the parameter's name in the message."""
         if not math.isfinite(self.value):
-            raise InputError(f"Parameter {name} is {self.value}; give a finite number in {self.unit}.")
+            raise InputError(f"{name} is {self.value}; give a finite number in {self.unit}.")
         if math.isnan(self.lower) or math.isnan(self.upper) or self.lower > self.upper:
-            raise InputError(
-                f"Parameter {name} has an empty range [{self.lower}, {self.upper}]; swap or widen it."
-            )
+            raise InputError(f"{name} has an empty range [{self.lower}, {self.upper}]; swap or widen it.")
         if not self.lower <= self.value <= self.upper:
             raise InputError(
-                f"Parameter {name} = {self.value:g} {self.unit} lies outside its bounds "
+                f"{name} = {self.value:g} {self.unit} lies outside its bounds "
                 f"[{self.lower:g}, {self.upper:g}]; move it inside or widen the bounds."
             )
-        if self.prior_std is not None and not self.prior_std > 0.0:
-            raise InputError(f"Parameter {name} has prior_std {self.prior_std}; give a positive number.")
+        if self.prior_std is not None:
+            self._check_prior(name, self.prior_std)
         return self
+
+    def _check_prior(self, name: str, std: float) -> None:
+        if not std > 0.0:
+            raise InputError(f"{name} has prior_std {std}; give a positive number.")
+        width = self.upper - self.lower
+        size = abs(self.value) or (width if 0.0 < width < math.inf else 1.0)
+        if std < NARROWEST_PRIOR * size:
+            raise InputError(
+                f"{name} has prior_std {std:g}, too narrow beside {size:g} for any fit to move it; "
+                "set 'estimate: false' instead."
+            )
+        if self.prior_mean is not None and not self.lower <= self.prior_mean <= self.upper:
+            raise InputError(
+                f"{name} has prior_mean {self.prior_mean:g} outside its bounds "
+                f"[{self.lower:g}, {self.upper:g}]; move it inside or widen the bounds."
+            )
 
     def at(self, value: float) -> Bounded:
         """The same parameter with another value."""

@@ -75,6 +75,9 @@ def load_system(config: StudyConfig) -> "System":
     from hybrid_id.systems.model_file import load_model
 
     system, stage = load_model(config.model), config.previous
+    idle = [i.name for i in system.table if i.spec.prior_std is not None and not i.spec.estimate]
+    if idle:
+        remark(f"the prior of {', '.join(idle)} has no effect, for 'estimate' is false")
     if stage is None:
         return system
     from hybrid_id.systems.stage import carry_over

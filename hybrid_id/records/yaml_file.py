@@ -3,7 +3,7 @@
 import difflib
 import os
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -34,6 +34,8 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         values = yaml.safe_load(text)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct the path or write the file") from None
+    except IsADirectoryError:
+        raise InputError(f"{path} is a folder; name the file in it") from None
     except UnicodeDecodeError:
         raise InputError(f"{path} is not a text file in UTF-8; save it as UTF-8") from None
     except (OSError, RecursionError, ValueError) as error:
@@ -62,7 +64,7 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
     try:
         return schema.model_validate(values)
     except ValidationError as error:
-        faults = error.errors(include_url=False)
+        faults = _without_misspelt(error.errors(include_url=False))
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {_sentence(faults[0], schema)}{more}") from None
 
@@ -102,8 +104,23 @@ def _refuse_aliases_and_repeats(text: str, path: Path) -> None:
                 waiting.append(value)
 
 
+def _without_misspelt(faults: Sequence[Any]) -> list[Any]:
+    """Leave out missing keys beside which an unknown key has nearly their name: that one is the fault."""
+
+    def unknown_beside(fault: Any) -> list[str]:
+        beside = (f["loc"] for f in faults if f["type"] == "extra_forbidden")
+        return [str(place[-1]) for place in beside if place[:-1] == fault["loc"][:-1]]
+
+    return [
+        fault
+        for fault in faults
+        if fault["type"] != "missing"
+        or not difflib.get_close_matches(str(fault["loc"][-1]), unknown_beside(fault), n=1)
+    ]
+
+
 def _sentence(fault: Any, schema: type[BaseModel]) -> str:
-    """Say one pydantic fault in words, `records[1].role: ...`."""
+    """Say one pydantic fault in words, `key 'records[1].role' must be 'train' or 'test', found 'tests'`."""
     key = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in fault["loc"]).lstrip(".")
     if fault["type"] == "missing":
         return f"key '{key}' is missing; add it"
@@ -111,10 +128,14 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
         close = difflib.get_close_matches(str(fault["loc"][-1]), _all_keys(schema), n=1)
         hint = f"did you mean '{close[0]}'?" if close else "remove it"
         return f"key '{key}' is unknown; {hint}"
-    words = fault["msg"].removeprefix("Value error, ")
     found = repr(fault["input"])
-    found = found if len(found) <= 60 else found[:57] + "..."
-    return f"key '{key}': {words[0].lower()}{words[1:]}, found {found}"
+    found = f", found {found if len(found) <= 60 else found[:57] + '...'}"
+    if fault["type"] in ("model_type", "dict_type"):
+        return f"key '{key}' must hold 'key: value' pairs{found}"
+    words = fault["msg"].removeprefix("Value error, ").split(", unable to parse")[0]
+    if words.startswith("Input should "):
+        return f"key '{key}' must {words.removeprefix('Input should ')}{found}"
+    return f"key '{key}': {words[0].lower()}{words[1:]}{'' if isinstance(fault['input'], Mapping) else found}"
 
 
 def _all_keys(schema: type[BaseModel]) -> list[str]:

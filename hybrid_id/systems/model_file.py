@@ -137,12 +137,10 @@ def _kind(name: str, path: str) -> type[Component]:
     return REGISTRY[name]
 
 
-def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry | float, where: str) -> Bounded:
+def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry, where: str) -> Bounded:
     if symbol not in kind.declared:
         raise InputError(f"{where} is not a parameter; {kind.kind} has {', '.join(kind.declared) or 'none'}.")
     declared = kind.declared[symbol]
-    if not isinstance(entry, ParameterEntry):
-        entry = ParameterEntry(nominal=entry)
     if entry.unit is not None and entry.unit != declared.unit:
         raise InputError(f"{where} has unit '{entry.unit}'; convert it to '{declared.unit}'.")
     spec = Bounded(
@@ -161,7 +159,12 @@ def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry | float, 
             f"{where}: its range [{spec.lower:g}, {spec.upper:g}] leaves the physical range "
             f"[{declared.lower:g}, {declared.upper:g}]; narrow it."
         )
-    return spec.check(where)
+    spec.check(where)
+    if spec.estimate and spec.lower == spec.upper:
+        raise InputError(
+            f"{where} has no room to be estimated, lower and upper are both {spec.lower:g}; set 'estimate: false'."
+        )
+    return spec
 
 
 def describe_model(system: System) -> dict[str, Any]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hybrid_id.components import DCMotor, LinearSpring, LinkInertia, OneLink, Rigid, TwoInertias, Voltage
 from hybrid_id.components.base import Component
@@ -93,6 +93,16 @@ class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+def _short_parameters(value: Any) -> Any:
+    """Write `F_c: 0.01` out as `F_c: {nominal: 0.01}`."""
+    if not isinstance(value, dict):
+        return value
+    return {
+        key: item if isinstance(item, dict | ParameterEntry) else {"nominal": item}
+        for key, item in value.items()
+    }
+
+
 class ParameterEntry(_Section):
     """One parameter in a file: PEtab's columns, and an optional Gaussian prior around the nominal value."""
 
@@ -116,9 +126,11 @@ class ComponentEntry(_Section):
 
     place: str
     kind: str
-    parameters: dict[str, ParameterEntry | float] = {}
+    parameters: dict[str, ParameterEntry] = {}
     options: dict[str, Any] = {}
     weights: dict[str, list[Any]] = {}
+
+    _parameters = field_validator("parameters", mode="before")(_short_parameters)
 
 
 class ModelFile(_Section):
@@ -127,5 +139,7 @@ class ModelFile(_Section):
     system: str
     gear_ratio: list[float]
     gravity: Literal["none", "vertical"] = "none"
-    parameters: dict[str, ParameterEntry | float] = {}
+    parameters: dict[str, ParameterEntry] = {}
     components: list[ComponentEntry] = []
+
+    _parameters = field_validator("parameters", mode="before")(_short_parameters)

@@ -15,7 +15,8 @@ def refused(outcome, *names: str) -> None:
     lines = [line for line in outcome.err.splitlines() if not line.startswith("warning: ")]
     assert len(lines) == 1, outcome.err
     assert lines[0].startswith("Error: ")
-    assert lines[0].endswith(".")
+    assert lines[0].endswith((".", "?"))
+    assert not lines[0].endswith("?.")
     for name in names:
         assert name in lines[0]
 
@@ -150,6 +151,7 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     "place where nothing is made": ("identify {data} --out /proc/x", nothing, ("/proc/x", "cannot be made")),
     "file as the folder above": ("identify {data} --out {out}/x", file_in_the_way, ("out/x", "cannot be made")),
     "signal in no place": ("excite --out /proc/x/u.csv", nothing, ("/proc/x", "cannot be made")),
+    "folder as model": ("check {data} --model {data}", nothing, ("data", "is a folder")),
     "the same model twice": ("compare {data} -m {model} -m {model} --out {out}", nothing, ("model.yaml", "twice")),
     "no model to compare": ("compare {data} --out {out}", nothing, ("--model",)),
     "nothing to resume": ("train {data} --model {model} --out {out} --resume", nothing, ("checkpoint", "--resume")),

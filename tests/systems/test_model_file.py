@@ -118,7 +118,7 @@ positive = st.floats(1e-9, 1e3, allow_nan=False)
 @given(
     values=st.tuples(positive, positive, st.floats(0.0, 1e3), st.floats(0.0, 1e3)),
     widths=st.tuples(st.floats(0.0, 1.0), st.floats(0.0, 1e6)),
-    prior=st.none() | st.tuples(st.floats(-10.0, 10.0), st.floats(1e-12, 1e3)),
+    prior=st.none() | st.tuples(st.floats(0.0, 1.0), st.floats(1e-6, 1e3)),
     estimate=st.booleans(),
     ratio=st.floats(1e-3, 1e4),
 )
@@ -126,9 +126,9 @@ positive = st.floats(1e-9, 1e3, allow_nan=False)
 def test_round_trip_of_values(tmp_path_factory, values, widths, prior, estimate, ratio) -> None:
     system = one_link(ratio).with_values(dict(zip(("J", "P_m1", "P_m2", "F_c"), values, strict=True)))
     spec = system.parameter("J").spec
-    mean, std = prior or (None, None)
     lower, upper = max(spec.value * (1 - widths[0]), spec.lower), min(spec.value + widths[1], spec.upper)
-    spec = Bounded(spec.value, lower, upper, spec.unit, estimate, mean, std)
+    mean, std = (min(max(prior[0], lower), upper), prior[1]) if prior else (None, None)
+    spec = Bounded(spec.value, lower, upper, spec.unit, estimate and lower < upper, mean, std)
     system = system.with_specs({"J": spec})
     again = copy_through_file(system, tmp_path_factory.getbasetemp())
     assert equal(again, system)
