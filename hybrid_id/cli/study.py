@@ -79,13 +79,12 @@ def study_images(dataset: "Dataset", study: "Study", reach: float) -> "dict[str,
     from hybrid_id.study import replay
 
     chosen = study.selected
-    figures = {
-        "parameters": parameter_figure(study, reach),
-        "cross_validation": cross_validation_figure(study),
-        "residuals": residual_figure(
-            study, whiteness(chosen.residual), dataset[chosen.records[0]].sample_time
-        ),
-    }
+    figures = {"parameters": parameter_figure(study, reach)}
+    if min(study.cross_validation.fits.shape[:2]) > 1:
+        figures["cross_validation"] = cross_validation_figure(study)
+    figures["residuals"] = residual_figure(
+        study, whiteness(chosen.residual), dataset[chosen.records[0]].sample_time
+    )
     for run in replay(dataset, chosen.system, engine=chosen.engine):
         title = f"{run.record.name} ({run.record.role})"
         with_set = f"{title}, parameter set {study.selection.name}"

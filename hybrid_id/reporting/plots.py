@@ -23,8 +23,8 @@ from hybrid_id.reporting.style import (
 from hybrid_id.statistics.residuals import Whiteness
 from hybrid_id.study import Study
 
-MAX_TICKS = 7
-"""Records that are named under one panel."""
+MAX_TICKS, MAX_NAME = 7, 14
+"""Records that are named under one panel, and characters of such a name."""
 MAX_NUMBERED = 14
 """Largest matrix whose cells are given as numbers too."""
 
@@ -35,8 +35,9 @@ def parameter_figure(study: Study, reach: float = 1.96) -> Figure:
     columns = 3 if count in (3, 5, 6, 9) else min(4, count)
     rows = math.ceil(count / columns)
     errors = np.array([study.standard_errors(i) for i in range(len(study.sets))])
+    longest = max(len(_short(name)) for name in study.cross_validation.set_names)
     with journal():
-        figure = new_figure(1.45 * rows + 0.5, WIDTH * columns / 4 if columns > 1 else 3.5)
+        figure = new_figure(1.45 * rows + 0.5 + 0.045 * longest, WIDTH * columns / 4 if columns > 1 else 3.5)
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
         for k, axes in enumerate(grid.flat):
             if k >= count:
@@ -86,13 +87,14 @@ def _parameter(axes: Axes, study: Study, k: int, reach: np.ndarray) -> None:
             zorder=0,
             label="mean",
         )
-        title += f",  std/mean {study.variation.percent[k]:.3g} %"
+        percent = study.variation.percent[k]
+        title += f",  std/mean {'< 0.01' if percent < 0.01 else f'{percent:.3g}'} %"
     axes.set_title(title, loc="left")
     axes.set_ylabel(scaled_unit(study.selected.units[k], exponent))
     axes.set_xlim(-0.6, len(x) - 0.4)
-    names = ["all" if study.pooled else _short(r.records[0], i + 1) for i, r in enumerate(study.sets)]
-    axes.set_xticks(x[:: math.ceil(len(x) / MAX_TICKS)])
-    axes.set_xticklabels([names[int(i)] for i in axes.get_xticks()])
+    shown = x[:: math.ceil(len(x) / MAX_TICKS)]
+    names = ["all" if study.pooled else _short(study.cross_validation.set_names[i]) for i in shown]
+    axes.set_xticks(shown, names, rotation=45, ha="right", rotation_mode="anchor")
 
 
 def cross_validation_figure(study: Study) -> Figure:
@@ -126,8 +128,8 @@ def cross_validation_figure(study: Study) -> Figure:
         side = axes.secondary_yaxis("right")
         pairs = zip(study.selection.mean, study.selection.std, strict=True)
         side.set_yticks(range(n_sets), [f"{_percent(mean)} ± {_percent(std)}" for mean, std in pairs])
-        side.set_ylabel("mean ± std over the records")
         side.tick_params(length=0)
+        axes.annotate("mean ± std", (1.0, 1.0), (4, 6), xycoords="axes fraction", textcoords="offset points")
         side.spines[:].set_visible(False)
         axes.set_xticks(np.arange(n_records + 1) - 0.5, minor=True)
         axes.set_yticks(np.arange(n_sets + 1) - 0.5, minor=True)
@@ -158,12 +160,14 @@ def residual_figure(study: Study, white: Whiteness, sample_time: float) -> Figur
             label=f"{100 * white.level:.0f} % band of white noise",
         )
         left.axhline(0.0, color="black", lw=0.5)
-        scale = study.selected.noise_scale
-        bins = np.linspace(-4, 4, 42)
+        bins, sizes = np.linspace(-4, 4, 42), np.sqrt(np.mean(residual**2, axis=0))
         for k, name in enumerate(outputs):
             left.plot(lags, white.correlation[:, k], color=COLOURS[k], label=symbol(name))
-            shown = np.clip(residual[:, k] / scale, -4, 4)
-            right.hist(shown, bins, density=True, histtype="stepfilled", alpha=0.6, color=COLOURS[k])
+            shown = np.clip(residual[:, k] / max(sizes[k], 1e-300), -4, 4)
+            words = f"{symbol(name)}, RMS {sizes[k]:.2g}"
+            right.hist(
+                shown, bins, density=True, histtype="stepfilled", alpha=0.6, color=COLOURS[k], label=words
+            )
         grid = np.linspace(-4, 4, 301)
         right.plot(
             grid, np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi), color="black", lw=0.9, label="normal"
@@ -172,11 +176,14 @@ def residual_figure(study: Study, white: Whiteness, sample_time: float) -> Figur
             f"set {study.selection.name}: {100 * white.outside.max():.0f} % of the lags leave the band",
             loc="left",
         )
-        right.set_title(f"RMS {scale:.2g} of what the weights allow", loc="left")
+        right.set_title("RMS in units of the assumed noise", loc="left")
         left.set(xlabel="lag [ms]", ylabel="autocorrelation", xlim=(0, lags[-1]), ylim=(None, 1.05))
         left.legend(loc="upper right")
         right.set(
-            xlabel="residual / its RMS", ylabel="density", xlim=(-4, 4), ylim=(0, 1.25 * right.get_ylim()[1])
+            xlabel="residual / RMS of its output",
+            ylabel="density",
+            xlim=(-4, 4),
+            ylim=(0, (1.3 + 0.12 * len(outputs)) * right.get_ylim()[1]),
         )
         right.legend(loc="upper right")
         return figure
@@ -207,16 +214,21 @@ def truth_figure(study: Study, truth: Mapping[str, float], reach: float = 1.96) 
                 mec=COLOURS[1], ecolor=COLOURS[0], elinewidth=1.2, capsize=2,
             )  # fmt: skip
         axes.set_yticks(range(len(names)), [symbol(name) for name in names])
-        axes.set_xlim(-1.15 * max(reaches, default=1.0), 1.15 * max(reaches, default=1.0))
+        limit = 1.15 * max(reaches, default=1.0)
+        axes.set_xlim(-limit, limit)
+        for row, name in enumerate(names):  # an arrow where an interval leaves the panel
+            error = 100 / abs(truth[name]) * (study.selected.values[study.names.index(name)] - truth[name])
+            for side, arrow in ((-1, "<"), (1, ">")):
+                if limit < side * error + share[name] < np.inf:
+                    axes.plot(0.985 * side * limit, row, arrow, ms=5, color=COLOURS[0])
         axes.invert_yaxis()
         axes.set_xlabel("estimate − truth [% of the truth], with its interval")
         return figure
 
 
-def _short(name: str, number: int) -> str:
-    """What of a record's name fits under a tick: its number at the end, or its place in the dataset."""
-    tail = name.rsplit("_", 1)[-1]
-    return tail if tail.isdigit() and len(tail) <= 3 else str(number)
+def _short(name: str) -> str:
+    """A record's name as it fits under a tick; names often differ at their end."""
+    return name if len(name) <= MAX_NAME else f"…{name[1 - MAX_NAME :]}"
 
 
 def _percent(value: float) -> str:

@@ -114,9 +114,9 @@ def _combinations(study: Study, reach: float, level: float) -> list[Table]:
 
 
 def _two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """A table of two columns of rows, so that it is half as long."""
+    """A table of two columns of rows, so that it is half as long; of one where there is a single row."""
     half = (len(rows) + 1) // 2
-    table = open_table(*heads, *(f" {head}" for head in heads))
+    table = open_table(*heads, *(f" {head}" for head in heads if len(rows) > 1))
     for k in range(half):
         table.add_row(*rows[k], *(rows[half + k] if half + k < len(rows) else ()))
     return table
@@ -127,8 +127,11 @@ def _remarks(study: Study) -> list[str]:
     lines += [f"identifiability: {direction.text}" for direction in study.identifiability.directions]
     failed = [result for result in study.sets if not result.ok]
     lines += [f"{', '.join(r.records[:3])}: {r.message}" for r in failed[:3]]
-    if study.selected.at_bound:
-        lines.append(f"at a bound: {', '.join(study.selected.at_bound)}")
+    hits = [sum(name in result.at_bound for result in study.sets) for name in study.names]
+    if any(hits):
+        of = f" (in {{}} of {len(study.sets)} sets)" if len(study.sets) > 1 else ""
+        words = [name + of.format(n) for name, n in zip(study.names, hits, strict=True) if n]
+        lines.append(f"at a bound: {', '.join(words)}")
     if len(study.sets) > 1 or not study.selection.candidate.any():
         lines.append(f"selection: {study.selection.summary()}")
     if study.test_nrmse:
@@ -144,7 +147,7 @@ def comparison_table(comparison: Comparison) -> Table:
     """Fit and normalised RMSE of every model on every record and output, with the mean over the records."""
     fits, errors = comparison.table("fit"), comparison.table("nrmse")
     labels = list(comparison.replays)
-    head = [f"{label}\n{measure}>" for label in labels for measure in ("fit [%]", "NRMSE")]
+    head = [f"{words}>" for label in labels for words in (f"{label}\nfit [%]", "\nNRMSE")]
     table = open_table("record", "role", "output", *head)
     replays = comparison.replays[labels[0]]
     for row, replay in enumerate(replays):

@@ -12,6 +12,7 @@ import pytest
 from drives import make_record, multisine, rigid_drive
 from rich.console import Console
 
+from hybrid_id.cli.study import study_images
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.excitation import design_multisine
 from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure, truth_figure
@@ -143,6 +144,7 @@ def test_pooled_study_and_diverged_sets_are_drawn(dataset: Dataset, pooled: Stud
     mad = tuple(replace(run, outputs=nowhere, status="diverged", fit=fit, nrmse=error) for run in sound)
     comparison = Comparison({"sound": sound, "mad": mad})
     assert pixels(comparison_figure(dataset, comparison, "run_1")).any()
+    assert text_of(comparison_table(comparison)).splitlines()[0].count("sound") == 1
     assert "diverged" in text_of(comparison_table(comparison))
 
 
@@ -202,3 +204,41 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
         k = study.names.index(row["parameter"])
         i = [r.records[0] for r in study.sets].index(row["set"])
         assert math.isclose(float(row["value"]), study.values[i, k], rel_tol=1e-9)
+
+
+def test_pictures_of_one_set_and_names_of_records(dataset: Dataset, study: Study, pooled: Study) -> None:
+    assert set(study_images(dataset, pooled, 1.96)) == {
+        "parameters", "residuals", *(f"fit_run_{k}" for k in range(3)),
+    }  # fmt: skip
+    ticks = [text.get_text() for text in parameter_figure(study).axes[-2].get_xticklabels()]
+    assert ticks == ["run_0", "run_1"]
+    outputs = residual_figure(study, whiteness(study.selected.residual), 0.002).axes[1]
+    names = [text.get_text() for text in outputs.get_legend().get_texts()]
+    assert all("RMS" in name for name in names[:2])
+
+
+def test_a_single_combination_has_no_empty_half(study: Study) -> None:
+    told = study.identifiability
+    one = replace(told, combinations=told.combinations[:1], combination_std=told.combination_std[:1])
+    assert text_of(identifiability_table(one)).count("predicted error") == 1
+
+
+def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -> None:
+    first = study.sets[0]
+    k = study.names.index("F_v")
+    value = first.values[k]
+    spec = replace(first.system.parameter("F_v").spec, lower=value)
+    stuck = replace(first, system=first.system.with_specs({"F_v": spec}))
+    told = replace(study.identifiability, claimable=np.ones(len(study.names), bool))
+    known = tuple(replace(c, std_error=0.1 * np.abs(first.values)) for c in study.covariances)
+    sets = (stuck, *study.sets[1:])
+    bounded = replace(study, sets=sets, identifiability=told, covariances=known, robust=known)
+    write_parameters(tmp_path / "parameters.csv", bounded, 1.96)
+    with (tmp_path / "parameters.csv").open() as file:
+        row = list(csv.DictReader(file))[k]
+    assert (row["claimable"], row["at_bound"]) == ("0", "1")
+    assert math.isclose(float(row["lower"]), value, rel_tol=1e-5)
+    assert float(row["upper"]) > value
+    for index in (0, 1):  # whichever is selected
+        chosen = replace(bounded, selection=replace(study.selection, index=index))
+        assert "at a bound: F_v (in 1 of 2 sets)" in text_of(study_table(chosen, 1.96, 0.95))
