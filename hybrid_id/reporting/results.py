@@ -150,20 +150,25 @@ def comparison_result(comparison: Comparison) -> dict[str, Any]:
 
 
 def write_parameters(path: Path, study: Study, reach: float) -> None:
-    """One row for each parameter of each set: value, interval, and whether it may be claimed."""
+    """One row for each parameter of each set: value, interval within the bounds, and whether it may be claimed.
+
+    At a bound the errors are not normal, so nothing is claimed there.
+    """
     heads = ["set", "selected", "parameter", "value", "unit", "std_error", "lower", "upper"]
     heads += ["claimable", "at_bound", "status"]
     rows = []
     for i, result in enumerate(study.sets):
         errors = study.standard_errors(i)
         for k, name in enumerate(study.names):
-            known = bool(np.isfinite(errors[k]))
-            interval = [errors[k], *(result.values[k] + side * reach * errors[k] for side in (-1, 1))]
+            known, at_bound = bool(np.isfinite(errors[k])), name in result.at_bound
+            spec = result.system.parameter(name).spec
+            ends = (result.values[k] + side * reach * errors[k] for side in (-1, 1))
+            interval = [errors[k], *(min(max(end, spec.lower), spec.upper) for end in ends)]
             rows.append(
                 [
                     study.cross_validation.set_names[i], int(i == study.selection.index), name,
                     f"{result.values[k]:.10g}", result.units[k], *(f"{v:.6g}" if known else "" for v in interval),
-                    int(known), int(name in result.at_bound), result.status,
+                    int(known and not at_bound), int(at_bound), result.status,
                 ]
             )  # fmt: skip
     _write_rows(path, heads, rows)
