@@ -242,24 +242,3 @@ def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -
     for index in (0, 1):  # whichever is selected
         chosen = replace(bounded, selection=replace(study.selection, index=index))
         assert "at a bound: F_v (in 1 of 2 sets)" in text_of(study_table(chosen, 1.96, 0.95))
-
-
-def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -> None:
-    first = study.sets[0]
-    k = study.names.index("F_v")
-    value = first.values[k]
-    spec = replace(first.system.parameter("F_v").spec, lower=value)
-    stuck = replace(first, system=first.system.with_specs({"F_v": spec}))
-    told = replace(study.identifiability, claimable=np.ones(len(study.names), bool))
-    known = tuple(replace(c, std_error=0.1 * np.abs(first.values)) for c in study.covariances)
-    sets = (stuck, *study.sets[1:])
-    bounded = replace(study, sets=sets, identifiability=told, covariances=known, robust=known)
-    write_parameters(tmp_path / "parameters.csv", bounded, 1.96)
-    with (tmp_path / "parameters.csv").open() as file:
-        row = list(csv.DictReader(file))[k]
-    assert (row["claimable"], row["at_bound"]) == ("0", "1")
-    assert math.isclose(float(row["lower"]), value, rel_tol=1e-5)
-    assert float(row["upper"]) > value
-    for index in (0, 1):  # whichever is selected
-        chosen = replace(bounded, selection=replace(study.selection, index=index))
-        assert "at a bound: F_v (in 1 of 2 sets)" in text_of(study_table(chosen, 1.96, 0.95))
