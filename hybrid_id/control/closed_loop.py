@@ -66,18 +66,20 @@ def track(
         controller: made for this reference.
         plant: starts at rest where the reference starts.
         reference: desired motion.
-        cutoff: of the filter that differentiates the encoder's angle [Hz].
+        cutoff: of the filter that differentiates the encoder's angle [Hz]; it sees the deviation from the planned
+            motion only, so that the planned speed comes without its lag.
     """
     step = reference.sample_time
     keep = np.exp(-2 * np.pi * cutoff * step)
-    last = plant.measure()
-    speed = np.zeros_like(last)
+    last = plant.measure() - controller.planned(0)[0]
+    drift = np.zeros_like(last)
     angles, voltages = [], []
     for k in range(len(reference.time)):
         angles.append(plant.true_angles())
         measured = plant.measure()
-        speed = keep * speed + (1.0 - keep) * (measured - last) / step
-        last = measured
-        voltages.append(controller.voltage(k, measured, speed))
+        angle, speed = controller.planned(k)
+        drift = keep * drift + (1.0 - keep) * (measured - angle - last) / step
+        last = measured - angle
+        voltages.append(controller.voltage(k, measured, speed + drift))
         plant.step(voltages[-1])
     return Tracking(reference, np.stack(angles), np.stack(voltages))

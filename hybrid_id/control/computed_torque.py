@@ -61,6 +61,12 @@ class ComputedTorque:
         self.lanes = theta.shape[1]
         self.views = system.views(list(theta))
         self.plan = self._plan(reference)
+        self.rotors = [system.speed_rows.index(joint.positions[0] + 1) for joint in system.joints]
+
+    def planned(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Angles [rad] and speeds [rad/s] that are planned for the motors at sample ``k``, ``(n_joints, B)`` each."""
+        angle, speed = self.plan[k, :2, self.rotors].numpy()
+        return angle, speed
 
     @torch.no_grad()
     def voltage(self, k: int, angles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
@@ -78,16 +84,15 @@ class ComputedTorque:
         x = [self.plan.new_zeros(self.lanes) for _ in self.system.state_names]
         for s, row in enumerate(self.system.speed_rows):
             x[row - 1], x[row] = planned[0, s], planned[1, s]
-        accelerations, rotors = list(planned[2]), []
+        accelerations = list(planned[2])
         for j, joint in enumerate(self.system.joints):
-            s = self.system.speed_rows.index(joint.positions[0] + 1)
-            rotors.append(s)
+            s = self.rotors[j]
             q, v = torch.as_tensor(angles[j]), torch.as_tensor(speeds[j])
             error = self.kp * (planned[0, s] - q) + self.kv * (planned[1, s] - v)
             accelerations[s] = accelerations[s] + error
             if joint.rigid:
                 x[joint.positions[0]], x[joint.positions[0] + 1] = q, v
-        found = self._inverse(x, accelerations, planned[1], rotors)
+        found = self._inverse(x, accelerations, planned[1], self.rotors)
         return found.clamp(-self.limit, self.limit).numpy()
 
     def _inverse(
