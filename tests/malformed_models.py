@@ -138,6 +138,11 @@ def malformed_models() -> list[MalformedModel]:
         ),
         MalformedModel("unknown joint", ("'joint2/motor'",), add_component(place="joint2/motor", kind="dc_motor")),
         MalformedModel("wrong place", ("dahl", "joint1/motor"), add_component(place="joint1/motor", kind="dahl")),
+        MalformedModel(
+            "gravity in a wrong place",
+            ("arm_gravity cannot sit in 'joint1/sensor'",),
+            add_component(place="joint1/sensor", kind="arm_gravity"),
+        ),
         MalformedModel("place missing", ("components[1].place", "missing"), add_component(kind="dahl")),
         MalformedModel(
             "parameter of another law",
@@ -163,7 +168,7 @@ def malformed_models() -> list[MalformedModel]:
         ),
         MalformedModel(
             "parameter of a replaced motor",
-            ("P_m1", "dc_motor", "components"),
+            ("P_m1, P_m2 of dc_motor", "'components'"),
             add_component(place="joint1/motor", kind="torque_motor"),
         ),
         MalformedModel(

@@ -111,6 +111,10 @@ class Record:
 
     def between(self, start: float, stop: float) -> "Record":
         """Return the part whose stamps lie in [start, stop] (s), the stamps unchanged."""
+        if not start < stop:
+            raise InputError(
+                f"{self.title}: between [{start:g}, {stop:g}] is reversed; give the earlier time first"
+            )
         first, last = np.searchsorted(self.time, (start, stop), side="left")
         last += last < self.n_samples and self.time[last] == stop
         if last - first < 2:

@@ -24,6 +24,18 @@ Channels = Mapping[str, Tensor]
 Views = Mapping[str, SimpleNamespace]
 
 
+def check_place(where: str, kind: type[Component], n_joints: int) -> None:
+    """Raise InputError where a system of so many joints has no such place, or the place takes no such component."""
+    joint, _, place = where.partition("/")
+    joints = [f"joint{i + 1}" for i in range(n_joints)]
+    if joint not in joints or place not in PLACES:
+        raise InputError(
+            f"Place '{where}' is not known; use one of {', '.join(joints)} with one of {', '.join(PLACES)}."
+        )
+    if place not in kind.places:
+        raise InputError(f"{kind.kind} cannot sit in '{where}'; it belongs in {' or '.join(kind.places)}.")
+
+
 class System(nn.Module):
     """A drive or arm: components in places, a state layout, and the equations of motion that follow.
 
@@ -62,16 +74,7 @@ class System(nn.Module):
         self.register_load_state_dict_post_hook(_rewire)
 
     def _place(self, where: str, part: Component) -> None:
-        joint, _, place = where.partition("/")
-        joints = [f"joint{i + 1}" for i in range(len(self.gear_ratio))]
-        if joint not in joints or place not in PLACES:
-            raise InputError(
-                f"Place '{where}' is not known; use one of {', '.join(joints)} with one of {', '.join(PLACES)}."
-            )
-        if place not in part.places:
-            raise InputError(
-                f"{part.kind} cannot sit in '{where}'; it belongs in {' or '.join(part.places)}."
-            )
+        check_place(where, type(part), len(self.gear_ratio))
         if part.single:
             for key, other in list(self.components.items()):
                 if key.startswith(f"{where}/") and isinstance(other, part.family()):

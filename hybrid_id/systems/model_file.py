@@ -15,7 +15,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 from hybrid_id.systems.arms import FLAT_NAMES
-from hybrid_id.systems.chain import System
+from hybrid_id.systems.chain import System, check_place
 from hybrid_id.systems.model_schema import FLAT, SKELETON, ModelFile, ParameterEntry
 
 WEIGHTS = (Gravity.kind, ArmGravity.kind)
@@ -79,6 +79,10 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
     singles: dict[tuple[str, type], str] = {}
     for entry in file.components:
         kind, key = _kind(entry.kind, path), (entry.place, entry.kind)
+        try:
+            check_place(entry.place, kind, len(file.gear_ratio))
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
         if key in listed:
             raise InputError(
                 f"{path}: components lists {entry.kind} at {entry.place} twice; keep one of them."
@@ -105,17 +109,22 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
 def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
     """Put the flat parameters into their components; one that no component needs brings it along, the rest of it 0."""
     names, listed = FLAT[file.system], set(parts)
-    for name, entry in file.parameters.items():
+    replaced: dict[tuple[str, str], list[str]] = {}
+    for name in file.parameters:
         if name not in names:
             known = ", ".join(names)
             raise InputError(f"{path}: parameter '{name}' is not known for {file.system}; it knows {known}.")
+        where, kind_name, _ = names[name]
+        if REGISTRY[kind_name].single and (where, kind_name) not in parts:
+            replaced.setdefault((where, kind_name), []).append(name)
+    if replaced:
+        which = " and ".join(
+            f"{', '.join(given)} of {kind_name} at {where}" for (where, kind_name), given in replaced.items()
+        )
+        raise InputError(f"{path}: 'components' replaces what has the parameters {which}; remove them.")
+    for name, entry in file.parameters.items():
         where, kind_name, symbol = names[name]
         kind = REGISTRY[kind_name]
-        if kind.single and (where, kind_name) not in parts:
-            raise InputError(
-                f"{path}: parameter '{name}' belongs to {kind_name} at {where}, which 'components' replaces; "
-                "remove it."
-            )
         values = parts.setdefault((where, kind_name), {})
         if symbol in values:
             raise InputError(

@@ -84,6 +84,10 @@ CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
         ("no train record",),
     ),
     "empty window": ("dataset: DATA\nmodel: MODEL\npreprocessing: {between: [7, 9]}\n", ("7 s and 9 s",)),
+    "window upside down": (
+        "dataset: DATA\nmodel: MODEL\npreprocessing: {between: [5, 1]}\n",
+        ("between [5, 1] is reversed",),
+    ),
     "step longer than the record": (
         "dataset: DATA\nmodel: MODEL\npreprocessing: {resample: {sample_time: 5}}\n",
         ("'rec_0'", "5 s"),
