@@ -9,6 +9,7 @@ from typer.exceptions import TyperException
 
 from hybrid_id import __version__
 from hybrid_id.cli.check import check
+from hybrid_id.cli.components import components
 from hybrid_id.cli.demo import demo
 from hybrid_id.cli.excite import excite
 from hybrid_id.cli.identify import identify
@@ -75,7 +76,7 @@ def _hybrid_id(
     """Physical parameters of robot drives from records of voltage and angle, with statistics that say what to trust."""
 
 
-for command in (check, excite, identify, train, simulate, compare, demo):
+for command in (check, excite, identify, train, simulate, compare, demo, components):
     app.command()(command)
 
 

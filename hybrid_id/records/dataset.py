@@ -20,7 +20,7 @@ class Channel:
     """One signal of a dataset.
 
     Attributes:
-        name: `u1`, `q_m1`, ...: an identifier; the table of names is in the documentation of the file format.
+        name: `u1`, `q_m1`, ...: an identifier; docs/formats.md has the table of names.
         unit: SI unit, such as `V` or `rad/s`.
         noise_std: Standard deviation of the sensor's noise, in `unit`; None where it is not known.
     """

@@ -46,7 +46,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         problem = " ".join(str(getattr(error, "problem", None) or error).split())
         raise InputError(f"{path}{row}: this is not valid YAML ({problem}); correct it") from None
     if not isinstance(values, dict):
-        raise InputError(f"{path} must hold 'key: value' pairs at its top level; see the documentation")
+        raise InputError(f"{path} must hold 'key: value' pairs at its top level, as docs/formats.md shows")
     return values
 
 

@@ -42,7 +42,7 @@ def identified(run, drive: Path, tmp_path_factory: pytest.TempPathFactory) -> tu
 def test_version_and_help(run) -> None:
     assert run("--version").out.strip() == f"hybrid_id {__version__}"
     words = run().out
-    for command in ("check", "excite", "identify", "train", "simulate", "compare", "demo"):
+    for command in ("check", "excite", "identify", "train", "simulate", "compare", "demo", "components"):
         assert command in words
         assert run(command, "--help").code == 0
 
