@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,7 +30,7 @@ class NetworkRole:
         share: RMS of its output over that of the motor's torque (at the link where the place is there) or command.
         variance_share: the same of the variances.
         overlap: projection coefficient in 0 ... 1: length of the part of the accelerations it causes that lies in the
-            span of their sensitivities to the estimated parameters, over the whole length.
+            span of those of the physics alone to its estimated parameters, over the whole length.
         alike: the parameters to whose effects its own is most alike, with the cosine between them.
         speed, angle, map: its output ``(n_speed, n_angle)`` against both, of the side where it acts; other inputs at
             their mean, hidden states at rest.
@@ -57,7 +58,10 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
     u = {name: channel.reshape(-1)[used] for name, channel in batch.u.items()}
     values = list(system.theta().detach().to(batch.x)[:, None])
     p, found = system.views(values), []
-    effects = _effects(system, engine, x, u, values)
+    asleep = copy.deepcopy(system)  # else a change of scale of all torques looks like any network
+    for part in asleep.networks.values():
+        part.fall_asleep()
+    effects = _effects(asleep, engine, x, u, values)
     free = [info.name for info in system.table if info.spec.estimate]
     physical = (
         torch.stack([effects[name] for name in free], 1)
