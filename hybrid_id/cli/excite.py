@@ -8,6 +8,8 @@ import typer
 from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import result_file
 
+MAX_SAMPLES = 1_000_000
+
 
 def excite(
     file: Annotated[
@@ -20,7 +22,7 @@ def excite(
     duration: Annotated[float, typer.Option(help="Length [s].")] = 10.0,
     sample_time: Annotated[float, typer.Option(help="Sample time [s].")] = 0.002,
     amplitude: Annotated[float, typer.Option(help="Peak, in the unit of the input (V).")] = 10.0,
-    tones: Annotated[int, typer.Option(help="Number of tones, spread evenly over the band.")] = 20,
+    tones: Annotated[int, typer.Option(help="Number of tones, spread evenly over the band.", min=1)] = 20,
     rest: Annotated[
         float, typer.Option(help="Rest at zero before the signal [s], so that the start is known.")
     ] = 0.1,
@@ -40,6 +42,16 @@ def excite(
 
     if not 0 <= rest < np.inf:
         raise InputError(f"--rest is {rest:g} s; give 0 or more")
+    if not 0 < sample_time < np.inf:
+        raise InputError(f"--sample-time is {sample_time:g} s; give a number above 0")
+    if not 2 <= duration / sample_time <= MAX_SAMPLES:
+        raise InputError(
+            f"--duration {duration:g} s holds no 2 to {MAX_SAMPLES:,} samples of {sample_time:g} s; change one of them"
+        )
+    if not 0 < band[0] < band[1] < np.inf:
+        raise InputError(
+            f"--band is {band[0]:g} {band[1]:g}; give the lowest frequency first, both above 0 Hz"
+        )
     with ExitStack() as files:
         table = files.enter_context(result_file(file, force=force))
         picture = files.enter_context(result_file(plot, force=force)) if plot else None

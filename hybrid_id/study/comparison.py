@@ -101,4 +101,10 @@ def compare(dataset: Dataset, models: Mapping[str, System], *, engine: Engine | 
     """Replay every record through every model; arguments as in :func:`replay`, models by label."""
     if not models:
         raise InputError("there is no model to compare; give at least one")
-    return Comparison({label: replay(dataset, system, engine=engine) for label, system in models.items()})
+    replays = {}
+    for label, system in models.items():
+        try:
+            replays[label] = replay(dataset, system, engine=engine)
+        except InputError as error:
+            raise InputError(f"{label}: {error}") from None
+    return Comparison(replays)

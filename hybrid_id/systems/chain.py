@@ -236,7 +236,8 @@ class System(nn.Module):
         for name in names:
             if not name[-1:].isdigit() or not 1 <= int(name[-1]) <= len(self.joints):
                 raise InputError(
-                    f"Output '{name}' names no joint of this system; outputs end in the joint's number."
+                    f"Output '{name}' names no joint of {self.name}, whose outputs end in a number up to "
+                    f"{len(self.joints)}; take a model of that joint, or leave the output out of the dataset."
                 )
             found.append(self.joints[int(name[-1]) - 1].output(name[:-1], x, u, p))
         return found

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -95,6 +96,16 @@ def test_wrong_units_and_signs_do_not_pass_silently(
     words = run("check", tmp_path / "wrong", "--json").out
     assert "the model's start values explain less than the mean of the records (normalised RMSE" in words
     assert "start values explain" not in run("check", drive, "--json").out
+
+
+def test_records_of_more_joints_than_the_model_has(run, drive: Path, tmp_path: Path) -> None:
+    data = Dataset.load(drive)
+    records = tuple(replace(r, outputs=r.outputs | {"q_m2": r.outputs["q_m1"]}) for r in data.records)
+    replace(data, outputs=(*data.outputs, Channel("q_m2", "rad")), records=records).save(tmp_path / "two")
+    said = run("simulate", tmp_path / "two", "--model", drive / "model.yaml", "--out", tmp_path / "out")
+    assert said.code == 2
+    for words in ("model.yaml: ", "'q_m2'", "take a model of that joint"):
+        assert words in said.err
 
 
 def test_check_as_json(run, drive: Path) -> None:
