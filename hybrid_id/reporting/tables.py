@@ -56,11 +56,11 @@ def identifiability_table(told: Identifiability) -> RenderableType:
         words = f"all {len(told.names)} parameters can be told (condition number {told.condition_number:.3g})"
         parts.append(Text(words, style="green"))
     cells = [
-        (c.text, f"± {100 * std:.2g} %")
+        (c.text, f"± {196 * std:.2g} %")
         for c, std in zip(told.combinations, told.combination_std, strict=True)
     ]
     if cells:
-        parts.append(_two_a_row(["what the records tell", "predicted error>"], cells))
+        parts.append(_two_a_row(["what the records tell", "predicted ± (95 %)>"], cells))
     if told.not_claimable:
         parts.append(
             Text(

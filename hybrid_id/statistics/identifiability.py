@@ -13,6 +13,7 @@ from hybrid_id.statistics.null_directions import normalise, simple_basis
 from hybrid_id.statistics.uncertainty import Arrays, prior_matrix
 
 VAGUE = 0.5  # relative standard error from which a direction counts as not identified
+_REACH = 1.96  # standard errors, for the 95 % that all words and tables mean
 _NULL_JACOBIAN = 1e-9  # singular values below this share of the largest are rounding
 _NULL_INFORMATION = 1e-6  # an information matrix has squared them
 _HOPELESS = 30.0  # relative standard error from which a direction is as good as null
@@ -80,8 +81,9 @@ class Identifiability:
         lines += [
             f"  {number}. {direction.text}" for number, direction in enumerate(self.directions, start=1)
         ]
-        lines.append("identified: " + ", ".join(
-            f"{c.text} (±{100 * std:.2g} %)" for c, std in zip(self.combinations, self.combination_std, strict=True)
+        lines.append("identified, with 95 % intervals: " + ", ".join(
+            f"{c.text} (±{100 * error:.2g} %)"
+            for c, error in zip(self.combinations, _REACH * self.combination_std, strict=True)
         ))  # fmt: skip
         lines.append(
             "no interval may be claimed for: "
@@ -152,7 +154,7 @@ def identifiability(
         alone, with_prior = (_along(move, matrix) for matrix in (data, data + prior))
         text = _words(vector, names, alone, combinations)
         if with_prior < 0.8 * alone:
-            text += f"; the prior holds it to ±{100 * with_prior:.2g} %"
+            text += f"; the prior holds it to ±{_REACH * 100 * with_prior:.2g} % (95 %)"
         directions.append(Direction(vector, alone, with_prior, text))
     return Identifiability(
         names=tuple(names),
@@ -205,13 +207,13 @@ def _words(
     told = (
         "without a change of the outputs"
         if null
-        else f"and the records tell it only to ±{100 * relative_std:.0f} %"
+        else f"and the records tell it only to ±{_REACH * 100 * relative_std:.0f} % (95 %)"
     )
     if len(moved) == 1:
         return (
             f"{group} has no effect on the outputs"
             if null
-            else f"{group} is told only to ±{100 * relative_std:.0f} %"
+            else f"{group} is told only to ±{_REACH * 100 * relative_std:.0f} % (95 %)"
         )
     if np.all(vector[moved] == 1):
         return f"{group} may all be multiplied by one number {told}"

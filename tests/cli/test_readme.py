@@ -31,6 +31,7 @@ def test_tour_names_the_commands(ending: str) -> None:
 
 def test_tour_runs_as_written(run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(drive, tmp_path / "my_robot")
+    shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / "model_priors.yaml")
     monkeypatch.chdir(tmp_path)
     for command in COMMANDS:
         outcome = run(*shlex.split(command)[1:])

@@ -220,7 +220,7 @@ def test_pictures_of_one_set_and_names_of_records(dataset: Dataset, study: Study
 def test_a_single_combination_has_no_empty_half(study: Study) -> None:
     told = study.identifiability
     one = replace(told, combinations=told.combinations[:1], combination_std=told.combination_std[:1])
-    assert text_of(identifiability_table(one)).count("predicted error") == 1
+    assert text_of(identifiability_table(one)).count("predicted ± (95 %)") == 1
 
 
 def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ def test_data_sheet_priors_hold_all_of_it():
     assert result.relative_std[0] == pytest.approx(0.03, rel=0.05)
     assert result.prior_share[[1, 2]] == pytest.approx(1, abs=0.02)
     assert result.prior_share[6] < 0.01
-    assert "the prior holds it to ±3 %" in result.directions[0].text
+    assert "the prior holds it to ±5.9 % (95 %)" in result.directions[0].text
     assert "none, thanks to the prior" in result.summary()
 
 
