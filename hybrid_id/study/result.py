@@ -124,6 +124,7 @@ class Study:
         lines.append(self.selection.summary())
         if self.test_nrmse:
             mean = float(np.mean(list(self.test_nrmse.values())))
-            lines.append(f"normalised RMSE on {len(self.test_nrmse)} test records: {mean:.4g}")
+            plural = "s" * (len(self.test_nrmse) > 1)
+            lines.append(f"normalised RMSE on {len(self.test_nrmse)} test record{plural}: {mean:.4g}")
         lines.append(f"integration error (step halved): {self.engine_error:.2g} standard errors at most")
         return "\n".join(lines)
