@@ -48,10 +48,12 @@ def excite(
         raise InputError(
             f"--duration {duration:g} s holds no 2 to {MAX_SAMPLES:,} samples of {sample_time:g} s; change one of them"
         )
-    if not 0 < band[0] < band[1] < np.inf:
+    if not 0 <= band[0] <= band[1] < np.inf:
         raise InputError(
-            f"--band is {band[0]:g} {band[1]:g}; give the lowest frequency first, both above 0 Hz"
+            f"--band is {band[0]:g} {band[1]:g}; give the lowest frequency first, none below 0 Hz"
         )
+    if not 0 < amplitude < np.inf:
+        raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")
     with ExitStack() as files:
         table = files.enter_context(result_file(file, force=force))
         picture = files.enter_context(result_file(plot, force=force)) if plot else None

@@ -143,7 +143,9 @@ def _make_parents(path: Path) -> list[Path]:
             return missing
     except OSError as error:
         _remove(missing)
-        raise InputError(f"{path} cannot be made ({error.strerror}); give another place") from None
+        below_file = isinstance(error, FileExistsError | NotADirectoryError)
+        why = "a folder above it is a file" if below_file else error.strerror
+        raise InputError(f"{path} cannot be made ({why}); give another place") from None
 
 
 def _remove(folders: list[Path]) -> None:

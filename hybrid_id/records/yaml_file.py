@@ -132,6 +132,8 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
     found = f", found {found if len(found) <= 60 else found[:57] + '...'}"
     if fault["type"] in ("model_type", "dict_type"):
         return f"key '{key}' must hold 'key: value' pairs{found}"
+    if fault["type"] == "too_short" and not fault["input"]:
+        return f"key '{key}' is empty; give at least one"
     words = fault["msg"].removeprefix("Value error, ").split(", unable to parse")[0]
     if words.startswith("Input should "):
         return f"key '{key}' must {words.removeprefix('Input should ')}{found}"

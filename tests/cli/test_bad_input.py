@@ -49,10 +49,7 @@ def test_malformed_model(case: MalformedModel, run, tmp_path: Path) -> None:
 CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
     "unknown key": ("dataset: DATA\nmodel: MODEL\noptimizer: adam\n", ("study.yaml", "'optimizer'")),
     "misspelt key": ("dataset: DATA\nidentification: {start: 3}\n", ("identification.start", "'starts'")),
-    "section that is not there yet": (
-        "dataset: DATA\nmodel: MODEL\nhybrid: {}\n",
-        ("study.yaml", "'hybrid'"),
-    ),
+    "misspelt section": ("dataset: DATA\nmodel: MODEL\nhybird: {}\n", ("study.yaml", "'hybird'", "'hybrid'")),
     "no dataset": ("model: MODEL\n", ("study.yaml", "'dataset'", "missing")),
     "dataset of no place": ("dataset: nowhere\nmodel: MODEL\n", ("nowhere", "does not exist")),
     "model of no place": ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
