@@ -1,6 +1,7 @@
 """`identify`: from records and a model to parameters with statistics."""
 
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -114,7 +115,7 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int 
         return study, progress.stopped
 
 
-def fit_settings(config: StudyConfig, progress: "FitProgress | None" = None) -> dict[str, Any]:
+def fit_settings(config: StudyConfig, progress: Callable[..., bool] | None = None) -> dict[str, Any]:
     """The config's settings as arguments of `fit`."""
     from hybrid_id.identification.least_squares import Options
     from hybrid_id.identification.objective import Loss
@@ -160,5 +161,4 @@ def fit_part(
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
     batch = make_batch(system, records, noise_std=noise, signal_share=config.preprocessing.signal_share)
     device = config.identification.device
-    settings = fit_settings(config) | {"progress": lambda *_: stop.exists()}
-    return fit(system.to(device), batch.to(device), **settings)
+    return fit(system.to(device), batch.to(device), **fit_settings(config, lambda *_: stop.exists()))
