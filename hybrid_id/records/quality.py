@@ -161,7 +161,7 @@ def _roles(dataset: Dataset) -> Iterator[Finding]:
 
 
 def _dead_inputs(dataset: Dataset) -> Iterator[Finding]:
-    """Inputs that push the motor and never change in any train record; an error where none of them does."""
+    """Inputs that push the motor and never change in any train record: a free swing, or a column gone wrong."""
     values = {
         channel.name: np.concatenate([record.inputs[channel.name] for record in dataset.train])
         for channel in (dataset.inputs if dataset.train else ())
@@ -171,9 +171,9 @@ def _dead_inputs(dataset: Dataset) -> Iterator[Finding]:
     for name in dead:
         words = (
             f"{name} is {values[name][0]:g} in every sample of every train record, so nothing shows how it drives the "
-            "motor; check its column, or add a record in which it changes"
+            "motor; unless the joint is to swing freely, check its column or add a record in which it changes"
         )
-        yield Finding("error" if len(dead) == len(values) else "warning", "dead_input", words, channel=name)
+        yield Finding("warning", "dead_input", words, channel=name)
 
 
 def _repeats(dataset: Dataset) -> Iterator[Finding]:
