@@ -23,8 +23,8 @@ from hybrid_id.study.network_role import network_roles
 from hybrid_id.systems import one_link
 
 STEP, NOISE, WIDTH = 0.004, 0.02, 1.0
-kind, seed = (sys.argv[1:] + ["cogging", "0"][len(sys.argv) - 1 :])[:2]
-seed = int(seed)
+kind = sys.argv[1] if len(sys.argv) > 1 else "cogging"
+seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
 physics = one_link(20.0).with_values({"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.005, "F_v": 5e-5})
 physics = physics.with_specs({"P_m1": replace(physics.parameter("P_m1").spec, estimate=False)})
 cogging = Cogging(T_c=0.0, T_s=2.5e-3, n=3.0)
