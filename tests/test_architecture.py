@@ -32,6 +32,7 @@ FLOORS = {
     "statistics": 5,
     "study": 6,
     "gap": 7,
+    "reproduction": 7,
     "reporting": 8,
     "blind": 8,
     "config": 9,

@@ -14,6 +14,7 @@ from hybrid_id.cli.demo import demo
 from hybrid_id.cli.excite import excite
 from hybrid_id.cli.identify import identify
 from hybrid_id.cli.replay import compare, simulate
+from hybrid_id.cli.reproduce import reproduce
 from hybrid_id.cli.train import train
 from hybrid_id.errors import InputError
 
@@ -76,7 +77,7 @@ def _hybrid_id(
     """Physical parameters of robot drives from records of voltage and angle, with statistics that say what to trust."""
 
 
-for command in (check, excite, identify, train, simulate, compare, demo, components):
+for command in (check, excite, identify, train, simulate, compare, reproduce, demo, components):
     app.command()(command)
 
 

@@ -17,7 +17,7 @@ from hybrid_id.identification.least_squares import Bounds, Options, minimise
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.simulation.memory import keep_freed_memory
 from hybrid_id.simulation.prepare import Batch
-from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.rollout import rollout, simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -100,8 +100,10 @@ def fit(
             )
     engine = with_substeps(system, engine, many, theta[:, many_sets])
     nodes, alive, each = None, starts, torch.arange(count, device=device)
-    if hidden_links(system, batch):  # the batch's guess has no spring loaded
-        nodes = simulate(system, engine, many, theta[:, many_sets]).x
+    if hidden_links(
+        system, batch
+    ):  # no spring is loaded in the batch's guess, from which Newton's method goes astray
+        nodes = rollout(system, engine, many, theta[:, many_sets])
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
         for refinements_left in (2, 1, 0):

@@ -12,7 +12,7 @@ from hybrid_id.components.base import Transmission
 from hybrid_id.identification.damped_step import Bounds
 from hybrid_id.identification.least_squares import Options, minimise
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -77,7 +77,7 @@ def grow(
             part = part.take(torch.arange(part.rows, device=row.device).repeat(start.shape[1]))
             group = torch.arange(start.shape[1], device=row.device).repeat_interleave(len(row))
         fine = with_substeps(system, engine, part, start[:, group])
-        nodes = simulate(system, fine, part, start[:, group]).x
+        nodes = rollout(system, fine, part, start[:, group])
         found = minimise(system, fine, part, group, start, free, bounds, coarse, report, nodes)
         usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
         size = torch.zeros_like(found.cost).index_add(0, group, (part.weight > 0).sum((1, 2)).to(found.cost))

@@ -1,0 +1,70 @@
+"""`reproduce`: every table and figure of the paper on its digital twins."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hybrid_id.cli.console import remark, show
+from hybrid_id.cli.folder import RESULT, refuse_taken
+from hybrid_id.cli.options import ThreadsOption, use_threads
+from hybrid_id.errors import InputError
+
+PARTS = "parts"
+
+
+def reproduce(
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help="Folder for the page and its parts.", show_default=False)
+    ],
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Two short records a stage: a look at everything.")
+    ] = False,
+    seeds: Annotated[
+        int | None,
+        typer.Option(help="Runs of each closed loop; 20, with --quick 2.", min=1, show_default=False),
+    ] = None,
+    threads: ThreadsOption = 1,
+) -> None:
+    """Walk through the paper on digital twins: every table and figure, printed values beside ours, on one page.
+
+    Each stage is kept as soon as it is done. After Ctrl-C the same command goes on from there.
+    """
+    parts = out / PARTS
+    if not parts.is_dir():
+        refuse_taken(out, force=False)
+    try:
+        parts.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{parts} cannot be made ({error.strerror}); give another folder") from None
+    use_threads(threads)
+    from hybrid_id.cli.progress import FitProgress
+    from hybrid_id.identification.least_squares import Options
+    from hybrid_id.reproduction.run import reproduce as walk
+
+    try:
+        with FitProgress(1, Options().max_iterations, polite=False) as progress:
+            result = walk(
+                parts, quick=quick, seeds=seeds or (2 if quick else 20), say=remark, progress=progress
+            )
+    except KeyboardInterrupt:
+        remark(f"stopped; what is done is kept in {parts}, and the same command goes on from there")
+        raise typer.Exit(130) from None
+    from hybrid_id.reporting.html.paper_page import paper_figures, paper_page
+    from hybrid_id.reporting.paper_tables import claims_table
+    from hybrid_id.reporting.results import as_json
+    from hybrid_id.reporting.style import save
+    from hybrid_id.reproduction.comparison import claims
+
+    found = claims(result.stages, result.truths, result.tracking)
+    images = paper_figures(result)
+    for name, image in images.items():
+        save(image, parts / f"{name}.png")
+    page = parts / "report.html"
+    paper_page(result, found, images).write(page)
+    page.replace(out / "report.html")
+    text = as_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
+    (parts / RESULT).write_text(text + "\n", encoding="utf-8")
+    (parts / RESULT).replace(out / RESULT)
+    show(claims_table(found))
+    show(f"all tables and figures are in {out / 'report.html'}; stages, models and pictures in {parts}")

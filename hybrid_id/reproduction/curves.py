@@ -1,0 +1,63 @@
+"""Friction torque over velocity as stages have identified it (paper, Figs 13 and 14)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.reproduction.result import StageResult
+from hybrid_id.twin.friction import AsymmetricStribeck
+
+LEVELS = ("f_11", "f_12", "f_13", "f_14", "f_21", "f_22", "f_23", "f_24")
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Friction torque of one motor: eq. (15)-(16) with a stage's estimate and with its run's truth.
+
+    Attributes:
+        label: what it is of.
+        speed: motor speed [rad/s], ``(T,)``.
+        torque: estimated [N m].
+        truth: true [N m].
+    """
+
+    label: str
+    speed: np.ndarray
+    torque: np.ndarray
+    truth: np.ndarray
+
+
+def friction_curve(
+    label: str, result: StageResult, truth: Mapping[str, float], *, motor: str = "", top: float = 300.0
+) -> Curve:
+    """The friction of a motor over its speed.
+
+    Args:
+        label: what it is of.
+        result: the stage.
+        truth: the twin's parameters, for what the stage's runs do not tell (held ones).
+        motor: what the motor's parameters end in.
+        top: largest speed [rad/s].
+    """
+    found = dict(zip(result.names, result.values[result.selected], strict=True))
+    own = dict(zip(result.names, result.truths[result.selected], strict=True))
+    speed = np.concatenate([np.linspace(-top, -1e-6, 400), np.linspace(1e-6, top, 400)])
+    curves = []
+    for values in ({**result.held, **found}, {**truth, **own}):
+        dry = AsymmetricStribeck(**{name: values[name + motor] for name in LEVELS})
+        side = np.sign(speed)
+        curves.append(side * dry.level(np.abs(speed), side) + values[f"f_3{motor}"] * speed)
+    return Curve(label, speed, *curves)
+
+
+def link_friction_curve(result: StageResult) -> Curve:
+    """Friction at the link, eq. (9), over its speed."""
+    speed = np.linspace(-0.15, 0.15, 801)
+    curves = []
+    for table in (result.values, result.truths):
+        values = dict(zip(result.names, table[result.selected], strict=True))
+        curves.append(np.where(speed > 0, values["f_a1"], values["f_a2"]) * np.tanh(70 * speed))
+    return Curve("at the link", speed, *curves)
