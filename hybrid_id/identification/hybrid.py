@@ -45,7 +45,7 @@ class HybridOptions:
         tolerance: a stage has converged when the next step is shorter than this many standard errors.
         patience: looks at the validation records without a gain after which a stage ends.
         validate_every: gradients between two looks.
-        worth: a rung further down must lower the validation loss by more than this share, and by what chance does.
+        worth: share by which a rung further down must lower the validation loss, see :func:`choose`.
         loss: loss of the weighted residuals.
         starts: start points of the fit of physics alone.
         seed: of these.
@@ -202,17 +202,19 @@ def fit_physics(system: System, batch: Batch, engine: OdeEngine, options: Hybrid
 
 
 def choose(losses: Sequence[Tensor], worth: float) -> int:
-    """The first rung that is not worse than the best by more than the share ``worth`` and a standard error.
+    """The first rung that is not worse than the best by more than the share ``worth``.
+
+    Physics alone has the benefit of the doubt: it stays, too, where chance (one standard error) may explain the rest.
 
     Args:
-        losses: validation loss of each rung in each part of the records.
+        losses: validation loss of each rung in each part of the records, physics alone first.
         worth: share of the best one's loss.
     """
     best = min(losses, key=lambda parts: float(parts.mean()))
     for k, parts in enumerate(losses):
         excess = parts - best
-        error = float(excess.std()) / len(excess) ** 0.5
-        if float(excess.mean()) <= worth * float(best.mean()) + error:
+        doubt = float(excess.std()) / len(excess) ** 0.5 if k == 0 else 0.0
+        if float(excess.mean()) <= worth * float(best.mean()) + doubt:
             return k
     return len(losses) - 1
 
