@@ -76,6 +76,7 @@ def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     text = yaml.safe_dump(values, allow_unicode=True, **layout)
     if yaml.safe_load(text) != values:  # PyYAML loses rare line separators unless they are escaped
         text = yaml.safe_dump(values, **layout)
+    path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     with os.fdopen(handle, "w", encoding="utf-8") as file:
         file.write(text)
