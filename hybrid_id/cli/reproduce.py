@@ -54,7 +54,7 @@ def reproduce(
     from hybrid_id.reporting.paper_tables import claims_table
     from hybrid_id.reporting.results import as_json
     from hybrid_id.reporting.style import save
-    from hybrid_id.reproduction.comparison import claims
+    from hybrid_id.reproduction.claims import claims
 
     found = claims(result.stages, result.truths, result.tracking)
     images = paper_figures(result)

@@ -9,7 +9,8 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.reporting.tables import open_table
-from hybrid_id.reproduction.comparison import Claim, FitRow, ParameterRow
+from hybrid_id.reproduction.claims import Claim
+from hybrid_id.reproduction.comparison import FitRow, ParameterRow
 from hybrid_id.reproduction.result import TrackingResult
 from hybrid_id.twin import paper
 
@@ -36,12 +37,17 @@ def parameters_table(rows: Sequence[ParameterRow]) -> Table:
             spread.stylize("yellow")
         best = row.printed.best
         table.add_row(
-            row.name, f"{row.truth:.4g}", f"{row.value:.4g}",
-            "held" if held else f"{row.interval:.2g}" if np.isfinite(row.interval) else "none",
-            "cut in print" if best is None else f"{best:.4g}", row.unit, Text("") if held else inside,
+            row.name, _number(row.truth), _number(row.value),
+            "held" if held else _number(row.interval, 2) if np.isfinite(row.interval) else "none",
+            "cut in print" if best is None else _number(best), row.unit, Text("") if held else inside,
             Text("0") if held else spread, f"{row.printed.percent:.2f} %", row.remark,
         )  # fmt: skip
     return table
+
+
+def _number(value: float, digits: int = 4) -> str:
+    """A number whose exponent no line breaks."""
+    return f"{value:.{digits}g}".replace("e-0", "e-").replace("-", "\u2011")
 
 
 def fits_table(rows: Sequence[FitRow]) -> Table:

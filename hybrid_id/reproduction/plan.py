@@ -8,7 +8,6 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveFloat
 
-import hybrid_id
 from hybrid_id.errors import InputError
 from hybrid_id.records.yaml_file import read_yaml, validate
 
@@ -65,7 +64,7 @@ def config_folder() -> Path:
     Raises:
         InputError: they are in neither place.
     """
-    package = Path(hybrid_id.__file__).parent
+    package = Path(__file__).parents[1]
     for folder in (package / "configs", package.parent / "configs"):
         if (folder / NAME).exists():
             return folder

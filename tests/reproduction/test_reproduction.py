@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 from hybrid_id.cli import app
 from hybrid_id.errors import InputError
 from hybrid_id.reproduction import plan as plans
-from hybrid_id.reproduction.comparison import PRINTED, claims, fit_rows, inertia_rows, parameter_rows
+from hybrid_id.reproduction.claims import claims
+from hybrid_id.reproduction.comparison import PRINTED, fit_rows, inertia_rows, parameter_rows
 from hybrid_id.reproduction.plan import config_folder, read_plan, twin_settings
 from hybrid_id.reproduction.result import StageResult, load, save
 from hybrid_id.reproduction.run import Reproduction, reproduce

@@ -1,0 +1,102 @@
+"""What the reproduction was to show, and what it saw."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.reproduction.comparison import PRINTED, FitRow, fit_rows, inertia_rows, parameter_rows
+from hybrid_id.reproduction.result import StageResult, TrackingResult
+from hybrid_id.statistics.variation import ACCEPTABLE_PERCENT as LIMIT
+from hybrid_id.twin import paper
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What was to be shown, and what was seen."""
+
+    claim: str
+    target: str
+    seen: str
+    met: bool
+
+
+def claims(
+    stages: Mapping[str, StageResult],
+    truths: Mapping[str, Mapping[str, float]],
+    tracking: Mapping[str, TrackingResult],
+) -> list[Claim]:
+    """The issue's list, as measured in this run."""
+    found = []
+    rows = {s: parameter_rows(s, r, truths[s]) for s, r in stages.items() if s in PRINTED}
+    free = [(s, row) for s, some in rows.items() for row in some if row.role == "free"]
+    if free:
+        worst = max(free, key=lambda pair: pair[1].percent)[1]
+        found.append(
+            Claim("std/mean of every free parameter, the 30 % rule", f"< {LIMIT:g} %",
+                  f"at most {worst.percent:.1f} % ({worst.name})", worst.percent < LIMIT)
+        )  # fmt: skip
+        above = [f"{row.name} (Table {PRINTED[s].parameters})" for s, row in free if not row.below]
+        share = 1 - len(above) / len(free)
+        seen = f"{len(free) - len(above)} of {len(free)}" + (f"; above: {', '.join(above)}" if above else "")
+        found.append(Claim("rows with std/mean below the printed one", "9 of 10", seen, share >= 0.9))
+        every = [row for some in rows.values() for row in some if row.role != "stage"]
+        covered = sum(row.covered for row in every)
+        found.append(
+            Claim("95 % intervals of the selected sets that hold the truth", "about 95 %",
+                  f"{covered} of {len(every)}", covered >= 0.9 * len(every))
+        )  # fmt: skip
+    fits = [(s, row) for s, r in stages.items() if s in PRINTED for row in fit_rows(s, r)]
+    if fits:
+        for what, holds, show in (
+            ("average fit at or above the printed one", lambda f: f.mean >= f.printed.mean, _mean),
+            ("average fit within 1 point of replaying the truth", lambda f: f.mean >= f.truth - 1.0, _mean),
+            ("std/mean of fit below the printed one", lambda f: f.percent < f.printed.percent, _spread),
+        ):
+            off = [
+                f"{f.name} (Table {PRINTED[s].fits}; true parameters {show(f)})"
+                for s, f in fits
+                if not holds(f)
+            ]
+            seen = f"{len(fits) - len(off)} of {len(fits)}" + (f"; not: {', '.join(off)}" if off else "")
+            found.append(Claim(what, "all", seen, not off))
+    if len(inertia := inertia_rows(stages, truths)) == len(paper.TABLE_12):
+        spread = {name: row.percent for name, row in inertia.items()}
+        worst = max(spread, key=lambda name: spread[name])
+        seen = ", ".join(f"{name} {value:.3g} %" for name, value in spread.items())
+        found.append(
+            Claim("Table 12: std/mean of P_2 is worst at low velocity", "worst", seen, "low" in worst)
+        )
+    for case, result in tracking.items():
+        if case == "backlash":
+            ratio = result.rms[1] / result.rms[0]
+            found.append(
+                Claim("Fig. 5: error with backlash model / with rigid model", "<= 0.5",
+                      f"{ratio.mean():.2f} ± {ratio.std():.2f}", bool((ratio <= 0.5).all()))
+            )  # fmt: skip
+            continue
+        for j in range(result.rms.shape[1]):
+            means = [f"{1e3 * m.mean():.2f} ± {1e3 * m.std():.2f}" for m in result.rms[:, j]]
+            order = result.rms[0, j].mean() > result.rms[1, j].mean() > result.rms[2, j].mean()
+            first = int(np.sum(result.rms[0, j] > result.rms[1, j]))
+            second = int(np.sum(result.rms[1, j] > result.rms[2, j]))
+            of = result.rms.shape[2]
+            found.append(
+                Claim(
+                    f"{'One link' if case == 'one_link' else 'Both links'}, joint {j + 1}: RMS error [mrad]",
+                    "MM > IFLRM > IFRM",
+                    f"{' > '.join(means)}; seed by seed MM > IFLRM in {first} of {of}, IFLRM > IFRM in {second}",
+                    bool(order),
+                )
+            )
+    return found
+
+
+def _mean(row: FitRow) -> str:
+    return f"{row.truth:.2f} against {row.printed.mean:.2f} %"
+
+
+def _spread(row: FitRow) -> str:
+    return f"{100 * row.truth_std / row.truth:.2f} against {row.printed.percent:.2f} %"
