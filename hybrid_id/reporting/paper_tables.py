@@ -70,7 +70,7 @@ def inertia_table(rows: Mapping[str, ParameterRow]) -> Table:
     """Table 12, with how far one record tells it."""
     table = open_table(
         "second link", "printed [kg m²]>", "ours [kg m²]>", "± (95 %)>", "truth>", "std/mean, ours>", "printed>",
-        "one record tells it to>",
+        "least telling record>",
     )  # fmt: skip
     for title, row in rows.items():
         table.add_row(

@@ -48,7 +48,7 @@ class ParameterRow:
         truth: of that set's own run.
         interval: half-width of our 95 % interval.
         percent: our std/mean [%].
-        told: what the check predicts of one record [%].
+        told: standard error that the least telling record leaves [%].
         scatter: std/mean of the runs' own true values [%].
         printed: the paper's row.
         role: "free", "prior" or "stage", which says what holds it.
@@ -86,7 +86,7 @@ class ParameterRow:
             return ""
         if self.scatter > 0.5 * self.percent:
             return f"the runs' true values themselves scatter by {self.scatter:.2f} %"
-        return f"one record tells it to ± {self.told:.2g} %"
+        return f"the least telling record tells it to ± {self.told:.2g} %"
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def parameter_rows(stage: str, result: StageResult, truth: Mapping[str, float]) 
                 truth=own_truths[result.selected],
                 interval=factor * result.interval[k],
                 percent=result.percent[k],
-                told=100 * result.told[k],
+                told=100 * float(np.max(result.std_error[:, k] / np.abs(result.values[:, k]))),
                 scatter=100 * own_truths.std(ddof=1) / abs(own_truths.mean()),
                 printed=printed,
                 role="prior" if own in result.by_prior else "free",
