@@ -55,12 +55,14 @@ def every_row_of_every_table_is_there(quick: Reproduction, folder: Path) -> None
     assert len(inertia_rows(quick.stages, quick.truths)) == 3
 
 
-def stages_end_near_the_truth(quick: Reproduction, folder: Path) -> None:
+def nine_of_ten_intervals_hold_the_truth(quick: Reproduction, folder: Path) -> None:
+    rows = []
     for stage in PRINTED:
-        result = quick.stages[stage]
-        assert not result.failed, (stage, result.failed)
-        far = np.abs(result.values - result.truths)[result.selected] > 2 * result.interval
-        assert not far.any(), (stage, np.array(result.names)[far])
+        assert not quick.stages[stage].failed, stage
+        rows += parameter_rows(stage, quick.stages[stage], quick.truths[stage])
+    free = [row for row in rows if row.role != "stage"]
+    assert len(free) > 55
+    assert sum(row.covered for row in free) >= 0.9 * len(free), [row.name for row in free if not row.covered]
 
 
 def held_values_are_the_earlier_stages(quick: Reproduction, folder: Path) -> None:
@@ -130,7 +132,7 @@ def test_the_paper_in_short(tmp_path: Path) -> None:
     folder.mkdir()
     quick = reproduce(folder, quick=True, seeds=2, say=lambda words: None)
     for check in (
-        every_row_of_every_table_is_there, stages_end_near_the_truth, held_values_are_the_earlier_stages,
+        every_row_of_every_table_is_there, nine_of_ten_intervals_hold_the_truth, held_values_are_the_earlier_stages,
         each_model_knows_more, what_is_kept_is_not_computed_again, results_of_something_else_are_not_taken,
         page_has_every_table_and_figure,
     ):  # fmt: skip
