@@ -15,7 +15,9 @@ from hybrid_id.config import Hybrid, StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
+    from hybrid_id.identification.hybrid import HybridOptions
     from hybrid_id.records.dataset import Dataset
+    from hybrid_id.simulation.solvers import OdeEngine
     from hybrid_id.study.hybrid import HybridStudy
     from hybrid_id.systems.chain import System
 
@@ -69,26 +71,38 @@ def with_networks(system: "System", wish: Hybrid, seed: int) -> "System":
     return system
 
 
-def _train(
-    dataset: "Dataset", system: "System", config: StudyConfig, folder: Path, *, resume: bool
-) -> "HybridStudy":
-    """Train as the config says, with checkpoints and TensorBoard events in the folder."""
-    from hybrid_id.identification.hybrid import HybridOptions
-    from hybrid_id.identification.objective import Loss
-    from hybrid_id.reporting.tensorboard import TrainingLog
+def engine_of(config: StudyConfig) -> "OdeEngine":
+    """The solver that the config asks for."""
     from hybrid_id.simulation.solvers import OdeEngine
-    from hybrid_id.study.hybrid import hybridise
 
-    wish, how = config.hybrid, config.training
-    assert wish is not None
-    engine = OdeEngine(
+    how = config.training
+    return OdeEngine(
         substeps=how.substeps, width=how.width, fine=how.fine, method=how.method, gradient=how.gradient
     )
-    options = HybridOptions(
+
+
+def options_of(config: StudyConfig, wish: Hybrid) -> "HybridOptions":
+    """The settings of a hybrid training that the config asks for."""
+    from hybrid_id.identification.hybrid import HybridOptions
+    from hybrid_id.identification.objective import Loss
+
+    return HybridOptions(
         tuple(wish.prices), tuple(wish.windows), wish.max_iterations, wish.tolerance, wish.patience,
         wish.validate_every, wish.worth, Loss(config.identification.loss, config.identification.threshold),
         config.identification.starts, config.identification.seed,
     )  # fmt: skip
+
+
+def _train(
+    dataset: "Dataset", system: "System", config: StudyConfig, folder: Path, *, resume: bool
+) -> "HybridStudy":
+    """Train as the config says, with checkpoints and TensorBoard events in the folder."""
+    from hybrid_id.reporting.tensorboard import TrainingLog
+    from hybrid_id.study.hybrid import hybridise
+
+    wish = config.hybrid
+    assert wish is not None
+    engine, options = engine_of(config), options_of(config, wish)
     console, saved = err(), folder / CHECKPOINT
     waiting = console.status("physics alone") if console.is_terminal else nullcontext()
     with (

@@ -41,6 +41,7 @@ from hybrid_id.components.motor import (
     CurrentMotor,
     DCMotor,
     ElectricalLag,
+    FreeRotor,
     ThermalDerating,
     TorqueMotor,
 )
@@ -78,6 +79,7 @@ __all__ = [
     "Delay",
     "DutySupply",
     "ElectricalLag",
+    "FreeRotor",
     "Gravity",
     "HardeningSpring",
     "JointCoupling",

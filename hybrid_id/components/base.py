@@ -114,7 +114,7 @@ class Motor(Component):
     places = ("motor",)
     single = True
     takes: ClassVar[str] = "V"
-    """Unit of the command that it takes."""
+    """Unit of the command that it takes; empty where any will do."""
 
     def torque(self, p: SimpleNamespace, command: Tensor, speed: Tensor) -> Tensor:
         """Motor torque on the rotor [N m], ``(B,)``."""

@@ -64,7 +64,7 @@ class Drive:
     def check(self) -> None:
         """Raise InputError where the motor takes another kind of command than its input gives."""
         joint, source, motor = f"joint{self.number}", self.input[1], self.motor[1]
-        if source.gives != motor.takes:
+        if motor.takes and source.gives != motor.takes:
             fits = [k for k, c in REGISTRY.items() if issubclass(c, Motor) and c.takes == source.gives]
             raise InputError(
                 f"{source.kind} at {joint}/input gives {source.gives}, but {motor.kind} at {joint}/motor takes "
