@@ -17,7 +17,9 @@ from hybrid_id.systems.chain import System
 
 @dataclass(frozen=True)
 class Loss:
-    """Loss of a weighted residual r: ``l2`` r^2 / 2, ``huber`` (Huber with threshold ``delta``), ``l1`` |r|.
+    """Paper, eq. (2): ``V = mean of eps^2``, each eps weighted to r by its channel's noise; and two robust losses.
+
+    ``l2`` is r^2 / 2 (the paper's, up to a constant factor), ``huber`` Huber's with threshold ``delta``, ``l1`` |r|.
 
     ``l1`` is smoothed below ``delta``; both robust losses act through iterative re-weighting. The valleys of ``l1`` are
     narrow: a fit walks down its ``stages``, smoothed below each of ``widths`` times ``delta``.

@@ -37,7 +37,9 @@ def check_place(where: str, kind: type[Component], n_joints: int) -> None:
 
 
 class System(nn.Module):
-    """A drive or arm: components in places, a state layout, and the equations of motion that follow.
+    """Paper, eq. (1): ``x' = f(t, x, theta, u)``, ``y = h(t, x, theta, u) + e``, as components in places.
+
+    Out of the components follow a state layout and the equations of motion; ``e`` is the noise of the sensors.
 
     Args:
         gear_ratio: motor turns per joint turn, one a joint.

@@ -27,9 +27,10 @@ Views = Mapping[str, SimpleNamespace]
 
 
 class Joint:
-    """The components of one joint, sorted by place, and the rows of the state that they own.
+    """Paper, eq. (4) and (5): ``J_m a_m = tau_m - tau_s / r - tau_fm``, ``J_a a_a = tau_s - tau_fa``, by components.
 
-    State rows: ``q_m, v_m``, with a compliant gear ``q_a, v_a``, then those of bristles, windings and networks.
+    State rows: ``q_m, v_m``, with a compliant gear ``q_a, v_a`` (the paper's x_1, x_2, x_4, x_5; its redundant x_3 is
+    their difference), then those of bristles, windings and networks. A rigid gear makes one balance of the two.
 
     Args:
         number: joint number, from 1.

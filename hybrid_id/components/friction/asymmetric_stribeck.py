@@ -7,7 +7,7 @@ from hybrid_id.parameters import Parameter
 
 
 class AsymmetricStribeck(Friction):
-    """Paper, eq. (15) and (16): Gaussian fall of the dry level, its parameters by direction, and ``f_3 v``.
+    """Paper, eq. (10), (15) and (16): Gaussian fall of the dry level, its parameters by direction, and ``f_3 v``.
 
     The level is ``f_11 + (f_12 - f_11) exp(-((|v| - f_13) / f_14)^2)`` for v > 0; for v < 0 the same with
     f_21 ... f_24.
@@ -20,7 +20,7 @@ class AsymmetricStribeck(Friction):
     | f_14, f_24 | rad/s | width of the fall |
     | f_3 | N m s/rad | viscous coefficient |
 
-    Differs from the paper's letter: Neg(v) = -Pos(-v), so that friction opposes motion in both directions (eq. 10).
+    Differs from the paper's letter: Neg(v) = -Pos(-v), so that friction opposes motion in both directions.
     """
 
     kind = "asymmetric_stribeck"

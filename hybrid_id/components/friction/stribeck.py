@@ -7,7 +7,7 @@ from hybrid_id.parameters import Parameter
 
 
 class Stribeck(Friction):
-    """Level above Coulomb ``F_drop exp(-|v / v_s|^p)``: the exponential term of the paper's eq. (6).
+    """Paper, eq. (6): its exponential term, the level above Coulomb ``F_drop exp(-|v / v_s|^p)``.
 
     | symbol | unit | meaning |
     | --- | --- | --- |

@@ -32,7 +32,7 @@ class LinkInertia(Inertia):
 
 
 class JointCoupling(Coupling):
-    """Paper, eq. (13)-(14), the terms of P_3 and P_4 in ``M(q) a + c(q, v) = tau``, q_2 relative to link 1.
+    """Paper, eq. (13) and (14): the terms of P_3 and P_4 in ``M(q) a + c(q, v) = tau``, q_2 relative to link 1.
 
     ``M = [[P_1 + 2 P_3 cos q_2, P_4 + P_3 cos q_2], [., P_2]]``,
     ``c = [-P_3 sin q_2 (2 v_1 v_2 + v_2^2), P_3 sin q_2 v_1^2]``.
