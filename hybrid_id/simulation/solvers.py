@@ -172,6 +172,7 @@ class OdeEngine(Engine):
         return replace(self, substeps=substeps, fine=max(self.fine, substeps, _whole(resting)))
 
 
+@torch.no_grad()
 def memory_rate(system: System, batch: Batch, theta: Tensor) -> float:
     """Largest rate [1/s] at which a state forgets, over the batch (0 without memory); see :class:`HeldField`."""
     x = [column.flatten() for column in batch.x.unbind(2)]

@@ -7,7 +7,8 @@ import pytest
 import torch
 from drives import STEP, batch_of, flexible_drive, multisine, rigid_drive, stored
 
-from hybrid_id.components import Coulomb, Dahl, LuGre
+from hybrid_id.components import Coulomb, Dahl, LuGre, ResidualNetwork
+from hybrid_id.simulation.solvers import memory_rate
 from hybrid_id.simulation.stability import LIMIT, MAX_SUBSTEPS, fastest_rate, with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System
@@ -82,3 +83,10 @@ def test_bristles_take_finer_steps_than_their_rate_alone() -> None:
         == math.ceil(STEP * found / LIMIT["memory"])
         > math.ceil(STEP * found / LIMIT["dry"])
     )
+
+
+def test_hidden_states_of_a_network_share_their_cell() -> None:
+    system = rigid_drive().with_component("joint1/motor", ResidualNetwork(memory=2))
+    assert rate(system, Engine()) == pytest.approx(rate(rigid_drive(), Engine()), rel=1e-6)
+    batch = batch_of(system, {"u1": multisine(1, samples=200)}, start={"v_m1": 40.0})
+    assert memory_rate(system, batch, stored(system)) == pytest.approx(100.0)

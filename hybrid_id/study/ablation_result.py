@@ -1,0 +1,168 @@
+"""All cells of an ablation side by side: errors, paired changes against physics only, and the answer in words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.statistics.paired import PairedDifference, paired_difference
+from hybrid_id.statistics.variation import Variation, variation
+from hybrid_id.study.ablation_cell import DONE, CellResult, Rung
+from hybrid_id.study.ablation_plan import Arm, Split
+
+SETS = ("validation", "test", "short", "beyond")
+"""Records in range that chose, those that no arm has seen, the same over short horizons, and those out of range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """One arm at one price over all repeats.
+
+    Attributes:
+        arm: which one.
+        price: of the network's output; None for the price that the validation records choose in each repeat.
+        seeds: repeats, ``(n,)``.
+        errors: weighted RMS error of each repeat by set of records, ``(n,)`` each; 1 is the noise floor, inf diverged.
+        change: paired change of ``log(error)`` against physics only on the same records, by set of records.
+        share, overlap: of the network, mean over the repeats; nan where there is no network beside physics.
+        drift: largest drift of a parameter from physics only in standard errors, mean over the repeats.
+    """
+
+    arm: Arm
+    price: float | None
+    seeds: tuple[int, ...]
+    errors: Mapping[str, np.ndarray]
+    change: Mapping[str, PairedDifference]
+    share: float
+    overlap: float
+    drift: float
+
+    def diverged(self, records: str) -> int:
+        """Repeats in which a free run on these records left the world."""
+        return int(np.isinf(self.errors[records]).sum())
+
+    def percent(self, records: str) -> tuple[float, float, float]:
+        """Change of the error against physics only and its interval [%]."""
+        change = self.change[records]
+        low, mid, high = (100.0 * math.expm1(v) for v in (change.lower, change.mean, change.upper))
+        return mid, low, high
+
+
+@dataclass(frozen=True, eq=False)
+class Ablation:
+    """Result of an ablation.
+
+    Attributes:
+        scores: of each arm at its chosen price, physics only first.
+        ladder: of each arm with a network beside physics at each price.
+        splits: records by repeat.
+        failed: cells that came to nothing.
+        parameters: values over the repeats by arm name, physics only and the best hybrid.
+        level: of the intervals.
+        worth: least share of the error that is worth a network.
+    """
+
+    scores: tuple[Scores, ...]
+    ladder: tuple[Scores, ...]
+    splits: Mapping[int, Split]
+    failed: tuple[CellResult, ...]
+    parameters: Mapping[str, Variation]
+    level: float
+    worth: float
+
+    @property
+    def physics(self) -> Scores:
+        """Physics only, nothing taken out."""
+        return self.scores[0]
+
+    @property
+    def best(self) -> Scores | None:
+        """The whole physics with the network that the validation records like best; None without one."""
+        return _best(self.scores)
+
+
+def gather(results: Sequence[CellResult], *, level: float = 0.95, worth: float = 0.02) -> Ablation:
+    """Put the cells side by side; a repeat counts for an arm where both it and physics only were done."""
+    done = [r for r in results if r.status == DONE]
+    arms = list(dict.fromkeys(r.cell.arm for r in results))
+    cells = {(r.cell.arm, r.cell.seed): r for r in done}
+    splits = {r.cell.seed: r.split for r in done if r.split is not None}
+    base = {r.cell.seed: r.best for r in done if r.cell.arm == Arm()}
+
+    def scores(arm: Arm, price: float | None) -> Scores | None:
+        found = {s: _at(cells[arm, s], price) for s in splits if (arm, s) in cells}
+        rungs = {s: rung for s, rung in found.items() if rung is not None}
+        if not rungs:
+            return None
+        errors = {name: _errors(rungs, splits, name) for name in SETS}
+        reference = {name: _errors({s: base[s] for s in rungs if s in base}, splits, name) for name in SETS}
+        paired = [k for k, s in enumerate(rungs) if s in base]
+        overlap = float(np.mean([splits[s].overlap for s in rungs]))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            change = {
+                n: paired_difference(
+                    np.log(errors[n][paired]), np.log(reference[n]), overlap=overlap, level=level
+                )
+                for n in SETS
+            }
+        beside = rungs if arm.hybrid else {}  # the others have no network beside physics
+        share, alike = ([getattr(r, what) for r in beside.values()] for what in ("share", "overlap"))
+        drift = [_drift(cells[arm, s].rungs[0], r) for s, r in beside.items()]
+        return Scores(arm, price, tuple(rungs), errors, change, _mean(share), _mean(alike), _mean(drift))
+
+    chosen = [s for arm in arms if (s := scores(arm, None)) is not None]
+    prices = {arm: _prices(cells, arm) for arm in arms if arm.hybrid}
+    ladder = [s for arm, ladder in prices.items() for p in ladder if (s := scores(arm, p)) is not None]
+    best, parameters = _best(chosen), {}
+    for arm in [Arm(), *([] if best is None else [best.arm])]:
+        sets = [cells[arm, s].best.values for s in splits if (arm, s) in cells]
+        if sets:
+            values = np.array([list(v.values()) for v in sets])
+            parameters[arm.name] = variation(values, list(sets[0]))
+    failed = tuple(r for r in results if r.status != DONE)
+    return Ablation(tuple(chosen), tuple(ladder), splits, failed, parameters, level, worth)
+
+
+def _best(scores: Sequence[Scores]) -> Scores | None:
+    """The whole physics with the network whose validation error falls most; one that diverges comes last."""
+    hybrids = [s for s in scores if s.arm.hybrid and not s.arm.without]
+    return min(hybrids, key=lambda s: (s.diverged("validation"), s.change["validation"].mean), default=None)
+
+
+def _at(result: CellResult, price: float | None) -> Rung | None:
+    if price is None:
+        return result.best
+    return next((rung for rung in result.rungs if rung.price == price), None)
+
+
+def _prices(cells: Mapping[tuple[Arm, int], CellResult], arm: Arm) -> list[float]:
+    found = {rung.price for (a, _), r in cells.items() if a == arm for rung in r.rungs}
+    return sorted(found - {math.inf}, reverse=True)
+
+
+def _errors(rungs: Mapping[int, Rung], splits: Mapping[int, Split], records: str) -> np.ndarray:
+    """Error of each repeat on a set of records, ``(n,)``; nan where it has none."""
+    found = []
+    for seed, rung in rungs.items():
+        names = getattr(splits[seed], "test" if records == "short" else records)
+        of = rung.short if records == "short" else rung.errors
+        square = [of[name] ** 2 for name in names if name in of]
+        found.append(math.sqrt(sum(square) / len(square)) if square else math.nan)
+    return np.array(found)
+
+
+def _drift(physics: Rung, hybrid: Rung) -> float:
+    """Largest change of a parameter when the network came in, in standard errors of the difference."""
+    found = [0.0]
+    for name, value in hybrid.values.items():
+        error = math.hypot(physics.std_errors[name], hybrid.std_errors[name])
+        if 0.0 < error < math.inf:
+            found.append(abs(value - physics.values[name]) / error)
+    return max(found)
+
+
+def _mean(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else math.nan
