@@ -29,8 +29,7 @@ Views = Mapping[str, SimpleNamespace]
 class Joint:
     """Paper, eq. (4) and (5): ``J_m a_m = tau_m - tau_s / r - tau_fm``, ``J_a a_a = tau_s - tau_fa``, by components.
 
-    State rows: ``q_m, v_m``, with a compliant gear ``q_a, v_a`` (the paper's x_1, x_2, x_4, x_5; its redundant x_3 is
-    their difference), then those of bristles, windings and networks. A rigid gear makes one balance of the two.
+    State: ``q_m, v_m``, behind a spring ``q_a, v_a`` (x_1, x_2, x_4, x_5), then bristles, windings and networks.
 
     Args:
         number: joint number, from 1.
