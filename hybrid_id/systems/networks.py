@@ -27,9 +27,9 @@ SIGNALS = (
     "command",
     "torque",
     "load",
+    "transmitted",
     "deflection",
     "deflection_rate",
-    "transmitted",
 )
 HARMONIC = re.compile(r"(sin|cos) ?(\d+(?:\.\d+)?)")
 
@@ -71,7 +71,7 @@ class Networks:
                 f"A rigid gear has no spring torque to which {part.kind} at '{where}' could add; "
                 "put it at motor_friction, or make the gear compliant."
             )
-        known = SIGNALS[: 6 if rigid else None]
+        known = SIGNALS[: 7 if rigid else None]
         known = tuple(s for s in known if not (place == "input" and s == "torque"))
         for name in part.inputs:
             if (
@@ -117,9 +117,28 @@ class Networks:
         if name == "load":
             return joint.load_torque(angle, speed, u, p)
         if name == "transmitted":
-            return joint.spring_torque(x, p)
+            return self._transmitted(x, u, p)
         row = joint.positions[0]
         return joint.gear.deflection(x[row : row + 2], (angle, speed), p)[name == "deflection_rate"]
+
+    def _transmitted(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Torque through the gear at the link, ``load + J_link a`` where the gear is rigid, ``(B,)``."""
+        joint = self.joint
+        if not joint.rigid:
+            return joint.spring_torque(x, p)
+        (key, inertia), ratio = joint.inertia, joint.gear_ratio
+        (angle, speed), rotor_speed = joint.link_motion(x, p), x[joint.positions[0] + 1]
+        slope = joint.gear.map(x[joint.positions[0]], p)[1]
+
+        def drag(place: str, v: Tensor) -> Tensor | float:
+            terms = (law.smooth(p[name], v) for name, law in joint.frictions[place])
+            return sum(term for term in terms if term is not None)
+
+        load = joint.load_torque(angle, speed, u, p) + drag("link_friction", speed)
+        push = joint.drive.motor_torque(x, u, p, network=False) - drag("motor_friction", rotor_speed)
+        link = inertia.link(p[key], ratio)
+        acceleration = (push - slope * load) / (inertia.rotor(p[key], ratio) + slope * slope * link)
+        return load + link * slope * acceleration
 
     @staticmethod
     def _motion(joint: Joint, x: Sequence[Tensor], p: Views, at_link: bool, order: int) -> Tensor:

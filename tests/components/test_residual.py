@@ -101,6 +101,22 @@ def test_signals_are_those_of_the_side_and_of_the_other_joint() -> None:
     assert float(inputs[3]) == pytest.approx(value["P_m1m1"] * (1.0 - value["P_m2m1"] * 100.0))
 
 
+def test_a_rigid_gear_transmits_what_the_link_needs() -> None:
+    """The torque through the gear moves the link and carries its load; dry friction is left out of it."""
+    part = ResidualNetwork(inputs=("transmitted",))
+    system = rigid_drive(vertical=True, ratio=20.0).with_component("joint1/motor_friction", part)
+    x = [torch.tensor([v], dtype=torch.float64) for v in (5.0, -60.0)]
+    u = {"u1": torch.full((1,), 2.0, dtype=torch.float64)}
+    for friction, agrees in ((0.0, True), (0.01, False)):
+        system = system.with_values({"F_c": friction, "J": 2e-5, "rotor_share": 0.3})
+        p = system.views(list(stored(system)))
+        (told,), _ = system.joints[0].networks.signals("motor_friction", x, u, p)
+        acceleration = system.rates(x, u, p)[1] / 20.0
+        load = system.joints[0].load_torque(x[0] / 20.0, x[1] / 20.0, u, p)
+        needed = load + 0.7 * 2e-5 * 20.0**2 * acceleration
+        assert bool(torch.isclose(told, needed)) is agrees
+
+
 def test_the_bound_holds_whatever_the_weights() -> None:
     part = awake(ResidualNetwork(inputs=("angle", "speed"), scale=(0.5, 10.0), lipschitz=2.0), size=50.0)
     with torch.no_grad():
