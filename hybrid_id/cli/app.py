@@ -8,6 +8,7 @@ from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 from hybrid_id import __version__
+from hybrid_id.cli.ablate import ablate
 from hybrid_id.cli.check import check
 from hybrid_id.cli.components import components
 from hybrid_id.cli.demo import demo
@@ -77,7 +78,7 @@ def _hybrid_id(
     """Physical parameters of robot drives from records of voltage and angle, with statistics that say what to trust."""
 
 
-for command in (check, excite, identify, train, simulate, compare, reproduce, demo, components):
+for command in (check, excite, identify, train, ablate, simulate, compare, reproduce, demo, components):
     app.command()(command)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 from pydantic import model_validator
 
 from hybrid_id.config.sections import (
+    Ablation,
     Hybrid,
     Identification,
     Network,
@@ -32,6 +33,7 @@ from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 MODEL_NAME = "model.yaml"
 __all__ = [
     "MODEL_NAME",
+    "Ablation",
     "Hybrid",
     "Identification",
     "Network",
@@ -57,6 +59,7 @@ class StudyConfig(Section):
     identification: Identification = Identification()
     training: Training = Training()
     hybrid: Hybrid | None = None
+    ablation: Ablation | None = None
     statistics: Statistics = Statistics()
     output: Output = Output()
 

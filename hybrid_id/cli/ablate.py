@@ -1,0 +1,219 @@
+"""`ablate`: physics only against hybrid on the same records and seeds."""
+
+import tempfile
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+from hybrid_id.cli.console import err, remark, show
+from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.folder import refuse_taken, required
+from hybrid_id.cli.hybrid import engine_of, options_of
+from hybrid_id.cli.inputs import checked_records, load_system
+from hybrid_id.cli.options import JsonOption, ModelOption, OutOption, SourceArgument, use_threads
+from hybrid_id.config import Ablation, Hybrid, StudyConfig, study_config
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.study.ablation import Task
+    from hybrid_id.study.ablation_cell import CellResult
+    from hybrid_id.study.ablation_plan import Cell, Factors
+    from hybrid_id.study.ablation_result import Ablation as Outcome
+    from hybrid_id.systems.chain import System
+
+CELLS, RESULT, EVENTS = "cells", "ablation.json", "tensorboard"
+
+
+class Backend(StrEnum):
+    """Where the cells are computed."""
+
+    joblib = "joblib"
+    dask = "dask"
+
+
+def ablate(
+    source: SourceArgument,
+    model: ModelOption = None,
+    out: OutOption = None,
+    jobs: Annotated[int, typer.Option(help="Processes of this machine.", min=1)] = 1,
+    backend: Annotated[
+        Backend, typer.Option(help="joblib: this machine; dask: an existing cluster.")
+    ] = Backend.joblib,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Address of the Dask scheduler, tcp://host:8786 say.", show_default=False),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Physics only or hybrid? Arms on the same records and seeds, paired differences, and the answer in words.
+
+    The `ablation` section of the study file says what the arms differ in (configs/ablation.yaml). Each cell, one arm in
+    one repeat, is kept as soon as it is done: after Ctrl-C the same command goes on. `tensorboard --logdir DIR` shows
+    the cells that are done, with their settings.
+    """
+    if (backend is Backend.dask) != (scheduler is not None):
+        raise InputError("--backend dask and --scheduler ADDRESS belong together; give both, or neither")
+    changes = {
+        "model": None if model is None else str(model),
+        "output.folder": None if out is None else str(out),
+    }
+    config = study_config(source, changes)
+    home = required(config.output.folder)
+    if not (home / CELLS).is_dir():
+        refuse_taken(home, force=False)
+    dataset = checked_records(config.dataset, config.preprocessing)
+    use_threads(1)
+    task, cells = planned(config, dataset, load_system(config))
+    try:
+        (home / CELLS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{home} cannot be made ({error.strerror}); give another folder") from None
+    config.save(home / "config.yaml")
+    results = _run(task, cells, home, jobs, scheduler)
+    outcome = _gather(config, results)
+    text = _write(home, config, dataset, outcome)
+    if as_json:
+        stdout().print(text, markup=False, soft_wrap=True)
+    else:
+        from hybrid_id.reporting.ablation import ablation_tables
+
+        show(ablation_tables(outcome))
+        show(f"results are in {home}: report.html, {RESULT}, {CELLS}, {EVENTS}, pictures, config.yaml")
+    if broken := [r for r in results if r.status != "done"]:
+        remark(f"{len(broken)} of {len(results)} cells broke; the same command tries them again")
+        raise typer.Exit(1)
+
+
+def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple[Task, list[Cell]]":
+    """What all cells share, and the cells; every arm is built once, so that faults are told before any training."""
+    from hybrid_id.study.ablation import Task
+    from hybrid_id.study.ablation_plan import plan
+
+    wish, how = config.ablation or Ablation(), config.hybrid or Hybrid()
+    prices = wish.price or how.prices
+    if sorted(set(prices), reverse=True) != list(prices):
+        raise InputError(f"the prices {list(prices)} are no ladder; give falling numbers")
+    if system.networks:
+        raise InputError(
+            f"model {config.model} has a residual network; give one without, to which the ablation adds its own"
+        )
+    first = how.networks[0] if how.networks else Hybrid().networks[0]
+    task = Task(
+        dataset, system, engine_of(config), options_of(config, how.model_copy(update={"prices": prices})),
+        tuple(first.inputs), wish.memory, first.lipschitz, wish.validation, wish.test, tuple(wish.out_of_range),
+        wish.horizon, config.preprocessing.signal_share,
+    )  # fmt: skip
+    seeds = list(range(wish.seeds)) if isinstance(wish.seeds, int) else wish.seeds
+    cells = plan(_factors(wish, first.place, first.hidden), seeds)
+    for seed in seeds:
+        task.split(seed)
+    for cell in cells:
+        if cell.seed == seeds[0]:
+            task.model(cell)
+    return task, cells
+
+
+def _factors(wish: Ablation, place: str, hidden: Sequence[int]) -> "Factors":
+    from hybrid_id.study.ablation_plan import Factors
+
+    places = tuple((p,) if isinstance(p, str) else tuple(p) for p in wish.place or [place])
+    return Factors(
+        residuals=tuple(kind for kind in ("static", "memory") if kind in wish.residual),
+        places=places,
+        widths=tuple(wish.width or hidden[:1] or [8]),
+        physics=tuple(tuple(taken) for taken in wish.physics),
+        black_box=wish.black_box_width if "black_box" in wish.residual else None,
+    )
+
+
+def _run(
+    task: "Task", cells: "Sequence[Cell]", home: Path, jobs: int, scheduler: str | None
+) -> "list[CellResult]":
+    """Compute the cells that no earlier run has kept, keep each as it is done, and return all in their order."""
+    from hybrid_id.reporting.ablation_events import write_cell_events
+    from hybrid_id.study.ablation_run import key_of, load_cell, run_cells, save_cell
+
+    keys = {cell: key_of(task, cell) for cell in cells}
+    found = {cell: kept for cell in cells if (kept := load_cell(home / CELLS, cell, keys[cell])) is not None}
+    left = [cell for cell in cells if cell not in found]
+    if found:
+        remark(f"{len(found)} of {len(cells)} cells are kept from before")
+    for cell, result in found.items():
+        if not (home / EVENTS / cell.name).is_dir():
+            write_cell_events(home / EVENTS, result)
+    console = err()
+    columns = (
+        TextColumn("cells"),
+        BarColumn(24),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    try:
+        with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+            bar_id = bar.add_task("cells", total=len(left))
+            for result in run_cells(task, left, jobs=jobs, scheduler=scheduler):
+                found[result.cell] = result
+                if result.status == "done":
+                    save_cell(home / CELLS, result, keys[result.cell])
+                    write_cell_events(home / EVENTS, result)
+                bar.advance(bar_id)
+                remark(f"{len(found)} of {len(cells)}: {result.cell.name}, {_in_short(result)}")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; {len(found)} of {len(cells)} cells are kept in {home / CELLS}, and the same command goes on"
+        ) from None
+    return [found[cell] for cell in cells]
+
+
+def _gather(config: StudyConfig, results: "Sequence[CellResult]") -> "Outcome":
+    """The cells side by side; an InputError where there is nothing to compare with."""
+    from hybrid_id.study.ablation_plan import Arm
+    from hybrid_id.study.ablation_result import gather
+
+    physics = [result for result in results if result.cell.arm == Arm()]
+    if not any(result.status == "done" for result in physics):
+        raise InputError(
+            f"no fit of physics only came to an end ({physics[0].message}); see 'hybrid-id check'"
+        )
+    return gather(results, level=config.statistics.level, worth=(config.hybrid or Hybrid()).worth)
+
+
+def _in_short(result: "CellResult") -> str:
+    return (
+        result.message if result.status != "done" else f"{result.gradients} gradients, {result.seconds:.0f} s"
+    )
+
+
+def _write(home: Path, config: StudyConfig, dataset: "Dataset", outcome: "Outcome") -> str:
+    """Pictures, page and `ablation.json` into the folder, under a temporary name first; returns the last as text."""
+    from hybrid_id.reporting.ablation import ablation_result
+    from hybrid_id.reporting.ablation_figures import ablation_images
+    from hybrid_id.reporting.html.ablation_page import ablation_page
+    from hybrid_id.reporting.results import as_json
+    from hybrid_id.reporting.style import save
+
+    text = as_json("ablate", {"dataset": dataset.name} | ablation_result(outcome))
+    with tempfile.TemporaryDirectory(dir=home, prefix=".") as temporary:
+        new, images = Path(temporary), ablation_images(outcome)
+        for name, image in images.items() if config.output.figures else ():
+            save(image, new / f"{name}.png")
+        if config.output.report:
+            ablation_page(dataset, outcome, images).write(new / "report.html")
+        for file in new.iterdir():
+            file.replace(home / file.name)
+        (new / RESULT).write_text(text + "\n", encoding="utf-8")
+        (new / RESULT).replace(home / RESULT)
+    return text

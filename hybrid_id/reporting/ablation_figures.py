@@ -1,0 +1,107 @@
+"""Pictures of an ablation: every repeat of every arm, and what the price buys."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels
+from hybrid_id.study.ablation_result import Ablation, Scores
+
+_TITLES = {"test": "test", "beyond": "out of range", "short": "short horizon"}
+
+
+def ablation_images(result: Ablation) -> dict[str, np.ndarray]:
+    """Pictures by the name of their file, (H, W, 3)."""
+    figures = {"errors": errors_figure(result), "change": change_figure(result)}
+    if result.ladder:
+        figures["prices"] = prices_figure(result)
+    return {name: pixels(figure) for name, figure in figures.items()}
+
+
+def errors_figure(result: Ablation) -> Figure:
+    """Error of each repeat of each arm, repeats on one line; 1 is the noise floor."""
+    shown = [name for name in _TITLES if np.isfinite(result.physics.errors[name]).any()]
+    with journal():
+        figure = new_figure(0.28 * len(result.scores) + 0.9)
+        panels = np.atleast_1d(figure.subplots(1, len(shown), sharey=True))
+        for axes, name in zip(panels, shown, strict=True):
+            for row, scores in enumerate(result.scores):
+                errors = scores.errors[name][np.isfinite(scores.errors[name])]
+                axes.plot(errors, np.full(len(errors), row), "o", ms=3.5, color=_colour(scores), alpha=0.6)
+                if errors.size:
+                    axes.plot(np.exp(np.log(errors).mean()), row, "|", ms=11, mew=1.6, color="black")
+            axes.axvline(1.0, color=GREY, lw=0.8, ls="--")
+            axes.set(xscale="log", xlabel="free-run error (1: the noise)", title=_TITLES[name])
+        _rows(panels[0], result)
+    return figure
+
+
+def change_figure(result: Ablation) -> Figure:
+    """Paired change of the test error against physics only, with its interval."""
+    others = result.scores[1:]
+    shown = [n for n in ("test", "beyond") if any(math.isfinite(s.change[n].mean) for s in others)] or [
+        "test"
+    ]
+    with journal():
+        figure = new_figure(0.28 * len(others) + 0.9)
+        panels = np.atleast_1d(figure.subplots(1, len(shown), sharey=True))
+        for axes, name in zip(panels, shown, strict=True):
+            axes.axvline(1.0, color="black", lw=0.6)
+            for row, scores in enumerate(others, start=1):
+                change = scores.change[name]
+                if not math.isfinite(change.mean):
+                    continue
+                centre, known = math.exp(change.mean), math.isfinite(change.upper)
+                if known:
+                    ends = [math.exp(min(max(end, -12.0), 12.0)) for end in (change.lower, change.upper)]
+                    axes.plot(ends, [row, row], color=_colour(scores), lw=1.4)
+                axes.plot(centre, row, "o", ms=4.5, color=_colour(scores), mfc=None if known else "white")
+            axes.set(xscale="log", xlabel="error / physics only's", title=_TITLES[name])
+        _rows(panels[0], result, 1)
+    return figure
+
+
+def prices_figure(result: Ablation) -> Figure:
+    """Test error and drift of the parameters over the price of the network's output."""
+    arms = list(dict.fromkeys(s.arm for s in result.ladder))
+    prices = sorted({s.price for s in result.ladder if s.price is not None}, reverse=True)
+    with journal():
+        figure = new_figure(2.5)
+        left, right = figure.subplots(1, 2)
+        for k, arm in enumerate(arms):
+            rungs = [s for s in result.ladder if s.arm == arm and s.price is not None]
+            at = [prices.index(s.price) for s in rungs if s.price is not None]
+            error = [_centre(s.errors["test"]) for s in rungs]
+            style = {"color": COLOURS[k % len(COLOURS)], "marker": "o", "ms": 3.5, "label": arm.name}
+            left.plot(at, error, **style)
+            right.plot(at, [s.drift for s in rungs], **style)
+        left.axhline(
+            _centre(result.physics.errors["test"]), color=GREY, ls="--", lw=0.8, label="physics only"
+        )
+        left.set(yscale="log", ylabel="test error (1: the noise)")
+        right.set(ylabel="largest drift [standard errors]")
+        for axes in (left, right):
+            axes.set_xticks(range(len(prices)), [f"{price:g}" for price in prices])
+            axes.set_xlabel("price of the network's output")
+        figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=2)
+    return figure
+
+
+def _rows(axes, result: Ablation, first: int = 0) -> None:
+    names = [scores.arm.name for scores in result.scores[first:]]
+    axes.set_yticks(range(first, first + len(names)), names)
+    axes.set_ylim(first + len(names) - 0.5, first - 0.5)
+
+
+def _colour(scores: Scores) -> str:
+    return (
+        COLOURS[0] if scores.arm.hybrid else GREY if scores.arm.places or not scores.arm.width else COLOURS[1]
+    )
+
+
+def _centre(errors: np.ndarray) -> float:
+    finite = errors[np.isfinite(errors)]
+    return float(np.exp(np.log(finite).mean())) if finite.size else math.nan

@@ -1,0 +1,57 @@
+"""An ablation as one page: the answer first, then what it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.ablation import (
+    arms_table,
+    failures,
+    ladder_table,
+    parameters_table,
+    splits_table,
+    verdict_text,
+)
+from hybrid_id.reporting.html.page import Page
+from hybrid_id.reporting.tables import records_table
+from hybrid_id.study.ablation_result import Ablation
+from hybrid_id.study.ablation_verdict import verdict
+
+_HOW = (
+    "Errors are the RMS of the free run over whole records, in units of the measurement's standard deviation (1: as "
+    "the noise says), geometric means over the repeats; short: the same over a fraction of a second from measured "
+    "states. Each repeat draws its own records and first weights, the same for all arms, and is compared in pairs with "
+    "physics only. Intervals are Student's, widened for training sets that share records (Nadeau and Bengio, 2003). "
+    "The network that the validation records like best is judged on test records that chose nothing; the intervals of "
+    "the other arms are not corrected for their number."
+)
+
+
+def ablation_page(dataset: Dataset, result: Ablation, images: Mapping[str, np.ndarray]) -> Page:
+    """The page.
+
+    Args:
+        dataset: the records.
+        result: the ablation.
+        images: its pictures by name, (H, W, 3).
+    """
+    page = Page(f"Physics only or hybrid? {dataset.name}", verdict(result)[0])
+    page.section("Answer").add(verdict_text(result), *failures(result)).picture(
+        images["change"],
+        "Error over that of physics only on the same records: mean and interval of each arm.",
+    )
+    page.section("Arms").add(arms_table(result), _HOW).picture(
+        images["errors"], "Every repeat of every arm; the bar is the mean, the dashed line the noise."
+    )
+    if result.ladder:
+        page.section("Price of the network's output").add(
+            "A dear network adds only what the physics cannot say; a free one may take the physics' work, and the "
+            "parameters drift. Each price starts from the dearer one above it.",
+            ladder_table(result),
+        ).picture(images["prices"], "Test error and drift of the parameters by price.")
+    page.section("Parameters over the repeats").add(parameters_table(result))
+    page.section("Records").add(splits_table(result), records_table(dataset))
+    return page
