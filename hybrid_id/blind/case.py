@@ -1,0 +1,151 @@
+"""One case: a machine with something at work in it, its records, and today's simulator."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hybrid_id.blind.campaign import SAMPLE_TIME, Campaign, noise_std
+from hybrid_id.blind.effects import Effect
+from hybrid_id.blind.physics.bench import Plant, replay, run
+from hybrid_id.blind.physics.mujoco_document import Unsupported
+from hybrid_id.blind.physics.mujoco_engine import MujocoMachine
+from hybrid_id.blind.robots import Robot
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
+
+SUBSTEPS = 4
+"""Steps a sample of the in-house engine: 0.5 ms."""
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What a case is made of.
+
+    Attributes:
+        name: of its folder.
+        robot: the machine without effects.
+        effects: none, one or two.
+        campaign: planned records.
+        model: today's simulator, as the content of a model file.
+        engine: in_house or mujoco.
+    """
+
+    name: str
+    robot: Robot
+    effects: tuple[Effect, ...]
+    campaign: Campaign
+    model: Mapping[str, Any]
+    engine: str = "in_house"
+
+    def with_effects(self, effects: Sequence[Effect]) -> "Case":
+        """The same case with other effects."""
+        return replace(self, effects=tuple(effects))
+
+    def truth(self) -> Robot:
+        """The robot with what its effects are as parameters, and what today's simulator lacks of them."""
+        robot = self.robot
+        for effect in self.effects:
+            robot = effect.alter(robot)
+        return robot
+
+    def plant(self) -> Plant:
+        """The machine with its effects."""
+        return build(self.robot, self.effects, self.engine)
+
+
+@dataclass(frozen=True, eq=False)
+class Records:
+    """What came out of a case's experiments.
+
+    Attributes:
+        dataset: as it was measured.
+        volts: (T, n_joints, B) of all records, zero beyond the end of each.
+        measured: (T, n_outputs, B) [rad], likewise.
+        noise_floor: normalised RMSE on the test records of the true machine, replayed without noise and random torques.
+    """
+
+    dataset: Dataset
+    volts: np.ndarray
+    measured: np.ndarray
+    noise_floor: float
+
+
+def build(robot: Robot, effects: Sequence[Effect], engine: str = "in_house") -> Plant:
+    """A robot with effects in one of the engines.
+
+    Raises:
+        Unsupported: MuJoCo has no counterpart of one of its laws.
+    """
+    for effect in effects:
+        robot = effect.alter(robot)
+    machine = robot.assemble(substeps=SUBSTEPS)
+    for effect in effects:
+        effect.install(machine, robot)
+    return MujocoMachine(machine) if engine == "mujoco" else machine
+
+
+def runs_in_mujoco(robot: Robot, effects: Sequence[Effect]) -> bool:
+    """Whether MuJoCo is installed and has a counterpart of every law."""
+    try:
+        build(robot, effects, "mujoco")
+    except (ImportError, Unsupported):
+        return False
+    return True
+
+
+def record(case: Case) -> Records:
+    """Make all experiments of a case, and replay them without noise."""
+    return record_sizes(case, np.ones(1))[0]
+
+
+def record_sizes(case: Case, factors: np.ndarray) -> list[Records]:
+    """Records of a case with its effects scaled by each of the factors (K,), all runs side by side."""
+    count, runs = len(factors), len(case.campaign.lengths)
+    if count > 1:
+        grown = [effect.scaled(np.repeat(factors, runs)) for effect in case.effects]
+        case = replace(case.with_effects(grown), campaign=case.campaign.repeated(count))
+    campaign = case.campaign
+    volts, measured = run(case.plant(), campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
+    clean = replay(case.plant(), volts, sample_time=SAMPLE_TIME, link=campaign.encoders.link)
+    lanes = np.arange(count * runs).reshape(count, runs)
+    return [_records(case, volts[..., own], measured[..., own], clean[..., own]) for own in lanes]
+
+
+def _records(case: Case, volts: np.ndarray, measured: np.ndarray, clean: np.ndarray) -> Records:
+    """What was logged in the records of one size of the effects, (T, channels, records) each."""
+    campaign = case.campaign
+    outputs = [f"q_m{i + 1}" for i in range(case.robot.joints)] + ["q_a1"] * campaign.encoders.link
+    inputs = [f"u{i + 1}" for i in range(case.robot.joints)]
+    records, errors = [], []
+    for b, length in enumerate(campaign.lengths[: volts.shape[-1]]):
+        angles = np.round(measured[:length, :, b], 7)
+        records.append(
+            Record(
+                name=f"rec_{b:02d}",
+                time=np.round(SAMPLE_TIME * np.arange(length), 6),
+                inputs={name: volts[:length, i, b] for i, name in enumerate(inputs)},
+                outputs={name: angles[:, i] for i, name in enumerate(outputs)},
+                role="train" if campaign.roles[b] == "train" else "test",
+                note=campaign.notes[b],
+            )
+        )
+        if campaign.roles[b] == "test":
+            errors.append(nrmse(clean[:length, :, b], angles))
+    noise = noise_std(campaign.encoders)
+    dataset = Dataset(
+        name=case.name,
+        inputs=tuple(Channel(name, "V") for name in inputs),
+        outputs=tuple(
+            Channel(name, "rad", float(f"{std:.3g}")) for name, std in zip(outputs, noise, strict=True)
+        ),
+        records=tuple(records),
+        sample_time=SAMPLE_TIME,
+    )
+    return Records(dataset, volts, measured, float(np.mean(errors)))
+
+
+def nrmse(simulated: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """RMS error over the standard deviation of the measured signal, (n_outputs,) of (T, n_outputs)."""
+    return np.sqrt(np.mean((simulated - measured) ** 2, axis=0)) / np.std(measured, axis=0)

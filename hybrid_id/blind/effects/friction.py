@@ -1,0 +1,183 @@
+"""Effects of friction, on either side of the gear."""
+
+import numpy as np
+
+from hybrid_id.blind.effects.base import Effect, dry, log_uniform
+from hybrid_id.blind.physics.bristle import Dahl, LuGre, MaxwellSlip
+from hybrid_id.blind.physics.friction import (
+    Coulomb,
+    SmoothCoulomb,
+    Stribeck,
+    Uneven,
+)
+
+RIGID = ("one_link", "two_link")
+
+
+def without(drive, kind):
+    """Take the laws of a kind off a rotor and give the first of them back."""
+    found = [law for law in drive.rotor_laws if isinstance(law, kind)]
+    drive.rotor_laws = [law for law in drive.rotor_laws if not isinstance(law, kind)]
+    return found[0]
+
+
+class WithheldCoulomb(Effect):
+    """Dry friction of the motor that today's simulator does without."""
+
+    name, place, sized, size_keys = "coulomb_friction", "motor_friction", ("F_c",), {"F_c": "newton_metres"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"F_c": dry(robot, joint) * rng.uniform(0.7, 1.5)})
+
+    def alter(self, robot):
+        name = robot.name(self.joint, "F_c")
+        return robot.with_values({name: self.values["F_c"]}, withheld=True)
+
+
+class WithheldSmoothCoulomb(WithheldCoulomb):
+    """The same as a steep smooth law, which creeps."""
+
+    place = "motor_friction"
+
+    def install(self, machine, robot):
+        drive = self.drive(machine)
+        without(drive, Coulomb)
+        drive.rotor_laws.append(SmoothCoulomb(self.values["F_c"], 0.4))
+
+
+class LinkCoulomb(Effect):
+    """Dry friction of the link's bearing behind a flexible gear."""
+
+    name, place, sized, size_keys = (
+        "coulomb_friction",
+        "link_friction",
+        ("F_c",),
+        {"F_c": "newton_metres_link"},
+    )
+    systems = ("one_link_flexible",)
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"F_c": dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.2)})
+
+    def install(self, machine, robot):
+        self.drive(machine).link_laws.append(Coulomb(self.values["F_c"], on_link=True))
+
+
+class WithheldLinkViscous(Effect):
+    """Viscous friction of the link's bearing that today's simulator does without."""
+
+    name, place, sized = "viscous_friction", "link_friction", ("F_va",)
+    systems, size_keys = ("one_link_flexible",), {"F_va": "newton_metre_seconds_link"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"F_va": robot.values["F_va"] * rng.uniform(1.0, 4.0)})
+
+    def alter(self, robot):
+        return robot.with_values({"F_va": self.values["F_va"]}, withheld=True)
+
+
+class StribeckGaussian(Effect):
+    """Breakaway above Coulomb, falling with the square of the speed in the exponent."""
+
+    name, place, sized = "stribeck_friction", "motor_friction", ("drop",)
+    size_keys = {"drop": "newton_metres_above_coulomb", "v_s": "rad_per_second"}
+    shape = "gaussian"
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(
+            joint, {"drop": dry(robot, joint) * rng.uniform(0.2, 1.0), "v_s": log_uniform(rng, 4.0, 40.0)}
+        )
+
+    def install(self, machine, robot):
+        law = Stribeck(self.values["drop"], self.values["v_s"], self.shape)
+        self.drive(machine).rotor_laws.append(law)
+
+
+class StribeckExponential(StribeckGaussian):
+    """The same, exponential in the speed."""
+
+    place, shape = "motor_friction", "exponential"
+
+
+class StribeckLorentzian(StribeckGaussian):
+    """The same, with a long tail."""
+
+    place, shape = "motor_friction", "lorentzian"
+
+
+class UnevenDry(Effect):
+    """Dry friction that differs with the direction."""
+
+    name, place, sized = "asymmetric_friction", "motor_friction", ("excess",)
+    size_keys = {"excess": "newton_metres_difference"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"excess": rng.choice([-1, 1]) * dry(robot, joint) * rng.uniform(0.2, 0.9)})
+
+    def install(self, machine, robot):
+        # at most 1.9 times the level itself, so that friction opposes motion both ways
+        most = 1.9 * dry(robot, self.joint)
+        excess = np.clip(self.values["excess"], -most, most)
+        self.drive(machine).rotor_laws.append(Uneven(excess))
+
+
+class UnevenBoth(UnevenDry):
+    """Dry and viscous friction that differ with the direction."""
+
+    place, sized = "motor_friction", ("excess", "slope")
+    size_keys = {"excess": "newton_metres_difference", "slope": "newton_metre_seconds_difference"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        side = rng.choice([-1, 1])
+        excess = side * dry(robot, joint) * rng.uniform(0.2, 0.7)
+        slope = side * robot.value(joint, "F_v") * rng.uniform(0.2, 0.6)
+        return cls(joint, {"excess": excess, "slope": slope})
+
+    def install(self, machine, robot):
+        most = 1.9 * dry(robot, self.joint)
+        excess = np.clip(self.values["excess"], -most, most)
+        self.drive(machine).rotor_laws.append(Uneven(excess, self.values["slope"]))
+
+
+class PreslidingDahl(Effect):
+    """The dry friction builds up over a deflection: Dahl's law in Coulomb's place."""
+
+    name, place, sized = "presliding_friction", "motor_friction", ("deflection",)
+    size_keys = {"deflection": "rad_of_deflection"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"deflection": log_uniform(rng, 0.3, 4.0)})
+
+    def install(self, machine, robot):
+        drive = self.drive(machine)
+        level = without(drive, Coulomb).F_c
+        drive.rotor_laws.append(self.law(level, level / self.values["deflection"]))
+
+    def law(self, level, stiffness):
+        """The law with memory that takes Coulomb's place."""
+        return Dahl(level, stiffness)
+
+
+class PreslidingLuGre(PreslidingDahl):
+    """LuGre's bristles with a little damping of their own."""
+
+    place = "motor_friction"
+
+    def law(self, level, stiffness):
+        return LuGre(level, stiffness, damping=0.01 * stiffness)
+
+
+class PreslidingMaxwell(PreslidingDahl):
+    """Springs that slide one after the other."""
+
+    place = "motor_friction"
+
+    def law(self, level, stiffness):
+        return MaxwellSlip(level, stiffness)

@@ -1,0 +1,236 @@
+"""From a seed to case folders with their answers beside them."""
+
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from hybrid_id.blind.campaign import draw_campaign
+from hybrid_id.blind.case import Case, runs_in_mujoco
+from hybrid_id.blind.effects import CATALOGUE, OUTSIDE, Effect
+from hybrid_id.blind.effects.base import UNKNOWN
+from hybrid_id.blind.levels import BANDS, Graded, grade, scale_to_level
+from hybrid_id.blind.robots import SYSTEMS, Robot, draw_robot
+from hybrid_id.errors import InputError
+from hybrid_id.records.yaml_file import write_yaml
+
+FAMILIES = {"single": 0.58, "pair": 0.14, "none": 0.14, "unknown": 0.14}
+"""Families of cases and how often each is drawn."""
+LEVELS = {"strong": 0.4, "medium": 0.4, "weak": 0.2}
+WRONG = 0.3
+"""Nominal values are wrong by up to this share."""
+IN_MUJOCO = 0.5
+"""Share of MuJoCo among the cases that it can run, where the engine is not given."""
+DRAWS = 8
+"""Machines that are tried for a case before it is given up."""
+
+
+def make_case(
+    seed: int,
+    folder: str | Path,
+    *,
+    name: str | None = None,
+    family: str | None = None,
+    system: str | None = None,
+    effect: str | None = None,
+    level: str | None = None,
+    engine: str | None = None,
+) -> Path:
+    """Make one case; what is not given is drawn.
+
+    Args:
+        seed: source of all that is random.
+        folder: the case becomes a folder in it, its answers `answers/NAME.yaml`.
+        name: of the case; `c` and the seed by default.
+        family: single, pair, none or unknown.
+        system: one_link, one_link_flexible or two_link.
+        effect: name of the effect, or the first one of a pair; of the class for effects outside the catalogue.
+        level: strong, medium or weak.
+        engine: in_house or mujoco.
+
+    Returns:
+        The case's folder.
+
+    Raises:
+        InputError: a name is not known, or no machine could be drawn that the effect shows on.
+    """
+    _check(family=family, system=system, effect=effect, level=level, engine=engine)
+    name = name or f"c{seed:03d}"
+    rng = np.random.default_rng([seed, 0])
+    family = family or ("single" if effect else str(rng.choice(list(FAMILIES), p=list(FAMILIES.values()))))
+    level = level or str(rng.choice(list(LEVELS), p=list(LEVELS.values())))
+    for draw in range(DRAWS):
+        rng = np.random.default_rng([seed, 1, draw])
+        graded = _draw(rng, name, family, system, effect, level, engine)
+        if graded is not None:
+            return _write(graded, Path(folder), family, seed)
+    raise InputError(
+        f"case {name}: no machine of {DRAWS} shows {effect or family} at level {level}; give another level or seed"
+    )
+
+
+def make_cases(n: int, seed: int, folder: str | Path, *, jobs: int = 1, **options: Any) -> list[Path]:
+    """Make n cases, seeds counted up from `seed`; options as in `make_case`. A case that fails is left out."""
+    made = Parallel(n_jobs=jobs)(
+        delayed(_attempt)(seed + i, folder, f"c{i + 1:03d}", options) for i in range(n)
+    )
+    return [path for path in made if path is not None]
+
+
+def _attempt(seed: int, folder: str | Path, name: str, options: Mapping[str, Any]) -> Path | None:
+    try:
+        return make_case(seed, folder, name=name, **options)
+    except InputError:
+        return None
+
+
+def _draw(
+    rng: np.random.Generator,
+    name: str,
+    family: str,
+    system: str | None,
+    effect: str | None,
+    level: str,
+    engine: str | None,
+) -> Graded | None:
+    """One attempt at a case; None where its effects do not show as wanted."""
+    kinds = _formulas(rng, family, effect, system)
+    if system is None:
+        common = [s for s in SYSTEMS if all(s in kind.systems for kind in kinds)]
+        if not common:
+            return None
+        system = str(rng.choice(common))
+    robot = draw_robot(rng, system)
+    if not all(kind.fits(robot) for kind in kinds):
+        return None
+    effects = [kind.draw(rng, robot, int(rng.integers(robot.joints))) for kind in kinds]
+    if len({e.where for e in effects}) < len(effects) or len({e.name for e in effects}) < len(effects):
+        return None
+    campaign = draw_campaign(rng, robot)
+    wish = engine or ("mujoco" if rng.random() < IN_MUJOCO else "in_house")
+    if wish == "mujoco" and not runs_in_mujoco(robot, effects):
+        if engine:
+            return None
+        wish = "in_house"
+    case = Case(name, robot, (), campaign, _model(rng, robot, effects), wish)
+    if not effects:
+        return grade(case)
+    graded = []
+    for one in effects:
+        alone = case.with_effects([one])
+        graded.append(scale_to_level(alone, "medium" if len(effects) > 1 and level == "weak" else level))
+    if any(g.ratio < (1.15 if len(effects) == 1 else 1.4) or not np.isfinite(g.ratio) for g in graded):
+        return None
+    if len(effects) == 1:
+        return graded[0]
+    return grade(case.with_effects([e for g in graded for e in g.case.effects]))
+
+
+def _formulas(
+    rng: np.random.Generator, family: str, effect: str | None, system: str | None
+) -> list[type[Effect]]:
+    """Formulas of the effects of a case."""
+    if family == "none":
+        return []
+    if family == "unknown":
+        known = [
+            k for k in OUTSIDE if (effect in (None, k.__name__)) and (system is None or system in k.systems)
+        ]
+        return [known[rng.integers(len(known))]] if known else []
+    names = [n for n, kinds in CATALOGUE.items() if system is None or any(system in k.systems for k in kinds)]
+    chosen = [effect or str(rng.choice(names))]
+    if family == "pair":
+        chosen.append(str(rng.choice([n for n in names if n != chosen[0]])))
+    found = []
+    for one in chosen:
+        kinds = [k for k in _named(one) if system is None or system in k.systems]
+        if not kinds:
+            raise InputError(f"blind make: {one} cannot be met on a {system} machine; give another system")
+        found.append(kinds[rng.integers(len(kinds))])
+    return found
+
+
+def _named(effect: str) -> list[type[Effect]]:
+    """Formulas of a named effect, or the one formula of that name."""
+    formulas = [kind for kinds in CATALOGUE.values() for kind in kinds]
+    return CATALOGUE.get(effect) or [kind for kind in formulas if kind.__name__ == effect]
+
+
+def _model(rng: np.random.Generator, robot: Robot, effects: list[Effect]) -> dict[str, Any]:
+    """Today's simulator of the robot, without what the effects withhold."""
+    for effect in effects:
+        robot = effect.alter(robot)
+    return robot.model(rng, WRONG)
+
+
+def _write(graded: Graded, folder: Path, family: str, seed: int) -> Path:
+    """Write a case and its answers; the folder appears only when it is complete."""
+    case, path = graded.case, folder / graded.case.name
+    if path.exists():
+        raise InputError(f"{path} exists already; remove it or give another folder")
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".making-") as temporary:
+        made = graded.records.dataset.save(Path(temporary) / case.name)
+        write_yaml(made / "model.yaml", case.model)
+        write_yaml(folder / "answers" / f"{case.name}.yaml", answers(graded, family, seed))
+        made.replace(path)
+    return path
+
+
+def answers(graded: Graded, family: str, seed: int) -> dict[str, Any]:
+    """The answer sheet of a case."""
+    floor = graded.records.noise_floor
+    oracle = {
+        "nominal": graded.errors.nominal,
+        "refit": graded.errors.refit,
+        "with_effect": floor if graded.case.effects else graded.errors.refit,
+        "noise_floor": floor,
+    }
+    return {
+        "family": family,
+        "effects": [_answer(effect, graded.case.robot) for effect in graded.case.effects],
+        "level": graded.level,
+        "oracle": {key: float(f"{value:.4g}") for key, value in oracle.items()},
+        "made_by": {
+            "engine": graded.case.engine,
+            "seed": seed,
+            "formulas": [type(effect).__name__ for effect in graded.case.effects],
+        },
+    }
+
+
+def _answer(effect: Effect, robot: Robot) -> dict[str, Any]:
+    """One effect on the answer sheet, with what physics alone says is the same."""
+    places = [effect.where]
+    joint = effect.where.split("/")[0]
+    if effect.place == "motor_friction" and robot.system != "one_link_flexible":
+        places.append(f"{joint}/link_friction")
+    if robot.system == "two_link" and effect.name in ("gravity_load", "joint_coupling"):
+        places = ["joint1/load", "joint2/load"]
+    accept = [] if effect.name == UNKNOWN else [effect.name]
+    return {
+        "name": effect.name,
+        "where": effect.where,
+        "accept": accept,
+        "accept_where": places,
+        "size": effect.size(),
+    }
+
+
+def _check(**given: str | None) -> None:
+    """Refuse a name that is not known."""
+    known = {
+        "family": list(FAMILIES),
+        "system": list(SYSTEMS),
+        "effect": [*CATALOGUE, *(k.__name__ for ks in (*CATALOGUE.values(), OUTSIDE) for k in ks)],
+        "level": list(BANDS),
+        "engine": ["in_house", "mujoco"],
+    }
+    for option, value in given.items():
+        if value is not None and value not in known[option]:
+            raise InputError(
+                f"blind make: {option} '{value}' is not known; use one of {', '.join(known[option])}"
+            )

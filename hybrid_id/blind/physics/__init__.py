@@ -1,0 +1,1 @@
+"""Laws of drives and two engines that integrate them; imports nothing of the package."""

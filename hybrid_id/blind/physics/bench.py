@@ -1,0 +1,128 @@
+"""A machine on the bench: commands or a controller, encoders, and what is logged."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+
+class Plant(Protocol):
+    """A machine that runs B records side by side."""
+
+    def begin(self, lanes: int, samples: int, sample_time: float, angles: np.ndarray | None = None) -> None:
+        """Prepare B runs of so many samples [s], at rest at link angles (n_joints, B) [rad].
+
+        Without them the machines come to rest from angles zero, without voltage.
+        """
+        ...
+
+    def advance(self, commands: np.ndarray, disturbance: np.ndarray) -> None:
+        """Carry all runs over one sample with held commands and disturbing torques (n_joints, B) [V, N m]."""
+        ...
+
+    def angles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rotor and link angles (n_joints, B) [rad]."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Encoders:
+    """``y = Q round((q + n) / Q)`` with quantum Q [rad] and jitter n [rad].
+
+    Attributes:
+        quantum: (n_outputs,), rotors first.
+        jitter: (T, n_outputs, B).
+        link: whether the link of joint 1 has an encoder too.
+    """
+
+    quantum: np.ndarray
+    jitter: np.ndarray
+    link: bool = False
+
+    def read(self, k: int, rotor: np.ndarray, link: np.ndarray) -> np.ndarray:
+        """Measured angles (n_outputs, B) of sample k."""
+        true = np.concatenate([rotor, link[:1]]) if self.link else rotor
+        quantum = self.quantum[:, None]
+        return quantum * np.round((true + self.jitter[k]) / quantum)
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """What is done to B runs: ``u = feed + kp e + kd e' + ki int e``, clipped; e is the error of the rotor's angle.
+
+    Attributes:
+        feed: (T, n_joints, B) [V].
+        reference: (T, n_joints, B) of the rotor [rad].
+        kp, kd, ki: (n_joints, B) [V/rad, V s/rad, V/(rad s)]; all zero for an open loop.
+        limit: (n_joints, B) [V].
+        disturbance: (T, n_joints, B) torque on the rotor [N m].
+    """
+
+    feed: np.ndarray
+    reference: np.ndarray
+    kp: np.ndarray
+    kd: np.ndarray
+    ki: np.ndarray
+    limit: np.ndarray
+    disturbance: np.ndarray
+
+
+DIFFERENCE = 5
+"""Samples over which the controller takes the speed."""
+
+
+def run(
+    plant: Plant, program: Program, encoders: Encoders, *, sample_time: float, rest: float = 0.1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Run all records of a program.
+
+    Args:
+        plant: the machine.
+        program: commands and controllers.
+        encoders: sensors, whose readings the controllers see.
+        sample_time: of records and controllers [s].
+        rest: time without voltage at the start [s].
+
+    Returns:
+        Logged voltages (T, n_joints, B), rounded to 0.1 mV, and measured angles (T, n_outputs, B).
+    """
+    samples, joints, lanes = program.feed.shape
+    resting = round(rest / sample_time)
+    plant.begin(lanes, samples, sample_time)
+    volts = np.zeros((samples, joints, lanes))
+    measured = np.zeros((samples, len(encoders.quantum), lanes))
+    integral = np.zeros((joints, lanes))
+    error = np.zeros((DIFFERENCE + 1, joints, lanes))  # the newest last
+    for k in range(samples):
+        measured[k] = encoders.read(k, *plant.angles())
+        error = np.concatenate([error[1:], (program.reference[k] - measured[k, :joints])[None]])
+        if k >= resting:
+            rate = (error[-1] - error[0]) / (DIFFERENCE * sample_time)
+            integral = integral + sample_time * error[-1]
+            u = program.feed[k] + program.kp * error[-1] + program.kd * rate + program.ki * integral
+            volts[k] = np.round(np.clip(u, -program.limit, program.limit), 4)
+        plant.advance(volts[k], program.disturbance[k])
+    return volts, measured
+
+
+def replay(
+    plant: Plant,
+    volts: np.ndarray,
+    *,
+    sample_time: float,
+    link: bool = False,
+    start: np.ndarray | None = None,
+) -> np.ndarray:
+    """True angles (T, n_outputs, B) [rad] under logged voltages (T, n_joints, B): no noise, no disturbance.
+
+    `start` holds link angles (n_joints, B) [rad]; without them the machine settles by itself.
+    """
+    samples, joints, lanes = volts.shape
+    plant.begin(lanes, samples, sample_time, start)
+    angles = np.zeros((samples, joints + link, lanes))
+    still = np.zeros((joints, lanes))
+    for k in range(samples):
+        rotor, links = plant.angles()
+        angles[k] = np.concatenate([rotor, links[:1]]) if link else rotor
+        plant.advance(volts[k], still)
+    return angles

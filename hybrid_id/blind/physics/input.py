@@ -1,0 +1,73 @@
+"""What happens to the voltage between the command and the motor's terminals."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.blind.physics.law import InputLaw, Lanes, Signals
+
+
+@dataclass
+class Delay(InputLaw):
+    """Dead time: ``u(t - delay)``, in fractions of a sample too; delay [s]."""
+
+    delay: Lanes
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        sample = np.floor((x.time - self.delay) / x.sample_time).astype(int)
+        lanes = np.arange(volts.size)
+        late = x.history[np.clip(sample, 0, len(x.history) - 1), lanes]
+        return np.where(sample < 0, 0.0, late)
+
+
+@dataclass
+class Deadband(InputLaw):
+    """Nothing below the threshold [V]; above it the command less ``shift`` of the threshold (0: all of it)."""
+
+    threshold: Lanes
+    shift: float
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        size = np.abs(volts)
+        return np.where(size > self.threshold, np.sign(volts) * (size - self.shift * self.threshold), 0.0)
+
+
+@dataclass
+class Saturation(InputLaw):
+    """``|u| <= limit`` [V]."""
+
+    limit: Lanes
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        return np.clip(volts, -self.limit, self.limit)
+
+
+@dataclass
+class SoftSaturation(InputLaw):
+    """``u / (1 + |u / limit|^n)^(1/n)``: an amplifier that nears its limit [V] gradually."""
+
+    limit: Lanes
+    sharpness: float = 8.0
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        return volts / (1 + np.abs(volts / self.limit) ** self.sharpness) ** (1 / self.sharpness)
+
+
+@dataclass
+class SupplySag(InputLaw):
+    """A weak supply: the voltage drops by ``sag`` [V per N m] of the motor's torque, against its sign."""
+
+    sag: Lanes
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        return np.sign(volts) * np.maximum(np.abs(volts) - self.sag * np.abs(x.effort), 0.0)
+
+
+@dataclass
+class UnevenGain(InputLaw):
+    """An amplifier that gives ``1 + excess`` of the command in one direction only."""
+
+    excess: Lanes
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        return np.where(volts > 0, (1 + self.excess) * volts, volts)

@@ -1,0 +1,189 @@
+"""Time stepping of a machine with set-valued dry friction, many runs side by side.
+
+Moreau's midpoint rule (J. J. Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988): positions
+go half a step, forces act there, speeds take the whole impulse, positions go the other half. Linear damping is taken in
+the middle of old and new speed; dry friction takes at most its own impulse off the new speed, so that a joint stops
+and stays. Second order while it slides or sticks, and stable at any friction.
+"""
+
+import numpy as np
+
+from hybrid_id.blind.physics.drive import Drive
+from hybrid_id.blind.physics.law import Lanes, Push
+from hybrid_id.blind.physics.links import OneLink, TwoLinks
+
+SETTLING, SETTLING_STEP = 4.0, 0.5e-3
+"""Longest time and step [s] in which a machine comes to rest before its records start."""
+SWEEPS = 6
+"""Rounds in which two joints settle on their friction; the links of an arm couple by half at most, so 2^-12 is left."""
+
+
+class Machine:
+    """Drives and links of one robot; B runs may differ in any parameter.
+
+    Args:
+        drives: one a joint.
+        links: their inertia.
+        substeps: steps a sample.
+    """
+
+    def __init__(self, drives: list[Drive], links: OneLink | TwoLinks, *, substeps: int = 8) -> None:
+        self.drives, self.links, self.substeps = drives, links, substeps
+
+    def start(self, lanes: int, angles: np.ndarray | None = None) -> None:
+        """Set B runs to rest at link angles (n_joints, B) [rad], zero by default."""
+        angles = np.zeros((len(self.drives), lanes)) if angles is None else angles
+        for drive, angle in zip(self.drives, angles, strict=True):
+            drive.start(lanes, np.array(angle, float))
+
+    def begin(self, lanes: int, samples: int, sample_time: float, angles: np.ndarray | None = None) -> None:
+        """Prepare B runs of so many samples [s], at rest at link angles (n_joints, B) [rad].
+
+        Without them the machines come to rest from angles zero, without voltage.
+        """
+        self.start(lanes, angles)
+        for drive in self.drives:
+            drive.x.history, drive.x.sample_time = np.zeros((samples, lanes)), sample_time
+        if angles is None:
+            self._settle()
+        self.sample_time, self.samples_done = sample_time, 0
+        self._aged = [
+            None if d.sensor_delay is None else np.tile(d.x.q_m, (samples * self.substeps + 1, 1))
+            for d in self.drives
+        ]
+
+    def advance(self, commands: np.ndarray, disturbance: np.ndarray) -> None:
+        """Carry all runs over one sample with held commands and disturbing torques (n_joints, B) [V, N m]."""
+        k, h = self.samples_done, self.sample_time / self.substeps
+        for drive, command in zip(self.drives, commands, strict=True):
+            drive.x.command = command
+            drive.x.history[k] = command
+        for i in range(self.substeps):
+            self.step(k * self.sample_time + i * h, h, disturbance)
+            for drive, aged in zip(self.drives, self._aged, strict=True):
+                if aged is not None:
+                    aged[k * self.substeps + i + 1] = drive.x.q_m
+        self.samples_done += 1
+
+    def angles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rotor and link angles (n_joints, B) [rad] as the sensors give them, late where a sensor is."""
+        rotor = [d.x.q_m for d in self.drives]
+        now = self.samples_done * self.substeps
+        for i, (drive, aged) in enumerate(zip(self.drives, self._aged, strict=True)):
+            if aged is not None and drive.sensor_delay is not None:
+                age = np.rint(np.multiply(drive.sensor_delay, self.substeps / self.sample_time)).astype(int)
+                rotor[i] = aged[np.maximum(now - age, 0), np.arange(aged.shape[1])]
+        link = [d.gear.angle(d.x.q_m) if d.spring is None else d.x.q_a for d in self.drives]
+        return np.array(rotor), np.array(link)
+
+    def _settle(self) -> None:
+        """Let what pulls at rest come to rest, before the clock starts."""
+        still = np.zeros((len(self.drives), self.drives[0].x.q_m.size))
+        for k in range(round(SETTLING / SETTLING_STEP)):
+            self.step(k * SETTLING_STEP - SETTLING, SETTLING_STEP, still)
+            if k % 100 == 9 and all(np.abs(d.x.v_m).max() < 1e-6 for d in self.drives):
+                break
+        for drive in self.drives:
+            drive.x.v_m, drive.x.v_a = np.zeros_like(drive.x.v_m), np.zeros_like(drive.x.v_a)
+
+    def step(self, time: float, h: float, disturbance: np.ndarray) -> None:
+        """Carry all runs over one step of h seconds; disturbance (n_joints, B) [N m] acts on the rotors."""
+        drives = self.drives
+        for drive, torque in zip(drives, disturbance, strict=True):
+            drive.push(time, h)
+            drive.rotor_push.torque = drive.rotor_push.torque + torque
+        angles, speeds = [d.x.q_a for d in drives], [d.x.v_a for d in drives]
+        m_11, m_12, m_22 = self.links.mass(angles)
+        bias = self.links.bias(angles, speeds)
+        for drive in drives:
+            if drive.spring is not None:  # its rotor is on its own
+                drive.x.v_m = _stop(drive.rotor, drive.rotor_push, drive.x.v_m, h)
+        if len(drives) == 1:
+            self._move_one(drives[0], m_11, bias[0], h)
+        else:
+            self._move_two(drives[0], drives[1], (m_11, m_12, m_22), bias, h)
+        for drive in drives:
+            x = drive.x
+            x.q_m = x.q_m + 0.5 * h * x.v_m
+            if drive.spring is not None:
+                x.q_a = x.q_a + 0.5 * h * x.v_a
+
+    def _move_one(self, drive: Drive, mass: Lanes, bias: Lanes, h: float) -> None:
+        """New speed of the only link, or of its rotor where they are one."""
+        x = drive.x
+        if drive.spring is not None:
+            x.v_a = _stop(mass, drive.link_push, x.v_a, h)
+            return
+        push, inertia, old = (
+            _joined(drive, mass, bias, [mass], [x.v_m], [drive]),
+            drive.slope**2 * mass,
+            x.v_m,
+        )
+        x.v_m = _stop(drive.rotor + inertia, push, old, h)
+        if drive.needs_carried:
+            x.carried = inertia * (x.v_m - old) / h - drive.slope * drive.link_push.torque
+
+    def _move_two(self, first: Drive, second: Drive, mass: tuple, bias: list, h: float) -> None:
+        """New speeds of two coupled joints, whose friction is settled in turns (Gauss-Seidel)."""
+        m_11, m_12, m_22 = mass
+        pair = (first, second)
+        old = [d.x.v_m if d.spring is None else d.x.v_a for d in pair]
+        rows = ([m_11, m_12], [m_12, m_22])
+        pushes = [_joined(d, rows[i][i], bias[i], rows[i], old, pair) for i, d in enumerate(pair)]
+        ratio = [d.slope if d.spring is None else 1.0 for d in pair]
+        own = [
+            ratio[i] ** 2 * rows[i][i] + (d.rotor if d.spring is None else 0.0) for i, d in enumerate(pair)
+        ]
+        cross = ratio[0] * ratio[1] * m_12
+        right = [
+            (own[i] - 0.5 * h * p.slope) * old[i] + cross * old[1 - i] + h * p.torque
+            for i, p in enumerate(pushes)
+        ]
+        left = [own[i] + 0.5 * h * p.slope for i, p in enumerate(pushes)]
+        new = list(old)
+        for _ in range(SWEEPS):
+            for i, p in enumerate(pushes):
+                new[i] = _shrink((right[i] - cross * new[1 - i]) / left[i], h / left[i], p)
+        for i, drive in enumerate(pair):
+            if drive.needs_carried and drive.spring is None:
+                a = [(n - o) / h for n, o in zip(new, old, strict=True)]
+                drive.x.carried = (
+                    ratio[i] ** 2 * rows[i][i] * a[i]
+                    + cross * a[1 - i]
+                    + ratio[i] * (bias[i] - drive.link_push.torque)
+                )
+            if drive.spring is None:
+                drive.x.v_m = new[i]
+            else:
+                drive.x.v_a = new[i]
+
+
+def _joined(drive: Drive, mass: Lanes, bias: Lanes, row: list, speeds: list, drives) -> Push:
+    """What pushes a link, together with its rotor where both are one body, without the coupling to the other joint."""
+    link, push = drive.link_push, Push()
+    torque = link.torque - bias
+    for m, v, other in zip(row, speeds, drives, strict=True):
+        if other.gear.errors and other.spring is None:
+            torque = torque - m * other.gear.curvature(other.x.q_m) * v**2
+    if drive.spring is not None:
+        push.torque, push.slope, push.plus, push.minus = torque, link.slope, link.plus, link.minus
+        return push
+    rotor, g = drive.rotor_push, drive.slope
+    push.torque = rotor.torque + g * torque
+    push.slope = rotor.slope + g**2 * link.slope
+    push.plus, push.minus = rotor.plus + g * link.plus, rotor.minus + g * link.minus
+    return push
+
+
+def _stop(inertia: Lanes, push: Push, speed: np.ndarray, h: float) -> np.ndarray:
+    """New speed (B,) of a body on its own."""
+    left = inertia + 0.5 * h * push.slope
+    free = ((inertia - 0.5 * h * push.slope) * speed + h * push.torque) / left
+    return _shrink(free, h / left, push)
+
+
+def _shrink(free: np.ndarray, per_torque: Lanes, push: Push) -> np.ndarray:
+    """Take friction's impulse off a speed, at most to zero."""
+    if isinstance(push.plus, float) and push.plus == 0.0 == push.minus:
+        return free
+    return np.maximum(free - per_torque * push.plus, 0.0) + np.minimum(free + per_torque * push.minus, 0.0)

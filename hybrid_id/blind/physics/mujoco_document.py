@@ -1,0 +1,167 @@
+"""A machine as an MJCF document for MuJoCo 4; see `mujoco_engine` for what stands for what."""
+
+import numpy as np
+
+from hybrid_id.blind.physics.bristle import LuGre
+from hybrid_id.blind.physics.drive import Drive
+from hybrid_id.blind.physics.friction import Coulomb, Power, Viscous
+from hybrid_id.blind.physics.integrator import Machine
+from hybrid_id.blind.physics.links import OneLink
+from hybrid_id.blind.physics.load import ConstantTorque, Gravity, RestSpring
+from hybrid_id.blind.physics.motor import Cogging
+from hybrid_id.blind.physics.transmission import HardeningSpring, LinearSpring, Play
+
+STEP = 0.25e-3
+"""MuJoCo's time step [s]."""
+G = 9.81
+WARM = 0.0039
+"""Temperature coefficient of copper [1/K]."""
+LENGTH = 0.3
+"""Of the first link [m]; any will do that the coupling and the inertias allow."""
+
+
+class Unsupported(Exception):
+    """A law that MuJoCo has no counterpart for."""
+
+
+def document(machine: Machine) -> str:
+    """The machine as an MJCF document."""
+    bodies, ends, pull = "", "", "0 0 0"
+    inertias = _bodies(machine)
+    for i, drive in enumerate(machine.drives):
+        body, gravity = inertias[i]
+        if gravity:
+            pull = f"0 {-G} 0"
+        place = f'pos="{LENGTH if i else 0} 0 0"'
+        twist = "" if drive.spring is None else _twist(drive, i)
+        if twist:  # a rotor without a link's inertia, then the link
+            rotor = '<inertial pos="0 0 0" mass="1e-6" diaginertia="1e-9 1e-9 1e-9"/>'
+            bodies += f"<body {place}>{_rotor(drive, i)}{rotor}<body>{twist}{body}"
+            ends += "</body></body>"
+        else:
+            bodies += f"<body {place}>{_rotor(drive, i)}{body}"
+            ends += "</body>"
+    tendons = "".join(_link(drive, i) for i, drive in enumerate(machine.drives))
+    motors = "".join(_motor(drive, i) for i, drive in enumerate(machine.drives))
+    return (
+        f'<mujoco><compiler angle="radian" inertiafromgeom="false"/>'
+        f'<option timestep="{STEP}" gravity="{pull}" integrator="implicitfast"/>'
+        f"<worldbody>{bodies}{ends}</worldbody><tendon>{tendons}</tendon><actuator>{motors}</actuator></mujoco>"
+    )
+
+
+def _bodies(machine: Machine) -> list[tuple[str, bool]]:
+    """Inertia of each link as MJCF, and whether gravity pulls at it."""
+    links = machine.links
+    if isinstance(links, OneLink):
+        weights = [law for law in machine.drives[0].link_laws if isinstance(law, Gravity)]
+        # two weights add up to one
+        x = sum(float(law.G) * np.cos(float(law.q_0)) for law in weights) / G
+        y = sum(float(law.G) * np.sin(float(law.q_0)) for law in weights) / G
+        J, moment = float(links.J), float(np.hypot(x, y))
+        mass = max(2 * moment**2 / J, 0.1)
+        # at angle zero the arm hangs along -y; the weight stands at the angle where it would hang
+        position = f"{y / mass} {-x / mass} 0"
+        return [(_inertial(mass, position, J - moment**2 / mass), moment > 0)]
+    if any(np.any(value) for value in (links.G_1, links.G_2)):
+        raise Unsupported("a tilted arm")
+    a, b, c, length = float(links.a), float(links.b), float(links.c), LENGTH
+    mass = max(1.05 * c**2 / (length**2 * b), 0.1)
+    arm = c / (length * mass)
+    first = a - b - mass * length**2
+    if first <= 0:
+        raise Unsupported("links that no two bodies have")
+    return [
+        (_inertial(0.1, "0 0 0", first), False),
+        (_inertial(mass, f"{arm} 0 0", b - mass * arm**2), False),
+    ]
+
+
+def _inertial(mass: float, position: str, inertia: float) -> str:
+    return f'<inertial pos="{position}" mass="{mass}" diaginertia="{inertia} {inertia} {inertia}"/>'
+
+
+def _rotor(drive: Drive, i: int) -> str:
+    """Hinge of a rotor, behind its gear."""
+    if drive.gear.errors or drive.sensor_delay is not None:
+        raise Unsupported("gear errors and late sensors")
+    r, linear, quadratic, cubic, dry = drive.gear.ratio, 0.0, 0.0, 0.0, 0.0
+    for law in drive.rotor_laws:
+        if isinstance(law, Viscous):
+            linear += float(law.F_v)
+        elif isinstance(law, Power) and law.exponent in (2.0, 3.0):
+            quadratic += float(law.F) * (law.exponent == 2.0)
+            cubic += float(law.F) * (law.exponent == 3.0)
+        elif isinstance(law, Coulomb):
+            dry += float(law.F_c)
+        elif not isinstance(law, Cogging | LuGre | ConstantTorque):
+            raise Unsupported(type(law).__name__)
+    return (
+        f'<joint name="rotor{i}" type="hinge" axis="0 0 1" armature="{r**2 * float(drive.rotor)}" '
+        f'damping="{r**2 * linear} {r**3 * quadratic} {r**4 * cubic}" frictionloss="{r * dry}" '
+        'solreffriction="0.001 1" solimpfriction="0.99 0.999 0.001"/>'
+    )
+
+
+def _twist(drive: Drive, i: int) -> str:
+    """Hinge between gear and link: q_a less q_m / r."""
+    head = f'<joint name="twist{i}" type="hinge" axis="0 0 1" '
+    spring = drive.spring
+    if isinstance(spring, LinearSpring):
+        return head + f'stiffness="{float(spring.k)}" damping="{float(spring.damping)}"/>'
+    if isinstance(spring, HardeningSpring) and spring.exponent == 3.0:
+        return (
+            head + f'stiffness="{float(spring.k)} 0 {float(spring.k_n)}" damping="{float(spring.damping)}"/>'
+        )
+    if isinstance(spring, Play):
+        half = 0.5 * float(spring.gap)
+        return head + f'limited="true" range="{-half} {half}" solreflimit="0.003 0.5" damping="1e-6"/>'
+    raise Unsupported(type(spring).__name__)
+
+
+def _link(drive: Drive, i: int) -> str:
+    """What acts on the absolute angle of a link: a tendon over its hinges."""
+    linear, dry, stiffness, rest = 0.0, 0.0, 0.0, 0.0
+    for law in drive.link_laws:
+        if isinstance(law, Viscous):
+            linear += float(law.F_v)
+        elif isinstance(law, Coulomb):
+            dry += float(law.F_c)
+        elif isinstance(law, RestSpring) and law.k_3 == 0.0 and stiffness == 0.0:
+            stiffness, rest = float(law.k), float(law.rest)
+        elif not isinstance(law, Gravity):
+            raise Unsupported(type(law).__name__)
+    if not linear and not dry and not stiffness:
+        return ""
+    twist = "" if drive.spring is None else f'<joint joint="twist{i}" coef="1"/>'
+    return (
+        f'<fixed name="link{i}" damping="{linear}" frictionloss="{dry}" stiffness="{stiffness}" springlength="{rest}" '
+        'solreffriction="0.001 1" solimpfriction="0.99 0.999 0.001">'
+        f'<joint joint="rotor{i}" coef="1"/>{twist}</fixed>'
+    )
+
+
+def _motor(drive: Drive, i: int) -> str:
+    """The drive's motor; P_1 = K / R and P_2 = K."""
+    motor, r = drive.motor, drive.gear.ratio
+    if motor.weakening is not None:
+        raise Unsupported("field weakening")
+    K = float(motor.P_2)
+    R = K / float(motor.P_1)
+    text = f'<dcmotor name="motor{i}" joint="rotor{i}" gear="{r}" motorconst="{K} {K}" resistance="{R}"'
+    if motor.lag is not None:
+        text += f' inductance="0 {float(motor.lag)}"'
+    if motor.heating is not None:
+        capacity = R * WARM / (K**2 * float(motor.heating))
+        text += f' thermal="0 {capacity} {float(motor.cooling)} {WARM} 25 25"'
+    for law in drive.rotor_laws:
+        if isinstance(law, Cogging):
+            if len(law.amplitudes) > 1 or law.periods[0] != round(law.periods[0]):
+                raise Unsupported("cogging with overtones")
+            text += (
+                f' cogging="{float(law.amplitudes[0])} {law.periods[0]:.0f} {float(law.phases[0]) + np.pi}"'
+            )
+        elif isinstance(law, LuGre):
+            levels = [law.stiffness, law.damping, law.F_c, law.F_c + law.drop, law.v_s]
+            text += ' lugre="' + " ".join(str(float(v)) for v in levels) + '"'
+    return text + "/>"
