@@ -126,7 +126,10 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
     if fault["type"] == "missing":
         return f"key '{key}' is missing; add it"
     if fault["type"] == "extra_forbidden":
-        close = difflib.get_close_matches(str(fault["loc"][-1]), _all_keys(schema), n=1)
+        others = [
+            known for known in _all_keys(schema) if known != fault["loc"][-1]
+        ]  # right in another section
+        close = difflib.get_close_matches(str(fault["loc"][-1]), others, n=1)
         hint = f"did you mean '{close[0]}'?" if close else "remove it"
         return f"key '{key}' is unknown; {hint}"
     found = repr(fault["input"])

@@ -101,7 +101,7 @@ def _on_dask(task: Task, cells: Sequence[Cell], address: str) -> Iterator[CellRe
         shared = client.scatter(task, broadcast=True, hash=False)
         futures = {client.submit(attempt, shared, cell, pure=False): cell for cell in cells}
         try:
-            for future in as_completed(list(futures), raise_errors=False):
+            for future in as_completed(list(futures), loop=client.loop, raise_errors=False):
                 done = future.status == "finished"
                 yield future.result() if done else _broken(futures[future], future.exception())  # type: ignore[misc]
         finally:

@@ -1,0 +1,176 @@
+"""`ablate`: results, what happens to a run that is stopped, broken cells, and faults of the study file."""
+
+import json
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from hybrid_id.study.ablation import Task
+from hybrid_id.study.ablation_cell import CellResult, Rung
+from hybrid_id.study.ablation_plan import NONE, Cell
+from hybrid_id.systems.model_file import describe_model
+
+STUDY = """
+dataset: {data}
+hybrid: {{networks: [{{place: joint1/motor, inputs: [speed], hidden: [4]}}], prices: [1.0, 0.0]}}
+ablation: {{residual: [static, black_box], physics: [[F_v]], seeds: 3, out_of_range: [run_2]}}
+"""
+ERRORS = {"none": 5.0, "static": 1.5, "black box": 20.0}
+ARMS, SEEDS = 5, 3
+
+
+@pytest.fixture
+def study(drive: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "study.yaml"
+    path.write_text(STUDY.format(data=drive))
+    return path
+
+
+class Cells:
+    """Takes the place of the training: counts the cells, and breaks or stops at those that it is told."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.seen: list[str] = []
+        self.fault: Callable[[Cell, int], BaseException | None] = lambda cell, count: None
+        monkeypatch.setattr("hybrid_id.study.ablation_run.run_cell", self.run)
+
+    def run(self, task: Task, cell: Cell) -> CellResult:
+        self.seen.append(cell.name)
+        if (fault := self.fault(cell, len(self.seen))) is not None:
+            raise fault
+        error = ERRORS[cell.arm.residual] * (1.0 + 0.02 * cell.seed) * (2.0 if cell.arm.without else 1.0)
+        rungs = [self.rung(task, math.inf, error)]
+        if cell.arm.hybrid:
+            rungs = [self.rung(task, math.inf, 5.0)] + [self.rung(task, price, error) for price in (1.0, 0.0)]
+        course = {} if cell.arm.residual == NONE else {"loss/train": [(1, 3.0), (2, 1.0)]}
+        return CellResult(
+            cell, split=task.split(cell.seed), rungs=tuple(rungs), chosen=min(1, len(rungs) - 1), gradients=2,
+            seconds=1.0, history=course, model=describe_model(task.model(cell)),
+        )  # fmt: skip
+
+    @staticmethod
+    def rung(task: Task, price: float, error: float) -> Rung:
+        errors = {record.name: error for record in task.dataset}
+        return Rung(price, errors, errors, {"J": 2e-5}, {"J": 1e-7}, 0.1, 0.2, "converged")
+
+    def again(self) -> Sequence[str]:
+        """The cells since the last look."""
+        seen, self.seen = self.seen, []
+        return seen
+
+
+@pytest.fixture
+def cells(monkeypatch: pytest.MonkeyPatch) -> Cells:
+    return Cells(monkeypatch)
+
+
+def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shown = run("ablate", study, "--out", out)
+    assert shown.code == 0, shown.err
+    assert "Hybrid: static network at joint1/motor" in shown.out and "largest drift" in shown.out
+    result = json.loads((out / "ablation.json").read_text())
+    assert result["answer"] == "hybrid" and result["program"].startswith("hybrid_id ")
+    assert [arm["seeds"] for arm in result["arms"]] == [[0, 1, 2]] * ARMS
+    assert len(result["ladder"]) == 2 * 2 and result["failed"] == {}
+    assert result["arms"][1]["weighted_error"]["test"] == pytest.approx([1.5, 1.53, 1.56])
+    page = (out / "report.html").read_text()
+    assert page.count("data:image/png") == 3 and "Physics only or hybrid?" in page
+    assert len(list((out / "cells").iterdir())) == ARMS * SEEDS == len(list((out / "tensorboard").iterdir()))
+    again = run("ablate", out / "config.yaml", "--out", out, "--json")
+    assert again.code == 0 and json.loads(again.out) == result
+    assert len(cells.seen) == ARMS * SEEDS
+
+
+def test_tensorboard_gets_settings_and_final_figures(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    run("ablate", study, "--out", tmp_path / "out")
+    (folder,) = (tmp_path / "out" / "tensorboard").glob("static-*wide-seed-1")
+    events = EventAccumulator(str(folder)).Reload()
+    assert {"loss/train", "final/test", "final/out_of_range", "final/share"} <= set(events.Tags()["scalars"])
+    assert [e.value for e in events.Scalars("loss/train")] == [3.0, 1.0]
+    (start,) = (events.summary_metadata["_hparams_/session_start_info"].plugin_data.content,)
+    assert b"residual" in start and b"static" in start and b"taken out" in start
+
+
+def test_a_run_that_is_stopped_goes_on_where_it_was(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    cells.fault = lambda cell, count: KeyboardInterrupt() if count == 5 else None
+    stopped = run("ablate", study, "--out", out)
+    assert stopped.code == 130 and f"4 of {ARMS * SEEDS} cells are kept" in stopped.err
+    assert not (out / "ablation.json").exists()
+    first, cells.fault = cells.again()[:4], lambda cell, count: None
+    (out / "cells" / ".killed").mkdir()  # what a run that was killed while it wrote leaves
+    assert run("ablate", study, "--out", out).code == 0
+    rest = cells.again()
+    assert len(rest) == ARMS * SEEDS - 4 and not set(first) & set(rest)
+    assert run("ablate", study, "--out", out).code == 0 and cells.again() == []
+
+
+def test_a_broken_cell_is_told_and_tried_again(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    cells.fault = lambda cell, count: ValueError("no luck") if count == 2 else None
+    shown = run("ablate", study, "--out", out)
+    assert shown.code == 1 and "1 of 15 cells broke" in shown.err
+    (name,) = json.loads((out / "ablation.json").read_text())["failed"]
+    assert not (out / "cells" / name).exists() and "ValueError: no luck" in shown.out
+    cells.again()
+    assert run("ablate", study, "--out", out).code == 0 and cells.again() == [name]
+
+
+def test_other_settings_are_other_cells(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run("ablate", study, "--out", out)
+    cells.again()
+    study.write_text(study.read_text().replace("seeds: 3", "seeds: 4"))
+    assert run("ablate", study, "--out", out).code == 0
+    assert len(cells.again()) == ARMS
+    study.write_text(study.read_text().replace("seeds: 4", "seeds: 4, horizon: 0.1"))
+    assert run("ablate", study, "--out", out).code == 0
+    assert len(cells.again()) == 4 * ARMS
+
+
+def test_no_fit_of_physics_is_an_error(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    cells.fault = lambda cell, count: ValueError("no luck") if cell.arm.residual == NONE else None
+    shown = run("ablate", study, "--out", tmp_path / "out")
+    assert shown.code == 2 and "ValueError: no luck" in shown.err
+
+
+FAULTS = {
+    "misspelt key": ("seeds: 3", "seed: 3", ("ablation.seed", "'seeds'")),
+    "unknown residual": ("[static, black_box]", "[statik]", ("ablation.residual", "statik")),
+    "no repeat": ("seeds: 3", "seeds: 0", ("ablation.seeds", "0")),
+    "share above one": ("seeds: 3", "test: 1.5", ("ablation.test", "1.5")),
+    "pattern of nothing": ("[run_2]", "[run_7]", ("'run_7'", "out_of_range", "run_0")),
+    "physics that is not there": ("[[F_v]]", "[[F_x]]", ("'F_x'",)),
+    "component that is not there": ("[[F_v]]", "[[joint1/motor/dahl]]", ("dahl", "joint1/motor")),
+    "place that is not there": ("seeds: 3", "place: [joint2/motor]", ("joint2/motor",)),
+    "input that is not there": ("inputs: [speed]", "inputs: [colour]", ("'colour'",)),
+    "rising prices": ("[1.0, 0.0]", "[0.1, 1.0]", ("0.1, 1.0", "falling")),
+    "too few records": ("[run_2]", "[run_2, run_1, run_0]", ("too few records",)),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_faults_are_told_before_any_training(
+    name: str, run, study: Path, cells: Cells, tmp_path: Path
+) -> None:
+    old, new, words = FAULTS[name]
+    assert old in study.read_text()
+    study.write_text(study.read_text().replace(old, new))
+    shown = run("ablate", study, "--out", tmp_path / "out")
+    assert shown.code == 2 and not cells.seen and not (tmp_path / "out").exists()
+    lines = [line for line in shown.err.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1 and lines[0].startswith("Error: ") and all(word in lines[0] for word in words)
+
+
+def test_options_and_folders_that_do_not_fit(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for extra in (("--backend", "dask"), ("--scheduler", "tcp://127.0.0.1:9"), ("--jobs", "0")):
+        assert run("ablate", study, "--out", out, *extra).code == 2
+    out.mkdir()
+    (out / "thesis.txt").write_text("mine")
+    shown = run("ablate", study, "--out", out)
+    assert shown.code == 2 and "not empty" in shown.err and not cells.seen

@@ -1,0 +1,127 @@
+"""Cells in turn, in processes and on a real Dask cluster; broken ones; what is kept and taken up again."""
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from drives import make_record, multisine, rigid_drive
+
+from hybrid_id.errors import InputError
+from hybrid_id.identification.hybrid import HybridOptions
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.simulation.solvers import OdeEngine
+from hybrid_id.simulation.step import Engine
+from hybrid_id.study.ablation import Task
+from hybrid_id.study.ablation_cell import CellResult, as_plain, from_plain
+from hybrid_id.study.ablation_plan import BLACK_BOX, Arm, Cell
+from hybrid_id.study.ablation_run import attempt, key_of, load_cell, run_cells, save_cell
+
+STATIC = Arm("static", ("joint1/motor",), 3)
+BROKEN = Cell(Arm("static", ("joint9/motor",), 3), 0)
+CELLS = [Cell(Arm(), 0), BROKEN, Cell(Arm(), 1)]
+
+
+@pytest.fixture(scope="module")
+def task() -> Task:
+    """Five short records of a drive; one of them out of range."""
+    drive, engine = rigid_drive(ratio=20.0), Engine("smooth", 4, width=2.0)
+    records = [
+        make_record(
+            drive, multisine(k, samples=104, rest=8, amplitude=2.5 + 2.0 * (k == 4), step=0.004), seed=k,
+            noise={"q_m1": 0.02}, name=f"run_{k}", engine=engine, step=0.004,
+        )
+        for k in range(5)
+    ]  # fmt: skip
+    data = Dataset("drive", (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.02),), tuple(records), 0.004)
+    model = drive.with_values({"J": 2.3e-5})
+    model = model.with_specs(
+        {n: replace(model.parameter(n).spec, estimate=False) for n in ("P_m1", "P_m2", "F_v")}
+    )
+    options = HybridOptions(prices=(1.0,), windows=(), max_iterations=2)
+    return Task(
+        data, model, OdeEngine(fine=4, width=2.0), options, ("speed",), beyond=("run_4",), horizon=0.03
+    )
+
+
+def outcome(results: Sequence[CellResult]) -> dict[str, tuple[str, dict[str, float]]]:
+    """Status and errors by name of the cell."""
+    return {r.cell.name: (r.status, dict(r.best.errors) if r.rungs else {}) for r in results}
+
+
+@pytest.fixture(scope="module")
+def in_turn(task: Task) -> list[CellResult]:
+    return list(run_cells(task, CELLS))
+
+
+def test_a_broken_cell_says_why_and_loses_no_other(in_turn: list[CellResult]) -> None:
+    assert [r.status for r in in_turn] == ["done", "failed", "done"]
+    assert in_turn[1].message.startswith("InputError: Place 'joint9/motor' is not known")
+
+
+def test_processes_come_to_the_same(task: Task, in_turn: list[CellResult]) -> None:
+    assert outcome(list(run_cells(task, CELLS, jobs=2))) == outcome(in_turn)
+
+
+def test_a_dask_cluster_comes_to_the_same(task: Task, in_turn: list[CellResult]) -> None:
+    distributed = pytest.importorskip("distributed", reason="needs distributed (hybrid-id[dask])")
+    settings = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
+    with distributed.LocalCluster(**settings) as cluster:
+        assert outcome(list(run_cells(task, CELLS, scheduler=cluster.scheduler_address))) == outcome(in_turn)
+
+
+def test_a_scheduler_that_does_not_answer_is_told(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="needs distributed (hybrid-id[dask])")
+    monkeypatch.setattr("hybrid_id.study.ablation_run.TIMEOUT", 0.2)
+    for address in ("tcp://127.0.0.1:9", "nonsense://"):
+        with pytest.raises(InputError, match="No Dask scheduler answers"):
+            list(run_cells(task, CELLS, scheduler=address))
+
+
+def test_physics_of_a_hybrid_cell_is_that_of_physics_only(task: Task, in_turn: list[CellResult]) -> None:
+    result = attempt(task, Cell(STATIC, 0))
+    assert result.status == "done", result.message
+    assert result.split == in_turn[0].split
+    assert result.rungs[0].values == in_turn[0].best.values
+    assert result.rungs[0].errors == pytest.approx(in_turn[0].best.errors, rel=1e-6)
+    assert [rung.price for rung in result.rungs] == [math.inf, 1.0]
+    assert {"loss/train", "loss/validation", "parameters/joint1/J"} <= set(result.history)
+    assert from_plain(json.loads(json.dumps(as_plain(result)))) == result
+
+
+def test_a_network_alone_is_trained_by_the_same_machinery(task: Task) -> None:
+    result = attempt(task, Cell(Arm(BLACK_BOX, (), 3), 0))
+    assert result.status == "done", result.message
+    assert [rung.price for rung in result.rungs] == [0.0] and set(result.best.values) == {"T_0"}
+    assert set(result.best.errors) == {f"run_{k}" for k in range(5)} == set(result.best.short)
+
+
+def test_what_is_kept_is_found_again_and_nothing_else(
+    task: Task, in_turn: list[CellResult], tmp_path: Path
+) -> None:
+    result, cell = in_turn[0], CELLS[0]
+    key = key_of(task, cell)
+    assert load_cell(tmp_path, cell, key) is None
+    save_cell(tmp_path, result, key)
+    save_cell(tmp_path, result, key)  # in place of the first
+    assert [path.name for path in tmp_path.iterdir()] == [cell.name]
+    assert load_cell(tmp_path, cell, key) == result
+    assert {path.name for path in (tmp_path / cell.name).iterdir()} == {"cell.json", "model.yaml"}
+    (tmp_path / cell.name / "cell.json").write_text("{half a ")
+    assert load_cell(tmp_path, cell, key) is None
+
+
+def test_the_key_follows_all_that_decides_a_cell(task: Task) -> None:
+    cell = CELLS[0]
+    others = [
+        replace(task, horizon=0.04),
+        replace(task, options=replace(task.options, max_iterations=3)),
+        replace(task, dataset=task.dataset.select(["run_0", "run_1", "run_2", "run_4"])),
+        replace(task, system=task.system.with_values({"J": 2.4e-5})),
+        replace(task, engine=replace(task.engine, width=1.0)),
+    ]
+    keys = [key_of(task, cell), key_of(task, Cell(Arm(), 1)), *(key_of(other, cell) for other in others)]
+    assert len(set(keys)) == len(keys)
+    assert key_of(replace(task, options=replace(task.options, seed=9)), cell) == keys[0]
