@@ -96,7 +96,7 @@ def _error(axes: Axes, result: TrackingResult, joint: int) -> None:
     axes.axhline(0.0, color="black", lw=0.5)
     for k, model in enumerate(result.models):
         error = 1e3 * (result.desired[:, joint] - result.angle[:, joint, k])
-        axes.plot(result.time, error, color=COLOURS[k], lw=0.9, label=model)
+        axes.plot(result.time, error, color=COLOURS[k], ls=DASHES[k], lw=0.9, label=model)
     axes.set(xlabel="time [s]", ylabel=rf"error of $q_{joint + 1}$ [mrad]")
     axes.margins(x=0)
     pad(axes)

@@ -8,6 +8,7 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from hybrid_id.reporting.style import unit
 from hybrid_id.reporting.tables import open_table
 from hybrid_id.reproduction.claims import Claim
 from hybrid_id.reproduction.comparison import FitRow, ParameterRow
@@ -39,7 +40,7 @@ def parameters_table(rows: Sequence[ParameterRow]) -> Table:
         table.add_row(
             row.name, _number(row.truth), _number(row.value),
             "held" if held else _number(row.interval, 2) if np.isfinite(row.interval) else "none",
-            "cut in print" if best is None else _number(best), row.unit, Text("") if held else inside,
+            "cut in print" if best is None else _number(best), unit(row.unit), Text("") if held else inside,
             Text("0") if held else spread, f"{row.printed.percent:.2f} %", row.remark,
         )  # fmt: skip
     return table
@@ -53,15 +54,15 @@ def _number(value: float, digits: int = 4) -> str:
 def fits_table(rows: Sequence[FitRow]) -> Table:
     """Tables 3, 5, 8, 9 and 11."""
     table = open_table(
-        "signal", "average fit, ours>", "printed>", "true parameters>", "std, ours>", "printed >",
+        "signal", "average fit, ours>", "printed>", "true parameters>", "own record>", "std, ours>", "printed >",
         "std/mean, ours>", "printed  >",
     )  # fmt: skip
     for row in rows:
         mean = Text(f"{row.mean:.2f} %", style="" if row.mean >= row.printed.mean else "yellow")
         spread = Text(f"{row.percent:.2f} %", style="" if row.percent < row.printed.percent else "yellow")
         table.add_row(
-            row.name, mean, f"{row.printed.mean:.2f} %", f"{row.truth:.2f} %", f"{row.std:.2f}",
-            f"{row.printed.std:.2f}", spread, f"{row.printed.percent:.2f} %",
+            row.name, mean, f"{row.printed.mean:.2f} %", f"{row.truth:.2f} %", f"{row.own:.2f} %",
+            f"{row.std:.2f}", f"{row.printed.std:.2f}", spread, f"{row.printed.percent:.2f} %",
         )  # fmt: skip
     return table
 
@@ -70,12 +71,12 @@ def inertia_table(rows: Mapping[str, ParameterRow]) -> Table:
     """Table 12, with how far one record tells it."""
     table = open_table(
         "second link", "printed [kg m²]>", "ours [kg m²]>", "± (95 %)>", "truth>", "std/mean, ours>", "printed>",
-        "least telling record>",
+        "typical record>", "least telling>",
     )  # fmt: skip
     for title, row in rows.items():
         table.add_row(
             title, f"{paper.TABLE_12[title]:.3f}", f"{row.value:.6f}", f"{row.interval:.1g}", f"{row.truth:.6f}",
-            f"{row.percent:.3g} %", f"{row.printed.percent:.2f} %", f"± {row.told:.2g} %",
+            f"{row.percent:.2g} %", f"{row.printed.percent:.2f} %", f"± {row.typical:.2g} %", f"± {row.told:.2g} %",
         )  # fmt: skip
     return table
 

@@ -65,7 +65,10 @@ def claims(
     if len(inertia := inertia_rows(stages, truths)) == len(paper.TABLE_12):
         spread = {name: row.percent for name, row in inertia.items()}
         worst = max(spread, key=lambda name: spread[name])
-        seen = ", ".join(f"{name} {value:.3g} %" for name, value in spread.items())
+        seen = ", ".join(
+            f"{name} {row.percent:.2g} % (typical record told to ± {row.typical:.2g} %)"
+            for name, row in inertia.items()
+        )
         found.append(
             Claim("Table 12: std/mean of P_2 is worst at low velocity", "worst", seen, "low" in worst)
         )
@@ -74,7 +77,7 @@ def claims(
             ratio = result.rms[1] / result.rms[0]
             found.append(
                 Claim("Fig. 5: error with backlash model / with rigid model", "<= 0.5",
-                      f"{ratio.mean():.2f} ± {ratio.std():.2f}", bool((ratio <= 0.5).all()))
+                      f"{ratio.mean():.3f} ± {ratio.std():.3f}", bool((ratio <= 0.5).all()))
             )  # fmt: skip
             continue
         for j in range(result.rms.shape[1]):

@@ -49,6 +49,7 @@ class ParameterRow:
         interval: half-width of our 95 % interval.
         percent: our std/mean [%].
         told: standard error that the least telling record leaves [%].
+        typical: the same of a typical record, the median [%].
         scatter: std/mean of the runs' own true values [%].
         printed: the paper's row.
         role: "free", "prior" or "stage", which says what holds it.
@@ -61,6 +62,7 @@ class ParameterRow:
     interval: float
     percent: float
     told: float
+    typical: float
     scatter: float
     printed: paper.Variation
     role: str
@@ -91,11 +93,20 @@ class ParameterRow:
 
 @dataclass(frozen=True)
 class FitRow:
-    """One signal of Tables 3, 5, 8, 9 and 11: fit % of the selected set over the records."""
+    """One signal of Tables 3, 5, 8, 9 and 11: fit % of the selected set over the records.
+
+    Attributes:
+        name: of the signal, as printed.
+        mean, std: over the records.
+        own: mean fit of each set on its own record, where friction has not drifted.
+        truth, truth_std: mean and std with the true parameters of the selected set's run.
+        printed: the paper's row.
+    """
 
     name: str
     mean: float
     std: float
+    own: float
     truth: float
     truth_std: float
     printed: paper.Fit
@@ -120,11 +131,14 @@ def parameter_rows(stage: str, result: StageResult, truth: Mapping[str, float]) 
         if own in result.held:
             value = factor * result.held[own]
             rows.append(
-                ParameterRow(name, "", value, factor * truth[own], np.inf, 0.0, np.nan, 0.0, printed, "stage")
+                ParameterRow(
+                    name, "", value, factor * truth[own], np.inf, 0.0, np.nan, np.nan, 0.0, printed, "stage"
+                )
             )
             continue
         k = result.names.index(own)
         estimates, own_truths = factor * result.values[:, k], factor * result.truths[:, k]
+        errors = 100 * result.std_error[:, k] / np.abs(result.values[:, k])
         rows.append(
             ParameterRow(
                 name=name,
@@ -133,7 +147,8 @@ def parameter_rows(stage: str, result: StageResult, truth: Mapping[str, float]) 
                 truth=own_truths[result.selected],
                 interval=factor * result.interval[k],
                 percent=result.percent[k],
-                told=100 * float(np.max(result.std_error[:, k] / np.abs(result.values[:, k]))),
+                told=float(errors.max()),
+                typical=float(np.median(errors)),
                 scatter=100 * own_truths.std(ddof=1) / abs(own_truths.mean()),
                 printed=printed,
                 role="prior" if own in result.by_prior else "free",
@@ -153,6 +168,7 @@ def fit_rows(stage: str, result: StageResult) -> list[FitRow]:
                 name,
                 fits[:, k].mean(),
                 fits[:, k].std(ddof=1),
+                result.fits.diagonal()[k].mean(),
                 result.truth_fits[:, k].mean(),
                 result.truth_fits[:, k].std(ddof=1),
                 printed,

@@ -12,7 +12,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.yaml_file import read_yaml, validate
 
 NAME = "reproduce.yaml"
-QUICK_RECORDS, QUICK_LENGTH, QUICK_TRACKING = 2, 1.5, 1.2
+QUICK_RECORDS, QUICK_LENGTH, QUICK_TRACKING = 2, 1.0, 1.2
 
 Sines = list[tuple[PositiveFloat, PositiveFloat]]
 

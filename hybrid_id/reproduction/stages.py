@@ -161,7 +161,8 @@ def _truth_fits(
     starts = [{n: v for n, v in run.items() if n.startswith("q_0")} for run in truths]
     fits = []
     signals = study.cross_validation.signal_names
-    runs = replay(dataset.train, [{**chosen, **start} for start in starts], config=config)
+    parameters = [{**chosen, **start} for start in starts]
+    runs = replay(dataset.train, parameters, config=config, substeps=config["substeps"])
     for record, run in zip(dataset.train, runs, strict=True):
         row = []
         for signal in signals:

@@ -67,13 +67,18 @@ def three_models(
     bare = [k for k, name in enumerate(names) if name.removesuffix("m1").removesuffix("m2") in FRICTION]
     theta[bare, : 2 * len(seeds)] = 0.0
     for lane, seed in enumerate(seeds):
-        signs = np.random.default_rng([seed, 77]).choice([-1.0, 1.0], 2)
+        signs = inertia_signs(seed)
         for k, name in enumerate(names):
             if name in inertias:
                 theta[k, lane] = inertias[name] * (1.0 + error * signs[INERTIAS[name] - 1])
             elif name in ("P_m1", "P_m2") or name in TABLE_1:
                 theta[k, lane] = TABLE_1[name if name in TABLE_1 else f"{name}m1"]
     return theta
+
+
+def inertia_signs(seed: int) -> np.ndarray:
+    """Whether the mathematical model of a seed has too much (1) or too little (-1) inertia, link by link."""
+    return np.random.default_rng([seed, 77]).choice([-1.0, 1.0], 2)
 
 
 def compare_models(

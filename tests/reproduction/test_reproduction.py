@@ -44,6 +44,15 @@ def test_missing_settings_are_named(monkeypatch) -> None:
         config_folder()
 
 
+def test_a_key_that_is_not_known_is_named(tmp_path, monkeypatch) -> None:
+    text = (config_folder() / plans.NAME).read_text(encoding="utf-8")
+    (tmp_path / plans.NAME).write_text(text.replace("bandwidth:", "bandwith:"), encoding="utf-8")
+    monkeypatch.setattr(plans, "config_folder", lambda: tmp_path)
+    with pytest.raises(InputError, match=r"reproduce\.yaml: key 'tracking\.bandwith' is unknown") as raised:
+        read_plan(quick=True)
+    assert "\n" not in str(raised.value)
+
+
 def every_row_of_every_table_is_there(quick: Reproduction, folder: Path) -> None:
     for stage, table in PRINTED.items():
         result, truth = quick.stages[stage], quick.truths[stage]
