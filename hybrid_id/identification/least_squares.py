@@ -40,6 +40,7 @@ class Options:
         tolerance: converged when the next step is shorter than this many standard errors.
         chunk: samples that are integrated in a row between nodes.
         damping: initial Levenberg-Marquardt damping, relative to the diagonal.
+        closed: whether the end is a free run; a first look at many models may leave small defects between samples.
         loss: loss of the weighted residuals.
     """
 
@@ -47,6 +48,7 @@ class Options:
     tolerance: float = 0.01
     chunk: int = 8
     damping: float = 1e-3
+    closed: bool = True
     loss: Loss = field(default_factory=Loss)
 
 
@@ -204,6 +206,8 @@ def minimise(
         if progress is not None and progress(int(iterations.max()), cost, running):
             leave(torch.ones_like(running, dtype=torch.bool), "interrupted")
             break
+    if not options.closed:
+        return Outcome(theta, cost, iterations, status, best, history)
     noise = (2.0 * cost / data).clamp_min(PERFECT)
     open_rows = best.defect > SETTLED * noise.sqrt()[sets]
     best = walk(best, batch, theta[:, sets], open_rows, open_rows)

@@ -1,0 +1,187 @@
+"""Which effects: the catalogue is searched by fits, richest first look at all, then the best to the end.
+
+Forward selection with a swap: the effect that predicts records left out best is added; then the next beside it; then
+each of the chosen is challenged by the rest. An effect stays only if it predicts clearly better than the model
+without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
+from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.harmonics import likely_periods
+from hybrid_id.gap.refit import Explanation, Name, Refit, Task
+from hybrid_id.gap.scales import scales
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.chain import System
+
+MOST = 3
+"""Effects at once."""
+FIRST_LOOK, TO_THE_END = 2, 30
+FINALISTS = 6
+PROMISING = 12
+"""Candidates that get a second look before the finalists are chosen."""
+LEAST_RATIO = 1.04
+"""An effect must lower the RMS of the errors of prediction at least by this factor ..."""
+LEAST_Z = 2.0
+"""... and by so many standard errors, block by block."""
+
+Progress = Callable[[str, int, int], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One step of the search: what was there before, and every candidate that was added to it, best first."""
+
+    before: Explanation
+    candidates: tuple[Explanation, ...]
+
+    @property
+    def best(self) -> Explanation | None:
+        """The candidate that predicts best, None where there is none."""
+        return self.candidates[0] if self.candidates else None
+
+
+@dataclass(frozen=True, eq=False)
+class Attribution:
+    """Result of the search.
+
+    Attributes:
+        base: today's model, re-fitted.
+        rounds: the steps; the first tells the effects one by one.
+        chosen: the set that the search stands by; ``base`` where no effect has earned its place.
+        looked: number of models that were fitted.
+    """
+
+    base: Explanation
+    rounds: tuple[Round, ...]
+    chosen: Explanation
+    looked: int = field(default=0)
+
+
+def attribute(
+    refit: Refit,
+    system: System,
+    *,
+    most: int = MOST,
+    progress: Progress | None = None,
+    base: Explanation | None = None,
+) -> Attribution:
+    """Search the catalogue for the effects that the records call for.
+
+    Args:
+        refit: fits models to the train records.
+        system: today's model.
+        most: effects at most.
+        progress: called with (stage, done, total).
+        base: today's model already fitted.
+    """
+    base = refit.base(system) if base is None else base
+    chosen, rounds, looked = base, [], 0
+    for number in range(most):
+        found = one_round(refit, chosen, f"effect {number + 1}", progress)
+        rounds.append(found)
+        looked += len(found.candidates)
+        if found.best is None or not better(found.best, chosen):
+            break
+        chosen = found.best
+        if number > 0:
+            chosen = _challenge(refit, base, chosen, rounds, progress)
+    return Attribution(base, tuple(rounds), chosen, looked)
+
+
+def better(richer: Explanation, simpler: Explanation) -> bool:
+    """Whether a richer model predicts records that it has not seen clearly better."""
+    ratio = (simpler.evidence.error / richer.evidence.error) ** 0.5
+    return ratio >= LEAST_RATIO and richer.evidence.z(simpler.evidence) >= LEAST_Z
+
+
+def one_round(refit: Refit, before: Explanation, stage: str, progress: Progress | None = None) -> Round:
+    """Every effect of the catalogue added to a model, one at a time."""
+    return Round(before, _ranked(refit, tasks(refit, before), stage, progress))
+
+
+def tasks(refit: Refit, before: Explanation) -> list[Task]:
+    """A fit to start for every effect, place and start point."""
+    batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
+    taken, found = set(before.effects), []
+    for size in scales(before.system, batch):
+        for effect in CATALOGUE.values():
+            models = effect.models(before.system, size)
+            if effect.name == "cogging" and before.result.engine.friction == "dry":
+                models = effect.scanned(before.system, size, likely_periods(before.result, batch, size.joint))
+            for where, starts in models.items():
+                if (effect.name, where) in taken:
+                    continue
+                names = tuple(sorted((*before.effects, (effect.name, where))))
+                if effect.name == "backlash":
+                    found.append(Task(names, starts[0], tuple(starts[1:])))
+                else:
+                    found += [Task(names, start) for start in starts]
+    return found
+
+
+def _ranked(
+    refit: Refit, todo: Sequence[Task], stage: str, progress: Progress | None
+) -> tuple[Explanation, ...]:
+    """Fit tasks, the promising ones to the end; the best start of each set of effects, best prediction first."""
+    total, count = len(todo) + PROMISING + FINALISTS, [0]
+
+    def tick() -> None:
+        count[0] += 1
+        if progress is not None:
+            progress(stage, count[0], total)
+
+    seen = refit.run(todo, FIRST_LOOK, tick)
+    ranked = _best_of_each([e for e in seen if e is not None])
+    for keep, iterations in ((PROMISING, 8), (FINALISTS, TO_THE_END)):
+        again = [e for e in ranked[:keep] if e.result.status != "converged"]
+        more = refit.run([Task(e.effects, e.system) for e in again], iterations, tick)
+        fresh = {e.effects: e for e in more if e is not None}
+        ranked = sorted((fresh.get(e.effects, e) for e in ranked), key=lambda e: e.evidence.error)
+    return tuple(ranked)
+
+
+def _best_of_each(found: Sequence[Explanation]) -> list[Explanation]:
+    best: dict[tuple[Name, ...], Explanation] = {}
+    for one in sorted(found, key=lambda e: e.evidence.error):
+        best.setdefault(one.effects, one)
+    return list(best.values())
+
+
+def _challenge(
+    refit: Refit, base: Explanation, chosen: Explanation, rounds: Sequence[Round], progress: Progress | None
+) -> Explanation:
+    """Drop what the others have made needless; swap the first effect where another pairs better with the last."""
+    for name in chosen.effects:
+        rest = tuple(e for e in chosen.effects if e != name)
+        simpler = next((e for r in rounds for e in (r.before, *r.candidates) if e.effects == rest), None)
+        if simpler is None:
+            start = _without(chosen.system, base.system, name)
+            fitted = refit.run([Task(rest, start)], TO_THE_END)[0] if start is not None else None
+            simpler = fitted
+        if simpler is not None and not better(chosen, simpler):
+            return simpler
+    return chosen
+
+
+def _without(system: System, base: System, name: Name) -> System | None:
+    effect, where = name
+    kinds = [
+        key.split("/")[2]
+        for key in system.components
+        if key.startswith(f"{where}/") and key not in base.components
+    ]
+    for kind in kinds:
+        if kind in (effect, "dahl" if effect == "presliding_friction" else effect):
+            part = system.components[f"{where}/{kind}"]
+            if part.single:  # type: ignore[union-attr]
+                old = next(
+                    p for key, p in base.components.items() if key.startswith(f"{where}/") and p.single
+                )  # type: ignore[union-attr]
+                return system.with_component(where, old)  # type: ignore[arg-type]
+            return system.without_component(where, kind)
+    return None

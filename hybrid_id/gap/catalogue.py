@@ -1,0 +1,117 @@
+"""The catalogue: every effect that a diagnosis can name, where it may act, and where its fit starts."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from hybrid_id.components.base import REGISTRY, Component
+from hybrid_id.errors import InputError
+from hybrid_id.gap.scales import Scales
+from hybrid_id.parameters import Bounded
+from hybrid_id.systems.chain import System
+
+Values = Mapping[str, float | Bounded]
+Start = tuple[str, Values]
+"""A component's kind and its parameter values."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One effect of the catalogue.
+
+    Attributes:
+        name: how a diagnosis calls it.
+        places: where it may act, most usual first; of several places on a rigid joint only the first is tried.
+        starts: start points of its fit for one joint, each a component's kind and values; none where it cannot act.
+        mistaken_for: effects that records easily confuse with it.
+        separated_by: the excitation that tells them apart.
+        splits: whether it needs the split of inertia between rotor and link, which is then estimated.
+        on_link: whether a joint with a compliant gear can tell its second place from its first.
+    """
+
+    name: str
+    places: tuple[str, ...]
+    starts: Callable[..., Sequence[Start]]
+    mistaken_for: tuple[str, ...]
+    separated_by: str
+    splits: bool = False
+    on_link: bool = True
+
+    def models(self, system: System, scales: Scales) -> dict[str, list[System]]:
+        """The system with this effect at each place of a joint where it may act, one model for each start point."""
+        joint = system.joints[scales.joint - 1]
+        places = self.places if not joint.rigid and self.on_link else self.places[:1]
+        found: dict[str, list[System]] = {}
+        for place in places:
+            where = f"{joint.name}/{place}"
+            models = [self._model(system, where, *start) for start in self.starts(system, scales, place)]
+            if models:
+                found[where] = models
+        return found
+
+    def scanned(self, system: System, scales: Scales, periods: Sequence[int]) -> dict[str, list[System]]:
+        """The same with start points at the periods a turn that a scan has found."""
+        where = f"joint{scales.joint}/{self.places[0]}"
+        return {
+            where: [
+                self._model(system, where, *s) for s in self.starts(system, scales, self.places[0], periods)
+            ]
+        }
+
+    def _model(self, system: System, where: str, kind: str, values: Values) -> System:
+        richer = system.with_component(where, REGISTRY[kind](**values))
+        if not self.splits:
+            return richer
+        share = next(
+            (i for i in richer.table if i.symbol == "rotor_share" and i.component.startswith(where[:6])), None
+        )
+        if share is None:
+            return richer
+        spec = replace(
+            share.spec, estimate=True, lower=max(share.spec.lower, 0.01), upper=min(share.spec.upper, 0.99)
+        )
+        return richer.with_specs({share.name: spec})
+
+    @property
+    def equation(self) -> str:
+        """First line of the sheet of the component that models it."""
+        kind = REGISTRY.get(self.name) or REGISTRY[_KIND.get(self.name, self.name)]
+        return (inspect.getdoc(kind) or "").split("\n", 1)[0]
+
+
+CATALOGUE: dict[str, Effect] = {}
+_KIND = {"presliding_friction": "dahl"}
+
+
+def register(effect: Effect) -> Effect:
+    """Put an effect into the catalogue; a later one of the same name takes its place."""
+    CATALOGUE[effect.name] = effect
+    return effect
+
+
+def effect(name: str) -> Effect:
+    """The effect of a name.
+
+    Raises:
+        InputError: it is not in the catalogue.
+    """
+    if name not in CATALOGUE:
+        raise InputError(f"Effect '{name}' is not in the catalogue; it has {', '.join(sorted(CATALOGUE))}.")
+    return CATALOGUE[name]
+
+
+def has(system: System, where: str, *kinds: str) -> bool:
+    """Whether the system has a component of one of the kinds at a place."""
+    return any(f"{where}/{kind}" in system.components for kind in kinds)
+
+
+def part_of(system: System, where: str, kind: str) -> Component | None:
+    """The component of a kind at a place, None where there is none."""
+    return dict(system.components.items()).get(f"{where}/{kind}")  # type: ignore[return-value]
+
+
+def free(value: float, lower: float, upper: float, unit: str = "1") -> Bounded:
+    """An estimated parameter inside its bounds."""
+    return Bounded(min(max(value, lower), upper), lower, upper, unit)

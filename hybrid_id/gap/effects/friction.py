@@ -1,0 +1,142 @@
+"""Effects of friction, on either side of the gear."""
+
+from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
+
+DRY = (
+    "coulomb_friction",
+    "stribeck_friction",
+    "asymmetric_stribeck",
+    "asymmetric_stribeck_eq8",
+    "asymmetric_tanh",
+)
+BRISTLES = ("dahl", "lugre")
+
+
+def _side(s, place):
+    """Ratio from the rotor to the speed of a place, and how much larger torques are there."""
+    return s.ratio if place == "link_friction" else 1.0
+
+
+def _coulomb(system, s, place):
+    where = f"joint{s.joint}/{place}"
+    law = part_of(system, where, "coulomb_friction")
+    if has(system, where, *DRY[1:]) or (law is not None and law.specs["F_c"].estimate):
+        return []
+    r = _side(s, place)
+    return [("coulomb_friction", {"F_c": free(0.1 * s.torque * r, 0.0, 3.0 * s.torque * r, "N m")})]
+
+
+def _viscous(system, s, place):
+    where = f"joint{s.joint}/{place}"
+    law = part_of(system, where, "viscous_friction")
+    # on the motor's side it hides in the back-EMF
+    if place == "motor_friction" or (law is not None and law.specs["F_v"].estimate):
+        return []
+    size = 0.1 * s.torque * s.ratio**2 / s.speed
+    return [("viscous_friction", {"F_v": free(size, 0.0, 100.0 * size, "N m s/rad")})]
+
+
+def _stribeck(system, s, place):
+    where = f"joint{s.joint}/{place}"
+    if has(system, where, "stribeck_friction", *DRY[2:]) or not has(system, where, "coulomb_friction"):
+        return []
+    r, v = _side(s, place), s.speed / _side(s, place)
+    return [
+        (
+            "stribeck_friction",
+            {"F_drop": free(0.3 * s.dry * r, 0.0, 5.0 * s.dry * r, "N m"), 
+                "v_s": free(share * v, 0.002 * v, 0.5 * v, "rad/s"),
+             "p": p},
+        )
+        for share in (0.03, 0.15) for p in (1.0, 2.0)
+    ]  # fmt: skip
+
+
+def _asymmetric(system, s, place):
+    where = f"joint{s.joint}/{place}"
+    if has(system, where, "asymmetric_friction", *DRY[2:]):
+        return []
+    r = _side(s, place)
+    limit, damp = s.dry * r, 2.0 * s.torque * r**2 / s.speed
+    return [
+        (
+            "asymmetric_friction",
+            {
+                "F_a": free(sign * 0.2 * limit, -3 * limit, 3 * limit, "N m"),
+                "D_a": free(0.0, -damp, damp, "N m s/rad"),
+            },
+        )
+        for sign in (1.0, -1.0)
+    ]
+
+
+def _presliding(system, s, place):
+    where = f"joint{s.joint}/{place}"
+    if has(system, where, *BRISTLES) or not has(system, where, *DRY):
+        return []
+    r = _side(s, place)
+    sliding = [share * s.turns / r for share in (0.001, 0.01)]
+    return [
+        ("dahl", {"sigma": free(s.dry * r / z, 0.02 * s.dry * r / z, 50.0 * s.dry * r / z, "N m/rad")})
+        for z in sliding
+    ]
+
+
+def _drag(system, s, place):
+    if has(system, f"joint{s.joint}/{place}", "quadratic_drag"):
+        return []
+    size = 0.05 * s.torque * _side(s, place) ** 3 / s.speed**2
+    return [("quadratic_drag", {"F_q": free(size, 0.0, 100.0 * size, "N m s^2/rad^2")})]
+
+
+def _load_dependent(system, s, place):
+    if has(system, f"joint{s.joint}/motor_friction", "load_dependent_friction"):
+        return []
+    return [("load_dependent_friction", {"mu": free(0.1, 0.0, 0.9)})]
+
+
+def _position(system, s, place):
+    where = f"joint{s.joint}/{place}"
+    if has(system, where, "position_dependent_friction") or not has(system, where, *DRY):
+        return []
+    small = 0.1 * s.dry * _side(s, place)
+    return [
+        ("position_dependent_friction", {"A_c": small, "A_s": small, "n": n})
+        for n in (0.5, 1.0, 2.0, 3.0, 4.0, 6.0) if n * s.angle > 1.0
+    ]  # fmt: skip
+
+
+BOTH = ("motor_friction", "link_friction")
+register(Effect(
+    "coulomb_friction", BOTH, _coulomb, ("voltage_deadband", "stribeck_friction", "presliding_friction"),
+    "slow motion and stops: dry friction holds the joint against a small torque",
+))  # fmt: skip
+register(Effect(
+    "viscous_friction", BOTH, _viscous, ("quadratic_drag", "joint_flexibility"),
+    "steady speeds at several heights, with both encoders",
+))  # fmt: skip
+register(Effect(
+    "stribeck_friction", BOTH, _stribeck, ("voltage_deadband", "presliding_friction", "quadratic_drag"),
+    "slow constant speeds, one after another, below a tenth of the top speed",
+))  # fmt: skip
+register(Effect(
+    "asymmetric_friction", BOTH, _asymmetric, ("constant_torque", "gravity_load"),
+    "the same move both ways at rest angles all over the range: a bias torque acts at standstill, too",
+))  # fmt: skip
+register(Effect(
+    "presliding_friction", BOTH, _presliding, ("backlash", "joint_flexibility", "stribeck_friction"),
+    "small reversals from rest of growing size: a bristle springs back, play does not",
+))  # fmt: skip
+register(Effect(
+    "quadratic_drag", BOTH, _drag, ("voltage_saturation", "stribeck_friction", "thermal_derating"),
+    "steady speeds up to the top: drag grows with the square",
+))  # fmt: skip
+register(Effect(
+    "load_dependent_friction", ("motor_friction",), _load_dependent, ("coulomb_friction", "asymmetric_friction"),
+    "the same move with two payloads, or lifting against lowering",
+    splits=True,
+))  # fmt: skip
+register(Effect(
+    "position_dependent_friction", BOTH, _position, ("cogging", "gravity_load", "spring_load"),
+    "slow motion both ways over the whole range: friction changes sign with the direction, a load torque does not",
+))  # fmt: skip

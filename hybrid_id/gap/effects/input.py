@@ -1,0 +1,47 @@
+"""Effects between the logged command and the motor."""
+
+from hybrid_id.gap.catalogue import Effect, free, has, register
+
+
+def _delay(system, s, place):
+    if has(system, f"joint{s.joint}/input", "delay"):
+        return []
+    longest = min(0.03, 15.0 * s.sample_time)
+    return [("delay", {"T_d": free(start * s.sample_time, 0.0, longest, "s")}) for start in (0.5, 3.0)]
+
+
+def _deadband(system, s, place):
+    if has(system, f"joint{s.joint}/input", "voltage_deadband"):
+        return []
+    return [
+        (
+            "voltage_deadband",
+            {"V_0": free(share * s.command_rms, 0.0, s.command_rms, "V"), "jump": free(jump, 0.0, 1.0),
+             "width": 0.002 * s.command_rms},
+        )
+        for share in (0.05, 0.2) for jump in (0.05, 0.95)
+    ]  # fmt: skip
+
+
+def _saturation(system, s, place):
+    if has(system, f"joint{s.joint}/input", "voltage_saturation"):
+        return []
+    return [
+        ("voltage_saturation", {"V_max": free(share * s.command, 0.2 * s.command, s.command, "V")})
+        for share in (0.95, 0.75, 0.55)
+    ]
+
+
+register(Effect(
+    "delay", ("input",), _delay, ("electrical_lag", "joint_flexibility"),
+    "a fast sweep: a delay turns the phase in proportion to frequency, a lag bends and weakens the response too",
+))  # fmt: skip
+register(Effect(
+    "voltage_deadband", ("input",), _deadband, ("coulomb_friction", "stribeck_friction", "presliding_friction"),
+    "small voltages around zero at speed, driven by the load or by coasting: a dead band acts on the command, friction "
+    "on the motion",
+))  # fmt: skip
+register(Effect(
+    "voltage_saturation", ("input",), _saturation, ("quadratic_drag", "thermal_derating"),
+    "steps of growing height: a supply's limit cuts every command above one level",
+))  # fmt: skip

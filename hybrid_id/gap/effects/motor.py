@@ -1,0 +1,44 @@
+"""Effects in the motor."""
+
+from hybrid_id.gap.catalogue import Effect, free, has, register
+
+
+def _lag(system, s, place):
+    if has(system, f"joint{s.joint}/motor", "electrical_lag"):
+        return []
+    low, high = 0.25 * s.sample_time, 0.1
+    return [("electrical_lag", {"T_e": free(start * s.sample_time, low, high, "s")}) for start in (1.0, 5.0)]
+
+
+def _cogging(system, s, place, periods=()):
+    if has(system, f"joint{s.joint}/motor", "cogging"):
+        return []
+    small = 0.01 * s.torque
+    return [("cogging", {"T_c": small, "T_s": small, "n": float(n)}) for n in periods]
+
+
+def _thermal(system, s, place):
+    if has(system, f"joint{s.joint}/motor", "thermal_derating"):
+        return []
+    return [
+        (
+            "thermal_derating",
+            {"T_w": free(share * s.duration, 0.02 * s.duration, 30.0 * s.duration, "s"),
+             "c": free(0.1 / s.torque**2, 0.0, 30.0 / s.torque**2, "1/(N m)^2")},
+        )
+        for share in (0.3, 3.0)
+    ]  # fmt: skip
+
+
+register(Effect(
+    "electrical_lag", ("motor",), _lag, ("delay", "joint_flexibility"),
+    "a fast sweep: a lag weakens the response as well as delaying it",
+))  # fmt: skip
+register(Effect(
+    "cogging", ("motor",), _cogging, ("position_dependent_friction", "kinematic_error"),
+    "slow motion both ways over several turns: cogging pushes alike in both directions, friction opposes both",
+))  # fmt: skip
+register(Effect(
+    "thermal_derating", ("motor",), _thermal, ("voltage_saturation", "quadratic_drag"),
+    "the same move cold and after minutes of heavy work: only heat has a memory that long",
+))  # fmt: skip

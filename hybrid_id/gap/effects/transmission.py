@@ -1,0 +1,93 @@
+"""Effects in the gear."""
+
+import math
+
+from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
+
+RESONANCES = (8.0, 25.0)
+"""Where rotor and link may swing against each other [Hz]."""
+GAPS = (0.0007, 0.0015, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
+"""Play as a share of the link's range: every size has a valley of its own."""
+
+
+def _series(s):
+    """Rotor and link in series, at the link [kg m^2]."""
+    whole, share = s.inertia * s.ratio**2, s.rotor / s.inertia
+    return share * (1.0 - share) * whole
+
+
+def _flexibility(system, s, place):
+    if not system.joints[s.joint - 1].rigid:
+        return []
+    soft = 1.0 / (max(_series(s), 1e-12) * (2 * math.pi * 2.0) ** 2)
+    return [
+        (
+            "joint_flexibility",
+            {"compliance": free(1.0 / (max(_series(s), 1e-12) * (2 * math.pi * f) ** 2), 0.0, soft, "rad/(N m)"),
+             "zeta": free(0.1, 0.0, 2.0)},
+        )
+        for f in RESONANCES
+    ]  # fmt: skip
+
+
+def _backlash(system, s, place):
+    where = f"joint{s.joint}/transmission"
+    if has(system, where, "backlash", "backlash_flexibility", "hardening_flexibility"):
+        return []
+    gaps = [free(share * s.angle, 0.0, 0.3 * s.angle, "rad") for share in GAPS]
+    spring = part_of(system, where, "linear_spring")
+    if spring is None:
+        return [("backlash", {"gap": gap}) for gap in gaps]
+    k, d = spring.specs["k"].value, spring.specs["d"].value
+    zeta = d / (2.0 * math.sqrt(k * max(_series(s), 1e-12)))
+    contact = {"compliance": free(1 / k, 0.0, 30 / k, "rad/(N m)"), "zeta": free(zeta, 0.0, 2.0)}
+    return [("backlash", {"gap": gap, **contact}) for gap in gaps]
+
+
+def _hardening(system, s, place):
+    spring = part_of(system, f"joint{s.joint}/transmission", "linear_spring")
+    if spring is None:
+        return []
+    twist = s.torque * s.ratio / spring.specs["k"].value
+    return [
+        (
+            "hardening_flexibility",
+            {"k": spring.specs["k"], "d": spring.specs["d"], "h": free(h / twist**2, 0.0, 9e4)},
+        )
+        for h in (0.1, 1.0)
+    ]
+
+
+def _kinematic(system, s, place):
+    if has(system, f"joint{s.joint}/transmission", "kinematic_error"):
+        return []
+    small = 0.2 * min(0.01 * s.angle, 0.5 / s.ratio)
+    limit = min(0.1 * s.angle, 0.9 / s.ratio)
+    return [
+        (
+            "kinematic_error",
+            {"E_c": free(small, -limit, limit, "rad"), "E_s": free(small, -limit, limit, "rad"), "n": n},
+        )
+        for n in (1.0, 2.0)
+    ]
+
+
+register(Effect(
+    "backlash", ("transmission",), _backlash, ("presliding_friction", "joint_flexibility", "hardening_flexibility"),
+    "reversals under little load, with an encoder on the link",
+    splits=True,
+))  # fmt: skip
+register(Effect(
+    "joint_flexibility", ("transmission",), _flexibility, ("delay", "electrical_lag", "backlash"),
+    "a sweep through the resonance, with an encoder on the link",
+    splits=True,
+))  # fmt: skip
+register(Effect(
+    "hardening_flexibility", ("transmission",), _hardening, ("backlash", "joint_flexibility"),
+    "the same sweep at several amplitudes: a hardening spring moves its resonance",
+))  # fmt: skip
+register(Effect(
+    "kinematic_error", ("transmission",), _kinematic, ("cogging", "position_dependent_friction"),
+    "slow and fast motion over the same turns: an error of the ratio grows with speed, cogging does not",
+    splits=True,
+))  # fmt: skip

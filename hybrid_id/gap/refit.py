@@ -1,0 +1,117 @@
+"""Fits of candidate models to the train records, a few at a time, in order of promise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from joblib import Parallel, delayed
+
+from hybrid_id.errors import InputError
+from hybrid_id.gap.evidence import Evidence, evidence
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.horizons import hidden_links
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.secant import secant_fit
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.simulation.step import Engine
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.chain import System
+
+LOOSE = Engine(friction="smooth", width=0.1, compiled=True)
+"""How a gear with play is simulated: its contacts need short steps."""
+LOOK = 3
+"""Iterations up to which a fit is a first look, whose end need not be a free run."""
+Name = tuple[str, str]
+"""An effect's name and where it acts."""
+
+
+@dataclass(frozen=True, eq=False)
+class Explanation:
+    """A model with some effects added, fitted to the train records.
+
+    Attributes:
+        effects: what has been added to today's model, in the order of their names.
+        result: the fit.
+        evidence: its errors on records left out.
+    """
+
+    effects: tuple[Name, ...]
+    result: FitResult
+    evidence: Evidence
+
+    @property
+    def system(self) -> System:
+        """The fitted model."""
+        return self.result.system
+
+    @property
+    def added(self) -> dict[str, float]:
+        """Estimates of the parameters that the effects have brought, by name."""
+        values = dict(zip(self.result.names, self.result.values.tolist(), strict=True))
+        return {name: values[name] for name in values}
+
+
+@dataclass(frozen=True)
+class Task:
+    """A model to fit: which effects it has, from where it starts, and other start points of a gear with play."""
+
+    effects: tuple[Name, ...]
+    system: System
+    others: tuple[System, ...] = ()
+
+
+class Refit:
+    """Fits models to the train records of a dataset.
+
+    Args:
+        dataset: only its train records are used.
+        jobs: processes.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    """
+
+    def __init__(self, dataset: Dataset, *, jobs: int = 1, signal_share: float = SIGNAL_SHARE) -> None:
+        self.dataset, self.jobs, self.signal_share = dataset, jobs, signal_share
+        self.sample_time = min(record.sample_time for record in dataset.train)
+
+    def base(self, system: System) -> Explanation:
+        """Today's model, fitted from its nominal values."""
+        batch = batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
+        result = fit(system, batch, pooled=True)[0]
+        return Explanation((), result, evidence(result, self.sample_time))
+
+    def run(
+        self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
+    ) -> list[Explanation | None]:
+        """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted."""
+        found: list[Explanation | None] = []
+        jobs = min(self.jobs, len(tasks))
+        calls = (delayed(_fit)(self.dataset, self.signal_share, task, iterations) for task in tasks)
+        for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
+            found.append(outcome)
+            if done is not None:
+                done()
+        return found
+
+
+def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> Explanation | None:
+    torch.set_num_threads(1)
+    step = min(record.sample_time for record in dataset.train)
+    try:
+        batch = batch_of(dataset, task.system, dataset.train, signal_share, "cpu")
+        if hidden_links(task.system, batch):
+            result = secant_fit(
+                task.system, batch, engine=LOOSE, iterations=2 * iterations, starts=task.others
+            )
+        else:
+            options = replace(Options(), max_iterations=iterations, tolerance=0.05, closed=iterations > LOOK)
+            result = fit(task.system, batch, pooled=True, warm=False, options=options)[0]
+    except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
+        return None
+    if result.status == "diverged":
+        return None
+    found = evidence(result, step)
+    return Explanation(task.effects, result, found) if found.error < float("inf") else None

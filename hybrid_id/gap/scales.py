@@ -1,0 +1,115 @@
+"""How large things are in these records: what start values of an effect are measured by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import torch
+
+from hybrid_id.components.base import Component
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Sizes of one joint's signals over all records, and of its fitted model.
+
+    Attributes:
+        joint: number, from 1.
+        ratio: gear ratio.
+        sample_time: [s].
+        duration: of the longest record [s].
+        command: largest command [its unit].
+        command_rms: its RMS while it is not zero.
+        speed: 95th percentile of the rotor's speed [rad/s].
+        turns: range of the rotor's angle [rad].
+        angle: range of the link's angle [rad].
+        middle: its middle [rad].
+        torque: RMS of the motor's torque [N m], at the motor.
+        dry: level of dry friction at the motor [N m]; a tenth of ``torque`` where the model has none.
+        inertia: everything that moves, at the motor [kg m^2].
+        rotor: part of it on the rotor's side of the gear.
+        stiffness: of a compliant gear at the link [N m/rad], 0 for a rigid one.
+        twist: RMS deflection of the gear that the torque would cause at 10 Hz [rad].
+        noise: of the encoder, at the link [rad].
+    """
+
+    joint: int
+    ratio: float
+    sample_time: float
+    duration: float
+    command: float
+    command_rms: float
+    speed: float
+    turns: float
+    angle: float
+    middle: float
+    torque: float
+    dry: float
+    inertia: float
+    rotor: float
+    stiffness: float
+    twist: float
+    noise: float
+
+
+def scales(system: System, batch: Batch) -> list[Scales]:
+    """Scales of every joint.
+
+    Args:
+        system: fitted model.
+        batch: records, prepared for it.
+    """
+    return [_of_joint(system, joint, batch) for joint in system.joints]
+
+
+def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
+    valid = (batch.weight > 0).any(2)
+    row = joint.positions[0]
+    q, v = batch.x[..., row][valid], batch.x[..., row + 1][valid]
+    views = {key: cast(Component, part).view() for key, part in system.components.items()}
+    states = [column[valid] for column in batch.x.unbind(2)]
+    channels = {name: channel[valid] for name, channel in batch.u.items()}
+    with torch.no_grad():
+        command = joint.drive.command(states, channels, views).detach()
+        torque = float(joint.drive.torque(states, channels, views).square().mean().sqrt())
+        key, inertia = joint.inertia
+        total = float(inertia.total(views[key], joint.gear_ratio))
+        rotor = float(inertia.rotor(views[key], joint.gear_ratio))
+        level = joint.dry_level(
+            "motor_friction",
+            views,
+            torch.full_like(v[:1], float(v.abs().max())),
+            torch.ones_like(v[:1]),
+            states,
+        )
+        highest = float(level.max())
+    moving = command[command.abs() > 0.02 * command.abs().max()]
+    spring = joint.gear.transmission
+    stiff = getattr(views[spring[0]], "k", None)
+    link = q / joint.gear_ratio
+    name = next(n for n in (f"q_a{joint.number}", f"q_m{joint.number}", f"v_m{joint.number}", f"v_a{joint.number}")
+                if n in batch.outputs)  # fmt: skip
+    noise = float((1.0 / batch.weight[..., batch.outputs.index(name)].amax(1)).median())
+    return Scales(
+        joint=joint.number,
+        ratio=joint.gear_ratio,
+        sample_time=float(batch.dt[batch.dt > 0].median()),
+        duration=float(batch.dt.sum(1).max()),
+        command=float(command.abs().max()),
+        command_rms=float(moving.square().mean().sqrt()) if moving.numel() else 0.0,
+        speed=float(v.abs().quantile(0.95)) if v.numel() < 2**24 else float(v.abs().max()),
+        turns=float(q.max() - q.min()),
+        angle=float(link.max() - link.min()),
+        middle=0.5 * float(link.max() + link.min()),
+        torque=torque,
+        dry=highest if highest > 1e-9 * torque else 0.1 * torque,
+        inertia=total,
+        rotor=rotor,
+        stiffness=0.0 if stiff is None else float(stiff),
+        twist=torque * joint.gear_ratio / (total * joint.gear_ratio**2 * (2 * torch.pi * 10.0) ** 2),
+        noise=noise if name[2] == "a" else noise / joint.gear_ratio,
+    )
