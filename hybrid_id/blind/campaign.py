@@ -9,6 +9,8 @@ from hybrid_id.blind.physics.bench import Encoders, Program
 from hybrid_id.blind.robots import Robot
 
 SAMPLE_TIME = 0.002
+LENGTHS = (3000, 4500)
+"""Shortest and longest record [samples]."""
 PLANS = (
     "MV MV MT MT SR SR | TT SV",
     "MV SV MT TT SR SR | MV TT",
@@ -68,11 +70,11 @@ def draw_campaign(rng: np.random.Generator, robot: Robot, *, coarse: float | Non
     Args:
         rng: source of all that is random.
         robot: sets amplitudes, gains and limits.
-        coarse: quantum of the rotor's encoder [rad]; drawn from 2 pi / 64, / 32, / 16, / 8 by default.
+        coarse: quantum of the rotor's encoder [rad]; drawn from 8 to 128 counts a turn by default.
     """
     train, test = (part.split() for part in str(rng.choice(PLANS)).split("|"))
     kinds = [*train, *test]
-    lengths = rng.integers(3000, 4500, len(kinds))
+    lengths = rng.integers(*LENGTHS, len(kinds))
     samples, joints, lanes = int(lengths.max()), robot.joints, len(kinds)
     time = SAMPLE_TIME * np.arange(samples)
     feed, reference = np.zeros((samples, joints, lanes)), np.zeros((samples, joints, lanes))
@@ -155,7 +157,7 @@ def _encoders(
     rng: np.random.Generator, robot: Robot, samples: int, lanes: int, coarse: float | None
 ) -> Encoders:
     """Incremental encoders, jitter of a third to four fifths of a count."""
-    count = coarse or 2 * np.pi / float(rng.choice([64, 32, 16, 16, 8]))
+    count = coarse or 2 * np.pi / float(rng.choice([128, 64, 64, 64, 32, 16, 16, 8]))
     quantum = [count] * robot.joints
     if robot.link_encoder:
         quantum.append(2 * np.pi / float(rng.choice([1024, 2048, 4096])))

@@ -1,5 +1,6 @@
 """From a seed to case folders with their answers beside them."""
 
+import difflib
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -74,6 +75,8 @@ def make_case(
 
 def make_cases(n: int, seed: int, folder: str | Path, *, jobs: int = 1, **options: Any) -> list[Path]:
     """Make n cases, seeds counted up from `seed`; options as in `make_case`. A case that fails is left out."""
+    known = ("family", "system", "effect", "level", "engine")
+    _check(**{option: options.get(option) for option in known})
     made = Parallel(n_jobs=jobs)(
         delayed(_attempt)(seed + i, folder, f"c{i + 1:03d}", options) for i in range(n)
     )
@@ -136,27 +139,28 @@ def _formulas(
     if family == "none":
         return []
     if family == "unknown":
-        known = [
-            k for k in OUTSIDE if (effect in (None, k.__name__)) and (system is None or system in k.systems)
-        ]
-        return [known[rng.integers(len(known))]] if known else []
-    names = [n for n, kinds in CATALOGUE.items() if system is None or any(system in k.systems for k in kinds)]
+        return [_choose(rng, [k for k in OUTSIDE if effect in (None, k.__name__)], effect or family, system)]
+    names = [n for n, kinds in sorted(CATALOGUE.items()) if any(system in (None, *k.systems) for k in kinds)]
     chosen = [effect or str(rng.choice(names))]
     if family == "pair":
-        chosen.append(str(rng.choice([n for n in names if n != chosen[0]])))
-    found = []
-    for one in chosen:
-        kinds = [k for k in _named(one) if system is None or system in k.systems]
-        if not kinds:
-            raise InputError(f"blind make: {one} cannot be met on a {system} machine; give another system")
-        found.append(kinds[rng.integers(len(kinds))])
-    return found
+        chosen.append(str(rng.choice([name for name in names if name != chosen[0]])))
+    return [_choose(rng, _named(name), name, system) for name in chosen]
 
 
 def _named(effect: str) -> list[type[Effect]]:
     """Formulas of a named effect, or the one formula of that name."""
     formulas = [kind for kinds in CATALOGUE.values() for kind in kinds]
     return CATALOGUE.get(effect) or [kind for kind in formulas if kind.__name__ == effect]
+
+
+def _choose(
+    rng: np.random.Generator, kinds: list[type[Effect]], effect: str, system: str | None
+) -> type[Effect]:
+    """One of the formulas that a system can have; by name, so that a seed means the same in every version."""
+    kinds = sorted((k for k in kinds if system in (None, *k.systems)), key=lambda kind: kind.__name__)
+    if not kinds:
+        raise InputError(f"blind make: {effect} cannot be met on a {system} machine; give another system")
+    return kinds[rng.integers(len(kinds))]
 
 
 def _model(rng: np.random.Generator, robot: Robot, effects: list[Effect]) -> dict[str, Any]:
@@ -222,15 +226,16 @@ def _answer(effect: Effect, robot: Robot) -> dict[str, Any]:
 
 def _check(**given: str | None) -> None:
     """Refuse a name that is not known."""
+    formulas = [kind.__name__ for kinds in (*CATALOGUE.values(), OUTSIDE) for kind in kinds]
     known = {
         "family": list(FAMILIES),
         "system": list(SYSTEMS),
-        "effect": [*CATALOGUE, *(k.__name__ for ks in (*CATALOGUE.values(), OUTSIDE) for k in ks)],
+        "effect": [*sorted(CATALOGUE), *sorted(formulas)],
         "level": list(BANDS),
         "engine": ["in_house", "mujoco"],
     }
     for option, value in given.items():
         if value is not None and value not in known[option]:
-            raise InputError(
-                f"blind make: {option} '{value}' is not known; use one of {', '.join(known[option])}"
-            )
+            close = difflib.get_close_matches(value, known[option], n=1)
+            hint = f"did you mean '{close[0]}'?" if close else f"use one of {', '.join(known[option])}"
+            raise InputError(f"blind make: {option} '{value}' is not known; {hint}")

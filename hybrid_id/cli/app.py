@@ -9,6 +9,7 @@ from typer.exceptions import TyperException
 
 from hybrid_id import __version__
 from hybrid_id.cli.ablate import ablate
+from hybrid_id.cli.blind import blind
 from hybrid_id.cli.check import check
 from hybrid_id.cli.components import components
 from hybrid_id.cli.demo import demo
@@ -80,6 +81,7 @@ def _hybrid_id(
 
 for command in (check, excite, identify, train, ablate, simulate, compare, reproduce, demo, components):
     app.command()(command)
+app.add_typer(blind, name="blind")
 
 
 def main() -> NoReturn:

@@ -104,7 +104,7 @@ class CubicSpring(Effect):
 
     @classmethod
     def draw(cls, rng, robot, joint):
-        return cls(joint, {"stiffening": log_uniform(rng, 0.3, 5.0)})
+        return cls(joint, {"stiffening": log_uniform(rng, 1.0, 20.0)})
 
     def install(self, machine, robot):
         k = robot.values["k"]
@@ -120,7 +120,7 @@ class SteppedSpring(CubicSpring):
 
     def install(self, machine, robot):
         k = robot.values["k"]
-        knee = 0.2 * stall(robot, self.joint) * robot.ratio[self.joint] / k
+        knee = 0.04 * stall(robot, self.joint) * robot.ratio[self.joint] / k
         self.drive(machine).spring = TwoStageSpring(k, robot.values["d"], self.values["stiffening"] * k, knee)
 
 

@@ -6,14 +6,16 @@ the middle of old and new speed; dry friction takes at most its own impulse off 
 and stays. Second order while it slides or sticks, and stable at any friction.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hybrid_id.blind.physics.drive import Drive
 from hybrid_id.blind.physics.law import Lanes, Push
 from hybrid_id.blind.physics.links import OneLink, TwoLinks
 
-SETTLING, SETTLING_STEP = 4.0, 0.5e-3
-"""Longest time and step [s] in which a machine comes to rest before its records start."""
+SETTLING, SETTLING_STEP, BRAKE = 30.0, 1e-3, 8.0
+"""Longest time and step [s] in which a machine comes to rest before its records start, and the braking then [1/s]."""
 SWEEPS = 6
 """Rounds in which two joints settle on their friction; the links of an arm couple by half at most, so 2^-12 is left."""
 
@@ -78,9 +80,11 @@ class Machine:
 
     def _settle(self) -> None:
         """Let what pulls at rest come to rest, before the clock starts."""
-        still = np.zeros((len(self.drives), self.drives[0].x.q_m.size))
+        still, left = np.zeros((len(self.drives), self.drives[0].x.q_m.size)), 1 - BRAKE * SETTLING_STEP
         for k in range(round(SETTLING / SETTLING_STEP)):
             self.step(k * SETTLING_STEP - SETTLING, SETTLING_STEP, still)
+            for drive in self.drives:  # a hand holds back what would swing for long
+                drive.x.v_m, drive.x.v_a = left * drive.x.v_m, left * drive.x.v_a
             if k % 100 == 9 and all(np.abs(d.x.v_m).max() < 1e-6 for d in self.drives):
                 break
         for drive in self.drives:
@@ -115,7 +119,7 @@ class Machine:
             x.v_a = _stop(mass, drive.link_push, x.v_a, h)
             return
         push, inertia, old = (
-            _joined(drive, mass, bias, [mass], [x.v_m], [drive]),
+            _joined(drive, bias, [mass], [x.v_m], [drive]),
             drive.slope**2 * mass,
             x.v_m,
         )
@@ -129,21 +133,23 @@ class Machine:
         pair = (first, second)
         old = [d.x.v_m if d.spring is None else d.x.v_a for d in pair]
         rows = ([m_11, m_12], [m_12, m_22])
-        pushes = [_joined(d, rows[i][i], bias[i], rows[i], old, pair) for i, d in enumerate(pair)]
+        pushes = [_joined(d, bias[i], rows[i], old, pair) for i, d in enumerate(pair)]
         ratio = [d.slope if d.spring is None else 1.0 for d in pair]
         own = [
             ratio[i] ** 2 * rows[i][i] + (d.rotor if d.spring is None else 0.0) for i, d in enumerate(pair)
         ]
         cross = ratio[0] * ratio[1] * m_12
-        right = [
-            (own[i] - 0.5 * h * p.slope) * old[i] + cross * old[1 - i] + h * p.torque
+        left = [own[i] + 0.5 * h * p.slope for i, p in enumerate(pushes)]
+        free = [
+            ((own[i] - 0.5 * h * p.slope) * old[i] + cross * old[1 - i] + h * p.torque) / left[i]
             for i, p in enumerate(pushes)
         ]
-        left = [own[i] + 0.5 * h * p.slope for i, p in enumerate(pushes)]
+        felt = [cross / mass for mass in left]
+        limits = [_limits(p, h / left[i]) for i, p in enumerate(pushes)]
         new = list(old)
         for _ in range(SWEEPS):
-            for i, p in enumerate(pushes):
-                new[i] = _shrink((right[i] - cross * new[1 - i]) / left[i], h / left[i], p)
+            for i in (0, 1):
+                new[i] = _shrink(free[i] - felt[i] * new[1 - i], *limits[i])
         for i, drive in enumerate(pair):
             if drive.needs_carried and drive.spring is None:
                 a = [(n - o) / h for n, o in zip(new, old, strict=True)]
@@ -158,7 +164,7 @@ class Machine:
                 drive.x.v_a = new[i]
 
 
-def _joined(drive: Drive, mass: Lanes, bias: Lanes, row: list, speeds: list, drives) -> Push:
+def _joined(drive: Drive, bias: Lanes, row: list, speeds: list, drives: Sequence[Drive]) -> Push:
     """What pushes a link, together with its rotor where both are one body, without the coupling to the other joint."""
     link, push = drive.link_push, Push()
     torque = link.torque - bias
@@ -179,11 +185,14 @@ def _stop(inertia: Lanes, push: Push, speed: np.ndarray, h: float) -> np.ndarray
     """New speed (B,) of a body on its own."""
     left = inertia + 0.5 * h * push.slope
     free = ((inertia - 0.5 * h * push.slope) * speed + h * push.torque) / left
-    return _shrink(free, h / left, push)
+    return _shrink(free, *_limits(push, h / left))
 
 
-def _shrink(free: np.ndarray, per_torque: Lanes, push: Push) -> np.ndarray:
+def _limits(push: Push, per_torque: Lanes) -> tuple[Lanes, Lanes]:
+    """Changes of speed that friction can make in one step, backwards and forwards."""
+    return -per_torque * push.minus, per_torque * push.plus
+
+
+def _shrink(free: np.ndarray, lower: Lanes, upper: Lanes) -> np.ndarray:
     """Take friction's impulse off a speed, at most to zero."""
-    if isinstance(push.plus, float) and push.plus == 0.0 == push.minus:
-        return free
-    return np.maximum(free - per_torque * push.plus, 0.0) + np.minimum(free + per_torque * push.minus, 0.0)
+    return free - np.minimum(np.maximum(free, lower), upper)

@@ -60,8 +60,8 @@ def _bodies(machine: Machine) -> list[tuple[str, bool]]:
         y = sum(float(law.G) * np.sin(float(law.q_0)) for law in weights) / G
         J, moment = float(links.J), float(np.hypot(x, y))
         mass = max(2 * moment**2 / J, 0.1)
-        # at angle zero the arm hangs along -y; the weight stands at the angle where it would hang
-        position = f"{y / mass} {-x / mass} 0"
+        # gravity pulls along -y, where the weight hangs when the link is at q_0
+        position = f"{-y / mass} {-x / mass} 0"
         return [(_inertial(mass, position, J - moment**2 / mass), moment > 0)]
     if any(np.any(value) for value in (links.G_1, links.G_2)):
         raise Unsupported("a tilted arm")

@@ -8,7 +8,7 @@ another physics than that of the integrator beside it. `MujocoMachine` refuses l
 
 import numpy as np
 
-from hybrid_id.blind.physics.integrator import SETTLING, Machine
+from hybrid_id.blind.physics.integrator import BRAKE, SETTLING, Machine
 from hybrid_id.blind.physics.law import Signals
 from hybrid_id.blind.physics.load import ConstantTorque
 from hybrid_id.blind.physics.mujoco_document import STEP, Unsupported, document
@@ -53,6 +53,7 @@ class MujocoMachine:
         first = self._runs[0]
         for k in range(round(SETTLING / STEP)):
             self._mujoco.mj_step(self.model, self._pushed(first, still[:, 0]))  # type: ignore[attr-defined]
+            first.qvel *= 1 - BRAKE * STEP
             if k % 200 == 19 and np.abs(first.qvel).max() < 1e-5:
                 break
         for run in self._runs:

@@ -1,0 +1,97 @@
+"""Case folders: the format, the answers, repeatability by seed, and what is refused."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hybrid_id.blind import campaign as plans
+from hybrid_id.blind import levels
+from hybrid_id.blind.make import make_case, make_cases
+from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.systems.model_file import load_model
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
+    monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+
+
+def answers_of(case: Path) -> dict:
+    return yaml.safe_load((case.parent / "answers" / f"{case.name}.yaml").read_text())
+
+
+def test_case_has_the_format_that_the_package_reads(tmp_path: Path) -> None:
+    case = make_case(7, tmp_path, effect="stribeck_friction", system="one_link", level="strong")
+    data, model, answers = Dataset.load(case), load_model(case / "model.yaml"), answers_of(case)
+    assert (len(data.train), len(data.test)) == (6, 2)
+    assert {channel.name for channel in data.outputs} == {"q_m1"}
+    assert data.sample_time == 0.002
+    assert set(record.note for record in data.test) - {""}
+    assert model.name == "one_link"
+    assert answers["family"] == "single"
+    assert answers["effects"][0]["name"] == "stribeck_friction"
+    assert answers["effects"][0]["accept_where"] == ["joint1/motor_friction", "joint1/link_friction"]
+    oracle = answers["oracle"]
+    assert oracle["refit"] / oracle["noise_floor"] > 1.15
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["answers", case.name]
+
+
+def test_record_starts_at_rest_without_voltage(tmp_path: Path) -> None:
+    case = make_case(3, tmp_path, family="none", system="two_link")
+    for record in Dataset.load(case):
+        for k in (1, 2):
+            assert np.all(record.signal(f"u{k}")[:50] == 0)
+            start = record.signal(f"q_m{k}")[:50]
+            moving = record.signal(f"q_m{k}")
+            assert np.std(start) < 0.05 * np.ptp(moving)
+            assert abs(np.mean(start[:25]) - np.mean(start[25:])) < np.std(start)
+
+
+def test_sound_case_is_re_fitted_to_its_noise_floor(tmp_path: Path) -> None:
+    case = make_case(4, tmp_path, family="none", system="one_link")
+    answers = answers_of(case)
+    assert answers["effects"] == []
+    assert answers["level"] == "none"
+    assert answers["oracle"]["refit"] < 1.1 * answers["oracle"]["noise_floor"]
+    assert answers["oracle"]["nominal"] > 2 * answers["oracle"]["refit"]
+
+
+def test_seed_decides_everything(tmp_path: Path) -> None:
+    made = [make_case(seed, tmp_path / str(i), family="none", name="x") for i, seed in enumerate((5, 5, 6))]
+    texts = [
+        [
+            (case / name).read_bytes()
+            for name in ("model.yaml", "dataset.yaml", "rec_00.csv.gz", "rec_07.csv.gz")
+        ]
+        for case in made
+    ]
+    assert texts[0] == texts[1]
+    assert texts[0][0] != texts[2][0]
+
+
+def test_several_cases_are_numbered(tmp_path: Path) -> None:
+    made = make_cases(2, 20, tmp_path, family="none", system="one_link")
+    assert [path.name for path in made] == ["c001", "c002"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"effect": "backlsh"}, "effect 'backlsh' is not known"),
+        ({"system": "three_link"}, "system 'three_link' is not known"),
+        ({"effect": "viscous_friction", "system": "two_link"}, "cannot be met on a two_link machine"),
+    ],
+)
+def test_unknown_name_is_refused(tmp_path: Path, options: dict, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        make_case(1, tmp_path, **options)
+
+
+def test_existing_case_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "c001").mkdir()
+    with pytest.raises(InputError, match="exists already"):
+        make_case(1, tmp_path, family="none", system="one_link")
