@@ -50,7 +50,7 @@ def reproduce(
     except KeyboardInterrupt:
         remark(f"stopped; what is done is kept in {parts}, and the same command goes on from there")
         raise typer.Exit(130) from None
-    from hybrid_id.reporting.html.paper_page import paper_figures, paper_page
+    from hybrid_id.reporting.html.paper_page import QUICK, paper_figures, paper_page
     from hybrid_id.reporting.paper_tables import claims_table
     from hybrid_id.reporting.results import as_json
     from hybrid_id.reporting.style import save
@@ -61,10 +61,12 @@ def reproduce(
     for name, image in images.items():
         save(image, parts / f"{name}.png")
     page = parts / "report.html"
-    paper_page(result, found, images).write(page)
+    paper_page(result, found, images, quick=quick).write(page)
     page.replace(out / "report.html")
     text = as_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
     (parts / RESULT).write_text(text + "\n", encoding="utf-8")
     (parts / RESULT).replace(out / RESULT)
     show(claims_table(found))
+    if quick:
+        show(QUICK)
     show(f"all tables and figures are in {out / 'report.html'}; stages, models and pictures in {parts}")

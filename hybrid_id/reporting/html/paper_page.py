@@ -51,10 +51,11 @@ LOW = (
 
 
 DRIFT = (
-    "A set fits its own record almost wholly. On the others it meets friction that has drifted from run to run: nothing "
-    "pulls the angle back, so the difference adds up over a free run's ten seconds, and the position wanders. The true "
-    "parameters of the same run wander alike; velocity hardly shows it."
+    "A set fits its own record almost wholly. On the others it meets friction that has drifted from run to run: "
+    "nothing pulls the angle back, so the difference adds up over a free run, and the position wanders. The true parameters of "
+    "the same run wander alike; velocity hardly shows it."
 )
+QUICK = "In short: two records of a second in each stage, for which the targets are not meant."
 SCALE = (
     "Pale: the machine's own. All levels scale with the data sheet's P_m1, and P_m2 and the viscous slope make up for "
     "each other: voltage and angle do not tell them apart. The intervals say so; the curves are those of one set."
@@ -99,15 +100,18 @@ def paper_figures(result: Reproduction) -> dict[str, np.ndarray]:
     return {name: pixels(figure) for name, figure in figures.items()}
 
 
-def paper_page(result: Reproduction, claims: Sequence[Claim], images: Mapping[str, np.ndarray]) -> Page:
+def paper_page(
+    result: Reproduction, claims: Sequence[Claim], images: Mapping[str, np.ndarray], *, quick: bool = False
+) -> Page:
     """The page.
 
     Args:
         result: all results.
         claims: what was to be shown, and what was seen.
         images: the figures by name.
+        quick: whether the results are those of the short run.
     """
-    page = Page("The paper on digital twins", LEAD)
+    page = Page("The paper on digital twins", f"{LEAD} {QUICK}" if quick else LEAD)
     page.section("What was to be shown").add(claims_table(claims))
     motors = page.section("II: motors and preprocessing")
     motors.add("Table 1: motor constants of the data sheets.", motors_table())
