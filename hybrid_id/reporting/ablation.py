@@ -26,7 +26,7 @@ def ablation_result(result: Ablation) -> dict[str, Any]:
         "arms": [_scores(scores) for scores in result.scores],
         "ladder": [_scores(scores) for scores in result.ladder],
         "parameters": {
-            arm: {
+            arm.name: {
                 name: {"mean": v.mean[k], "std": v.std[k], "percent": v.percent[k]}
                 for k, name in enumerate(v.names)
             }
@@ -59,21 +59,20 @@ def ablation_tables(result: Ablation) -> RenderableType:
     return Group(*parts, *failures(result))
 
 
-def verdict_text(result: Ablation) -> Text:
-    """The answer in words."""
-    return Text("\n".join(verdict(result)), style=_STYLE.get(answer(result), ""))
+def verdict_text(result: Ablation) -> Group:
+    """The answer in words, and one paragraph for each thing that goes with it."""
+    first, *others = verdict(result)
+    return Group(Text(first, style=_STYLE.get(answer(result), "")), *(Text(words) for words in others))
 
 
 def arms_table(result: Ablation) -> Table:
     """One row an arm: errors, and their paired change against physics only."""
-    heads = ("validation>", "test>", "change of test [%]>", "short>", "out of range>", "its change [%]>")
-    table = open_table("arm", *heads, "share>", "overlap>", "n>")
+    heads = ("validation>", "test>", "change of\ntest [%]>", "short\nhorizon>", "out of\nrange>")
+    table = open_table("arm", *heads, "change out of\nrange [%]>", "n>")
     for scores in result.scores:
-        beside = scores.arm.hybrid
         table.add_row(
-            scores.arm.name, _error(scores, "validation"), _error(scores, "test"), _change(result, scores, "test"),
+            scores.arm.label, _error(scores, "validation"), _error(scores, "test"), _change(result, scores, "test"),
             _error(scores, "short"), _error(scores, "beyond"), _change(result, scores, "beyond"),
-            f"{100 * scores.share:.1f} %" if beside else "", f"{scores.overlap:.2f}" if beside else "",
             str(len(scores.seeds)),
         )  # fmt: skip
     return table
@@ -81,11 +80,18 @@ def arms_table(result: Ablation) -> Table:
 
 def ladder_table(result: Ablation) -> Table:
     """What the price of the network's output buys: error, share, overlap and drift of the parameters."""
-    heads = ("price>", "validation>", "test>", "change of test [%]>", "out of range>", "share>", "overlap>")
-    table = open_table("arm", *heads, "largest drift [σ]>")
+    heads = (
+        "price>",
+        "validation>",
+        "test>",
+        "change of\ntest [%]>",
+        "out of\nrange>",
+        "share of\ntorque>",
+    )
+    table = open_table("arm", *heads, "overlap>", "largest\ndrift [σ]>")
     for scores in result.ladder:
         table.add_row(
-            scores.arm.name, f"{scores.price:g}", _error(scores, "validation"), _error(scores, "test"),
+            scores.arm.label, f"{scores.price:g}", _error(scores, "validation"), _error(scores, "test"),
             _change(result, scores, "test"), _error(scores, "beyond"), f"{100 * scores.share:.1f} %",
             f"{scores.overlap:.2f}", f"{scores.drift:.1f}",
         )  # fmt: skip
@@ -95,7 +101,7 @@ def ladder_table(result: Ablation) -> Table:
 def parameters_table(result: Ablation) -> Table:
     """Mean and std/mean of the physical parameters over the repeats, physics only beside the best hybrid."""
     arms = list(result.parameters.items())
-    table = open_table("parameter", *(f"{words}>" for name, _ in arms for words in (name, "std/mean")))
+    table = open_table("parameter", *(f"{words}>" for arm, _ in arms for words in (arm.label, "std/mean")))
     for k, parameter in enumerate(arms[0][1].names if arms else ()):
         cells = [text for _, v in arms for text in (f"{v.mean[k]:.5g}", f"{v.percent[k]:.2f} %")]
         table.add_row(parameter, *cells)
@@ -128,5 +134,5 @@ def _change(result: Ablation, scores: Scores, records: str) -> str:
     mid, low, high = scores.percent(records)
     if scores is result.physics or not math.isfinite(mid):
         return ""
-    interval = f" ({low:+.1f} to {high:+.1f})" if math.isfinite(high) else ""
+    interval = f"\N{NO-BREAK SPACE}({low:+.1f}…{high:+.1f})" if math.isfinite(high) else ""
     return f"{mid:+.1f}{interval}"

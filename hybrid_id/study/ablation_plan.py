@@ -43,6 +43,15 @@ class Arm:
         return f"{words}, without {' and '.join(self.without)}" if self.without else words
 
     @property
+    def label(self) -> str:
+        """Its name in short, for rows of tables and axes."""
+        words = "physics only" if self.residual == NONE else f"{self.residual} {self.width}"
+        words = f"network alone {self.width}" if self.residual == BLACK_BOX else words
+        words += f" at {', '.join(self.places)}" if self.places else ""
+        taken = ", ".join(name.rpartition("/")[2] for name in self.without)
+        return f"{words}\nwithout {taken}" if taken else words
+
+    @property
     def hybrid(self) -> bool:
         """Whether a network stands beside physics."""
         return self.residual in (STATIC, MEMORY)

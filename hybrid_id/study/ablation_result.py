@@ -60,7 +60,7 @@ class Ablation:
         ladder: of each arm with a network beside physics at each price.
         splits: records by repeat.
         failed: cells that came to nothing.
-        parameters: values over the repeats by arm name, physics only and the best hybrid.
+        parameters: values over the repeats, of physics only and of the best hybrid.
         level: of the intervals.
         worth: least share of the error that is worth a network.
     """
@@ -69,7 +69,7 @@ class Ablation:
     ladder: tuple[Scores, ...]
     splits: Mapping[int, Split]
     failed: tuple[CellResult, ...]
-    parameters: Mapping[str, Variation]
+    parameters: Mapping[Arm, Variation]
     level: float
     worth: float
 
@@ -121,7 +121,7 @@ def gather(results: Sequence[CellResult], *, level: float = 0.95, worth: float =
         sets = [cells[arm, s].best.values for s in splits if (arm, s) in cells]
         if sets:
             values = np.array([list(v.values()) for v in sets])
-            parameters[arm.name] = variation(values, list(sets[0]))
+            parameters[arm] = variation(values, list(sets[0]))
     failed = tuple(r for r in results if r.status != DONE)
     return Ablation(tuple(chosen), tuple(ladder), splits, failed, parameters, level, worth)
 
