@@ -52,8 +52,8 @@ LOW = (
 
 DRIFT = (
     "A set fits its own record almost wholly. On the others it meets friction that has drifted from run to run: "
-    "nothing pulls the angle back, so the difference adds up over a free run, and the position wanders. The true parameters of "
-    "the same run wander alike; velocity hardly shows it."
+    "nothing pulls the angle back, so the difference adds up over a free run, and the position wanders. The true "
+    "parameters of the same run wander alike; velocity hardly shows it."
 )
 QUICK = "In short: two records of a second in each stage, for which the targets are not meant."
 SCALE = (
