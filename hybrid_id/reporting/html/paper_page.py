@@ -132,7 +132,7 @@ def paper_page(
         images["figure_14"], "Fig. 14. Friction torque over velocity of the second link in three stages."
     )
     comparison.add(
-        "Table 12: inertia of the second link.",
+        "Table 12: inertia of the second link. On the right the standard error that one record leaves.",
         inertia_table(inertia_rows(result.stages, result.truths)),
         LOW,
     )
