@@ -86,11 +86,16 @@ def options_of(config: StudyConfig, wish: Hybrid) -> "HybridOptions":
     from hybrid_id.identification.hybrid import HybridOptions
     from hybrid_id.identification.objective import Loss
 
+    same = ("max_iterations", "tolerance", "patience", "validate_every", "worth")
+    same += ("augmentation", "optimizer", "rate", "clip", "precision")
     return HybridOptions(
-        tuple(wish.prices), tuple(wish.windows), wish.max_iterations, wish.tolerance, wish.patience,
-        wish.validate_every, wish.worth, Loss(config.identification.loss, config.identification.threshold),
-        config.identification.starts, config.identification.seed,
-    )  # fmt: skip
+        prices=tuple(wish.prices),
+        windows=tuple(wish.windows),
+        loss=Loss(config.identification.loss, config.identification.threshold),
+        starts=config.identification.starts,
+        seed=config.identification.seed,
+        **{name: getattr(wish, name) for name in same},
+    )
 
 
 def _train(

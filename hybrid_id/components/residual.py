@@ -114,8 +114,13 @@ class ResidualNetwork(Component):
 
     def fall_asleep(self) -> None:
         """Make the last layer zero, and with it the output."""
-        for weight in self.layers[-1].parameters():
+        for weight in self.last_weights().values():
             nn.init.zeros_(weight)
+
+    def last_weights(self) -> dict[str, nn.Parameter]:
+        """Those of the weights that the output is proportional to, by name."""
+        last = f"layers.{len(self.layers) - 1}."
+        return {name: w for name, w in self.weights().items() if name.startswith(last)}
 
     def weights(self) -> dict[str, nn.Parameter]:
         """The weights by name."""

@@ -131,6 +131,11 @@ class Hybrid(Section):
         max_iterations, tolerance: of each stage.
         patience, validate_every: looks at the validation records without a gain that end a stage; gradients between.
         worth: share by which a lower price has to lower the validation loss.
+        augmentation: what has the price: `norm`, the whole output, or `projection`, its overlap with the physics alone.
+        optimizer: `gauss_newton`, or `adam` for networks of more than some hundred weights.
+        rate, clip: of Adam: largest step of an unknown, and length to which gradients are clipped (Gauss-Newton's steps
+            are damped instead).
+        precision: `float64` or `float32`.
         validation: names of the records that validate; by default the last fifth of the train records, and with one
             train record the test records.
     """
@@ -143,6 +148,11 @@ class Hybrid(Section):
     patience: PositiveInt = 10
     validate_every: PositiveInt = 2
     worth: float = Field(default=0.02, ge=0, lt=1)
+    augmentation: Literal["norm", "projection"] = "norm"
+    optimizer: Literal["gauss_newton", "adam"] = "gauss_newton"
+    rate: PositiveFloat = 0.01
+    clip: PositiveFloat = 1.0
+    precision: Literal["float64", "float32"] = "float64"
     validation: list[str] | None = Field(default=None, min_length=1)
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from hybrid_id.errors import InputError
+from hybrid_id.identification.first_order import Descent
 from hybrid_id.identification.quasi_newton import State
 
 
@@ -45,9 +46,9 @@ def read_checkpoint(path: Path, identity: list[str]) -> dict[str, Any]:
     return state
 
 
-def as_content(state: State) -> dict[str, Any]:
-    """The fields of a quasi-Newton state."""
-    return {f.name: getattr(state, f.name) for f in fields(State)}
+def as_content(state: State | Descent) -> dict[str, Any]:
+    """The fields of an optimiser's state."""
+    return {f.name: getattr(state, f.name) for f in fields(state)}
 
 
 def write_state(path: Path, state: State, identity: list[str]) -> None:

@@ -92,7 +92,7 @@ def free_run(
         States ``(R, T, n_x)``, the linearisation there by the engine's own gradient, and for each row whether its
         defects closed; a row that did not close has diverged, or its guess was too far off.
     """
-    x = guess.clone()
+    x, tolerance = guess.clone(), max(tolerance, 64.0 * torch.finfo(guess.dtype).eps)
     cheap = replace(engine, gradient="backprop")
     opened, closed = torch.arange(batch.rows, device=x.device), torch.zeros(batch.rows, dtype=torch.bool)
     closed = closed.to(x.device)

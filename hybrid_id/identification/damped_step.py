@@ -32,6 +32,10 @@ class Bounds:
     prior_precision: Tensor
     scale: Tensor
 
+    def to(self, dtype: torch.dtype) -> Bounds:
+        """The same in another precision."""
+        return Bounds(*(value.to(dtype) for value in vars(self).values()))
+
     def clip(self, values: Tensor) -> Tensor:
         """Values ``(G, n_f)`` inside the box."""
         return torch.maximum(torch.minimum(values, self.upper), self.lower)

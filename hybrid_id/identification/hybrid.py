@@ -9,8 +9,9 @@ Sources: Y. Yin et al., APHYNITY, ICLR 2021 (least-norm augmentation); L. Preche
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,51 +23,16 @@ from hybrid_id.identification.adjoint import Writer
 from hybrid_id.identification.checkpoint import read_checkpoint
 from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.fit import fit, make_bounds
-from hybrid_id.identification.hybrid_course import Course, Found, Progress, Stage, Trainer
+from hybrid_id.identification.hybrid_course import Progress, Trainer
+from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, typical
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.network_data import with_scales
-from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
-
-
-@dataclass(frozen=True)
-class HybridOptions:
-    """Settings of a hybrid training.
-
-    Attributes:
-        prices: of the networks' mean square output, falling (see :func:`.network_data.with_price`).
-        windows: stages in which the networks alone train, before the whole records: (length [s], one in this many).
-        max_iterations: gradients in a stage.
-        tolerance: a stage has converged when the next step is shorter than this many standard errors.
-        patience: looks at the validation records without a gain after which a stage ends.
-        validate_every: gradients between two looks.
-        worth: share by which a rung further down must lower the validation loss, see :func:`choose`.
-        loss: loss of the weighted residuals.
-        starts: start points of the fit of physics alone.
-        seed: of these.
-    """
-
-    prices: tuple[float, ...] = (10.0, 1.0, 0.1, 0.01)
-    windows: tuple[tuple[float, int], ...] = ((0.1, 4), (0.4, 2), (1.6, 1))
-    max_iterations: int = 40
-    tolerance: float = 0.1
-    patience: int = 10
-    validate_every: int = 2
-    worth: float = 0.02
-    loss: Loss = field(default_factory=Loss)
-    starts: int = 1
-    seed: int = 0
-
-    @property
-    def stages(self) -> list[Stage]:
-        """The networks alone, on windows of growing length and whole records; then all together, price by price."""
-        alone = [Stage(0, self.prices[0], window, True) for window in (*self.windows, None)]
-        return alone + [Stage(k, price, None, False) for k, price in enumerate(self.prices)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +42,7 @@ class Rung:
     Attributes:
         price: of the networks' output.
         system: the trained system.
-        train, validation: loss per measurement.
+        train, validation: loss per measurement; that of validation records is :func:`.hybrid_plan.typical`.
         iterations: gradients up to here.
         status: how the training ended.
         errors: standard errors of the estimated parameters, ``(n_f,)``; with networks, their weights are unknown too.
@@ -165,13 +131,14 @@ def train_hybrid(
     engine = engine.stable(system, batch, theta.expand(-1, batch.rows))
     sets = torch.zeros(batch.rows, dtype=torch.long, device=batch.x.device)
     bounds, extra = make_bounds(system, free, batch.x.device), extra_parameters(system)
+    identity = ["hybrid", options.augmentation, options.optimizer, options.precision, *batch.names]
+    identity += [*system.components, *(stage.label for stage in options.stages)]
+    problem = Problem(system, engine, batch, sets, theta, free, bounds, extra, options.loss)
     trainer = Trainer(
-        Problem(system, engine, batch, sets, theta, free, bounds, extra, options.loss), validation, options.stages,
-        options.max_iterations, options.tolerance, options.patience, options.validate_every,
-        ["hybrid", *batch.names, *system.components, *(stage.label for stage in options.stages)],
+        problem.to(options.dtype), validation.to(batch.x.device, options.dtype), options, identity,
         writer, checkpoint, progress,
     )  # fmt: skip
-    fresh = torch.nn.utils.parameters_to_vector(extra).detach().clone()
+    theta, fresh = theta.to(options.dtype), torch.nn.utils.parameters_to_vector(extra).detach().clone()
     alone = trainer.found(theta, fresh, 0, physics.status)
     course = Course(0, theta, fresh)
     if resume is not None:
@@ -181,6 +148,7 @@ def train_hybrid(
     except KeyboardInterrupt:
         interrupted = True
     found = [alone, *course.found]
+    trainer.whole = trainer.whole.to(torch.float64)  # standard errors ask for all digits
     rungs = [_rung(trainer, price, f) for price, f in zip((torch.inf, *prices), found, strict=False)]
     chosen = choose([f.validation for f in found], options.worth)
     return HybridResult(physics, tuple(rungs), chosen, replace(engine, gradient="backprop"), interrupted)
@@ -202,28 +170,29 @@ def fit_physics(system: System, batch: Batch, engine: OdeEngine, options: Hybrid
 
 
 def choose(losses: Sequence[Tensor], worth: float) -> int:
-    """The first rung that is not worse than the best by more than the share ``worth``.
+    """The first rung whose typical loss is not above the best one's by more than the share ``worth``.
 
-    Physics alone has the benefit of the doubt: it stays, too, where chance (one standard error) may explain the rest.
+    Physics alone has the benefit of the doubt: it stays, too, where chance (one standard error of the mean logarithm of
+    the losses' ratios) may explain the rest.
 
     Args:
         losses: validation loss of each rung in each part of the records, physics alone first.
         worth: share of the best one's loss.
     """
-    best = min(losses, key=lambda parts: float(parts.mean()))
+    best = min(losses, key=typical)
     for k, parts in enumerate(losses):
-        excess = parts - best
+        excess = (parts / best).clamp_min(1e-300).log()
         doubt = float(excess.std()) / len(excess) ** 0.5 if k == 0 else 0.0
-        if float(excess.mean()) <= worth * float(best.mean()) + doubt:
+        if float(excess.mean()) <= math.log1p(worth) + doubt:
             return k
     return len(losses) - 1
 
 
 def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
     """A rung as a system of its own, with standard errors from the Gauss-Newton matrix of all that it trained."""
-    system, theta = trainer.whole.system, found.theta
+    system, theta = trainer.whole.system, found.theta.double()
     stage = Stage(0, price if price < torch.inf else 0.0, None, False)
-    problem = trainer.problem(stage, Course(0, theta, found.weights))
+    problem = trainer.problem(stage, Course(0, theta, found.weights.double()))
     assert problem is not None  # whole records need no windows
     values = {info.name: float(theta[k, 0]) for k, info in enumerate(system.table) if info.spec.estimate}
     engine = replace(problem.engine, gradient="backprop")
@@ -234,6 +203,6 @@ def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
     spread = torch.linalg.pinv(matrix[keep, keep], hermitian=True).diagonal()[:size].clamp_min(0.0)
     errors = (2.0 * found.train * spread).sqrt() * problem.unit
     return Rung(
-        price, system.with_values(values), found.train, float(found.validation.mean()), found.iterations, found.status,
-        errors.cpu().numpy(),
+        price, system.with_values(values), found.train, typical(found.validation), found.iterations,
+        found.status, errors.cpu().numpy(),
     )  # fmt: skip

@@ -1,21 +1,24 @@
-"""The stages of a hybrid training: what each moves, when it stops, and what a checkpoint holds."""
+"""The stages of a hybrid training: what each moves and minimises, and when it stops."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
+from hybrid_id.identification import first_order, quasi_newton
 from hybrid_id.identification.adjoint import Snapshot, Writer
-from hybrid_id.identification.checkpoint import as_content, write_checkpoint
+from hybrid_id.identification.checkpoint import write_checkpoint
 from hybrid_id.identification.costate import free_run
+from hybrid_id.identification.first_order import Descent
 from hybrid_id.identification.fit import measured_windows
+from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, typical
 from hybrid_id.identification.network_data import output_shares, with_memory, with_price
-from hybrid_id.identification.quasi_newton import State, advance, begin
+from hybrid_id.identification.network_projection import projection
+from hybrid_id.identification.quasi_newton import State
 from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.prepare import Batch
 
@@ -26,82 +29,6 @@ PARTS = 10
 Progress = Callable[[str, int, float], bool | None]
 
 
-class Stage(NamedTuple):
-    """A part of the training.
-
-    Attributes:
-        rung: number of its price on the ladder.
-        price: of the networks' output.
-        window: length [s] of windows and use of one in so many; None for whole records.
-        hold: whether the physics is held.
-    """
-
-    rung: int
-    price: float
-    window: tuple[float, int] | None
-    hold: bool
-
-    @property
-    def label(self) -> str:
-        """Its name for a progress line."""
-        what = "networks" if self.hold else f"physics and networks, price {self.price:g}"
-        return f"{what}, {'records' if self.window is None else f'windows of {self.window[0]:g} s'}"
-
-
-class Found(NamedTuple):
-    """What a rung of the ladder came to.
-
-    Attributes:
-        theta, weights: ``(n_p, 1)`` and ``(n_w,)``.
-        train: loss per measurement.
-        validation: the same in each part of the validation records; their mean is the loss.
-        iterations, status: gradients up to here, and how the rung ended.
-    """
-
-    theta: Tensor
-    weights: Tensor
-    train: float
-    validation: Tensor
-    iterations: int
-    status: str
-
-
-@dataclass
-class Course:
-    """Where a training stands; all of it is in the checkpoint.
-
-    Attributes:
-        stage: number of the stage.
-        theta, weights: what it started from, ``(n_p, 1)`` and ``(n_w,)``.
-        state: the optimiser's; None where the stage has not begun.
-        best, best_q, waited: least validation loss of the stage, its unknowns, and looks since then.
-        done: gradients before this stage.
-        found: finished rungs.
-    """
-
-    stage: int
-    theta: Tensor
-    weights: Tensor
-    state: State | None = None
-    best: float = torch.inf
-    best_q: Tensor | None = None
-    waited: int = 0
-    done: int = 0
-    found: list[Found] = field(default_factory=list)
-
-    def content(self) -> dict[str, Any]:
-        """The course as tensors, numbers and text."""
-        state = None if self.state is None else as_content(self.state)
-        return vars(self) | {"state": state, "found": [tuple(f) for f in self.found]}
-
-    @classmethod
-    def of(cls, content: dict[str, Any]) -> Course:
-        """The course of a checkpoint."""
-        state = content["state"]
-        found = [Found(*f) for f in content["found"]]
-        return cls(**content | {"state": None if state is None else State(**state), "found": found})
-
-
 @dataclass
 class Trainer:
     """Runs the stages of one training.
@@ -109,24 +36,23 @@ class Trainer:
     Attributes:
         whole: output error over whole records, without a price.
         validation: records that tell when a stage ends.
-        stages: in their order.
-        max_iterations, tolerance: of each stage.
-        patience, validate_every: looks without a gain that end a stage, and gradients between two of them.
+        options: settings.
         identity: names of records, components and stages, for the checkpoint.
         writer, checkpoint, progress: see :func:`hybrid_id.identification.hybrid.train_hybrid`.
     """
 
     whole: Problem
     validation: Batch
-    stages: list[Stage]
-    max_iterations: int
-    tolerance: float
-    patience: int
-    validate_every: int
+    options: HybridOptions
     identity: list[str]
     writer: Writer | None = None
     checkpoint: Path | None = None
     progress: Progress | None = None
+
+    @property
+    def stages(self) -> list[Stage]:
+        """All stages in their order."""
+        return self.options.stages
 
     def problem(self, stage: Stage, course: Course) -> Problem | None:
         """What a stage minimises; None where the records are too short for its windows."""
@@ -139,7 +65,13 @@ class Trainer:
             if cut is None:
                 return None
             batch, sets = cut[0], sets[cut[1]]
-        return replace(whole, batch=with_price(system, batch, stage.price), sets=sets, hold=stage.hold)
+        whole = replace(whole, sets=sets, hold=stage.hold)
+        if self.options.augmentation == "norm":
+            return replace(whole, batch=with_price(system, batch, stage.price))
+        overlap = projection(
+            system, batch, course.theta, whole.extra, width=whole.engine.width, price=stage.price
+        )
+        return replace(whole, batch=batch, penalty=overlap)
 
     @torch.no_grad()
     def losses(self, theta: Tensor, batch: Batch) -> Tensor:
@@ -169,14 +101,15 @@ class Trainer:
 
     def _stage(self, problem: Problem, stage: Stage, course: Course) -> bool:
         """Run one stage to its end; returns whether it was stopped before."""
+        options = self.options
         if course.state is None:
-            course.state = begin(problem, course.theta, course.stage, None)
+            course.state = self._begin(problem, course)
         while True:
             state = course.state
             problem.set_weights(state.q)
             ended, looked = not bool(state.running.any()) or _settled(state), None
-            if ended or (state.iteration - state.began) % self.validate_every == 0:
-                looked = float(self.losses(problem.theta(state.q), self.validation).mean())
+            if ended or (state.iteration - state.began) % options.validate_every == 0:
+                looked = typical(self.losses(problem.theta(state.q), self.validation))
                 gain = looked < (1.0 - GAIN) * course.best
                 course.waited = 0 if gain else course.waited + 1
                 if gain or course.best_q is None:
@@ -185,11 +118,24 @@ class Trainer:
             loss = float(state.cost[0] / self._data(problem))
             if self.progress is not None and self.progress(stage.label, course.done + state.iteration, loss):
                 return True
-            if ended or course.waited > self.patience:
+            if ended or course.waited > options.patience:
                 return False
-            course.state = advance(problem, state, self.tolerance, self.max_iterations, 1)
+            course.state = self._advance(problem, state)
             if self.checkpoint is not None:
                 write_checkpoint(self.checkpoint, course.content(), self.identity)
+
+    def _begin(self, problem: Problem, course: Course) -> State | Descent:
+        """The optimiser's state at the start of a stage."""
+        if self.options.optimizer == "adam":
+            return first_order.begin(problem, course.theta, course.stage)
+        return quasi_newton.begin(problem, course.theta, course.stage, None)
+
+    def _advance(self, problem: Problem, state: State | Descent) -> State | Descent:
+        """One more gradient."""
+        wish = self.options
+        if isinstance(state, Descent):
+            return first_order.advance(problem, state, wish.rate, wish.clip, wish.max_iterations)
+        return quasi_newton.advance(problem, state, wish.tolerance, wish.max_iterations, 1)
 
     def _finish(self, problem: Problem, stage: Stage, course: Course) -> None:
         """Go on from the stage's best unknowns; the last stage of a price is a rung of the ladder."""
@@ -199,7 +145,7 @@ class Trainer:
         course.theta, course.done = problem.theta(q), course.done + state.iteration
         course.weights = torch.nn.utils.parameters_to_vector(problem.extra).detach().clone()
         if not stage.hold:
-            early = state.status[0] == "running" and course.waited > self.patience
+            early = state.status[0] == "running" and course.waited > self.options.patience
             status = (
                 "stopped early" if early else "settled" if state.status[0] == "running" else state.status[0]
             )
@@ -214,7 +160,7 @@ class Trainer:
         """Number of measurements, the networks' outputs not among them."""
         return int((problem.batch.weight[..., : len(self.whole.batch.outputs)] > 0).sum())
 
-    def _tell(self, problem: Problem, state: State, course: Course, looked: float | None) -> None:
+    def _tell(self, problem: Problem, state: State | Descent, course: Course, looked: float | None) -> None:
         """Give the writer one snapshot, networks' outputs apart from the measured ones."""
         if self.writer is None:
             return
@@ -243,7 +189,11 @@ class Trainer:
         )
 
 
-def _settled(state: State) -> bool:
-    """Whether the last gradients of a stage have lowered its cost by next to nothing."""
+def _settled(state: State | Descent) -> bool:
+    """Whether the last gradients of a stage have lowered its cost by next to nothing; a descent goes up and down."""
     history = state.history
-    return len(history) > STALE and bool(history[-1][0] > (1.0 - GAIN) * history[-1 - STALE][0])
+    return (
+        isinstance(state, State)
+        and len(history) > STALE
+        and bool(history[-1][0] > (1.0 - GAIN) * history[-1 - STALE][0])
+    )

@@ -7,6 +7,7 @@ parameter that an early step drives there creeps back over a hundred gradients (
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import torch
 from torch import Tensor, nn
@@ -26,6 +27,18 @@ FIRST_WEIGHT_STEP = 0.01
 """RMS change of a network's weights in the first step."""
 
 
+class Penalty(Protocol):
+    """A price of the weights alone, as they are in the system."""
+
+    def value(self) -> tuple[Tensor, Tensor]:
+        """The price and its gradient, ``(n_w,)``."""
+        ...
+
+    def curvature(self) -> Tensor:
+        """Its Gauss-Newton matrix, ``(n_w, n_w)``."""
+        ...
+
+
 @dataclass(frozen=True)
 class Problem:
     """Output error of every set as a function of its vector q of unknowns, ``(G, N)``.
@@ -43,6 +56,7 @@ class Problem:
         extra: weights beyond the table.
         loss: loss of the weighted residuals.
         hold: whether the free parameters stay where they are, while weights and first states move.
+        penalty: price of the weights beside the output error; None for none.
     """
 
     system: System
@@ -55,6 +69,18 @@ class Problem:
     extra: list[nn.Parameter]
     loss: Loss
     hold: bool = False
+    penalty: Penalty | None = None
+
+    def to(self, dtype: torch.dtype) -> Problem:
+        """The same in another precision; the system and its weights change theirs in place."""
+        batch = self.batch.to(self.batch.x.device, dtype)
+        return replace(
+            self,
+            system=self.system.to(dtype),
+            batch=batch,
+            base=self.base.to(dtype),
+            bounds=self.bounds.to(dtype),
+        )
 
     @property
     def slots(self) -> Tensor:
@@ -158,6 +184,9 @@ class Problem:
         by_state = states.clone()
         by_state[self.sets, self.slots] += self.batch.x0_std * run.start
         by_weight = [torch.cat([g.flatten() for g in run.extra])[None]] if self.extra else []
+        if self.penalty is not None:
+            price, slope = self.penalty.value()
+            cost, by_weight = cost + price, [by_weight[0] + slope]
         return cost, torch.cat([by_value, by_state.flatten(1), *by_weight], 1), run
 
     def first_metric(self, q: Tensor, slope: Tensor) -> Tensor:
@@ -207,6 +236,9 @@ class Problem:
         )
         grid = torch.tensor(shared, device=q.device)
         full[:, grid[:, None], grid] = torch.diag_embed(own).index_add(0, self.sets, hessian[:, n_x:, n_x:])
+        if self.penalty is not None and networks:
+            tail = slice(size - self.weights, size)
+            full[:, tail, tail] += self.penalty.curvature()
         for row, (g, slot) in enumerate(zip(self.sets.tolist(), self.slots.tolist(), strict=True)):
             at_slot = slice(n_f + slot * n_x, n_f + (slot + 1) * n_x)
             full[g, at_slot, at_slot] = hessian[row, :n_x, :n_x]

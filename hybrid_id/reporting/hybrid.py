@@ -44,6 +44,7 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
             {
                 "where": role.where, "unit": role.unit, "rms": role.rms, "share": role.share,
                 "variance_share": role.variance_share, "overlap": role.overlap, "alike": dict(role.alike),
+                "worth": role.worth,
             }
             for role in study.roles
         ],

@@ -46,10 +46,11 @@ class Batch:
         picked = {field: getattr(self, field)[rows] for field in ("dt", "y", "weight", "x", "x0_std")}
         return replace(self, u={name: c[rows] for name, c in self.u.items()}, names=names, **picked)
 
-    def to(self, device: torch.device | str) -> Batch:
-        """The batch on another device."""
-        moved = {field: getattr(self, field).to(device) for field in ("dt", "y", "weight", "x", "x0_std")}
-        return replace(self, u={name: c.to(device) for name, c in self.u.items()}, **moved)
+    def to(self, device: torch.device | str, dtype: torch.dtype | None = None) -> Batch:
+        """The batch on another device, and in another precision."""
+        fields = ("dt", "y", "weight", "x", "x0_std")
+        moved = {field: getattr(self, field).to(device, dtype) for field in fields}
+        return replace(self, u={name: c.to(device, dtype) for name, c in self.u.items()}, **moved)
 
     def windows(self, length: int, stride: int, x0_std: Tensor) -> tuple[Batch, Tensor]:
         """Short windows of the rows, each with a first state of its own, and the row that each comes from.

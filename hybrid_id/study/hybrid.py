@@ -22,7 +22,7 @@ from hybrid_id.study.network_role import NetworkRole, network_roles
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
-OVERLAP, SMALL, DRIFT = 0.5, 0.01, 3.0
+OVERLAP, SMALL, DRIFT = 0.2, 0.01, 3.0
 """Overlap with the physics from which on a network is said to do its work, share of the torque under which it does next
 to nothing, and drift in standard errors from which on a parameter is said to have moved."""
 
@@ -148,6 +148,10 @@ def split(
     return tuple(train), tuple(held)
 
 
+def _share(change: float, value: float) -> str:
+    return f"{100 * change / value:+.0f} %" if value else "from 0"
+
+
 def _warnings(study: HybridStudy) -> list[str]:
     """In words, where a network does the physics' work."""
     if study.result.chosen == 0:
@@ -155,11 +159,16 @@ def _warnings(study: HybridStudy) -> list[str]:
     found = []
     for role in study.roles:
         if role.share > SMALL and role.overlap > OVERLAP:
-            names = " and ".join(name for name, cosine in role.alike[:2] if cosine > 0.2) or role.alike[0][0]
+            names = [name for name, cosine in role.alike if cosine > OVERLAP] or [role.alike[0][0]]
+            values = dict(zip(study.names, study.hybrid, strict=True))
+            parts = (
+                f"{name} by {role.worth[name]:+.2g} ({_share(role.worth[name], values[name])})"
+                for name in names
+            )
             found.append(
                 f"the network at {role.where} does work that the physics could do: {100 * role.overlap:.0f} % of the "
-                f"accelerations it causes look like a change of the parameters, of {names} above all; do not read "
-                "these as physical"
+                f"accelerations it causes look like a change of the parameters, of {', '.join(parts)}; these may be "
+                "wrong by as much and more, do not read them as physical"
             )
     for name, drift in zip(study.names, study.drift, strict=True):
         if math.isfinite(drift) and abs(drift) > DRIFT:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.identification.network_data import networks_of
+from hybrid_id.identification.network_projection import effects, span
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -32,6 +32,8 @@ class NetworkRole:
         overlap: projection coefficient in 0 ... 1: length of the part of the accelerations it causes that lies in the
             span of those of the physics alone to its estimated parameters, over the whole length.
         alike: the parameters to whose effects its own is most alike, with the cosine between them.
+        worth: the change of the estimated parameters, by name, that comes nearest to the accelerations it causes: so
+            much of each lies in the network.
         speed, angle, map: its output ``(n_speed, n_angle)`` against both, of the side where it acts; other inputs at
             their mean, hidden states at rest.
         seen: speed and angle at each tenth sample, ``(n, 2)``: where the records support the map.
@@ -44,6 +46,7 @@ class NetworkRole:
     variance_share: float
     overlap: float
     alike: tuple[tuple[str, float], ...]
+    worth: dict[str, float]
     speed: np.ndarray
     angle: np.ndarray
     map: np.ndarray
@@ -58,17 +61,11 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
     u = {name: channel.reshape(-1)[used] for name, channel in batch.u.items()}
     values = list(system.theta().detach().to(batch.x)[:, None])
     p, found = system.views(values), []
-    asleep = copy.deepcopy(system)  # else a change of scale of all torques looks like any network
-    for part in asleep.networks.values():
-        part.fall_asleep()
-    effects = _effects(asleep, engine, x, u, values)
+    accelerations = effects(system, engine.width, x, u, values)
     free = [info.name for info in system.table if info.spec.estimate]
-    physical = (
-        torch.stack([effects[name] for name in free], 1)
-        if free
-        else effects["_"].new_zeros(len(effects["_"]), 0)
-    )
-    basis = _basis(physical)
+    empty = x[0].new_zeros(len(x[0]) * len(system.speed_rows), 0)
+    physical = torch.stack([accelerations[name] for name in free], 1) if free else empty
+    basis = span(physical)
     for name, place, part, networks in networks_of(system):
         joint = networks.joint
         with torch.no_grad():
@@ -79,7 +76,7 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
                 reference = drive.motor_torque(x, u, p, network=False)
             if place in (*LINK_PLACES, "transmission"):
                 reference = joint.gear_ratio * reference
-        caused = effects[f"b_0 {joint.name}/{place}"] * output.repeat(len(system.speed_rows))
+        caused = accelerations[f"b_0 {joint.name}/{place}"] * output.repeat(len(system.speed_rows))
         length = float(caused.norm())
         cosines = (physical.T @ caused / (physical.norm(dim=0) * caused.norm()).clamp_min(1e-300)).abs()
         alike = sorted(zip(free, cosines.tolist(), strict=True), key=lambda pair: -pair[1])[:3]
@@ -90,7 +87,7 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
                 _ratio(output.square().mean().sqrt(), reference.square().mean().sqrt()),
                 _ratio(output.var(), reference.var()),
                 float((basis.T @ caused).norm()) / length if length > 0 else 0.0,
-                tuple(alike), speed, angle, values_at, seen,
+                tuple(alike), dict(zip(free, _nearest(physical, caused), strict=True)), speed, angle, values_at, seen,
             )
         )  # fmt: skip
     return tuple(found)
@@ -100,36 +97,10 @@ def _ratio(part: Tensor, whole: Tensor) -> float:
     return float(part / whole) if float(whole) > 0 else 0.0
 
 
-def _effects(
-    system: System, engine: Engine, x: list[Tensor], u: dict[str, Tensor], values: list[Tensor]
-) -> dict[str, Tensor]:
-    """Derivatives of all accelerations, in units of their RMS, by each estimated parameter and each network's b_0."""
-    leaves = {}
-    for k, info in enumerate(system.table):
-        if info.spec.estimate or info.symbol == "b_0":
-            place = info.component.rpartition("/")[0]
-            values[k] = values[k].expand_as(x[0]).clone().requires_grad_()
-            leaves[f"b_0 {place}" if info.symbol == "b_0" else info.name] = values[k]
-    with torch.enable_grad():
-        rates = system.rates(x, u, system.views(values), width=engine.width)
-        rows = []
-        for row in system.speed_rows:
-            size = rates[row].detach().square().mean().sqrt().clamp_min(1e-300)
-            grads = torch.autograd.grad(
-                rates[row].sum(), list(leaves.values()), retain_graph=True, allow_unused=True
-            )
-            rows.append([torch.zeros_like(x[0]) if g is None else g / size for g in grads])
-    return {name: torch.cat([row[k] for row in rows]) for k, name in enumerate(leaves)}
-
-
-def _basis(columns: Tensor) -> Tensor:
-    """Orthonormal basis of the span of columns ``(N, n)``."""
-    size = columns.norm(dim=0)
-    columns = columns[:, size > 0] / size[size > 0]
-    if columns.shape[1] == 0:
-        return columns
-    left, strength, _ = torch.linalg.svd(columns, full_matrices=False)
-    return left[:, strength > 1e-9 * strength[0]]
+def _nearest(columns: Tensor, target: Tensor) -> list[float]:
+    """Coefficients of the columns ``(N, n)`` that come nearest to the target; the least ones where several do."""
+    size = columns.norm(dim=0).clamp_min(1e-300)
+    return (torch.linalg.pinv(columns / size, rtol=1e-6) @ target / size).tolist()
 
 
 @torch.no_grad()
@@ -145,8 +116,8 @@ def _map(system: System, place: str, networks, part, x, u, p) -> tuple[np.ndarra
     if high - low > turn and not any(name == "angle" for name in part.inputs):
         low, high = 0.0, turn  # what knows the angle by its sine and cosine alone repeats itself
     reach = float(speed.abs().max())
-    speeds = torch.linspace(-reach, reach, GRID, dtype=speed.dtype)
-    angles = torch.linspace(low, high, GRID, dtype=angle.dtype)
+    speeds = torch.linspace(-reach, reach, GRID, dtype=speed.dtype, device=speed.device)
+    angles = torch.linspace(low, high, GRID, dtype=angle.dtype, device=speed.device)
     v, q = (grid.reshape(-1) for grid in torch.meshgrid(speeds, angles, indexing="ij"))
     signals = []
     for name, signal in zip(part.inputs, networks.signals(place, x, u, p)[0], strict=True):
@@ -161,4 +132,4 @@ def _map(system: System, place: str, networks, part, x, u, p) -> tuple[np.ndarra
     output = part.output(p[key], signals, rest).reshape(GRID, GRID)
     wrapped = angle if high - low != turn else angle % turn
     seen = torch.stack([speed, wrapped], 1)[::10]
-    return speeds.numpy(), angles.numpy(), output.cpu().numpy(), seen.cpu().numpy()
+    return speeds.cpu().numpy(), angles.cpu().numpy(), output.cpu().numpy(), seen.cpu().numpy()

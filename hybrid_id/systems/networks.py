@@ -40,8 +40,9 @@ class Networks:
     Signals that an input may name, of the side (rotor or link) on which the place acts: ``angle`` [rad], ``speed``
     [rad/s], ``direction`` (the speed once more, whose scale is small, so that tanh makes a sign of it), ``sin n`` and
     ``cos n`` of n times the angle; and of the joint: ``command`` (effective, in the motor's unit), ``torque`` (the
-    motor's [N m]), ``load`` (at the link [N m], link friction excepted); with a compliant gear ``deflection`` [rad],
-    ``deflection_rate`` [rad/s] and ``transmitted`` (spring torque at the link [N m]). With a joint's number behind it
+    motor's [N m]), ``load`` (at the link [N m], link friction excepted), ``transmitted`` (through the gear, at the link
+    [N m]: the spring's torque, or behind a rigid gear what the joint's own balance without dry friction leaves for the
+    link); with a compliant gear ``deflection`` [rad] and ``deflection_rate`` [rad/s]. With a joint's number behind it
     (``angle2``), ``angle`` and ``speed`` are those of that joint's link. All are without what networks add.
 
     Args:

@@ -1,8 +1,12 @@
 """Hybrid training: a network finds what the physics lacks and leaves the physics what is its own."""
 
 import math
+import os
+import signal
+import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -11,10 +15,12 @@ from drives import make_record, multisine, rigid_drive
 from hybrid_id.components import Cogging, ResidualNetwork
 from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
+from hybrid_id.identification.first_order import clipped
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.identification.hybrid import HybridOptions, HybridResult, train_hybrid
 from hybrid_id.identification.network_data import networks_of, with_memory, with_price, with_scales
 from hybrid_id.identification.network_metric import linearise_with_weights
+from hybrid_id.identification.network_projection import projection
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.prepare import Batch, make_batch
@@ -55,7 +61,9 @@ def batches(system: System, made: list) -> tuple[Batch, Batch]:
     return whole.take(torch.arange(3)), whole.take(torch.tensor([3]))
 
 
-QUICK = HybridOptions(prices=(1.0, 0.1), windows=((0.1, 2), (0.3, 1)), max_iterations=20)
+QUICK = HybridOptions(prices=(1.0, 0.1), windows=(), max_iterations=9, validate_every=3)
+BRIEF = replace(QUICK, prices=(1.0,), windows=((0.1, 3),), max_iterations=2, validate_every=1)
+"""Too short to arrive: for what is to be the same, however far a training gets."""
 WITHHELD = drive().with_component("joint1/motor", Cogging(T_c=0.0, T_s=2.5e-3, n=3.0))
 
 
@@ -96,31 +104,70 @@ def test_the_physics_keeps_its_meaning(found: HybridResult) -> None:
         assert together < 0.03 < alone or together < alone
 
 
-def test_resume_goes_on_to_the_same_numbers(tmp_path: Path, made: list, found: HybridResult) -> None:
-    saved = tmp_path / "checkpoint.pt"
-    data = batches(hybrid(), made)
-    for stop in (4, 25):
+@pytest.fixture(scope="module")
+def brief(made: list) -> HybridResult:
+    return train_hybrid(hybrid(), *batches(hybrid(), made), engine=ENGINE, options=BRIEF)
+
+
+def same(one: HybridResult, other: HybridResult) -> None:
+    """Hold that two trainings came to the same numbers."""
+    assert one.chosen == other.chosen and not one.interrupted
+    for a, b in zip(one.rungs, other.rungs, strict=True):
+        for what in ("train", "validation", "iterations", "status"):
+            assert getattr(a, what) == getattr(b, what)
+        for weight, twin in zip(a.system.parameters(), b.system.parameters(), strict=True):
+            assert torch.equal(weight, twin)
+
+
+def test_resume_goes_on_to_the_same_numbers(tmp_path: Path, made: list, brief: HybridResult) -> None:
+    saved, data = tmp_path / "checkpoint.pt", batches(hybrid(), made)
+    for stop in (1, 5):
         stopped = train_hybrid(
-            hybrid(), *data, engine=ENGINE, options=QUICK, checkpoint=saved, resume=saved if saved.exists() else None,
+            hybrid(), *data, engine=ENGINE, options=BRIEF, checkpoint=saved, resume=saved if saved.exists() else None,
             progress=lambda label, k, loss, stop=stop: k >= stop,
         )  # fmt: skip
         assert stopped.interrupted
-    resumed = train_hybrid(hybrid(), *data, engine=ENGINE, options=QUICK, resume=saved)
-    assert not resumed.interrupted and resumed.chosen == found.chosen
-    for a, b in zip(resumed.rungs, found.rungs, strict=True):
-        assert (a.train, a.validation, a.iterations, a.status) == (
-            b.train,
-            b.validation,
-            b.iterations,
-            b.status,
-        )
-        for one, other in zip(a.system.parameters(), b.system.parameters(), strict=True):
-            assert torch.equal(one, other)
+    same(train_hybrid(hybrid(), *data, engine=ENGINE, options=BRIEF, resume=saved), brief)
+    for other in (replace(BRIEF, augmentation="projection"), replace(BRIEF, optimizer="adam")):
+        with pytest.raises(InputError, match="other records or another model"):
+            train_hybrid(hybrid(), *data, engine=ENGINE, options=other, resume=saved)
 
 
-def test_nothing_missing_leaves_the_physics_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("moment", ["between two steps", "half-way through a checkpoint"])
+def test_a_killed_run_leaves_a_checkpoint(
+    tmp_path: Path, made: list, brief: HybridResult, moment: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGKILL gives no chance to tidy up: what lies there has to be whole, whenever it comes."""
+    saved, data = tmp_path / "checkpoint.pt", batches(hybrid(), made)
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        count, whole = 0, torch.save
+
+        def broken(content: object, path: Path) -> None:
+            nonlocal count
+            count += 1
+            whole(content, path)
+            if count == 4:
+                if moment != "between two steps":
+                    path.write_bytes(path.read_bytes()[:1000])
+                os.write(writer, b"!")
+                time.sleep(60)
+
+        torch.save = broken
+        train_hybrid(hybrid(), *data, engine=ENGINE, options=BRIEF, checkpoint=saved)
+        os._exit(1)
+    os.close(writer)
+    assert os.read(reader, 1) == b"!"
+    os.kill(child, signal.SIGKILL)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+    same(train_hybrid(hybrid(), *data, engine=ENGINE, options=BRIEF, resume=saved), brief)
+
+
+def test_nothing_missing_leaves_the_physics_alone() -> None:
     system = hybrid()
-    result = train_hybrid(system, *batches(system, records(drive())), engine=ENGINE, options=QUICK)
+    options = replace(QUICK, prices=(1.0,), max_iterations=5)
+    result = train_hybrid(system, *batches(system, records(drive())), engine=ENGINE, options=options)
     assert result.chosen == 0
     assert all(deviation(rung.validation) < 1.1 for rung in result.rungs)
 
@@ -138,6 +185,27 @@ def test_interrupt_keeps_physics_and_the_checkpoint(tmp_path: Path, made: list) 
         hybrid(), *batches(hybrid(), made), engine=ENGINE, options=QUICK, writer=Pressed(), checkpoint=saved
     )
     assert result.interrupted and len(result.rungs) == 1 and saved.exists()
+
+
+OTHER_WAYS: list[dict[str, Any]] = [
+    {"precision": "float32"},
+    {"augmentation": "projection"},
+    {"optimizer": "adam", "rate": 0.02, "max_iterations": 12, "validate_every": 4, "windows": ((0.1, 2),)},
+]
+
+
+@pytest.mark.parametrize("settings", OTHER_WAYS)
+def test_other_ways_to_train_find_it_too(made: list, found: HybridResult, settings: dict[str, Any]) -> None:
+    """What is not Gauss-Newton in float64 with a price on the output comes near the same, Adam less near."""
+    options = replace(QUICK, **({"prices": (1.0,)} | settings))
+    result = train_hybrid(hybrid(), *batches(hybrid(), made), engine=ENGINE, options=options)
+    alone, trained, expected = (r.rungs[k] for r, k in ((result, 0), (result, 1), (found, 1)))
+    assert all(w.dtype == torch.float64 for w in trained.system.parameters())
+    if "optimizer" in settings:
+        assert trained.train < 0.7 * alone.train
+    else:
+        assert deviation(trained.validation) < 1.05 * deviation(expected.validation)
+        assert trained.errors == pytest.approx(expected.errors, rel=0.3)
 
 
 # --- what it is made of ----------------------------------------------------------------------------------------------
@@ -200,6 +268,49 @@ def test_metric_of_the_weights_is_that_of_a_sample(made: list, memory: int) -> N
     truth, told = ((moved[0].x_next - moved[1].x_next) / 2e-5)[:, :-1], (lin.b[..., 1:] @ way)[:, :-1]
     for row in range(truth.shape[-1]):
         torch.testing.assert_close(truth[..., row], told[..., row], rtol=1e-5, atol=1e-8)
+
+
+def test_gradient_and_curvature_of_a_price_on_the_overlap(made: list) -> None:
+    system = awake(hybrid())
+    batch = batches(system, made)[0]
+    system = with_scales(system, batch)
+    extra, theta = extra_parameters(system), system.theta().detach()[:, None]
+    overlap = projection(system, batch, theta, extra, width=ENGINE.width, price=3.0)
+    assert overlap is not None and projection(system, batch, theta, extra, width=1.0, price=0.0) is None
+    cost, slope = overlap.value()
+    vector = torch.nn.utils.parameters_to_vector(extra).detach()
+    way = torch.randn(len(vector), generator=torch.Generator().manual_seed(7), dtype=vector.dtype)
+    ends = []
+    for side in (1, -1):
+        torch.nn.utils.vector_to_parameters(vector + side * 1e-6 * way, extra)
+        ends.append((overlap.value()[0], overlap.parts().detach()))
+    assert float(ends[0][0] - ends[1][0]) / 2e-6 == pytest.approx(float(slope @ way), rel=1e-6)
+    along = (ends[0][1] - ends[1][1]) / 2e-6
+    torch.nn.utils.vector_to_parameters(vector, extra)
+    assert float(way @ overlap.curvature() @ way) == pytest.approx(float(along.square().sum()), rel=1e-6)
+    assert float(cost) == pytest.approx(0.5 * float(overlap.parts().detach().square().sum()))
+
+
+def test_what_the_physics_can_say_has_a_price_and_the_rest_has_none(made: list) -> None:
+    """A linear network of the speed is viscous friction; one of sin 7q is nothing that a parameter does."""
+    prices = []
+    for name in ("speed", "sin 7"):
+        system = hybrid(inputs=(name,), hidden=())
+        batch = batches(system, made)[0]
+        system = with_scales(system, batch)
+        (part,) = system.networks.values()
+        with torch.no_grad():
+            part.weights()["layers.0.weight"].fill_(0.3)
+        extra, theta = extra_parameters(system), system.theta().detach()[:, None]
+        overlap = projection(system, batch, theta, extra, width=ENGINE.width, price=1.0)
+        assert overlap is not None
+        prices.append(float(overlap.value()[0]))
+    assert prices[1] < 0.05 * prices[0]
+
+
+def test_a_gradient_is_clipped_to_a_length() -> None:
+    gradient = torch.tensor([[3.0, 4.0], [0.3, 0.4]])
+    torch.testing.assert_close(clipped(gradient, 1.0), torch.tensor([[0.6, 0.8], [0.3, 0.4]]))
 
 
 def test_scales_come_from_the_data(made: list) -> None:

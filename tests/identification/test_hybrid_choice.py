@@ -23,6 +23,10 @@ def parts(*values: float) -> torch.Tensor:
         ([parts(2.0, 1.0, 0.5), parts(0.3, 0.5, 0.5)], 1),
         ([parts(0.9, 0.2, 0.5), parts(0.45, 0.5, 0.55)], 0),  # by chance
         ([parts(math.inf, 1.0, 1.0), parts(0.5, 0.5, 0.5)], 1),
+        (
+            [parts(1.0, 9.0, 40.0, 30.0), parts(0.5, 0.5, 0.6, 90.0)],
+            1,
+        ),  # lost in the last part, as is the physics
     ],
 )
 def test_the_dearest_that_is_not_worse(losses: list[torch.Tensor], chosen: int) -> None:
