@@ -73,7 +73,7 @@ def identify(
     home = required(config.output.folder)
     refuse_taken(home, force=force)
     if config.hybrid is not None:
-        remark("the study's section 'hybrid' is not used here: identify fits the physics alone, train the networks too")
+        remark("'train' uses the section 'hybrid' of this study; identify fits the physics alone")
     if jobs > 1 and config.identification.pooled:
         raise InputError(
             "--jobs shares records between processes, but --pooled needs all in one; leave one of them out"
