@@ -71,7 +71,7 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
     out = tmp_path / "out"
     shown = run("ablate", study, "--out", out)
     assert shown.code == 0, shown.err
-    assert "Hybrid: static network at joint1/motor" in shown.out and "largest drift" in shown.out
+    assert "Hybrid: static network at joint1/motor" in shown.out and "overlap" in shown.out
     result = json.loads((out / "ablation.json").read_text())
     assert result["answer"] == "hybrid" and result["program"].startswith("hybrid_id ")
     assert [arm["seeds"] for arm in result["arms"]] == [[0, 1, 2]] * ARMS
