@@ -45,9 +45,9 @@ _SECTIONS = {
 LOW = (
     "Why low velocity tells the inertia worse than high velocity: the motor stays on the flank of the friction peak "
     "and stands still in between, so accelerations are small and the inertia's torque is a small part of friction's, "
-    "whose error then passes into P_2. Of the records of both links, too, those in which joint 2 moves slowest tell P_2 "
-    "least. The paper's own 36 % between its stages does not come from this alone: here the model has the machine's "
-    "structure."
+    "whose error then passes into P_2. Of the records of both links, too, those in which joint 2 moves slowest tell "
+    "P_2 least. The paper's own 36 % between its stages does not come from this alone: here the model has the "
+    "machine's structure."
 )
 
 
