@@ -24,9 +24,9 @@ FIRST_LOOK, TO_THE_END = 2, 30
 FINALISTS = 6
 PROMISING = 12
 """Candidates that get a second look before the finalists are chosen."""
-LEAST_RATIO = 1.04
+LEAST_RATIO = 1.015
 """An effect must lower the RMS of the errors of prediction at least by this factor ..."""
-LEAST_Z = 2.0
+LEAST_Z = 3.0
 """... and by so many standard errors, block by block."""
 
 Progress = Callable[[str, int, int], object]

@@ -87,6 +87,8 @@ class Refit:
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
     ) -> list[Explanation | None]:
         """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted."""
+        if not tasks:
+            return []
         found: list[Explanation | None] = []
         jobs = min(self.jobs, len(tasks))
         calls = (delayed(_fit)(self.dataset, self.signal_share, task, iterations) for task in tasks)

@@ -44,7 +44,7 @@ def _stribeck(system, s, place):
     return [
         (
             "stribeck_friction",
-            {"F_drop": free(0.3 * s.dry * r, 0.0, 5.0 * s.dry * r, "N m"), 
+            {"F_drop": free(0.3 * s.dry * r, 0.0, 5.0 * s.dry * r, "N m"),
                 "v_s": free(share * v, 0.002 * v, 0.5 * v, "rad/s"),
              "p": p},
         )

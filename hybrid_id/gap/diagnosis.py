@@ -1,0 +1,222 @@
+"""The diagnosis: where the gap between records and simulator lies, which effect causes it, how far it shrinks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from hybrid_id.errors import InputError
+from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute
+from hybrid_id.gap.locate import Location, locate
+from hybrid_id.gap.measure import Errors, errors
+from hybrid_id.gap.probability import Suspect, suspects, tied_sets
+from hybrid_id.gap.refit import Explanation, Refit
+from hybrid_id.gap.shrink import Shrink, shrink
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.systems.chain import System
+
+UNEXPLAINED = 0.3
+"""Share of what the chosen model leaves that a torque of no name explains on records left out: then something acts
+that the catalogue lacks."""
+PARAMETRIC = 1.1
+"""Ratio of nominal to re-fitted error from which the parameters were wrong."""
+TOO_SHORT = 30.0
+"""Independent samples below which no structure can be told."""
+BENT = math.log(1.4)
+"""Change of a parameter against its nominal value, scale apart, that physics hardly allows."""
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """Result of :func:`diagnose`.
+
+    Attributes:
+        case: name of the dataset.
+        verdict: ``effects``, ``parameters_only``, ``no_gap``, ``outside_catalogue`` or ``inconclusive``.
+        effects: every effect that was tried, the selected ones first, then by probability.
+        ties: groups of effects that these records cannot tell apart.
+        unknown: whether something acts that the catalogue lacks.
+        nominal, refit, with_effect: errors on the test records of today's model, the re-fitted and the corrected one;
+            None without test records.
+        shrink: how far the gap shrinks; None without test records.
+        before: torques that would explain what the re-fitted model leaves, best first.
+        after: the same for the corrected model.
+        bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
+        search: all that was tried.
+    """
+
+    case: str
+    verdict: str
+    effects: tuple[Suspect, ...]
+    ties: tuple[tuple[str, ...], ...]
+    unknown: bool
+    nominal: Errors | None
+    refit: Errors | None
+    with_effect: Errors | None
+    shrink: Shrink | None
+    before: tuple[Location, ...]
+    after: tuple[Location, ...]
+    bent: tuple[str, ...]
+    search: Attribution = field(repr=False)
+
+    @property
+    def selected(self) -> tuple[Suspect, ...]:
+        """The effects that the diagnosis stands by."""
+        return tuple(s for s in self.effects if s.selected)
+
+    @property
+    def model(self) -> System:
+        """Today's model, re-fitted, with the selected effects."""
+        return self.search.chosen.system
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of ``diagnosis.json``."""
+        gap = self.shrink
+        return {
+            "case": self.case,
+            "verdict": self.verdict,
+            "unknown": self.unknown,
+            "no_gap": self.verdict in ("no_gap", "parameters_only"),
+            "effects": [
+                {
+                    "name": s.name,
+                    "where": s.where,
+                    "probability": round(s.probability, 4),
+                    "tied_with": list(s.tied_with),
+                    "parameters": {k: list(v) for k, v in s.parameters.items()},
+                    "selected": s.selected,
+                }
+                for s in self.effects
+            ],
+            "ties": [list(group) for group in self.ties],
+            "gap": {
+                "nominal": None if self.nominal is None else self.nominal.nrmse,
+                "refit": None if gap is None else gap.refit,
+                "with_effect": None if gap is None else gap.with_effect,
+                "noise_floor": None if gap is None else gap.floor,
+                "shrink": None if gap is None else gap.share,
+                "shrink_interval": None if gap is None else list(gap.interval),
+            },
+            "location": [
+                {
+                    "joint": one.joint,
+                    "place": one.place,
+                    "signal": one.signal,
+                    "share": max(one.share, 0.0),
+                    "profile": {"signal": one.grid.tolist(), "torque": one.torque.tolist()},
+                }
+                for one in self.before[:6]
+            ],
+            "left": [
+                {"joint": o.joint, "place": o.place, "signal": o.signal, "share": max(o.share, 0.0)}
+                for o in self.after[:3]
+            ],
+            "bent_parameters": list(self.bent),
+        }
+
+
+def diagnose(
+    dataset: Dataset,
+    system: System,
+    *,
+    most: int = MOST,
+    jobs: int = 1,
+    seed: int = 0,
+    signal_share: float = SIGNAL_SHARE,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find out why records and simulator disagree.
+
+    Search and fits use the train records only; the test records are opened once, to measure the gap.
+
+    Args:
+        dataset: train and test records.
+        system: today's model.
+        most: effects at most.
+        jobs: processes.
+        seed: of the resampling.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        progress: called with (stage, done, total).
+
+    Raises:
+        InputError: no train record, or today's model cannot be fitted to them.
+    """
+    if not dataset.train:
+        raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
+    refit = Refit(dataset, jobs=jobs, signal_share=signal_share)
+    base = refit.base(system)
+    if base.result.status == "diverged":
+        raise InputError(
+            f"Today's model diverges on dataset '{dataset.name}'; check units, signs and start values."
+        )
+    search = attribute(refit, system, most=most, progress=progress, base=base)
+    before = tuple(locate(refit, base))
+    after = tuple(locate(refit, search.chosen)) if search.chosen is not base else before
+    found = tuple(suspects(search))
+    nominal, first = errors(dataset, system), errors(dataset, base.system, base.result.engine)
+    last = errors(dataset, search.chosen.system, search.chosen.result.engine)
+    left = max((one.share for one in after), default=0.0)
+    unknown = left > UNEXPLAINED
+    gap = None
+    if first is not None and last is not None:
+        # what a torque of no name still explains is no noise
+        floor = max(
+            last.noise, last.nrmse * math.sqrt(1.0 - min(max(left, 0.0), 0.99)) if unknown else last.nrmse
+        )
+        gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
+    return Diagnosis(
+        case=dataset.name,
+        verdict=_verdict(base, search, nominal, first, unknown),
+        effects=found,
+        ties=tuple(tied_sets(found)),
+        unknown=unknown,
+        nominal=nominal,
+        refit=first,
+        with_effect=last,
+        shrink=gap,
+        before=before,
+        after=after,
+        bent=tuple(bent_parameters(system, base.system)),
+        search=search,
+    )
+
+
+def _verdict(
+    base: Explanation, search: Attribution, nominal: Errors | None, refit: Errors | None, unknown: bool
+) -> str:
+    if unknown:
+        return "outside_catalogue"
+    if search.chosen is not base:
+        return "effects"
+    if base.evidence.effective < TOO_SHORT:
+        return "inconclusive"
+    if nominal is None or refit is None or nominal.nrmse < PARAMETRIC * refit.nrmse:
+        return "no_gap"
+    return "parameters_only"
+
+
+def bent_parameters(nominal: System, fitted: System) -> list[str]:
+    """Parameters that a re-fit has moved by more than data sheets are wrong, in words.
+
+    Torques, inertias and frictions may all be multiplied by one number without a change of the motion; the median of
+    their changes is taken for it.
+    """
+    change, kind = {}, {}
+    for info in nominal.table:
+        if not info.spec.estimate or info.spec.value <= 0:
+            continue
+        value = fitted.parameter(info.name).spec.value
+        change[info.name] = math.log(max(value, 1e-12 * info.spec.value) / info.spec.value)
+        kind[info.name] = "kg" in info.spec.unit or "N" in info.spec.unit
+    scaled = sorted(change[n] for n in change if kind[n])
+    middle = scaled[len(scaled) // 2] if scaled else 0.0
+    words = []
+    for name, moved in change.items():
+        own = moved - (middle if kind[name] else 0.0)
+        if own < -3.0:
+            words.append(f"{name} is driven to zero")
+        elif abs(own) > BENT:
+            words.append(f"{name} is {math.exp(own):.2f} times its nominal value")
+    return words

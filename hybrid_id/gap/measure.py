@@ -1,0 +1,81 @@
+"""How large the gap is: errors of free runs on records that neither search nor fit has seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.chain import System
+
+BLOCK = 0.5
+"""Length [s] of the blocks that are drawn for intervals."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors of a model's free runs on records.
+
+    Attributes:
+        nrmse: normalised RMSE, averaged over outputs and records.
+        by_record: of each record, outputs averaged.
+        blocks: for each record and output the mean squares of short blocks, each over the signal's variance.
+        noise: normalised RMSE that the encoders' noise alone would leave.
+    """
+
+    nrmse: float
+    by_record: dict[str, float]
+    blocks: tuple[tuple[np.ndarray, ...], ...]
+    noise: float
+
+    def resampled(self, draw: list[list[np.ndarray]]) -> float:
+        """Normalised RMSE of blocks drawn with replacement; ``draw`` holds the blocks of each record and output."""
+        return float(
+            np.mean(
+                [
+                    np.sqrt(np.mean(b[d]))
+                    for row, rows in zip(self.blocks, draw, strict=True)
+                    for b, d in zip(row, rows, strict=True)
+                ]
+            )
+        )
+
+
+def errors(
+    dataset: Dataset, system: System, engine: Engine | None = None, *, signal_share: float = SIGNAL_SHARE
+) -> Errors | None:
+    """Errors of a model on the test records, None where there is no test record.
+
+    Args:
+        dataset: its test records are replayed from their first state.
+        system: the model.
+        engine: how it is integrated.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    """
+    if not dataset.test:
+        return None
+    batch = batch_of(dataset, system, dataset.test, signal_share, "cpu")
+    run = simulate(system, engine or Engine(), batch)
+    step = float(batch.dt[batch.dt > 0].median())
+    length = max(1, round(BLOCK / step))
+    blocks, by_record, noise = [], {}, []
+    for r, name in enumerate(batch.names):
+        row = []
+        for c, output in enumerate(batch.outputs):
+            valid = (batch.weight[r, :, c] > 0).numpy()
+            measured, simulated = batch.y[r, valid, c].numpy(), run.y[r, valid, c].numpy()
+            square = np.square(np.nan_to_num(simulated - measured, nan=1e6, posinf=1e6, neginf=-1e6))
+            starts = np.arange(0, len(square), length)
+            size = np.add.reduceat(np.ones(len(square)), starts)
+            variance = max(float(measured.var()), 1e-300)
+            row.append(np.add.reduceat(square, starts) / size / variance)
+            declared = next((ch.noise_std for ch in dataset.outputs if ch.name == output), None)
+            noise.append((declared or 0.0) / np.sqrt(variance))
+        blocks.append(tuple(row))
+        by_record[name] = float(np.mean([np.sqrt(b.mean()) for b in row]))
+    return Errors(float(np.mean(list(by_record.values()))), by_record, tuple(blocks), float(np.mean(noise)))

@@ -1,0 +1,111 @@
+"""From errors of prediction to probabilities, ties and the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.gap.attribute import LEAST_RATIO, LEAST_Z, Attribution, Round, better
+from hybrid_id.gap.refit import Explanation, Name
+
+SHARPNESS = 16.0
+"""Odds between two rivals grow with this power of the ratio of their RMS errors; calibrated on generated cases."""
+TIE = 1.06
+"""Rivals whose RMS errors differ by less than this factor are told apart by no record here."""
+LEFT_OPEN = 0.1
+"""A rival that leaves more than this share of the gap's mean square open is none."""
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """One effect at one place.
+
+    Attributes:
+        name, where: which effect acts where.
+        probability: that it is at work.
+        selected: whether the diagnosis stands by it.
+        tied_with: effects that explain the records as well, ``name@where``.
+        parameters: estimate and standard error of each parameter that it brings, by symbol.
+    """
+
+    name: str
+    where: str
+    probability: float
+    selected: bool
+    tied_with: tuple[str, ...]
+    parameters: dict[str, tuple[float, float]]
+
+
+def suspects(found: Attribution) -> list[Suspect]:
+    """Every effect of the catalogue that was tried, most probable first."""
+    chosen = set(found.chosen.effects)
+    best: dict[Name, Suspect] = {}
+    for one in found.rounds:
+        weights, present = _weights(one), _present(one)
+        for explanation, weight in zip(one.candidates, weights, strict=True):
+            name = _new(explanation, one.before)
+            suspect = Suspect(
+                name[0], name[1], float(present * weight), name in chosen, _ties(explanation, one, name),
+                _parameters(explanation, name),
+            )  # fmt: skip
+            if name not in best or suspect.probability > best[name].probability:
+                best[name] = suspect
+    return sorted(best.values(), key=lambda s: (-s.selected, -s.probability))
+
+
+def _weights(one: Round) -> np.ndarray:
+    """Share of each candidate among them."""
+    error = np.array([e.evidence.error for e in one.candidates])
+    odds = (error / error.min()) ** (-0.5 * SHARPNESS) if len(error) else error
+    return odds / max(odds.sum(), 1e-300)
+
+
+def _present(one: Round) -> float:
+    """Probability that any effect beyond the model before is at work."""
+    if one.best is None:
+        return 0.0
+    z = one.best.evidence.z(one.before.evidence)
+    gain = np.log(one.before.evidence.error / one.best.evidence.error) / (2.0 * np.log(LEAST_RATIO))
+    return float(1.0 / (1.0 + np.exp(-2.0 * (min(z - LEAST_Z, 3.0 * (gain - 1.0))))))
+
+
+def _new(explanation: Explanation, before: Explanation) -> Name:
+    return next(name for name in explanation.effects if name not in before.effects)
+
+
+def _ties(explanation: Explanation, one: Round, name: Name) -> tuple[str, ...]:
+    found = []
+    best = min(e.evidence.error for e in one.candidates)
+    for other in one.candidates:
+        rival = _new(other, one.before)
+        ratio = max(other.evidence.error, explanation.evidence.error) / min(
+            other.evidence.error, explanation.evidence.error
+        )
+        closed = (other.evidence.error - best) < LEFT_OPEN * (one.before.evidence.error - best)
+        if rival != name and ratio < TIE**2 and closed and better(other, one.before):
+            found.append(f"{rival[0]}@{rival[1]}")
+    return tuple(found)
+
+
+def _parameters(explanation: Explanation, name: Name) -> dict[str, tuple[float, float]]:
+    """Estimates and standard errors of what an effect brings."""
+    result = explanation.result
+    jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])
+    scale = max(result.noise_scale**2 * result.n_samples / max(explanation.evidence.effective, 1.0), 1e-300)
+    information = jacobian.T @ jacobian / scale
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    covariance = np.linalg.pinv(information / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
+    kind = {"presliding_friction": "dahl"}.get(name[0], name[0])
+    found = {}
+    for k, parameter in enumerate(result.names):
+        info = result.system.parameter(parameter)
+        if info.component.startswith(name[1].split("/")[0]) and info.component.endswith(f"/{kind}"):
+            found[info.symbol] = (float(result.values[k]), float(np.sqrt(max(covariance[k, k], 0.0))))
+    return found
+
+
+def tied_sets(found: Sequence[Suspect]) -> list[tuple[str, ...]]:
+    """Groups of effects that these records cannot tell apart, of the selected ones."""
+    return [(f"{s.name}@{s.where}", *s.tied_with) for s in found if s.selected and s.tied_with]

@@ -1,0 +1,171 @@
+"""What the outputs of a fitted model would do if a torque of any shape acted beside it: one linearisation tells.
+
+The response to a torque ``w(t) = sum_i c_i phi_i(t)`` at one side of a joint is linear in c to first order. The sample
+maps are linearised once along the measured motion, cut into windows so that small errors stay small; every basis function is then one more column of the recursion
+that chains sensitivities. What the model's own parameters could explain is projected out before c is estimated (the
+score test with nuisance parameters: D. R. Cox and D. V. Hinkley, Theoretical Statistics, 1974, section 9.3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybrid_id.components import Cogging, ConstantTorque
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.lifted import Linearisation, condense, linearise
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
+
+WINDOW = 0.4
+"""Length [s] of the windows over which a linear response is trusted; each has a start state of its own."""
+RIDGE = 1e-3
+"""Ridge of the regression, relative to the strongest column."""
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """A fitted model, opened for torques at one side of one joint.
+
+    Attributes:
+        side: ``"motor"`` or ``"load"``.
+        joint: number, from 1.
+        row: of the angle on that side in the state; its speed is the next.
+        batch: the records.
+        index: samples of each window in its record, ``(W, L)``.
+        record: of each window, ``(W,)``.
+        lin: the linearisation of the windows, the torque its only parameter.
+        x: their measured states, ``(W, L, n_x)``.
+        own: for each window what the model's own parameters can do, ``(W, L n_y, n_f)``, its start state projected out.
+        left: for each window the weighted residuals alike, ``(W, L n_y)``.
+        start: an orthonormal basis of what its start state can do, ``(W, L n_y, n_x)``.
+        weight: of the measurements, ``(W, L, n_y)``.
+    """
+
+    side: str
+    joint: int
+    row: int
+    batch: Batch
+    index: Tensor
+    record: Tensor
+    lin: Linearisation
+    x: Tensor
+    own: Tensor
+    left: Tensor
+    start: Tensor
+    weight: Tensor
+
+    def response(self, waves: Tensor) -> Tensor:
+        """Weighted response of the windows' outputs to torques ``(R, T, m)`` [N m], ``(W, L n_y, m)``."""
+        waves = waves[self.record[:, None], self.index]
+        empty = self.lin.d.new_zeros(1).expand(*self.lin.d.shape[:-1], waves.shape[-1])
+        chained = condense(replace(self.lin, b=self.lin.b * waves[:, :, None, :], d=empty), self.x)
+        n_x = self.x.shape[-1]
+        found = (self.lin.c @ chained[..., n_x:-1] * self.weight[..., None]).flatten(1, 2)
+        return found - self.start @ (self.start.transpose(1, 2) @ found)
+
+    def explained(self, waves: Tensor) -> tuple[float, np.ndarray]:
+        """Share of the residuals' mean square that torques explain on records left out, and their coefficients.
+
+        Args:
+            waves: basis functions, ``(R, T, m)``.
+        """
+        columns = torch.cat([self.own, self.response(waves)], 2)
+        size = columns.square().sum((0, 1)).sqrt()
+        size = size.where(size > 0, torch.ones_like(size))
+        columns, n_own = columns / size, self.own.shape[2]
+        ridge = torch.diag(
+            torch.cat([torch.full((n_own,), 1e-9), torch.full((len(size) - n_own,), RIDGE)])
+        ).to(size)
+        count = int(self.record.max()) + 1
+        squares = size.new_zeros(count, len(size), len(size))
+        squares.index_add_(0, self.record, columns.transpose(1, 2) @ columns)
+        slopes = size.new_zeros(count, len(size))
+        slopes.index_add_(0, self.record, (columns.transpose(1, 2) @ self.left[..., None])[..., 0])
+        energy = size.new_zeros(count).index_add_(0, self.record, self.left.square().sum(1))
+        whole, slope = squares.sum(0) + ridge, slopes.sum(0)
+        error = []
+        for part in (slice(0, n_own), slice(0, len(size))):
+            total = 0.0
+            for h, g, e in zip(squares, slopes, energy, strict=True):
+                rest, pull = (whole, slope) if count == 1 else (whole - h, slope - g)
+                step = torch.linalg.lstsq(rest[part, part], pull[part][:, None], driver="gelsd").solution[
+                    :, 0
+                ]
+                total += float(e - 2 * step @ g[part] + step @ h[part, part] @ step)
+            error.append(total)
+        coefficients = torch.linalg.lstsq(whole, slope[:, None], driver="gelsd").solution[:, 0] / size
+        return 1.0 - error[1] / max(error[0], 1e-300), coefficients[n_own:].numpy()
+
+
+def probe(system: System, engine: Engine, batch: Batch, joint: int, side: str) -> Probe:
+    """Open a fitted model for torques at the rotor (``motor``) or at the link (``load``) of a joint.
+
+    Args:
+        system: fitted model.
+        engine: how it was fitted.
+        batch: records, prepared for it.
+        joint: number, from 1.
+        side: ``"motor"`` or ``"load"``.
+    """
+    where = f"joint{joint}/{side}"
+    part = Cogging(T_c=0.0, T_s=0.0, n=0.0) if side == "motor" else ConstantTorque(T_0=0.0)
+    symbol = "T_c" if side == "motor" else "T_0"
+    opened = _without_rival(system, where, part.kind).with_component(where, part)
+    table = opened.table
+    torque = [i for i, o in enumerate(table) if (o.component, o.symbol) == (f"{where}/{part.kind}", symbol)]
+    own = [
+        i
+        for i, o in enumerate(table)
+        if o.spec.estimate and not o.component.startswith(f"{where}/{part.kind}")
+    ]
+    step, samples = float(batch.dt[batch.dt > 0].median()), batch.dt.shape[1]
+    length = min(max(25, round(WINDOW / step)), samples)
+    first = torch.arange(0, samples - length + 1, length)
+    record = torch.arange(batch.rows).repeat_interleave(len(first))
+    index = (first[:, None] + torch.arange(length)).repeat(batch.rows, 1)
+    full = (batch.weight[record[:, None], index] > 0).any(2).all(1)
+    record, index = record[full], index[full]
+    at = (record[:, None], index)
+    dt = batch.dt[at].clone()
+    dt[:, -1] = 0.0
+    x, weight, theta = batch.x[at], batch.weight[at], opened.theta().detach()[:, None].expand(-1, len(record))
+    channels = {name: channel[at] for name, channel in batch.u.items()}
+    smooth = engine if engine.friction == "dry" else Engine(substeps=engine.substeps)
+    lin = linearise(opened, smooth, x, channels, dt, theta, [*own, *torque], batch.outputs)
+    n_x, chained = x.shape[-1], condense(lin, x)
+    through = lin.c @ chained
+    through[..., n_x:-1] += lin.d
+    left = ((batch.y[at] - lin.y - through[..., -1]) * weight).flatten(1, 2)
+    columns = (through[..., :-1] * weight[..., None]).flatten(1, 2)
+    start = torch.linalg.qr(columns[..., :n_x])[0]
+    mine = columns[..., n_x : n_x + len(own)]
+    mine = mine - start @ (start.transpose(1, 2) @ mine)
+    left = left - (start @ (start.transpose(1, 2) @ left[..., None]))[..., 0]
+    # a torque that drives is meant; the component at the link opposes
+    sign = 1.0 if side == "motor" else -1.0
+    only = replace(lin, b=sign * lin.b[..., len(own) :], d=lin.d[..., len(own) :])
+    positions = opened.joints[joint - 1].positions
+    row = positions[0] if side == "motor" else positions[-1]
+    return Probe(side, joint, row, batch, index, record, only, x, mine, left, start, weight)
+
+
+def _without_rival(system: System, where: str, kind: str) -> System:
+    return system.without_component(where, kind) if f"{where}/{kind}" in system.components else system
+
+
+def bumps(signal: Tensor, count: int, low: float, high: float) -> Tensor:
+    """Gaussian bumps side by side over a range, which together are flat, ``(..., count)``.
+
+    Args:
+        signal: any shape.
+        count: how many.
+        low, high: the range.
+    """
+    centres = torch.linspace(low, high, count, dtype=signal.dtype)
+    width = (high - low) / max(count - 1, 1)
+    weight = torch.exp(-0.5 * ((signal[..., None] - centres) / width) ** 2)
+    return weight / weight.sum(-1, keepdim=True).clamp_min(1e-12)
