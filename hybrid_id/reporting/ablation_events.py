@@ -31,10 +31,11 @@ def write_cell_events(folder: Path, result: CellResult) -> None:
         "taken out": " and ".join(arm.without) or "nothing",
         "seed": result.cell.seed,
     }
-    metrics = {"share": best.share, "overlap": best.overlap, "price": best.price, "seconds": result.seconds}
+    metrics: dict[str, float] = {}  # TensorBoard shows the first few
     if result.split is not None:
-        metrics |= {name: _error(best.errors, result.split, name) for name in ("train", "validation", "test")}
-        metrics |= {"out_of_range": _error(best.errors, result.split, "beyond")}
+        sets = {"test": "test", "out_of_range": "beyond", "validation": "validation", "train": "train"}
+        metrics |= {name: _error(best.errors, result.split, records) for name, records in sets.items()}
+    metrics |= {"share": best.share, "overlap": best.overlap, "price": best.price, "seconds": result.seconds}
     finite = {f"final/{name}": value for name, value in metrics.items() if math.isfinite(value)}
     with SummaryWriter(str(place)) as writer:
         for tag, course in result.history.items():
