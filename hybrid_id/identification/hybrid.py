@@ -46,6 +46,7 @@ class Rung:
         iterations: gradients up to here.
         status: how the training ended.
         errors: standard errors of the estimated parameters, ``(n_f,)``; with networks, their weights are unknown too.
+        loose: the same without the price, which alone keeps a parameter where a network could do its work.
     """
 
     price: float
@@ -55,6 +56,7 @@ class Rung:
     iterations: int
     status: str
     errors: np.ndarray
+    loose: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,18 +193,23 @@ def choose(losses: Sequence[Tensor], worth: float) -> int:
 def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
     """A rung as a system of its own, with standard errors from the Gauss-Newton matrix of all that it trained."""
     system, theta = trainer.whole.system, found.theta.double()
-    stage = Stage(0, price if price < torch.inf else 0.0, None, False)
-    problem = trainer.problem(stage, Course(0, theta, found.weights.double()))
-    assert problem is not None  # whole records need no windows
     values = {info.name: float(theta[k, 0]) for k, info in enumerate(system.table) if info.spec.estimate}
-    engine = replace(problem.engine, gradient="backprop")
-    nodes = free_run(system, engine, problem.batch, problem.batch.x, theta.expand(-1, problem.batch.rows))[0]
-    noise, size = theta.new_full((1,), found.train * float(problem.data[0])), len(problem.free)
-    matrix = problem.curvature(problem.start(theta), nodes.nan_to_num(0.0), noise)[0]
-    keep = slice(None) if price < torch.inf else slice(0, len(matrix) - problem.weights)
-    spread = torch.linalg.pinv(matrix[keep, keep], hermitian=True).diagonal()[:size].clamp_min(0.0)
-    errors = (2.0 * found.train * spread).sqrt() * problem.unit
+    engine = replace(trainer.whole.engine, gradient="backprop")
+    batch, course = trainer.whole.batch, Course(0, theta, found.weights.double())
+    torch.nn.utils.vector_to_parameters(course.weights, trainer.whole.extra)
+    nodes = free_run(system, engine, batch, batch.x, theta.expand(-1, batch.rows))[0].nan_to_num(0.0)
+
+    def errors(at: float) -> np.ndarray:
+        problem = trainer.problem(Stage(0, at, None, False), course)
+        assert problem is not None  # whole records need no windows
+        noise = theta.new_full((1,), found.train * float(problem.data[0]))
+        matrix = problem.curvature(problem.start(theta), nodes, noise)[0]
+        keep = slice(None) if price < torch.inf else slice(0, len(matrix) - problem.weights)
+        spread = torch.linalg.pinv(matrix[keep, keep], hermitian=True).diagonal()[: len(problem.free)]
+        return ((2.0 * found.train * spread.clamp_min(0.0)).sqrt() * problem.unit).cpu().numpy()
+
+    loose = errors(0.0)
     return Rung(
         price, system.with_values(values), found.train, typical(found.validation), found.iterations,
-        found.status, errors.cpu().numpy(),
+        found.status, errors(price) if 0.0 < price < torch.inf else loose, loose,
     )  # fmt: skip

@@ -23,10 +23,19 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
     """Everything that a hybrid training tells, as plain data."""
     result = study.result
     rows = zip(
-        study.names, study.units, study.physics, study.physics_error, study.hybrid, study.hybrid_error, study.drift,
+        study.names, study.units, study.physics, study.physics_error, study.hybrid, study.hybrid_error,
+        result.rungs[result.chosen].loose, study.drift,
         strict=True,
     )  # fmt: skip
-    heads = ("unit", "physics", "physics_std_error", "hybrid", "hybrid_std_error", "drift_sigma")
+    heads = (
+        "unit",
+        "physics",
+        "physics_std_error",
+        "hybrid",
+        "hybrid_std_error",
+        "unpriced_std_error",
+        "drift_sigma",
+    )
     return {
         "validation_records": study.validation,
         "chosen_price": result.rungs[result.chosen].price,

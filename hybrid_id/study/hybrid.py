@@ -22,9 +22,10 @@ from hybrid_id.study.network_role import NetworkRole, network_roles
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
-OVERLAP, SMALL, DRIFT = 0.2, 0.01, 3.0
+OVERLAP, SMALL, DRIFT, BLUR = 0.2, 0.01, 3.0, 5.0
 """Overlap with the physics from which on a network is said to do its work, share of the torque under which it does next
-to nothing, and drift in standard errors from which on a parameter is said to have moved."""
+to nothing, drift in standard errors from which on a parameter is said to have moved, and growth of its standard error
+from which on the network is said to be able to do its work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +58,12 @@ class HybridStudy:
     def drift(self) -> np.ndarray:
         """Change of each parameter from physics alone to hybrid in standard errors of the difference, ``(n_f,)``."""
         return (self.hybrid - self.physics) / np.hypot(self.physics_error, self.hybrid_error)
+
+    @property
+    def blur(self) -> np.ndarray:
+        """Growth of each standard error, per unit of what the model misses, by the networks without a price."""
+        first, chosen = self.result.rungs[0], self.result.rungs[self.result.chosen]
+        return (chosen.loose / chosen.train**0.5) / np.maximum(first.errors / first.train**0.5, 1e-300)
 
     @property
     def warnings(self) -> list[str]:
@@ -169,6 +176,14 @@ def _warnings(study: HybridStudy) -> list[str]:
                 f"the network at {role.where} does work that the physics could do: {100 * role.overlap:.0f} % of the "
                 f"accelerations it causes look like a change of the parameters, of {', '.join(parts)}; these may be "
                 "wrong by as much and more, do not read them as physical"
+            )
+    loose = study.result.rungs[study.result.chosen].loose
+    for name, blur, error, value in zip(study.names, study.blur, loose, study.hybrid, strict=True):
+        if blur > BLUR:
+            found.append(
+                f"the network could do the work of {name}, which the price alone keeps near its value without a "
+                "network: what biased it there biases it still. Without the price its 95 % interval is "
+                f"{value:.3g} ± {1.96 * error:.2g}"
             )
     for name, drift in zip(study.names, study.drift, strict=True):
         if math.isfinite(drift) and abs(drift) > DRIFT:

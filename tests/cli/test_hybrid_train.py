@@ -19,8 +19,8 @@ training: {{width: 2.0, fine: 4}}
 hybrid:
   networks: [{{place: joint1/motor, inputs: [speed, sin 3, cos 3], hidden: [4]}}]
   prices: [1.0]
-  windows: [[0.2, 2]]
-  max_iterations: 6
+  windows: []
+  max_iterations: 5
 """
 
 
@@ -62,6 +62,10 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
     )
     assert set(result["parameters"]) == {"P_m2", "F_c", "F_v", "J"}
     assert [rung["price"] for rung in result["ladder"]] == [None, 1.0]
+    assert any("could do the work of P_m2" in warning for warning in result["warnings"])  # it reads the speed
+    assert not any("work of J" in warning for warning in result["warnings"])
+    back_emf = result["parameters"]["P_m2"]
+    assert back_emf["unpriced_std_error"] > back_emf["hybrid_std_error"]
     errors = result["weighted_error"]["run_0"]
     assert errors["hybrid"] < 0.5 * errors["physics"]
     model = load_model(out / "model.yaml")
@@ -89,6 +93,22 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
     )
 
 
+def test_identify_says_who_uses_the_section(run, study: Path, tmp_path: Path) -> None:
+    text = study.read_text().replace("hybrid:", "identification: {max_iterations: 1}\nhybrid:")
+    (tmp_path / "study.yaml").write_text(
+        text + "output: {figures: false, tensorboard: false, report: false}\n"
+    )
+    told = run("identify", tmp_path / "study.yaml", "--out", tmp_path / "out", "--pooled")
+    assert told.code == 0 and told.err.count("'train' uses the section 'hybrid'") == 1
+
+
+def test_an_unknown_device_is_told(run, study: Path, tmp_path: Path) -> None:
+    told = run("train", study, "--out", tmp_path / "out", "--device", "cuda:77")
+    assert (
+        told.code == 2 and "device 'cuda:77' cannot be used" in told.err and not (tmp_path / "out").exists()
+    )
+
+
 def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> None:
     text = study.read_text()
     for old, new, words in (
@@ -96,7 +116,7 @@ def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> Non
         ("inputs: [speed, sin 3, cos 3]", "inputs: [colour]", "no input 'colour'"),
         ("joint1/motor", "joint1/sensor", "joint1/sensor"),
         ("prices: [1.0]", "prices: [0.1, 1.0]", "no ladder"),
-        ("max_iterations: 6", "validation: [run_9]", "run_9"),
+        ("max_iterations: 5", "validation: [run_9]", "run_9"),
     ):
         assert old in text
         (tmp_path / "study.yaml").write_text(text.replace(old, new))

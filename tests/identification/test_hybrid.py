@@ -95,6 +95,15 @@ def test_the_network_finds_what_was_withheld(found: HybridResult) -> None:
     assert float((torque - truth).norm() / truth.norm()) < 0.25
 
 
+def test_without_a_price_nothing_is_told_better(found: HybridResult) -> None:
+    names = [info.name for info in found.system.table if info.spec.estimate]
+    growth = {}
+    for rung in found.rungs:
+        assert (rung.loose >= rung.errors * (1 - 1e-6)).all()
+        growth = dict(zip(names, rung.loose / found.rungs[0].errors, strict=True))
+    assert growth["F_v"] > 3.0 * growth["J"]  # the network reads the speed, and no acceleration
+
+
 def test_the_physics_keeps_its_meaning(found: HybridResult) -> None:
     for name in ("J", "F_c"):
         truth = drive().parameter(name).spec.value
