@@ -15,6 +15,8 @@ from hybrid_id.blind.robots import Robot
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 
+NOISE = (0.002, 0.03)
+"""Encoders' noise relative to the motion in the test records."""
 SUBSTEPS = 4
 """Steps a sample of the in-house engine: 0.5 ms."""
 
@@ -111,6 +113,35 @@ def record_sizes(case: Case, factors: np.ndarray) -> list[Records]:
     clean = replay(case.plant(), volts, sample_time=SAMPLE_TIME, link=campaign.encoders.link)
     lanes = np.arange(count * runs).reshape(count, runs)
     return [_records(case, volts[..., own], measured[..., own], clean[..., own]) for own in lanes]
+
+
+def tuned(case: Case, share: float) -> Case:
+    """The case with encoders that suit its motion, and random torques that move the outputs by a share of their noise.
+
+    Encoders are made coarser or finer by powers of two until their noise is within `NOISE` of the test records' motion.
+    The share holds for four records of five, of the output that feels the torques most, on the machine without effects.
+    """
+    campaign = case.campaign
+    sound = replace(case, effects=(), engine="in_house")
+    records = record(sound)
+    clean = replay(sound.plant(), records.volts, sample_time=SAMPLE_TIME, link=campaign.encoders.link)
+    errors, spread, noise = [], [], noise_std(campaign.encoders)
+    for b, length in enumerate(campaign.lengths):
+        measured = records.measured[:length, :, b]
+        errors.append(np.mean((clean[:length, :, b] - measured) ** 2, axis=0))
+        if campaign.roles[b] == "test":
+            spread.append(np.std(measured, axis=0))
+    floor = np.mean(noise / np.array(spread), axis=0)
+    finer = 2.0 ** np.round(np.log2(np.clip(floor, *NOISE) / floor))
+    encoders = replace(
+        campaign.encoders,
+        quantum=finer * campaign.encoders.quantum,
+        jitter=finer[:, None] * campaign.encoders.jitter,
+    )
+    felt = np.sqrt(np.maximum(np.array(errors) - noise**2, 1e-4 * noise**2)) / (finer * noise)
+    factor = share / float(np.quantile(felt, 0.8, axis=0).max())
+    program = replace(campaign.program, disturbance=factor * campaign.program.disturbance)
+    return replace(case, campaign=replace(campaign, program=program, encoders=encoders))
 
 
 def _records(case: Case, volts: np.ndarray, measured: np.ndarray, clean: np.ndarray) -> Records:

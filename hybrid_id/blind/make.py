@@ -10,10 +10,11 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from hybrid_id.blind.campaign import draw_campaign
-from hybrid_id.blind.case import Case, runs_in_mujoco
+from hybrid_id.blind.case import Case, runs_in_mujoco, tuned
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE, Effect
 from hybrid_id.blind.effects.base import UNKNOWN
 from hybrid_id.blind.levels import BANDS, Graded, grade, scale_to_level
+from hybrid_id.blind.rivals import Rival, find_rivals
 from hybrid_id.blind.robots import SYSTEMS, Robot, draw_robot
 from hybrid_id.errors import InputError
 from hybrid_id.records.yaml_file import write_yaml
@@ -39,6 +40,7 @@ def make_case(
     effect: str | None = None,
     level: str | None = None,
     engine: str | None = None,
+    grading: bool = True,
 ) -> Path:
     """Make one case; what is not given is drawn.
 
@@ -51,6 +53,7 @@ def make_case(
         effect: name of the effect, or the first one of a pair; of the class for effects outside the catalogue.
         level: strong, medium or weak.
         engine: in_house or mujoco.
+        grading: whether to look for other effects that explain the records as well; slower.
 
     Returns:
         The case's folder.
@@ -66,8 +69,16 @@ def make_case(
     for draw in range(DRAWS):
         rng = np.random.default_rng([seed, 1, draw])
         graded = _draw(rng, name, family, system, effect, level, engine)
-        if graded is not None:
-            return _write(graded, Path(folder), family, seed)
+        if graded is None:
+            continue
+        rivals = (
+            find_rivals(graded.case, graded.records, seed)
+            if grading and len(graded.case.effects) == 1
+            else []
+        )
+        if family == "unknown" and any(rival.counts for rival in rivals):
+            continue  # the catalogue has a name for it after all
+        return _write(graded, rivals, Path(folder), family, seed)
     raise InputError(
         f"case {name}: no machine of {DRAWS} shows {effect or family} at level {level}; give another level or seed"
     )
@@ -119,8 +130,10 @@ def _draw(
             return None
         wish = "in_house"
     case = Case(name, robot, (), campaign, _model(rng, robot, effects), wish)
+    case = tuned(case, rng.uniform(0.15, 0.45))
     if not effects:
-        return grade(case)
+        sound = grade(case)
+        return sound if sound.ratio <= 1.1 else None
     graded = []
     for one in effects:
         alone = case.with_effects([one])
@@ -170,7 +183,7 @@ def _model(rng: np.random.Generator, robot: Robot, effects: list[Effect]) -> dic
     return robot.model(rng, WRONG)
 
 
-def _write(graded: Graded, folder: Path, family: str, seed: int) -> Path:
+def _write(graded: Graded, rivals: list[Rival], folder: Path, family: str, seed: int) -> Path:
     """Write a case and its answers; the folder appears only when it is complete."""
     case, path = graded.case, folder / graded.case.name
     if path.exists():
@@ -179,12 +192,12 @@ def _write(graded: Graded, folder: Path, family: str, seed: int) -> Path:
     with tempfile.TemporaryDirectory(dir=folder, prefix=".making-") as temporary:
         made = graded.records.dataset.save(Path(temporary) / case.name)
         write_yaml(made / "model.yaml", case.model)
-        write_yaml(folder / "answers" / f"{case.name}.yaml", answers(graded, family, seed))
+        write_yaml(folder / "answers" / f"{case.name}.yaml", answers(graded, rivals, family, seed))
         made.replace(path)
     return path
 
 
-def answers(graded: Graded, family: str, seed: int) -> dict[str, Any]:
+def answers(graded: Graded, rivals: list[Rival], family: str, seed: int) -> dict[str, Any]:
     """The answer sheet of a case."""
     floor = graded.records.noise_floor
     oracle = {
@@ -193,9 +206,9 @@ def answers(graded: Graded, family: str, seed: int) -> dict[str, Any]:
         "with_effect": floor if graded.case.effects else graded.errors.refit,
         "noise_floor": floor,
     }
-    return {
+    sheet: dict[str, Any] = {
         "family": family,
-        "effects": [_answer(effect, graded.case.robot) for effect in graded.case.effects],
+        "effects": [_answer(effect, rivals, graded.case.robot) for effect in graded.case.effects],
         "level": graded.level,
         "oracle": {key: float(f"{value:.4g}") for key, value in oracle.items()},
         "made_by": {
@@ -204,24 +217,33 @@ def answers(graded: Graded, family: str, seed: int) -> dict[str, Any]:
             "formulas": [type(effect).__name__ for effect in graded.case.effects],
         },
     }
+    if rivals:
+        rest = {f"{r.effect.name}@{r.effect.joint + 1}": round(r.rest, 3) for r in reversed(rivals[:6])}
+        sheet["notes"] = {"rest_of_gap_with_rival": dict(reversed(rest.items()))}
+    return sheet
 
 
-def _answer(effect: Effect, robot: Robot) -> dict[str, Any]:
-    """One effect on the answer sheet, with what physics alone says is the same."""
-    places = [effect.where]
-    joint = effect.where.split("/")[0]
-    if effect.place == "motor_friction" and robot.system != "one_link_flexible":
-        places.append(f"{joint}/link_friction")
-    if robot.system == "two_link" and effect.name in ("gravity_load", "joint_coupling"):
-        places = ["joint1/load", "joint2/load"]
-    accept = [] if effect.name == UNKNOWN else [effect.name]
+def _answer(effect: Effect, rivals: list[Rival], robot: Robot) -> dict[str, Any]:
+    """One effect on the answer sheet, with all that counts as right."""
+    right = [effect, *(rival.effect for rival in rivals if rival.counts)]
+    places = [place for one in right for place in _places(one, robot)]
+    names = [one.name for one in right if one.name != UNKNOWN]
     return {
         "name": effect.name,
         "where": effect.where,
-        "accept": accept,
-        "accept_where": places,
+        "accept": list(dict.fromkeys(names)),
+        "accept_where": list(dict.fromkeys(places)),
         "size": effect.size(),
     }
+
+
+def _places(effect: Effect, robot: Robot) -> list[str]:
+    """Places of an effect that physics alone cannot tell apart."""
+    if robot.system == "two_link" and effect.name in ("gravity_load", "joint_coupling"):
+        return ["joint1/load", "joint2/load"]
+    if effect.place == "motor_friction" and robot.system != "one_link_flexible":
+        return [effect.where, effect.where.replace("motor_friction", "link_friction")]
+    return [effect.where]
 
 
 def _check(**given: str | None) -> None:

@@ -4,7 +4,7 @@ Output error over whole records by Levenberg's and Marquardt's method. It may st
 so that a few steps find the optimum; derivatives are differences, and all perturbed machines run side by side.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,11 +16,13 @@ from hybrid_id.blind.robots import Robot
 
 ROUNDS = 3
 """Steps of the method."""
+ENOUGH = 1e-3
+"""Relative fall of the cost below which it ends."""
 STEP = 0.01
 """Relative change of a parameter for its derivative: large enough to be felt past stick and slip."""
 DAMPINGS = (1e-4, 1e-2, 1e-1, 1.0, 10.0)
 """Dampings that are tried side by side, relative to the diagonal of the normal equations."""
-SIGNAL_SHARE = 0.004
+SIGNAL_SHARE = 0.001
 """Added to the noise as a share of each signal, so that small errors of large signals weigh little."""
 
 Build = Callable[[Mapping[str, np.ndarray]], Plant]
@@ -57,7 +59,7 @@ def nominal_error(case: Case, records: Records) -> float:
     """Normalised RMSE of today's simulator as it stands, on the test records."""
     given = {name: entry["nominal"] for name, entry in case.model["parameters"].items()}
     robot = case.truth().with_values(dict.fromkeys(case.truth().values, 0.0)).with_values(given)
-    return _Bench(case, records, lambda values: robot.assemble(substeps=1)).test_error({})
+    return Bench(case, records, lambda values: robot.assemble(substeps=1)).test_error({})
 
 
 def free_parameters(robot: Robot) -> list[str]:
@@ -70,43 +72,53 @@ def free_parameters(robot: Robot) -> list[str]:
     ]
 
 
-def refit(build: Build, start: Mapping[str, float], case: Case, records: Records) -> Refit:
-    """Fit positive parameters from a start to the train records.
+def refit(
+    build: Build,
+    start: Mapping[str, float],
+    case: Case,
+    records: Records,
+    *,
+    signed: Collection[str] = (),
+    rounds: int = ROUNDS,
+) -> Refit:
+    """Fit parameters from a start to the train records.
 
     Args:
         build: machines of given values.
-        start: values to start from, all positive.
+        start: values to start from.
         case: of the records.
         records: what is fitted.
+        signed: names of those that may be negative; the others are positive and stepped on a logarithmic scale.
+        rounds: steps of the method.
     """
-    bench, names = _Bench(case, records, build), list(start)
-    theta = np.log([start[name] for name in names])
+    bench, names = Bench(case, records, build), list(start)
+    scale = {name: abs(start[name]) or 1.0 for name in signed}
+    theta = np.array([start[n] / scale[n] if n in scale else np.log(start[n]) for n in names])
 
-    def point(logs: np.ndarray) -> dict[str, np.ndarray]:
-        return {name: np.exp(logs[:, i]) for i, name in enumerate(names)}
+    def point(rows: np.ndarray) -> dict[str, np.ndarray]:
+        return {n: scale[n] * rows[:, i] if n in scale else np.exp(rows[:, i]) for i, n in enumerate(names)}
 
     best = np.inf
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         residuals = bench.residuals(point(np.vstack([theta, theta + STEP * np.eye(len(names))])))
         base, jacobian = residuals[0], (residuals[1:] - residuals[0]).T / STEP
         best = float(np.mean(base**2))
         normal, right = jacobian.T @ jacobian, jacobian.T @ base
-        scale = np.diag(np.diag(normal)) + 1e-12 * np.trace(normal) * np.eye(len(names))
-        tries = np.array([theta - np.linalg.solve(normal + d * scale, right) for d in DAMPINGS])
+        diagonal = np.diag(np.diag(normal)) + 1e-12 * np.trace(normal) * np.eye(len(names))
+        tries = np.array([theta - np.linalg.solve(normal + d * diagonal, right) for d in DAMPINGS])
         tries = np.clip(tries, theta - 1.5, theta + 1.5)
         costs = np.mean(bench.residuals(point(tries)) ** 2, axis=1)
-        costs = np.where(np.isfinite(costs), costs, np.inf)
         winner = int(np.argmin(costs))
-        if costs[winner] > best * (1 - 1e-3):
-            if costs[winner] < best:
-                theta, best = tries[winner], float(costs[winner])
+        gain = 1 - costs[winner] / best
+        if gain > 0:
+            theta, best = tries[winner], float(costs[winner])
+        if gain < ENOUGH:
             break
-        theta, best = tries[winner], float(costs[winner])
-    values = {name: float(np.exp(value)) for name, value in zip(names, theta, strict=True)}
+    values = {name: float(value[0]) for name, value in point(theta[None]).items()}
     return Refit(values, best, bench.test_error({name: np.full(1, value) for name, value in values.items()}))
 
 
-class _Bench:
+class Bench:
     """Replays of machines on the records of a case."""
 
     def __init__(self, case: Case, records: Records, build: Build) -> None:
@@ -130,6 +142,10 @@ class _Bench:
             error = (angles[own, :, :, i] - measured[:, :, None]) * weight[:, None]
             columns.append(error.reshape(-1, error.shape[-1]).T)
         return np.nan_to_num(np.concatenate(columns, axis=1), nan=1e6, posinf=1e6, neginf=-1e6)
+
+    def clean_error(self) -> np.ndarray:
+        """Weighted errors (N,) of the machine that made the records, on the train records."""
+        return self.residuals({})[0]
 
     def test_error(self, values: Mapping[str, np.ndarray]) -> float:
         """Normalised RMSE of one parameter set on the test records."""

@@ -28,6 +28,8 @@ class Effect:
         systems: where it can be met.
         sized: keys of `values` that grow with the effect.
         size_keys: key of `values` -> name in the answer sheet.
+        shapes: keys of `values`, beside the sized ones, that a re-fit may move.
+        signed: keys of `values` that may be negative.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
@@ -37,6 +39,8 @@ class Effect:
     systems: ClassVar[tuple[str, ...]] = ("one_link", "one_link_flexible", "two_link")
     sized: ClassVar[tuple[str, ...]]
     size_keys: ClassVar[Mapping[str, str]] = {}
+    shapes: ClassVar[tuple[str, ...]] = ()
+    signed: ClassVar[tuple[str, ...]] = ()
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -92,21 +96,22 @@ def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def stall(robot: Robot, joint: int) -> float:
+def stall(robot: Robot, joint: int) -> Any:
     """Torque of a motor at full voltage and standstill [N m]."""
-    return float(robot.value(joint, "P_m1")) * robot.supply
+    return robot.value(joint, "P_m1") * robot.supply
 
 
-def dry(robot: Robot, joint: int) -> float:
+def dry(robot: Robot, joint: int) -> Any:
     """A dry friction that suits the joint [N m]: its own, or a few per cent of the stall torque."""
-    return float(robot.value(joint, "F_c")) or 0.03 * stall(robot, joint)
+    own = np.asarray(robot.value(joint, "F_c"))
+    return np.where(own > 0, own, 0.03 * stall(robot, joint))[()]
 
 
-def fast(robot: Robot, joint: int) -> float:
+def fast(robot: Robot, joint: int) -> Any:
     """A third of a motor's no-load speed [rad/s]."""
-    return robot.supply / float(robot.value(joint, "P_m2")) / 3
+    return robot.supply / robot.value(joint, "P_m2") / 3
 
 
-def link_inertia(robot: Robot, joint: int) -> float:
+def link_inertia(robot: Robot, joint: int) -> Any:
     """Inertia behind a gear [kg m^2]."""
-    return float(robot.inertia(joint)) * robot.ratio[joint] ** 2 * (1 - robot.rotor_share[joint])
+    return robot.inertia(joint) * robot.ratio[joint] ** 2 * (1 - robot.rotor_share[joint])

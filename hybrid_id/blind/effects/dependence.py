@@ -66,6 +66,7 @@ class AngleFriction(Effect):
 
     name, place, sized = "position_dependent_friction", "motor_friction", ("amplitude",)
     size_keys = {"amplitude": "newton_metres", "periods": "periods_per_joint_turn"}
+    shapes, signed = ("periods", "phase"), ("phase",)
     spot = False
 
     @classmethod

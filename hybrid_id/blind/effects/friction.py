@@ -84,6 +84,7 @@ class StribeckGaussian(Effect):
 
     name, place, sized = "stribeck_friction", "motor_friction", ("drop",)
     size_keys = {"drop": "newton_metres_above_coulomb", "v_s": "rad_per_second"}
+    shapes = ("v_s",)
     shape = "gaussian"
 
     @classmethod
@@ -114,6 +115,7 @@ class UnevenDry(Effect):
 
     name, place, sized = "asymmetric_friction", "motor_friction", ("excess",)
     size_keys = {"excess": "newton_metres_difference"}
+    signed = ("excess", "slope")
 
     @classmethod
     def draw(cls, rng, robot, joint):

@@ -17,6 +17,7 @@ class Unbalance(Effect):
 
     name, place, sized, systems = "gravity_load", "load", ("G",), LINK
     size_keys = {"G": "newton_metres_link_or_sine_of_tilt"}
+    shapes, signed = ("q_0",), ("q_0",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -33,6 +34,7 @@ class Tilt(Effect):
 
     name, place, sized, systems = "gravity_load", "load", ("sine",), ("two_link",)
     size_keys = {"sine": "newton_metres_link_or_sine_of_tilt"}
+    shapes, signed = ("q_0",), ("q_0",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -49,6 +51,7 @@ class Hose(Effect):
 
     name, place, sized = "spring_load", "load", ("k",)
     size_keys = {"k": "newton_metres_per_rad_link", "rest": "rest_rad"}
+    shapes, signed = ("rest",), ("rest",)
     cubic = 0.0
 
     @classmethod
@@ -71,6 +74,7 @@ class Bias(Effect):
     """A constant torque, or an offset of the amplifier."""
 
     name, place, sized, size_keys = "constant_torque", "load", ("bias",), {"bias": "newton_metres"}
+    signed = ("bias",)
 
     @classmethod
     def draw(cls, rng, robot, joint):

@@ -24,6 +24,7 @@ class CoggingTorque(Effect):
 
     name, place, sized = "cogging", "motor", ("amplitude",)
     size_keys = {"amplitude": "newton_metres", "periods": "periods_per_turn"}
+    shapes, signed = ("phase",), ("phase",)
     overtone = 0.0
 
     @classmethod
@@ -59,6 +60,7 @@ class Warming(Effect):
 
     name, place, sized = "thermal_derating", "motor", ("rise",)
     size_keys = {"rise": "relative_rise_of_resistance", "cooling": "seconds_of_cooling"}
+    shapes = ("cooling",)
 
     @classmethod
     def draw(cls, rng, robot, joint):

@@ -66,6 +66,7 @@ class SoftGear(Effect):
 
     name, place, sized, systems = "joint_flexibility", "transmission", ("compliance",), RIGID
     size_keys = {"stiffness": "newton_metres_per_rad_link", "damping": "newton_metre_seconds_link"}
+    shapes = ("ratio",)
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -129,6 +130,7 @@ class GearError(Effect):
 
     name, place, sized = "kinematic_error", "transmission", ("error",)
     size_keys = {"error": "rad_at_link", "periods": "periods_per_motor_turn"}
+    shapes, signed = ("phase",), ("phase",)
     overtone = 0.0
 
     @classmethod
