@@ -13,6 +13,8 @@ from hybrid_id.cli.blind import blind
 from hybrid_id.cli.check import check
 from hybrid_id.cli.components import components
 from hybrid_id.cli.demo import demo
+from hybrid_id.cli.diagnose import diagnose
+from hybrid_id.cli.effects import effects
 from hybrid_id.cli.excite import excite
 from hybrid_id.cli.identify import identify
 from hybrid_id.cli.replay import compare, simulate
@@ -79,7 +81,9 @@ def _hybrid_id(
     """Physical parameters of robot drives from records of voltage and angle, with statistics that say what to trust."""
 
 
-for command in (check, excite, identify, train, ablate, simulate, compare, reproduce, demo, components):
+for command in (
+    check, excite, identify, train, ablate, diagnose, simulate, compare, reproduce, demo, components, effects
+):  # fmt: skip
     app.command()(command)
 app.add_typer(blind, name="blind")
 

@@ -11,6 +11,7 @@ from pathlib import Path
 from hybrid_id.errors import InputError
 
 RESULT = "result.json"
+DIAGNOSIS = "diagnosis.json"
 CHECKPOINT = "checkpoint.pt"
 
 
@@ -41,7 +42,7 @@ def refuse_taken(path: Path, *, force: bool) -> None:
         )
     if not force:
         raise InputError(f"{path} is not empty; give another folder, or --force to replace the results in it")
-    if not _is_ours(path / RESULT) and not (path / CHECKPOINT).exists():
+    if not any(_is_ours(path / name) for name in (RESULT, DIAGNOSIS)) and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds files that are no results of hybrid-id; give another folder")
 
 

@@ -17,6 +17,7 @@ from pydantic import model_validator
 
 from hybrid_id.config.sections import (
     Ablation,
+    Gap,
     Hybrid,
     Identification,
     Network,
@@ -34,6 +35,7 @@ MODEL_NAME = "model.yaml"
 __all__ = [
     "MODEL_NAME",
     "Ablation",
+    "Gap",
     "Hybrid",
     "Identification",
     "Network",
@@ -60,6 +62,7 @@ class StudyConfig(Section):
     training: Training = Training()
     hybrid: Hybrid | None = None
     ablation: Ablation | None = None
+    gap: Gap = Gap()
     statistics: Statistics = Statistics()
     output: Output = Output()
 

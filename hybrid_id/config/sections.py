@@ -191,6 +191,18 @@ class Ablation(Section):
     horizon: PositiveFloat = 0.2
 
 
+class Gap(Section):
+    """How `diagnose` searches; the seed is that of the identification.
+
+    Attributes:
+        most: effects at most.
+        jobs: processes that share the fits.
+    """
+
+    most: PositiveInt = 3
+    jobs: PositiveInt = 1
+
+
 class Statistics(Section):
     """What is said about the parameters.
 

@@ -1,4 +1,4 @@
-"""A finished study in TensorBoard: scalars of every set, and the pictures."""
+"""A finished study or diagnosis in TensorBoard: its scalars and its pictures."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from torch.utils.tensorboard.writer import SummaryWriter
 
+from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.study import Study
 
 
@@ -32,5 +33,27 @@ def write_study_events(
         for j, signal in enumerate(study.cross_validation.signal_names if curves else ()):
             for i, fits in enumerate(study.cross_validation.fits[:, :, j]):
                 writer.add_scalar(f"fit/{signal}", float(np.mean(fits)), i)
-        for name, image in images.items():
-            writer.add_image(f"figures/{name}", image, dataformats="HWC")
+        _write_images(writer, images)
+
+
+def write_gap_events(folder: Path, diagnosis: Diagnosis, images: Mapping[str, np.ndarray]) -> None:
+    """Write event files of a diagnosis: errors on the test records, probabilities by rank, and the pictures.
+
+    Args:
+        folder: Where to.
+        diagnosis: The result.
+        images: Pictures by name, (H, W, 3).
+    """
+    models = {"today": diagnosis.nominal, "re-fitted": diagnosis.refit, "corrected": diagnosis.with_effect}
+    with SummaryWriter(str(folder)) as writer:
+        for name, errors in models.items():
+            if errors is not None:
+                writer.add_scalar(f"gap/{name}", errors.nrmse)
+        for one in diagnosis.effects:
+            writer.add_scalar(f"probability/{one.where}/{one.name}", one.probability)
+        _write_images(writer, images)
+
+
+def _write_images(writer: SummaryWriter, images: Mapping[str, np.ndarray]) -> None:
+    for name, image in images.items():
+        writer.add_image(f"figures/{name}", image, dataformats="HWC")

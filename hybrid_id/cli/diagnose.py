@@ -1,0 +1,175 @@
+"""`diagnose`: where records and today's model disagree, which effect causes it, and how far the gap shrinks."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from hybrid_id.cli.console import err, show
+from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.folder import DIAGNOSIS, refuse_taken, required, results_folder
+from hybrid_id.cli.inputs import checked_records, load_system
+from hybrid_id.cli.options import (
+    ForceOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    SeedOption,
+    SourceArgument,
+    use_threads,
+)
+from hybrid_id.cli.study import reach_of
+from hybrid_id.config import StudyConfig, study_config
+
+if TYPE_CHECKING:
+    from hybrid_id.gap.diagnosis import Diagnosis
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.systems.chain import System
+
+
+def diagnose(
+    source: SourceArgument,
+    model: ModelOption = None,
+    out: OutOption = None,
+    most: Annotated[int | None, typer.Option(help="Effects at most.", min=1, show_default="3")] = None,
+    jobs: Annotated[
+        int | None, typer.Option(help="Processes that share the fits.", min=1, show_default="1")
+    ] = None,
+    seed: SeedOption = None,
+    force: ForceOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Find out why records and today's model disagree: where the gap lies, which effect causes it, how far it shrinks.
+
+    Searches on the train records; the test records measure the gap. Writes report.html, diagnosis.json, model.yaml
+    (with the effects), refit.yaml (today's model, re-fitted), pictures and TensorBoard events.
+    """
+    config = study_config(
+        source,
+        {
+            "model": None if model is None else str(model),
+            "output.folder": None if out is None else str(out),
+            "gap.most": most,
+            "gap.jobs": jobs,
+            "identification.seed": seed,
+        },
+    )
+    home = required(config.output.folder)
+    refuse_taken(home, force=force)
+    dataset = checked_records(config.dataset, config.preprocessing)
+    use_threads(1)
+    system = load_system(config)
+    diagnosis = run(dataset, system, config)
+    with results_folder(home, force=force) as folder:
+        text = write_diagnosis(folder, home, config, dataset, system, diagnosis)
+    if as_json:
+        stdout().print(text, markup=False, soft_wrap=True)
+        return
+    from hybrid_id.reporting.gap import diagnosis_table
+
+    show(diagnosis_table(diagnosis, reach_of(config), config.statistics.level))
+    page = "report.html, " if config.output.report else ""
+    show(f"results are in {home}: {page}{DIAGNOSIS}, model.yaml, refit.yaml, pictures, config.yaml")
+
+
+def run(dataset: "Dataset", system: "System", config: StudyConfig) -> "Diagnosis":
+    """Diagnose as the config says, with a bar on stderr."""
+    from hybrid_id.gap.diagnosis import diagnose as find
+
+    with SearchProgress() as progress:
+        return find(
+            dataset,
+            system,
+            most=config.gap.most,
+            jobs=config.gap.jobs,
+            seed=config.identification.seed,
+            signal_share=config.preprocessing.signal_share,
+            progress=progress,
+        )
+
+
+class SearchProgress:
+    """Bar on stderr while the catalogue is searched; an instance is what `diagnose` takes as `progress`."""
+
+    def __init__(self) -> None:
+        console = err()
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(24),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+        )
+        self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
+        self._task: TaskID = self._bar.add_task("today's model", total=None)
+        self._stage = ""
+
+    def __enter__(self) -> "SearchProgress":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Show how many fits of a stage are done."""
+        if stage != self._stage:
+            self._stage = stage
+            self._bar.reset(self._task, total=total)
+        self._bar.update(
+            self._task, description=f"{stage}, fit {done} of at most {total}", completed=done, total=total
+        )
+
+
+def write_diagnosis(
+    folder: Path,
+    home: Path,
+    config: StudyConfig,
+    dataset: "Dataset",
+    system: "System",
+    diagnosis: "Diagnosis",
+) -> str:
+    """Write all files of a diagnosis.
+
+    Args:
+        folder: Where to write.
+        home: Where the folder will be at last.
+        config: What was asked for.
+        dataset: The records.
+        system: Today's model.
+        diagnosis: The result.
+
+    Returns:
+        The result as JSON.
+    """
+    from hybrid_id.reporting.results import as_json
+    from hybrid_id.systems.model_file import save_model
+
+    text = as_json("diagnose", {"seed": config.identification.seed} | diagnosis.as_dict())
+    save_model(diagnosis.model, folder / "model.yaml")
+    save_model(diagnosis.search.base.system, folder / "refit.yaml")
+    config.save(folder / "config.yaml", home=home)
+    wish = config.output
+    if wish.figures or wish.tensorboard or wish.report:
+        from hybrid_id.reporting.gap_figures import diagnosis_images
+
+        images = diagnosis_images(dataset, system, diagnosis)
+        if wish.figures:
+            from hybrid_id.reporting.style import save
+
+            for name, image in images.items():
+                save(image, folder / f"{name}.png")
+        if wish.tensorboard:
+            from hybrid_id.reporting.events import write_gap_events
+
+            write_gap_events(folder / "tensorboard", diagnosis, images)
+        if wish.report:
+            from hybrid_id.records.quality import check_dataset
+            from hybrid_id.reporting.html.gap_page import gap_page
+
+            findings = [finding for finding in check_dataset(dataset) if finding.severity != "info"]
+            reach, level = reach_of(config), config.statistics.level
+            page = gap_page(dataset, system, diagnosis, images, reach=reach, level=level, findings=findings)
+            page.write(folder / "report.html")
+    (folder / DIAGNOSIS).write_text(text + "\n", encoding="utf-8")
+    return text

@@ -1,0 +1,81 @@
+"""A diagnosis as tables and as text of one page: the verdict first, then where, which and how far."""
+
+from __future__ import annotations
+
+from rich.console import Console, Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id.errors import InputError
+from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.reporting.gap_words import (
+    bent_lines,
+    gap_line,
+    joint_words,
+    place_words,
+    tie_lines,
+    values_of,
+    verdict_sentence,
+    where_line,
+    words_of,
+)
+from hybrid_id.reporting.tables import open_table
+from hybrid_id.systems.chain import System
+
+TOP = 5
+"""Suspects that the terminal shows."""
+
+
+def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> str:
+    """The diagnosis as plain text of at most 24 lines of 120 characters.
+
+    Args:
+        diagnosis: the result.
+        reach: half-width of an interval in standard errors.
+        level: level of the intervals.
+    """
+    console = Console(width=120, no_color=True, highlight=False)
+    with console.capture() as captured:
+        console.print(diagnosis_table(diagnosis, reach, level))
+    return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
+
+
+def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> RenderableType:
+    """What the terminal shows of a diagnosis."""
+    parts: list[RenderableType] = [Text(verdict_sentence(diagnosis, reach), style="bold")]
+    lines = {"where": where_line(diagnosis), "how far": gap_line(diagnosis)}
+    parts += [Text(f"{head}: {line}") for head, line in lines.items() if line]
+    parts.append(suspects_table(diagnosis, reach, level, TOP))
+    parts += [Text(line, style="yellow") for line in (*tie_lines(diagnosis)[:2], *bent_lines(diagnosis, 4))]
+    return Group(*parts)
+
+
+def suspects_table(
+    diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95, most: int | None = None
+) -> Table:
+    """The effects that were tried (the first ``most``), the selected ones first, then by probability."""
+    table = open_table("probability>", "effect", "where", f"parameters ± ({100 * level:g} %)", "")
+    for one in diagnosis.effects[:most]:
+        mark = Text("selected", style="green") if one.selected else Text("tied" if one.tied_with else "")
+        table.add_row(
+            f"{one.probability:.3f}", words_of(one.name), f"{joint_words(one.where)}, {place_words(one.where)}",
+            ", ".join(values_of(diagnosis, one, reach)), mark,
+        )  # fmt: skip
+    return table
+
+
+def parameters_table(nominal: System, diagnosis: Diagnosis) -> Table:
+    """Every estimated parameter in today's model, after its re-fit, and beside the selected effects."""
+    models = (nominal, diagnosis.search.base.system, diagnosis.model)
+    names = {i.name: i.spec.unit for model in models for i in model.table if i.spec.estimate}
+    table = open_table("parameter", "today>", "re-fitted>", "corrected>", "unit")
+    for name, unit in names.items():
+        table.add_row(name, *(_value(model, name) for model in models), unit)
+    return table
+
+
+def _value(system: System, name: str) -> str:
+    try:
+        return f"{system.parameter(name).spec.value:.4g}"
+    except InputError:
+        return ""

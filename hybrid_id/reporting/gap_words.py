@@ -1,0 +1,223 @@
+"""A diagnosis in sentences: the verdict, where, how far, what is not told apart, what the re-fit has bent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.gap.locate import Location
+from hybrid_id.gap.probability import Suspect
+from hybrid_id.reporting.tables import count
+
+LEAST_SHARE = 0.02
+"""Share of the gap from which a place is worth naming."""
+PLACES = {
+    "input": "at the input", "motor": "in the motor", "motor_friction": "on the motor side",
+    "transmission": "in the gear", "link_friction": "on the link side", "load": "at the load",
+}  # fmt: skip
+SIDES = {"motor": "motor side", "load": "link side"}
+_SIGNALS = {
+    "angle, against the motion": "it brakes more at some angles than at others",
+    "change of the command": "it follows the changes of the command",
+    "command, against the motion": "it opposes the motion and goes with the command",
+    "what the motion was": "it remembers the motion, as a delay or a hysteresis does",
+}
+
+
+def verdict_sentence(diagnosis: Diagnosis, reach: float = 1.96) -> str:
+    """What the diagnosis stands by, in plain words."""
+    return {
+        "effects": _effects,
+        "outside_catalogue": _outside,
+        "parameters_only": _parameters_only,
+        "no_gap": _no_gap,
+        "inconclusive": _inconclusive,
+    }[diagnosis.verdict](diagnosis, reach)
+
+
+def _effects(diagnosis: Diagnosis, reach: float) -> str:
+    chosen = diagnosis.selected
+    found = _joined([_described(diagnosis, one, reach) for one in chosen])
+    verb = "explains" if len(chosen) == 1 else "explain"
+    return f"{_capital(found)} {verb} the gap{_falls(diagnosis)}."
+
+
+def _outside(diagnosis: Diagnosis, reach: float) -> str:
+    if not diagnosis.after:
+        return "Something that the catalogue lacks is at work."
+    one, chosen = diagnosis.after[0], diagnosis.selected
+    words = (
+        f"Something that the catalogue lacks acts at {joint_words(one.joint)}, on the {SIDES[one.place]}: "
+        f"{goes_with(one)}. A torque of this shape explains {percent(one.share)} of what the best model leaves (mean "
+        "square)"
+    )
+    if not chosen:
+        return f"{words}, and no effect of the catalogue earns its place."
+    found = _joined([_described(diagnosis, s, reach) for s in chosen])
+    return f"{words}. {_capital(found)} {'is' if len(chosen) == 1 else 'are'} only a part of it{_falls(diagnosis)}."
+
+
+def _parameters_only(diagnosis: Diagnosis, _reach: float) -> str:
+    nominal, refit = diagnosis.nominal, diagnosis.refit
+    errors = "" if nominal is None or refit is None else (
+        f": on unseen records the normalised error falls from {_error(nominal.nrmse)} to {_error(refit.nrmse)} when "
+        "today's model is fitted to the train records"
+    )  # fmt: skip
+    return f"Wrong parameters explain the gap, and no effect is missing{errors}."
+
+
+def _no_gap(diagnosis: Diagnosis, _reach: float) -> str:
+    tried = count(len(diagnosis.effects), "effect")
+    if diagnosis.nominal is None:
+        return f"No effect is missing: none of {tried} predicts records left out clearly better; no record is a test."
+    return (
+        "There is no gap: on unseen records today's model leaves a normalised error of "
+        f"{_error(diagnosis.nominal.nrmse)}, and none of {tried} predicts records left out clearly better."
+    )
+
+
+def _inconclusive(diagnosis: Diagnosis, _reach: float) -> str:
+    worth = diagnosis.search.base.evidence.effective
+    return (
+        f"These records are too short to say: their errors are worth {worth:.0f} independent samples. Record longer, "
+        "or with faster changes of the command."
+    )
+
+
+def _falls(diagnosis: Diagnosis) -> str:
+    gap = diagnosis.shrink
+    if gap is None:
+        return " (no test record says how far)"
+    low, high = (f"{100 * end:.0f}" for end in gap.interval)
+    return (
+        f": normalised error on unseen records falls from {_error(gap.refit)} to {_error(gap.with_effect)}, "
+        f"{100 * gap.share:.0f} % ({low}-{high} %) of what can be closed"
+    )
+
+
+def goes_with(location: Location) -> str:
+    """How the missing torque depends on its signal, in words."""
+    if location.signal in _SIGNALS:
+        return _SIGNALS[location.signal]
+    steps = [b - a for a, b in zip(location.torque, location.torque[1:], strict=False)]
+    rising = sum(step for step in steps if step > 0)
+    falling = -sum(step for step in steps if step < 0)
+    verb = "grows" if rising > 5 * falling else "falls" if falling > 5 * rising else "varies"
+    return f"it {verb} with the {location.signal}"
+
+
+def where_line(diagnosis: Diagnosis) -> str:
+    """The sides of joints and the signals that explain most of what the re-fitted model leaves."""
+    sides: dict[str, list[str]] = {}
+    for one in [one for one in diagnosis.before if one.share > LEAST_SHARE][:3]:
+        side = f"{joint_words(one.joint)}, {SIDES[one.place]}"
+        signal = one.signal if one.signal.startswith("what") else f"the {one.signal}"
+        sides.setdefault(side, []).append(f"{signal} ({percent(one.share)})")
+    if not sides:
+        return ""
+    words = "; ".join(f"{side}, over {', '.join(signals)}" for side, signals in sides.items())
+    return f"what the re-fitted model leaves (mean square) is explained by a torque at {words}."
+
+
+def gap_line(diagnosis: Diagnosis) -> str:
+    """Normalised errors on the test records, from today's model down to what the right one would leave."""
+    if diagnosis.nominal is None or diagnosis.shrink is None:
+        return "there is no test record, so no unseen record says."
+    gap, records = diagnosis.shrink, count(len(diagnosis.nominal.by_record), "test record")
+    corrected = f", corrected {_error(gap.with_effect)}" if diagnosis.selected else ""
+    return (
+        f"normalised error on {records}: today's model {_error(diagnosis.nominal.nrmse)}, re-fitted "
+        f"{_error(gap.refit)}{corrected}; the right model would leave {_error(gap.floor)}."
+    )
+
+
+def tie_lines(diagnosis: Diagnosis) -> list[str]:
+    """Effects that these records cannot tell apart, each group with the experiment that would."""
+    lines = []
+    for group in diagnosis.ties:
+        pairs = [member.split("@") for member in group]
+        names = [f"{words_of(name)} ({joint_words(where)}, {place_words(where)})" for name, where in pairs]
+        known = CATALOGUE.get(pairs[0][0])
+        told = f" What would: {known.separated_by}." if known is not None else ""
+        lines.append(f"these records do not tell apart: {', '.join(names)}.{told}")
+    return lines
+
+
+def bent_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:
+    """Parameters that the re-fit has bent, as one line; none where there is none."""
+    if not diagnosis.bent:
+        return []
+    shown = list(diagnosis.bent[:most])
+    more = len(diagnosis.bent) - len(shown)
+    words = ", ".join(shown) + (f" and {more} more" if more else "")
+    why = "it may hide an effect" if not diagnosis.selected else "it hides the effect in them"
+    return [f"bent: the re-fit moves parameters further than data sheets are wrong, so {why}: {words}."]
+
+
+def values_of(diagnosis: Diagnosis, one: Suspect, reach: float) -> list[str]:
+    """Its parameters as ``gap = 0.012 ± 0.0004 rad``."""
+    units = _units(diagnosis, one)
+    return [
+        f"{symbol} = {_measured(value, reach * error, units.get(symbol, '1'))}"
+        for symbol, (value, error) in one.parameters.items()
+    ]
+
+
+def words_of(name: str) -> str:
+    """An effect's name as people write it."""
+    return name.replace("_", " ")
+
+
+def _described(diagnosis: Diagnosis, one: Suspect, reach: float) -> str:
+    values = values_of(diagnosis, one, reach)
+    size = f" of {values[0].split(' = ')[1]}" if len(values) == 1 else ""
+    more = f" ({', '.join(values)})" if len(values) > 1 else ""
+    return f"{words_of(one.name)}{size} {place_words(one.where)} of {joint_words(one.where)}{more}"
+
+
+def _units(diagnosis: Diagnosis, one: Suspect) -> dict[str, str]:
+    name, joint = (one.name, one.where), one.where.split("/")[0]
+    for found in (e for r in diagnosis.search.rounds for e in r.candidates if name in e.effects):
+        before = diagnosis.search.base.system.components
+        return {
+            i.symbol: i.spec.unit
+            for i in found.system.table
+            if i.component.startswith(joint) and i.component not in before
+        }
+    return {}
+
+
+def _measured(value: float, error: float, unit: str) -> str:
+    known = math.isfinite(error) and error > 0
+    return " ".join(
+        [f"{value:.4g}", *([f"± {error:.2g}"] if known else []), *([unit] if unit != "1" else [])]
+    )
+
+
+def joint_words(where: str) -> str:
+    """``joint1/motor`` -> ``joint 1``."""
+    return where.split("/")[0].replace("joint", "joint ")
+
+
+def place_words(where: str) -> str:
+    """``joint1/transmission`` -> ``in the gear``."""
+    return PLACES.get(where.split("/")[-1], where)
+
+
+def percent(share: float) -> str:
+    """A share as it is printed."""
+    return f"{100 * min(share, 1.0):.0f} %"
+
+
+def _error(value: float) -> str:
+    return f"{value:.3g}"
+
+
+def _joined(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]

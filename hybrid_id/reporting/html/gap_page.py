@@ -1,0 +1,84 @@
+"""A diagnosis as one page: the verdict first, then what it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from rich.text import Text
+
+from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.finding import Finding
+from hybrid_id.reporting.gap import parameters_table, suspects_table
+from hybrid_id.reporting.gap_words import bent_lines, gap_line, tie_lines, verdict_sentence, where_line
+from hybrid_id.reporting.html.page import Page, Section
+from hybrid_id.reporting.tables import findings_list, records_table
+from hybrid_id.systems.chain import System
+
+_HOW = (
+    "Search and fits use the train records only; the test records are opened once, to measure the gap. Each effect is "
+    "added to today's model and fitted with its parameters; the error of prediction is that on train records left out, "
+    "each in turn. A probability is that of the effect being at work at this place, so they need not sum to one."
+)
+_CAPTIONS = {
+    "gap": "Normalised error of free runs over the test records (1: as good as the signal's mean), and record by "
+    "record. Dashed: what the right model would leave.",
+    "missing_torque": "The torque that would explain what the model leaves, over the signals that tell most; above "
+    "each panel the part of the mean square that it explains on records left out. Where only voltage and angle were "
+    "recorded, torques are known up to the factor that today's values fix.",
+    "where": "Part of what each model leaves that a torque over one signal, at one side of a joint, explains on "
+    "records left out. The rows overlap: speed, angle and command go together in most records.",
+    "suspects": "Left: error of prediction with one effect added, over the re-fitted model's. Right: probability.",
+    "worst_record": "The test record that is predicted worst: measured, simulated in open loop, and the residuals.",
+}
+
+
+def gap_page(
+    dataset: Dataset,
+    nominal: System,
+    diagnosis: Diagnosis,
+    images: Mapping[str, np.ndarray],
+    *,
+    reach: float,
+    level: float,
+    findings: Sequence[Finding] = (),
+) -> Page:
+    """The page.
+
+    Args:
+        dataset: the records.
+        nominal: today's model.
+        diagnosis: the result.
+        images: its pictures by name, (H, W, 3).
+        reach: half-width of an interval in standard errors.
+        level: level of the intervals.
+        findings: what the check of the records remarked.
+    """
+    page = Page(f"Gap between {dataset.name} and its model", verdict_sentence(diagnosis, reach))
+
+    def picture(section: Section, name: str) -> None:
+        if name in images:
+            section.picture(images[name], _CAPTIONS[name])
+
+    picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
+    which = page.section("Which").add(
+        _HOW, suspects_table(diagnosis, reach, level), *map(_sentence, tie_lines(diagnosis))
+    )
+    picture(which, "suspects")
+    where = page.section("Where").add(*map(_sentence, filter(None, [where_line(diagnosis)])))
+    picture(where, "missing_torque")
+    picture(where, "where")
+    picture(page.section("Measured and simulated"), "worst_record")
+    page.section("Parameters").add(
+        *map(_sentence, bent_lines(diagnosis)), parameters_table(nominal, diagnosis)
+    )
+    records = page.section("Records").add(records_table(dataset))
+    if findings:
+        records.add(findings_list(findings))
+    return page
+
+
+def _sentence(words: str) -> Text:
+    """Words as a sentence of their own; brackets in them are no markup."""
+    return Text(words[:1].upper() + words[1:])
