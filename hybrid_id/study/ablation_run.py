@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
+import signal
 import tempfile
+import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -52,6 +55,10 @@ def run_cells(
 def attempt(task: Task, cell: Cell) -> CellResult:
     """A cell's result, or the reason why it has none."""
     torch.set_num_threads(1)
+    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
+        signal.signal(
+            signal.SIGINT, signal.SIG_IGN
+        )  # a terminal sends Ctrl-C to all; the first process decides
     try:
         return run_cell(task, cell)
     except Exception as error:  # whatever breaks one cell must not take the others along
