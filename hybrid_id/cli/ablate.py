@@ -170,7 +170,8 @@ def _run(
                     save_cell(home / CELLS, result, keys[result.cell])
                     write_cell_events(home / EVENTS, result)
                 bar.advance(bar_id)
-                remark(f"{len(found)} of {len(cells)}: {result.cell.name}, {_in_short(result)}")
+                line = f"{len(found)} of {len(cells)}: {result.cell.name}, {_in_short(result)}"
+                bar.console.print(line, markup=False, soft_wrap=True, style="dim")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped; {len(found)} of {len(cells)} cells are kept in {home / CELLS}, and the same command goes on"
