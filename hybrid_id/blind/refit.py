@@ -25,6 +25,9 @@ DAMPINGS = (1e-4, 1e-2, 1e-1, 1.0, 10.0)
 SIGNAL_SHARE = 0.001
 """Added to the noise as a share of each signal, so that small errors of large signals weigh little."""
 
+LOST = 1e6
+"""Weighted error of a machine that diverged."""
+
 Build = Callable[[Mapping[str, np.ndarray]], Plant]
 """From values (B,) of the free parameters to B machines side by side."""
 
@@ -141,7 +144,7 @@ class Bench:
             weight = 1 / np.hypot(self.noise, SIGNAL_SHARE * measured.std(axis=0))
             error = (angles[own, :, :, i] - measured[:, :, None]) * weight[:, None]
             columns.append(error.reshape(-1, error.shape[-1]).T)
-        return np.nan_to_num(np.concatenate(columns, axis=1), nan=1e6, posinf=1e6, neginf=-1e6)
+        return np.clip(np.nan_to_num(np.concatenate(columns, axis=1), nan=LOST), -LOST, LOST)
 
     def clean_error(self) -> np.ndarray:
         """Weighted errors (N,) of the machine that made the records, on the train records."""

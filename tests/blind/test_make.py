@@ -25,7 +25,7 @@ def answers_of(case: Path) -> dict:
 
 
 def test_case_has_the_format_that_the_package_reads(tmp_path: Path) -> None:
-    case = make_case(7, tmp_path, effect="stribeck_friction", system="one_link", level="strong")
+    case = make_case(7, tmp_path, effect="stribeck_friction", system="one_link", level="strong", grading=False)
     data, model, answers = Dataset.load(case), load_model(case / "model.yaml"), answers_of(case)
     assert (len(data.train), len(data.test)) == (6, 2)
     assert {channel.name for channel in data.outputs} == {"q_m1"}
@@ -95,3 +95,12 @@ def test_existing_case_is_kept(tmp_path: Path) -> None:
     (tmp_path / "c001").mkdir()
     with pytest.raises(InputError, match="exists already"):
         make_case(1, tmp_path, family="none", system="one_link")
+
+
+def test_winding_that_lags_is_as_good_an_answer_as_a_short_delay(tmp_path: Path) -> None:
+    case = make_case(31, tmp_path, effect="delay", system="one_link", level="weak", engine="in_house")
+    answers = answers_of(case)
+    rest = answers["notes"]["rest_of_gap_with_rival"]
+    assert min(rest, key=rest.__getitem__) == "electrical_lag@1"
+    assert rest["electrical_lag@1"] < 0.5
+    assert "cogging" not in answers["effects"][0]["accept"]
