@@ -20,10 +20,11 @@ from hybrid_id.systems.chain import System
 
 MOST = 3
 """Effects at once."""
-FIRST_LOOK, TO_THE_END = 2, 30
-FINALISTS = 6
-PROMISING = 12
-"""Candidates that get a second look before the finalists are chosen."""
+FIRST_LOOK, SECOND_LOOK, TO_THE_END = 2, 6, 30
+PROMISING, FINALISTS = 8, 4
+"""Candidates that get a second look, and of these those that are fitted to the end."""
+HOPELESS = 2.5
+"""Mean square error beyond the best's from which a candidate is not fitted to the end."""
 LEAST_RATIO = 1.015
 """An effect must lower the RMS of the errors of prediction at least by this factor ..."""
 LEAST_Z = 3.0
@@ -118,7 +119,7 @@ def tasks(refit: Refit, before: Explanation) -> list[Task]:
                     continue
                 names = tuple(sorted((*before.effects, (effect.name, where))))
                 if effect.name == "backlash":
-                    found.append(Task(names, starts[0], tuple(starts[1:])))
+                    found.append(Task(names, starts[0], tuple(starts[1:]), before.result))
                 else:
                     found += [Task(names, start) for start in starts]
     return found
@@ -137,8 +138,13 @@ def _ranked(
 
     seen = refit.run(todo, FIRST_LOOK, tick)
     ranked = _best_of_each([e for e in seen if e is not None])
-    for keep, iterations in ((PROMISING, 8), (FINALISTS, TO_THE_END)):
-        again = [e for e in ranked[:keep] if e.result.status != "converged"]
+    for keep, iterations in ((PROMISING, SECOND_LOOK), (FINALISTS, TO_THE_END)):
+        rivals = [
+            e
+            for e in ranked[:keep]
+            if iterations == SECOND_LOOK or e.evidence.error < HOPELESS * ranked[0].evidence.error
+        ]
+        again = [e for e in rivals if e.result.status != "converged"]
         more = refit.run([Task(e.effects, e.system) for e in again], iterations, tick)
         fresh = {e.effects: e for e in more if e is not None}
         ranked = sorted((fresh.get(e.effects, e) for e in ranked), key=lambda e: e.evidence.error)

@@ -1,9 +1,10 @@
 """What the outputs of a fitted model would do if a torque of any shape acted beside it: one linearisation tells.
 
 The response to a torque ``w(t) = sum_i c_i phi_i(t)`` at one side of a joint is linear in c to first order. The sample
-maps are linearised once along the measured motion, cut into windows so that small errors stay small; every basis function is then one more column of the recursion
-that chains sensitivities. What the model's own parameters could explain is projected out before c is estimated (the
-score test with nuisance parameters: D. R. Cox and D. V. Hinkley, Theoretical Statistics, 1974, section 9.3).
+maps are linearised once along the measured motion, cut into windows so that small errors stay small; every basis
+function is then one more column of the recursion that chains sensitivities. What the start states and the model's own
+parameters could explain is projected out before c is estimated (the score test with nuisance parameters: D. R. Cox and
+D. V. Hinkley, Theoretical Statistics, 1974, section 9.3).
 """
 
 from __future__ import annotations
@@ -163,7 +164,8 @@ def bumps(signal: Tensor, count: int, low: float, high: float) -> Tensor:
     Args:
         signal: any shape.
         count: how many.
-        low, high: the range.
+        low: start of the range.
+        high: its end.
     """
     centres = torch.linspace(low, high, count, dtype=signal.dtype)
     width = (high - low) / max(count - 1, 1)

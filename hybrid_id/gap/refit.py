@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from joblib import Parallel, delayed
 
@@ -14,16 +15,19 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.secant import secant_fit
+from hybrid_id.identification.secant import Rollouts, secant_fit
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
-LOOSE = Engine(friction="smooth", width=0.1, compiled=True)
+LOOSE = Engine(friction="smooth", width=0.2, compiled=True)
 """How a gear with play is simulated: its contacts need short steps."""
-LOOK = 3
+GLANCE = Engine(friction="smooth", width=0.5, compiled=True)
+"""The same at a first look."""
+LOOK = 6
 """Iterations up to which a fit is a first look, whose end need not be a free run."""
 Name = tuple[str, str]
 """An effect's name and where it acts."""
@@ -57,11 +61,19 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Task:
-    """A model to fit: which effects it has, from where it starts, and other start points of a gear with play."""
+    """A model to fit.
+
+    Attributes:
+        effects: that it has.
+        system: where the fit starts.
+        others: other start points of a gear with play ...
+        before: ... and the fit without it.
+    """
 
     effects: tuple[Name, ...]
     system: System
     others: tuple[System, ...] = ()
+    before: FitResult | None = None
 
 
 class Refit:
@@ -117,3 +129,24 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
         return None
     found = evidence(result, step)
     return Explanation(task.effects, result, found) if found.error < float("inf") else None
+
+
+def _glance(task: Task, batch: Batch) -> FitResult:
+    """The best start point of a gear with play, judged by what the parameters of the fit without it leave open."""
+    starts, before = (task.system, *task.others), task.before
+    assert before is not None
+    gap = [i for i, info in enumerate(task.system.table) if info.component.endswith("/backlash")]
+    run = Rollouts(task.system, batch, GLANCE, gap)
+    points = np.array([s.theta().detach().numpy()[gap] for s in starts])
+    keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
+    left = [tuple(row[r][k] for r, k in enumerate(keep)) for row in run.residuals(points)]
+    jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in before.jacobian])
+    basis = np.linalg.qr(jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300))[0]
+    open_ends = []
+    for residuals in left:
+        r = np.concatenate([one.reshape(-1) for one in residuals])
+        open_ends.append(float(np.square(r - basis @ (basis.T @ r)).sum()))
+    best = int(np.argmin(open_ends))
+    return replace(
+        before, system=starts[best], residual=left[best], status="max_iterations", engine=run.engine
+    )

@@ -46,6 +46,13 @@ class Rollouts:
         self.system, self.batch, self.free = system, batch, list(free)
         self.theta = system.theta().detach()
         self.engine = with_substeps(system, engine, batch, self.theta[:, None].expand(-1, batch.rows))
+        # a delay changes the channels only: they arrive before the rollout, which then needs no past
+        self.plain = system
+        for key in [joint.drive.delay[0] for joint in system.joints if joint.drive.delay is not None]:
+            where, _, kind = key.rpartition("/")
+            self.plain = self.plain.without_component(where, kind)
+        place = {(info.component, info.symbol): i for i, info in enumerate(system.table)}
+        self.rows = [place[info.component, info.symbol] for info in self.plain.table]
 
     def residuals(self, points: np.ndarray) -> np.ndarray:
         """Residuals ``(P, R, T, n_y)`` at the points ``(P, n_f)``."""
@@ -55,9 +62,12 @@ class Rollouts:
         theta = theta.repeat_interleave(rows, 1)
         part = self.batch.take(torch.arange(rows).repeat(count))
         with torch.no_grad():
-            x = shoot(self.system, self.engine, part.x, part.u, part.dt, theta, part.x.shape[1])
-            views = self.system.views(list(theta.repeat_interleave(x.shape[1], 1)))
-            channels = {name: channel.reshape(-1) for name, channel in part.u.items()}
+            samples = part.x.shape[1]
+            views = self.system.views(list(theta.repeat_interleave(samples, 1)))
+            channels = self.system.hold({name: channel.reshape(-1) for name, channel in part.u.items()}, views)
+            arrived = {name: channels[name].view_as(part.dt) for name in self.plain.input_names}
+            arrived |= {name: channel for name, channel in part.u.items() if name.startswith("enable")}
+            x = shoot(self.plain, self.engine, part.x, arrived, part.dt, theta[self.rows], samples)
             y = self.system.outputs(part.outputs, x.reshape(-1, x.shape[-1]).unbind(1), channels, views)
         run = torch.stack(y, -1).reshape(*x.shape[:2], -1)
         residual = ((part.y - run) * part.weight).nan_to_num(WORST, WORST, -WORST).clamp(-WORST, WORST)

@@ -1,6 +1,6 @@
 """Compiled engine: the smooth engine's sub-steps and their condensed sensitivities as vector code for this machine.
 
-One RK4 step of the equations of motion and its Jacobian are recorded (see :mod:`hybrid_id.simulation.tracing`) and
+One sub-step of the equations of motion and its Jacobian are recorded (see :mod:`hybrid_id.simulation.tracing`) and
 become the body of a loop over neighbouring samples, which a C compiler turns into vector instructions. Around it, the
 sub-steps are chained and the samples condensed while they are still in the processor's cache. Compilation takes about a
 second and needs a C compiler; it is opt-in (``Engine(compiled=True)``). The dry engine's events depend on the
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.simulation.c_code import TEMPLATE, WIDTH, build
-from hybrid_id.simulation.step import Engine, rk4
+from hybrid_id.simulation.step import Engine
 from hybrid_id.simulation.tracing import FUNCTIONS, record
 from hybrid_id.systems.chain import System
 
@@ -27,9 +28,9 @@ _OF_SYSTEM: WeakKeyDictionary[System, dict[tuple[Any, ...], ctypes.CDLL]] = Weak
 
 
 def serves(system: System, engine: Engine, x: Tensor) -> bool:
-    """Whether compiled sub-steps are asked for and possible here: smooth friction, no memory, network, delay, GPU."""
+    """Whether compiled sub-steps are asked for and possible here: smooth friction, no network, delay or GPU."""
     here = x.device.type == "cpu" and x.dtype == torch.float64
-    plain = not system.memory_rows and not system.networks and not any(j.drive.delay for j in system.joints)
+    plain = not system.networks and not any(j.drive.delay for j in system.joints)
     return engine.compiled and engine.friction == "smooth" and plain and here
 
 
@@ -119,7 +120,7 @@ class CompiledStep:
         x, held, h = rows[: self.n_x], rows[self.n_x :], rows[self.n_x + len(self.channels)]
         p = self.system.views(rows[self.n_x + len(self.channels) + 1 :])
         channels = dict(zip(self.channels, held[: len(self.channels)], strict=True))
-        return rk4(x, h, lambda now: self.system.rates(now, channels, p, width=self.engine.width))
+        return replace(self.engine, substeps=1).sample(self.system, x, channels, h, p)
 
     def _jacobian(self, *rows: Tensor) -> list[Tensor]:
         first = self.n_x + len(self.channels) + 1

@@ -18,7 +18,7 @@ from hybrid_id.errors import InputError
 
 OPERATIONS: dict[str, str] = {
     "add": "{0} + {1}", "sub": "{0} - {1}", "rsub": "{1} - {0}", "mul": "{0} * {1}", "div": "{0} / {1}",
-    "neg": "-{0}", "reciprocal": "1.0 / {0}", "abs": "fabs({0})", "square": "{0} * {0}",
+    "neg": "-({0})", "reciprocal": "1.0 / {0}", "abs": "fabs({0})", "square": "{0} * {0}",
     "sqrt": "sqrt({0})", "rsqrt": "1.0 / sqrt({0})", "exp": "exp({0})", "expm1": "expm1({0})", "log": "log({0})",
     "log1p": "log1p({0})", "sin": "sin({0})", "cos": "cos({0})", "tan": "tan({0})", "atan": "atan({0})",
     "asinh": "asinh({0})", "tanh": "tanh({0})", "cosh": "cosh({0})", "sinh": "sinh({0})", "erf": "erf({0})",

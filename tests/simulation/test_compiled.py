@@ -8,7 +8,7 @@ import pytest
 import torch
 from drives import batch_of, flexible_drive, multisine, rigid_drive, stored
 
-from hybrid_id.components import AsymmetricStribeck, Coulomb, Dahl, LoadDependent, Stribeck
+from hybrid_id.components import AsymmetricStribeck, Coulomb, Dahl, Delay, LoadDependent, Stribeck
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.compiled import CompiledStep, serves
 from hybrid_id.simulation.lifted import condensed, shoot
@@ -25,6 +25,7 @@ SYSTEMS = {
         "joint1/motor_friction", LoadDependent(mu=0.2)
     ),
     "stribeck": rigid_drive(Stribeck()),
+    "bristle": rigid_drive().with_component("joint1/motor_friction", Dahl(sigma=0.5)),
     "flexible": flexible_drive().with_component("joint1/link_friction", Coulomb(F_c=0.4)),
 }
 
@@ -81,13 +82,13 @@ def test_recording_follows_aliases_and_writes_in_place() -> None:
     assert results == ["t1", "0.0"]
 
 
-def test_compilation_serves_smooth_friction_without_memory() -> None:
+def test_compilation_serves_smooth_friction() -> None:
     compiled, x = replace(SMOOTH, compiled=True), torch.zeros(1, 2, 2, dtype=torch.float64)
     assert serves(rigid_drive(), compiled, x)
     assert not serves(rigid_drive(), compiled, x.float())
     assert not serves(rigid_drive(), SMOOTH, x)
     assert not serves(rigid_drive(), Engine(compiled=True), x)
-    assert not serves(rigid_drive().with_component("joint1/motor_friction", Dahl()), compiled, x)
+    assert not serves(rigid_drive().with_component("joint1/input", Delay()), compiled, x)
 
 
 def test_missing_compiler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:

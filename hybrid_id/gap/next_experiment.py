@@ -1,0 +1,113 @@
+"""Which experiment would tell tied explanations apart: candidates are simulated, the one that parts them most is named."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.gap.refit import Explanation
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+
+DURATION = 8.0
+"""Length [s] of a proposed record."""
+REST = 0.1
+"""Time [s] at rest at its start."""
+
+Signal = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A proposed record.
+
+    Attributes:
+        name: what it is, in words.
+        joint: whose command moves; the others rest.
+        time: [s], ``(T,)``.
+        command: of the moving joint, in the unit of the records' commands, ``(T,)``.
+        distance: RMS difference of the tied models' outputs, in units of the encoders' noise.
+        today: the largest distance of the same models on the records at hand.
+    """
+
+    name: str
+    joint: int
+    time: np.ndarray
+    command: np.ndarray
+    distance: float
+    today: float
+
+
+def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
+    """Commands that excite different effects, by their names.
+
+    Args:
+        amplitude: largest command that the records have seen.
+        breakaway: command at which the joint begins to move.
+    """
+    low = min(1.6 * breakaway, 0.5 * amplitude)
+    return {
+        "slow reversals just above breakaway": lambda t: low * np.sin(2 * np.pi * 0.4 * t),
+        "reversals of growing size": lambda t: amplitude * (t / t[-1]) * np.sin(2 * np.pi * 1.0 * t),
+        "a fast sweep": lambda t: 0.6 * amplitude * np.sin(2 * np.pi * (0.5 * t + 1.8 * t**2)),
+        "a staircase of both signs": lambda t: amplitude * np.round(4 * np.sin(2 * np.pi * 0.15 * t)) / 4,
+        "full steps, coasting between them": lambda t: amplitude * np.sign(np.sin(2 * np.pi * 0.4 * t))
+        * (np.sin(2 * np.pi * 0.8 * t) > 0),
+        "small and fast on top of slow motion": lambda t: low * np.sin(2 * np.pi * 0.2 * t)
+        + 0.25 * amplitude * np.sin(2 * np.pi * 6.0 * t),
+    }  # fmt: skip
+
+
+def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Experiment]:
+    """Experiments that tell tied models apart, the best first; empty with fewer than two models.
+
+    Each model keeps the parameters that the records gave it, so that the distance is what the next record will show.
+
+    Args:
+        dataset: tells channels, amplitudes, noise and sample time.
+        tied: fitted models that explain the records alike.
+    """
+    if len(tied) < 2:
+        return []
+    reference = dataset.train[0]
+    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    step = reference.sample_time
+    time = np.arange(0.0, DURATION, step)
+    moving = time >= REST
+    found = []
+    today = max(_distance(dataset, [record], tied, noise) for record in dataset.train)
+    for joint in tied[0].system.joints:
+        name = next((f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None)
+        if name is None:
+            continue
+        amplitude = max(float(np.abs(record.inputs[name]).max()) for record in dataset.train)
+        for title, signal in signals(amplitude, 0.15 * amplitude).items():
+            command = np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
+            inputs = {other: np.zeros_like(time) for other in reference.inputs} | {name: command}
+            outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
+            record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
+            distance = _distance(dataset, [record], tied, noise)
+            found.append(Experiment(title, joint.number, time, command, distance, today))
+    return sorted((e for e in found if np.isfinite(e.distance)), key=lambda e: -e.distance)
+
+
+def _distance(
+    dataset: Dataset, records: Sequence[Record], tied: Sequence[Explanation], noise: dict[str, float | None]
+) -> float:
+    """Largest RMS difference between the outputs of any two models, in units of the noise."""
+    scale = np.array([noise.get(channel.name) or 1.0 for channel in dataset.outputs])
+    runs = []
+    for one in tied:
+        batch = make_batch(
+            one.system, records, outputs=[c.name for c in dataset.outputs], noise_std=dict(zip(noise, scale, strict=True))
+        )
+        runs.append(simulate(one.system, one.result.engine, batch).y.numpy() / scale)
+    worst = 0.0
+    for i, first in enumerate(runs):
+        for second in runs[i + 1 :]:
+            worst = max(worst, float(np.sqrt(np.mean(np.square(first - second)))))
+    return worst
