@@ -24,7 +24,7 @@ from hybrid_id.identification.checkpoint import read_checkpoint
 from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.hybrid_course import Progress, Trainer
-from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, typical
+from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, excess, typical
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.network_data import with_scales
 from hybrid_id.identification.result import FitResult
@@ -183,9 +183,8 @@ def choose(losses: Sequence[Tensor], worth: float) -> int:
     """
     best = min(losses, key=typical)
     for k, parts in enumerate(losses):
-        excess = (parts / best).clamp_min(1e-300).log()
-        doubt = float(excess.std()) / len(excess) ** 0.5 if k == 0 else 0.0
-        if float(excess.mean()) <= math.log1p(worth) + doubt:
+        above, chance = excess(parts, best)
+        if above <= math.log1p(worth) + (chance if k == 0 else 0.0):
             return k
     return len(losses) - 1
 

@@ -15,7 +15,7 @@ from hybrid_id.identification.checkpoint import write_checkpoint
 from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.first_order import Descent
 from hybrid_id.identification.fit import measured_windows
-from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, typical
+from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, excess, typical
 from hybrid_id.identification.network_data import output_shares, with_memory, with_price
 from hybrid_id.identification.network_projection import projection
 from hybrid_id.identification.quasi_newton import State
@@ -96,7 +96,7 @@ class Trainer:
                     return True
                 self._finish(problem, stage, course)
             course.stage += 1
-            course.state, course.best, course.best_q, course.waited = None, torch.inf, None, 0
+            course.state, course.best, course.kept, course.waited = None, None, None, 0
         return False
 
     def _stage(self, problem: Problem, stage: Stage, course: Course) -> bool:
@@ -109,11 +109,7 @@ class Trainer:
             problem.set_weights(state.q)
             ended, looked = not bool(state.running.any()) or _settled(state), None
             if ended or (state.iteration - state.began) % options.validate_every == 0:
-                looked = typical(self.losses(problem.theta(state.q), self.validation))
-                gain = looked < (1.0 - GAIN) * course.best
-                course.waited = 0 if gain else course.waited + 1
-                if gain or course.best_q is None:
-                    course.best, course.best_q = looked, state.q
+                looked = self._look(problem, state, course)
             self._tell(problem, state, course, looked)
             loss = float(state.cost[0] / self._data(problem))
             if self.progress is not None and self.progress(stage.label, course.done + state.iteration, loss):
@@ -123,6 +119,17 @@ class Trainer:
             course.state = self._advance(problem, state)
             if self.checkpoint is not None:
                 write_checkpoint(self.checkpoint, course.content(), self.identity)
+
+    def _look(self, problem: Problem, state: State | Descent, course: Course) -> float:
+        """Compare the validation loss with the stage's best, and keep the unknowns unless it is worse."""
+        losses = self.losses(problem.theta(state.q), self.validation)
+        best = losses if course.best is None else course.best
+        gain = typical(losses) < (1.0 - GAIN) * typical(best)
+        worse, chance = excess(losses, best)
+        if course.kept is None or gain or worse <= chance:
+            course.kept = state.q
+        course.best, course.waited = (losses if gain else best), (0 if gain else course.waited + 1)
+        return typical(losses)
 
     def _begin(self, problem: Problem, course: Course) -> State | Descent:
         """The optimiser's state at the start of a stage."""
@@ -138,8 +145,8 @@ class Trainer:
         return quasi_newton.advance(problem, state, wish.tolerance, wish.max_iterations, 1)
 
     def _finish(self, problem: Problem, stage: Stage, course: Course) -> None:
-        """Go on from the stage's best unknowns; the last stage of a price is a rung of the ladder."""
-        state, q = course.state, course.best_q
+        """Go on from the stage's kept unknowns; the last stage of a price is a rung of the ladder."""
+        state, q = course.state, course.kept
         assert state is not None and q is not None
         problem.set_weights(q)
         course.theta, course.done = problem.theta(q), course.done + state.iteration

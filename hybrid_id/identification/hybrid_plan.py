@@ -96,6 +96,12 @@ def typical(losses: Tensor) -> float:
     return float(losses.clamp_min(1e-300).log().mean().exp())
 
 
+def excess(losses: Tensor, reference: Tensor) -> tuple[float, float]:
+    """Mean logarithm of the ratio of losses to a reference in the same parts, and its standard error."""
+    ratio = (losses / reference).clamp_min(1e-300).log()
+    return float(ratio.mean()), float(ratio.std()) / len(ratio) ** 0.5
+
+
 class Found(NamedTuple):
     """What a rung of the ladder came to.
 
@@ -122,7 +128,9 @@ class Course:
         stage: number of the stage.
         theta, weights: what it started from, ``(n_p, 1)`` and ``(n_w,)``.
         state: the optimiser's; None where the stage has not begun.
-        best, best_q, waited: least (typical) validation loss of the stage, its unknowns, and looks since then.
+        best, waited: validation losses of the stage where they were least, and looks since then.
+        kept: unknowns at the last look whose losses were not above those by more than chance: what the train records
+            say counts until the validation records object.
         done: gradients before this stage.
         found: finished rungs.
     """
@@ -131,8 +139,8 @@ class Course:
     theta: Tensor
     weights: Tensor
     state: State | Descent | None = None
-    best: float = torch.inf
-    best_q: Tensor | None = None
+    best: Tensor | None = None
+    kept: Tensor | None = None
     waited: int = 0
     done: int = 0
     found: list[Found] = field(default_factory=list)
