@@ -7,6 +7,7 @@ without it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -102,7 +103,7 @@ def better(richer: Explanation, simpler: Explanation) -> bool:
 
 def one_round(refit: Refit, before: Explanation, stage: str, progress: Progress | None = None) -> Round:
     """Every effect of the catalogue added to a model, one at a time."""
-    return Round(before, _ranked(refit, tasks(refit, before), stage, progress))
+    return Round(before, _ranked(refit, before, tasks(refit, before), stage, progress))
 
 
 def tasks(refit: Refit, before: Explanation) -> list[Task]:
@@ -121,12 +122,12 @@ def tasks(refit: Refit, before: Explanation) -> list[Task]:
                 if effect.name == "backlash":
                     found.append(Task(names, starts[0], tuple(starts[1:]), before.result))
                 else:
-                    found += [Task(names, start) for start in starts]
+                    found += [Task(names, start, (), before.result) for start in starts]
     return found
 
 
 def _ranked(
-    refit: Refit, todo: Sequence[Task], stage: str, progress: Progress | None
+    refit: Refit, before: Explanation, todo: Sequence[Task], stage: str, progress: Progress | None
 ) -> tuple[Explanation, ...]:
     """Fit tasks, the promising ones to the end; the best start of each set of effects, best prediction first."""
     total, count = len(todo) + PROMISING + FINALISTS, [0]
@@ -138,15 +139,20 @@ def _ranked(
 
     seen = refit.run(todo, FIRST_LOOK, tick)
     ranked = _best_of_each([e for e in seen if e is not None])
-    for keep, iterations in ((PROMISING, SECOND_LOOK), (FINALISTS, TO_THE_END)):
-        rivals = [
-            e
-            for e in ranked[:keep]
-            if iterations == SECOND_LOOK or e.evidence.error < HOPELESS * ranked[0].evidence.error
-        ]
-        again = [e for e in rivals if e.result.status != "converged"]
-        more = refit.run([Task(e.effects, e.system) for e in again], iterations, tick)
+    finished: set[tuple[Name, ...]] = set()
+    for keep, iterations in (
+        (PROMISING, SECOND_LOOK),
+        (FINALISTS, TO_THE_END),
+        (1, TO_THE_END),
+        (1, TO_THE_END),
+    ):
+        limit = HOPELESS * ranked[0].evidence.error if iterations == TO_THE_END and ranked else math.inf
+        if before.effects:  # beside another effect, one that promises nothing is let go
+            limit = min(limit, before.evidence.error)
+        rivals = [e for e in ranked[:keep] if e.evidence.error < limit and e.effects not in finished]
+        more = refit.run([Task(e.effects, e.system) for e in rivals if not e.result.ok], iterations, tick)
         fresh = {e.effects: e for e in more if e is not None}
+        finished |= {e.effects for e in rivals} if iterations == TO_THE_END else set()
         ranked = sorted((fresh.get(e.effects, e) for e in ranked), key=lambda e: e.evidence.error)
     return tuple(ranked)
 

@@ -56,24 +56,36 @@ def evidence(result: FitResult, sample_time: float) -> Evidence:
         sample_time: of the records [s].
     """
     free = [i for i, name in enumerate(result.names) if name not in result.at_bound]
-    jacobians = [j[..., free].reshape(-1, len(free)) for j in result.jacobian]
-    residuals = [r.reshape(-1) for r in result.residual]
-    size = np.sqrt(sum((np.square(j).sum(0) for j in jacobians), np.zeros(len(free))))
+    return predicted([j[..., free] for j in result.jacobian], result.residual, sample_time)
+
+
+def predicted(jacobian: Sequence[np.ndarray], residual: Sequence[np.ndarray], sample_time: float) -> Evidence:
+    """Errors on each record from the sensitivities and residuals of all, by the step that the others ask for.
+
+    Args:
+        jacobian: weighted sensitivities of each record, ``(T, n_y, n)``.
+        residual: weighted residuals of each record, ``(T, n_y)``.
+        sample_time: of the records [s].
+    """
+    jacobians = [j.reshape(-1, j.shape[-1]) for j in jacobian]
+    residuals = [r.reshape(-1) for r in residual]
+    size = np.sqrt(sum((np.square(j).sum(0) for j in jacobians), np.zeros(jacobians[0].shape[1])))
     size = np.where(size > 0, size, 1.0)
     jacobians = [j / size for j in jacobians]
     hessians = [j.T @ j for j in jacobians]
     slopes = [j.T @ r for j, r in zip(jacobians, residuals, strict=True)]
     hessian, slope = np.sum(hessians, 0), np.sum(slopes, 0)
     blocks, left_out = [], []
-    for j, r, h, g, shape in zip(jacobians, residuals, hessians, slopes, result.residual, strict=True):
-        alone = len(result.residual) == 1
+    for j, r, h, g, shape in zip(jacobians, residuals, hessians, slopes, residual, strict=True):
+        alone = len(residuals) == 1
         step = _solve(hessian if alone else hessian - h, slope if alone else slope - g)
-        predicted = (r - j @ step).reshape(shape.shape)
-        left_out.append(predicted)
-        squares = np.square(predicted).sum(1)
+        error = (r - j @ step).reshape(shape.shape)
+        left_out.append(error)
+        squares = np.square(error).sum(1)
         length = max(1, round(BLOCK / sample_time))
         blocks.append(np.add.reduceat(squares, np.arange(0, len(squares), length)))
-    return Evidence(np.concatenate(blocks), result.n_samples, effective_samples(left_out))
+    samples = sum(int(np.count_nonzero(r)) for r in residual)
+    return Evidence(np.concatenate(blocks), samples, effective_samples(left_out))
 
 
 def effective_samples(residuals: Sequence[np.ndarray]) -> float:

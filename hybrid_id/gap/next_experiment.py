@@ -1,4 +1,4 @@
-"""Which experiment would tell tied explanations apart: candidates are simulated, the one that parts them most is named."""
+"""Which experiment would tell tied explanations apart: of those simulated, the one that parts them most."""
 
 from __future__ import annotations
 
@@ -81,7 +81,9 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
     found = []
     today = max(_distance(dataset, [record], tied, noise) for record in dataset.train)
     for joint in tied[0].system.joints:
-        name = next((f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None)
+        name = next(
+            (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None
+        )
         if name is None:
             continue
         amplitude = max(float(np.abs(record.inputs[name]).max()) for record in dataset.train)
@@ -103,7 +105,10 @@ def _distance(
     runs = []
     for one in tied:
         batch = make_batch(
-            one.system, records, outputs=[c.name for c in dataset.outputs], noise_std=dict(zip(noise, scale, strict=True))
+            one.system,
+            records,
+            outputs=[c.name for c in dataset.outputs],
+            noise_std=dict(zip(noise, scale, strict=True)),
         )
         runs.append(simulate(one.system, one.result.engine, batch).y.numpy() / scale)
     worst = 0.0

@@ -10,7 +10,7 @@ import torch
 from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError
-from hybrid_id.gap.evidence import Evidence, evidence
+from hybrid_id.gap.evidence import Evidence, evidence, predicted
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.identification.least_squares import Options
@@ -117,9 +117,9 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
     try:
         batch = batch_of(dataset, task.system, dataset.train, signal_share, "cpu")
         if hidden_links(task.system, batch):
-            result = secant_fit(
-                task.system, batch, engine=LOOSE, iterations=2 * iterations, starts=task.others
-            )
+            if task.before is not None and iterations < LOOK:
+                return _glance(task, task.before, batch, step)
+            result = secant_fit(task.system, batch, engine=LOOSE, iterations=iterations)
         else:
             options = replace(Options(), max_iterations=iterations, tolerance=0.05, closed=iterations > LOOK)
             result = fit(task.system, batch, pooled=True, warm=False, options=options)[0]
@@ -131,22 +131,23 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
     return Explanation(task.effects, result, found) if found.error < float("inf") else None
 
 
-def _glance(task: Task, batch: Batch) -> FitResult:
-    """The best start point of a gear with play, judged by what the parameters of the fit without it leave open."""
-    starts, before = (task.system, *task.others), task.before
-    assert before is not None
-    gap = [i for i, info in enumerate(task.system.table) if info.component.endswith("/backlash")]
-    run = Rollouts(task.system, batch, GLANCE, gap)
-    points = np.array([s.theta().detach().numpy()[gap] for s in starts])
+def _glance(task: Task, before: FitResult, batch: Batch, step: float) -> Explanation:
+    """The best start point of a model whose gear has play, to first order in everything else.
+
+    The parameters of the fit without the effect are free along their sensitivities, and so is the size of what the
+    effect does at its start point.
+    """
+    starts = (task.system, *task.others)
+    own = {(info.component, info.symbol) for info in before.system.table}
+    new = [i for i, info in enumerate(task.system.table) if (info.component, info.symbol) not in own]
+    run = Rollouts(task.system, batch, GLANCE, new)
+    runs = run.residuals(np.array([s.theta().detach().numpy()[new] for s in starts]))
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
-    left = [tuple(row[r][k] for r, k in enumerate(keep)) for row in run.residuals(points)]
-    jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in before.jacobian])
-    basis = np.linalg.qr(jacobian / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-300))[0]
-    open_ends = []
-    for residuals in left:
-        r = np.concatenate([one.reshape(-1) for one in residuals])
-        open_ends.append(float(np.square(r - basis @ (basis.T @ r)).sum()))
-    best = int(np.argmin(open_ends))
-    return replace(
-        before, system=starts[best], residual=left[best], status="max_iterations", engine=run.engine
-    )
+    looks = []
+    for start, rows in zip(starts, runs, strict=True):
+        residual = tuple(rows[r][k] for r, k in enumerate(keep))
+        change = [(old - one)[..., None] for old, one in zip(before.residual, residual, strict=True)]
+        jacobian = [np.concatenate(pair, -1) for pair in zip(before.jacobian, change, strict=True)]
+        result = replace(before, system=start, residual=residual, status="max_iterations", engine=run.engine)
+        looks.append(Explanation(task.effects, result, predicted(jacobian, residual, step)))
+    return min(looks, key=lambda look: look.evidence.error)
