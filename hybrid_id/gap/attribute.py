@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
-from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.harmonics import likely_periods
 from hybrid_id.gap.refit import Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
@@ -181,19 +181,13 @@ def _challenge(
 
 
 def _without(system: System, base: System, name: Name) -> System | None:
-    effect, where = name
-    kinds = [
-        key.split("/")[2]
-        for key in system.components
-        if key.startswith(f"{where}/") and key not in base.components
-    ]
-    for kind in kinds:
-        if kind in (effect, "dahl" if effect == "presliding_friction" else effect):
-            part = system.components[f"{where}/{kind}"]
-            if part.single:  # type: ignore[union-attr]
-                old = next(
-                    p for key, p in base.components.items() if key.startswith(f"{where}/") and p.single
-                )  # type: ignore[union-attr]
-                return system.with_component(where, old)  # type: ignore[arg-type]
-            return system.without_component(where, kind)
+    """The system less one of its effects; what the effect had replaced comes back."""
+    for kind in CATALOGUE[name[0]].kinds:
+        part = part_of(system, name[1], kind)
+        if part is None:
+            continue
+        if not part.single:
+            return system.without_component(name[1], kind)
+        old = next(p for key, p in base.components.items() if key.startswith(f"{name[1]}/") and p.single)  # type: ignore[union-attr]
+        return system.with_component(name[1], old)  # type: ignore[arg-type]
     return None

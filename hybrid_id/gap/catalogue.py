@@ -29,6 +29,7 @@ class Effect:
         separated_by: the excitation that tells them apart.
         splits: whether it needs the split of inertia between rotor and link, which is then estimated.
         on_link: whether a joint with a compliant gear can tell its second place from its first.
+        kinds: components that model it, where they are not called as it is.
     """
 
     name: str
@@ -38,6 +39,11 @@ class Effect:
     separated_by: str
     splits: bool = False
     on_link: bool = True
+    kinds: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.kinds:
+            object.__setattr__(self, "kinds", (self.name,))
 
     def models(self, system: System, scales: Scales) -> dict[str, list[System]]:
         """The system with this effect at each place of a joint where it may act, one model for each start point."""
@@ -77,12 +83,10 @@ class Effect:
     @property
     def equation(self) -> str:
         """First line of the sheet of the component that models it."""
-        kind = REGISTRY.get(self.name) or REGISTRY[_KIND.get(self.name, self.name)]
-        return (inspect.getdoc(kind) or "").split("\n", 1)[0]
+        return (inspect.getdoc(REGISTRY[self.kinds[0]]) or "").split("\n", 1)[0]
 
 
 CATALOGUE: dict[str, Effect] = {}
-_KIND = {"presliding_friction": "dahl"}
 
 
 def register(effect: Effect) -> Effect:

@@ -10,7 +10,8 @@ from hybrid_id.errors import InputError
 from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
-from hybrid_id.gap.probability import Suspect, suspects, tied_sets
+from hybrid_id.gap.next_experiment import Experiment, next_experiment
+from hybrid_id.gap.probability import Suspect, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.refit import Explanation, Refit
 from hybrid_id.gap.shrink import Shrink, shrink
 from hybrid_id.records.dataset import Dataset
@@ -44,6 +45,7 @@ class Diagnosis:
         before: torques that would explain what the re-fitted model leaves, best first.
         after: the same for the corrected model.
         bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
+        experiments: records that would tell tied effects apart, the best first; empty without ties.
         search: all that was tried.
     """
 
@@ -59,6 +61,7 @@ class Diagnosis:
     before: tuple[Location, ...]
     after: tuple[Location, ...]
     bent: tuple[str, ...]
+    experiments: tuple[Experiment, ...]
     search: Attribution = field(repr=False)
 
     @property
@@ -114,6 +117,10 @@ class Diagnosis:
                 for o in self.after[:3]
             ],
             "bent_parameters": list(self.bent),
+            "next_experiments": [
+                {"name": e.name, "joint": e.joint, "distance": e.distance, "distance_today": e.today}
+                for e in self.experiments[:3]
+            ],
         }
 
 
@@ -146,12 +153,15 @@ def diagnose(
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     refit = Refit(dataset, jobs=jobs, signal_share=signal_share)
+    say = progress or (lambda *_: None)
+    say("today's model", 0, 1)
     base = refit.base(system)
     if base.result.status == "diverged":
         raise InputError(
             f"Today's model diverges on dataset '{dataset.name}'; check units, signs and start values."
         )
     search = attribute(refit, system, most=most, progress=progress, base=base)
+    say("location", 0, 1)
     before = tuple(locate(refit, base))
     after = tuple(locate(refit, search.chosen)) if search.chosen is not base else before
     found = tuple(suspects(search))
@@ -162,9 +172,7 @@ def diagnose(
     gap = None
     if first is not None and last is not None:
         # what a torque of no name still explains is no noise
-        floor = max(
-            last.noise, last.nrmse * math.sqrt(1.0 - min(max(left, 0.0), 0.99)) if unknown else last.nrmse
-        )
+        floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(max(left, 0.0), 0.99)))
         gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
     return Diagnosis(
         case=dataset.name,
@@ -179,6 +187,7 @@ def diagnose(
         before=before,
         after=after,
         bent=tuple(bent_parameters(system, base.system)),
+        experiments=tuple(next_experiment(dataset, tied_explanations(search))),
         search=search,
     )
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid_id.gap.attribute import LEAST_RATIO, LEAST_Z, Attribution, Round, better
+from hybrid_id.gap.catalogue import effect
 from hybrid_id.gap.refit import Explanation, Name
 
 SHARPNESS = 16.0
@@ -76,17 +77,32 @@ def _new(explanation: Explanation, before: Explanation) -> Name:
 
 
 def _ties(explanation: Explanation, one: Round, name: Name) -> tuple[str, ...]:
-    found = []
+    """Rivals that explain the records as well, as ``name@where``."""
+    rivals = (_new(e, one.before) for e in _equals(explanation, one))
+    return tuple(f"{rival[0]}@{rival[1]}" for rival in rivals if rival != name)
+
+
+def _equals(explanation: Explanation, one: Round) -> list[Explanation]:
+    """Candidates of a round whose errors are those of an explanation, as far as its records tell."""
     best = min(e.evidence.error for e in one.candidates)
-    for other in one.candidates:
-        rival = _new(other, one.before)
-        ratio = max(other.evidence.error, explanation.evidence.error) / min(
-            other.evidence.error, explanation.evidence.error
-        )
-        closed = (other.evidence.error - best) < LEFT_OPEN * (one.before.evidence.error - best)
-        if rival != name and ratio < TIE**2 and closed and better(other, one.before):
-            found.append(f"{rival[0]}@{rival[1]}")
-    return tuple(found)
+    allowed = best + LEFT_OPEN * max(one.before.evidence.error - best, 0.0)
+    own = explanation.evidence.error
+    return [
+        e
+        for e in one.candidates
+        if e.evidence.error < allowed
+        and max(e.evidence.error / own, own / e.evidence.error) < TIE**2
+        and better(e, one.before)
+    ]
+
+
+def tied_explanations(found: Attribution) -> list[Explanation]:
+    """Fitted models that explain the records as well as the chosen one, itself among them; empty without a rival."""
+    for one in found.rounds:
+        if one.best is not None and one.best.effects == found.chosen.effects:
+            equals = _equals(one.best, one)
+            return equals if len(equals) > 1 else []
+    return []
 
 
 def _parameters(explanation: Explanation, name: Name) -> dict[str, tuple[float, float]]:
@@ -97,11 +113,11 @@ def _parameters(explanation: Explanation, name: Name) -> dict[str, tuple[float, 
     information = jacobian.T @ jacobian / scale
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     covariance = np.linalg.pinv(information / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
-    kind = {"presliding_friction": "dahl"}.get(name[0], name[0])
+    keys = {f"{name[1]}/{kind}" for kind in effect(name[0]).kinds}
     found = {}
     for k, parameter in enumerate(result.names):
         info = result.system.parameter(parameter)
-        if info.component.startswith(name[1].split("/")[0]) and info.component.endswith(f"/{kind}"):
+        if info.component in keys:
             found[info.symbol] = (float(result.values[k]), float(np.sqrt(max(covariance[k, k], 0.0))))
     return found
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -113,6 +115,8 @@ class Refit:
 
 def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> Explanation | None:
     torch.set_num_threads(1)
+    if multiprocessing.parent_process() is not None:  # Ctrl-C is for the first process to answer
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
     step = min(record.sample_time for record in dataset.train)
     try:
         batch = batch_of(dataset, task.system, dataset.train, signal_share, "cpu")

@@ -126,6 +126,7 @@ register(Effect(
 register(Effect(
     "presliding_friction", BOTH, _presliding, ("backlash", "joint_flexibility", "stribeck_friction"),
     "small reversals from rest of growing size: a bristle springs back, play does not",
+    kinds=("dahl",),
 ))  # fmt: skip
 register(Effect(
     "quadratic_drag", BOTH, _drag, ("voltage_saturation", "stribeck_friction", "thermal_derating"),

@@ -57,6 +57,7 @@ def _coupling(system, s, place):
 register(Effect(
     "gravity_load", ("load",), _weight, ("spring_load", "constant_torque", "asymmetric_friction"),
     "holding at angles all over the range, more than a quarter turn apart",
+    kinds=("gravity_load", "arm_gravity"),
 ))  # fmt: skip
 register(Effect(
     "spring_load", ("load",), _spring, ("gravity_load", "constant_torque"),
