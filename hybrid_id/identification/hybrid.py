@@ -158,9 +158,14 @@ def train_hybrid(
 
 def fit_physics(system: System, batch: Batch, engine: OdeEngine, options: HybridOptions) -> FitResult:
     """Pooled Levenberg-Marquardt fit of a system without its networks, by the solver that trains them."""
+    whole = system
     for key in system.networks:
         where, _, kind = key.rpartition("/")
         system = system.without_component(where, kind)
+    rows = [
+        whole.state_names.index(name) for name in system.state_names
+    ]  # hidden states are the networks' own
+    batch = replace(batch, x=batch.x[..., rows], x0_std=batch.x0_std[:, rows])
     settings, smooth = Options(loss=options.loss), Engine("smooth", engine.substeps, engine.width)
     (rough,) = fit(
         system, batch, pooled=True, engine=smooth, options=settings, starts=options.starts, seed=options.seed

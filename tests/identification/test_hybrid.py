@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from drives import make_record, multisine, rigid_drive
@@ -17,17 +18,18 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.first_order import clipped
 from hybrid_id.identification.fit import make_bounds
-from hybrid_id.identification.hybrid import HybridOptions, HybridResult, train_hybrid
+from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_physics, train_hybrid
 from hybrid_id.identification.network_data import networks_of, with_memory, with_price, with_scales
 from hybrid_id.identification.network_metric import linearise_with_weights
 from hybrid_id.identification.network_projection import projection
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.unknowns import Problem
+from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import Batch, make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine
-from hybrid_id.systems import System
+from hybrid_id.systems import System, two_link
 
 NOISE = {"q_m1": 0.02}
 ENGINE = OdeEngine(fine=4, width=2.0)
@@ -171,6 +173,21 @@ def test_a_killed_run_leaves_a_checkpoint(
     os.kill(child, signal.SIGKILL)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
     same(train_hybrid(hybrid(), *data, engine=ENGINE, options=BRIEF, resume=saved), brief)
+
+
+def test_physics_alone_does_not_see_hidden_states() -> None:
+    """Those of joint 1's network lie before joint 2's angle in the state."""
+    arm = two_link((50.0, 30.0)).with_component("joint1/motor", ResidualNetwork(memory=2))
+    generator, time = np.random.default_rng(0), 0.01 * np.arange(60)
+    u = {f"u{k}": 5.0 * np.sin(3.0 * k * time + generator.uniform(0, 6)) for k in (1, 2)}
+    outputs = {f"q_m{k}": 20.0 * np.sin(2.0 * k * time) for k in (1, 2)}
+    record, noise = Record("arm", time, u, outputs), {"q_m1": 1.0, "q_m2": 1.0}
+    plain = arm.without_component("joint1/motor", "residual_network")
+    found, expected = (
+        fit_physics(s, make_batch(s, [record], noise_std=noise), ENGINE, HybridOptions())
+        for s in (arm, plain)
+    )
+    np.testing.assert_allclose(found.values, expected.values, rtol=1e-9)
 
 
 def test_nothing_missing_leaves_the_physics_alone() -> None:
