@@ -37,8 +37,8 @@ def paired_difference(
     ``var(mean) = (1 / n + overlap) s^2``. Repeats whose training sets are drawn from the same records are not
     independent, and the usual ``s^2 / n`` is too confident by far; with ``overlap`` = 0 this is the paired t-interval.
 
-    Source: C. Nadeau, Y. Bengio, Inference for the Generalization Error, Machine Learning 52, 2003, eq. (9): overlap =
-    records held back over records trained on.
+    Source: C. Nadeau, Y. Bengio, Inference for the Generalization Error, Machine Learning 52, 2003: overlap = records
+    tested on over records trained with.
 
     Args:
         first: values by repeat, ``(n,)``; pairs with a value that is not finite are left out.

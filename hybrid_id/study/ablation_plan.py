@@ -125,8 +125,11 @@ class Split:
 
     @property
     def overlap(self) -> float:
-        """Records held back over records trained on, see :func:`hybrid_id.statistics.paired.paired_difference`."""
-        return (len(self.validation) + len(self.test)) / len(self.train)
+        """Records tested on over records that the training works with, validation among them.
+
+        See :func:`hybrid_id.statistics.paired.paired_difference`.
+        """
+        return len(self.test) / (len(self.train) + len(self.validation))
 
 
 def split_records(

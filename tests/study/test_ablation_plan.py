@@ -45,7 +45,7 @@ def test_a_split_is_the_seeds_alone_and_divides_no_experiment() -> None:
     assert first == again != other
     parts = first.train, first.validation, first.test
     assert [len(p) for p in parts] == [6, 2, 2] and len(set().union(*parts)) == 10
-    assert first.overlap == pytest.approx(4 / 6)
+    assert first.overlap == pytest.approx(2 / 8)
 
 
 def test_test_records_stay_test_records() -> None:

@@ -46,8 +46,8 @@ def test_changes_are_paired_by_seed() -> None:
     _, scores = result.scores
     change = scores.change["test"]
     plain = stats.ttest_1samp(np.log(factors), 0.0).confidence_interval(0.95)
-    wider = math.sqrt((1 / 5 + SPLIT.overlap) * 5)  # three records held back over two trained on
-    assert SPLIT.overlap == 1.5 and change.n_pairs == 5
+    wider = math.sqrt((1 / 5 + SPLIT.overlap) * 5)  # two records tested on, three worked with
+    assert SPLIT.overlap == pytest.approx(2 / 3) and change.n_pairs == 5
     assert change.upper - change.mean == pytest.approx(wider * (plain.high - np.mean(np.log(factors))))
     assert scores.percent("test")[0] == pytest.approx(100 * (np.exp(np.mean(np.log(factors))) - 1))
     assert scores.drift == pytest.approx(0.1 / math.hypot(0.1, 0.1))
