@@ -11,8 +11,6 @@ from hybrid_id.gap.attribute import LEAST_RATIO, LEAST_Z, Attribution, Round, be
 from hybrid_id.gap.catalogue import effect
 from hybrid_id.gap.refit import Explanation, Name
 
-SHARPNESS = 16.0
-"""Odds between two rivals grow with this power of the ratio of their RMS errors; calibrated on generated cases."""
 TIE = 1.06
 """Rivals whose RMS errors differ by less than this factor are told apart by no record here."""
 LEFT_OPEN = 0.1
@@ -57,10 +55,12 @@ def suspects(found: Attribution) -> list[Suspect]:
 
 
 def _weights(one: Round) -> np.ndarray:
-    """Share of each candidate among them."""
-    error = np.array([e.evidence.error for e in one.candidates])
-    odds = (error / error.min()) ** (-0.5 * SHARPNESS) if len(error) else error
-    return odds / max(odds.sum(), 1e-300)
+    """Share of each candidate among them, from how significantly the best predicts better."""
+    if one.best is None:
+        return np.empty(0)
+    surplus = np.array([max(one.best.evidence.z(e.evidence), 0.0) for e in one.candidates])
+    odds = np.exp(-0.5 * np.square(surplus))
+    return odds / odds.sum()
 
 
 def _present(one: Round) -> float:

@@ -25,9 +25,9 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
-LOOSE = Engine(friction="smooth", width=0.2, compiled=True)
+LOOSE = Engine(friction="smooth", width=0.05, compiled=True)
 """How a gear with play is simulated: its contacts need short steps."""
-GLANCE = Engine(friction="smooth", width=0.5, compiled=True)
+GLANCE = Engine(friction="smooth", width=0.3, compiled=True)
 """The same at a first look."""
 LOOK = 6
 """Iterations up to which a fit is a first look, whose end need not be a free run."""
@@ -123,7 +123,9 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
         if hidden_links(task.system, batch):
             if task.before is not None and iterations < LOOK:
                 return _glance(task, task.before, batch, step)
-            result = secant_fit(task.system, batch, engine=LOOSE, iterations=iterations)
+            starts = _wider_and_narrower(task) if iterations == LOOK else [task.system]
+            fits = [secant_fit(start, batch, engine=LOOSE, iterations=iterations) for start in starts]
+            result = min(fits, key=lambda one: one.cost)
         else:
             options = replace(Options(), max_iterations=iterations, tolerance=0.05, closed=iterations > LOOK)
             result = fit(task.system, batch, pooled=True, warm=False, options=options)[0]
@@ -133,6 +135,17 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
         return None
     found = evidence(result, step)
     return Explanation(task.effects, result, found) if found.error < float("inf") else None
+
+
+def _wider_and_narrower(task: Task) -> list[System]:
+    """Start points of a model whose only effect is play: sizes beside the one that looked best."""
+    gaps = [
+        info for info in task.system.table if info.component.endswith("/backlash") and info.symbol == "gap"
+    ]
+    if len(task.effects) > 1 or len(gaps) != 1:
+        return [task.system]
+    value, name = gaps[0].spec.value, gaps[0].name
+    return [task.system.with_values({name: min(f * value, gaps[0].spec.upper)}) for f in (1.0, 0.65, 1.5)]
 
 
 def _glance(task: Task, before: FitResult, batch: Batch, step: float) -> Explanation:
@@ -152,6 +165,11 @@ def _glance(task: Task, before: FitResult, batch: Batch, step: float) -> Explana
         residual = tuple(rows[r][k] for r, k in enumerate(keep))
         change = [(old - one)[..., None] for old, one in zip(before.residual, residual, strict=True)]
         jacobian = [np.concatenate(pair, -1) for pair in zip(before.jacobian, change, strict=True)]
-        result = replace(before, system=start, residual=residual, status="max_iterations", engine=run.engine)
+        names = {(info.component, info.symbol): info.name for info in start.table}
+        old_names = [before.system.parameter(name) for name in before.names]
+        result = replace(
+            before, system=start, names=tuple(names[i.component, i.symbol] for i in old_names), residual=residual,
+            status="max_iterations", engine=run.engine,
+        )  # fmt: skip
         looks.append(Explanation(task.effects, result, predicted(jacobian, residual, step)))
     return min(looks, key=lambda look: look.evidence.error)
