@@ -42,10 +42,14 @@ class Evidence:
         return 0.5 * self.effective * float(np.log(other.error / self.error))
 
     def z(self, other: Evidence) -> float:
-        """The other's surplus of error over its standard error, block by block."""
-        surplus = other.blocks - self.blocks
-        spread = float(surplus.std(ddof=1)) * np.sqrt(len(surplus))
-        return float(surplus.sum() / spread) if spread > 0 else 0.0
+        """How surely this one predicts better than another: the mean relative surplus of the other's error in a block.
+
+        Relative to the errors of both, for a free run's error grows along the record: the last blocks would drown the
+        rest, and no effect, however large, would be sure.
+        """
+        surplus = (other.blocks - self.blocks) / np.maximum(other.blocks + self.blocks, 1e-300)
+        spread = float(surplus.std(ddof=1)) if len(surplus) > 1 else 0.0
+        return float(surplus.mean() / max(spread, 1e-3) * np.sqrt(len(surplus)))
 
 
 def evidence(result: FitResult, sample_time: float) -> Evidence:

@@ -109,7 +109,7 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         dry=highest if highest > 1e-9 * torque else 0.1 * torque,
         inertia=total,
         rotor=rotor,
-        stiffness=0.0 if stiff is None else float(stiff),
+        stiffness=0.0 if stiff is None else float(stiff.detach()),
         twist=torque * joint.gear_ratio / (total * joint.gear_ratio**2 * (2 * torch.pi * 10.0) ** 2),
         noise=noise if name[2] == "a" else noise / joint.gear_ratio,
     )
