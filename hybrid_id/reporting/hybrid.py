@@ -159,14 +159,9 @@ def hybrid_images(study: HybridStudy) -> dict[str, np.ndarray]:
 def hybrid_page(dataset: Dataset, study: HybridStudy, images: dict[str, np.ndarray]) -> Page:
     """The page of a hybrid training."""
     result = study.result
-    lead = f"Physics with {len(study.roles)} residual network(s), trained on {dataset.name}. "
-    lead += (
-        study.warnings[0][:1].upper() + study.warnings[0][1:] + "."
-        if study.warnings
-        else (
-            f"The price {result.rungs[result.chosen].price:g} was chosen; no network does the physics' work."
-        )
-    )
+    words = f"the price {result.rungs[result.chosen].price:g} was chosen; no network does the physics' work"
+    words = study.warnings[0] if study.warnings else words
+    lead = f"Physics with {len(study.roles)} residual network(s), trained on {dataset.name}: {words}."
     page = Page(f"Physics and networks on {dataset.name}", lead)
     page.section("Parameters").add(drift_table(study), *study.warnings).picture(
         images["drift"],

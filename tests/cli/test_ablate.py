@@ -3,15 +3,19 @@
 import json
 import math
 from collections.abc import Callable, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from hybrid_id.config import load_config
+from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.study.ablation import Task
 from hybrid_id.study.ablation_cell import CellResult, Rung
 from hybrid_id.study.ablation_plan import NONE, Cell
 from hybrid_id.systems.model_file import describe_model
+from hybrid_id.twin.settings import read_settings
 
 STUDY = """
 dataset: {data}
@@ -27,6 +31,15 @@ def study(drive: Path, tmp_path: Path) -> Path:
     path = tmp_path / "study.yaml"
     path.write_text(STUDY.format(data=drive))
     return path
+
+
+def test_the_shipped_study_and_its_twin_are_sound() -> None:
+    configs = Path(__file__).resolve().parents[2] / "configs"
+    config = load_config(configs / "ablation.yaml")
+    assert config.ablation is not None and config.output.folder is not None
+    twin = read_settings(read_yaml(configs / "twin_ablation.yaml"))
+    notes = [str(plan) for plan in twin.excitation.experiments]
+    assert sum(fnmatchcase(note, p) for note in notes for p in config.ablation.out_of_range) == 2
 
 
 class Cells:
