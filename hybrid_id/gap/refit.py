@@ -145,7 +145,10 @@ def _wider_and_narrower(task: Task) -> list[System]:
     if len(task.effects) > 1 or len(gaps) != 1:
         return [task.system]
     value, name = gaps[0].spec.value, gaps[0].name
-    return [task.system.with_values({name: min(f * value, gaps[0].spec.upper)}) for f in (1.0, 0.65, 1.5)]
+    return [
+        task.system.with_values({name: min(f * value, gaps[0].spec.upper)})
+        for f in (1.0, 0.65, 1.5, 0.4, 2.5)
+    ]
 
 
 def _glance(task: Task, before: FitResult, batch: Batch, step: float) -> Explanation:

@@ -61,6 +61,16 @@ $states
     }
 }
 
+static void states_of_rows(double x[NX][W], double u[NU][W], double step[W], double p[NP][W])
+{
+    #pragma omp simd
+    for (int l = 0; l < W; l++) {
+        const double h = step[l];
+$row_parameters
+$states
+    }
+}
+
 static void tangents(double x[NX][W], double c[NX][NC][W], double u[NU][W], double step[W], const double *p)
 {
 $parameters
@@ -102,6 +112,25 @@ void shoot(double *path, const double *u, const double *dt, const double *p, lon
                     for (int i = 0; i < NX; i++) path[(at + l * length + k + 1) * NX + i] = x[i][l];
             }
         }
+}
+
+void walk(double *path, const double *u, const double *dt, const double *p, long rows, long samples, long sub_steps)
+{
+    double x[NX][W], held[NU][W], h[W], own[NP][W];
+    for (long r = 0; r < rows; r += W) {
+        const int lanes = rows - r < W ? rows - r : W;
+        for (int l = 0; l < W; l++) {
+            const long row = r + (l < lanes ? l : lanes - 1);
+            for (int i = 0; i < NX; i++) x[i][l] = path[row * samples * NX + i];
+            for (int i = 0; i < NP; i++) own[i][l] = p[row * NP + i];
+        }
+        for (long k = 0; k + 1 < samples; k++) {
+            hold(u, dt, rows * samples, r * samples + k, samples, lanes, held, h);
+            for (long s = 0; s < sub_steps; s++) states_of_rows(x, held, h, own);
+            for (int l = 0; l < lanes; l++)
+                for (int i = 0; i < NX; i++) path[((r + l) * samples + k + 1) * NX + i] = x[i][l];
+        }
+    }
 }
 
 void condensed(double *chain, const double *nodes, const double *u, const double *dt, const double *p, long rows,

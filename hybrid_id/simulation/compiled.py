@@ -63,6 +63,9 @@ class CompiledStep:
         """Nodes ``(R, T, n_x)`` with those inside each chunk of ``length`` replaced by a rollout of its first."""
         rows, samples, _ = x.shape
         path = x.contiguous().clone()
+        if length >= samples:  # one chunk a row: the rows are the lanes
+            self._call("walk", path, *self._point(u, dt, theta), rows, samples)
+            return path
         self._call("shoot", path, *self._point(u, dt, theta), rows, samples, length)
         return path
 
@@ -112,6 +115,7 @@ class CompiledStep:
             functions="\n".join(f'__attribute__((simd("notinbranch"))) double {f}(double);' for f in FUNCTIONS),
             n_x=n_x, n_u=max(n_u, 1), held=n_u, n_f=n_f, n_p=len(self.system.table), width=WIDTH,
             parameters="\n".join(f"    {line}" for line in parameters),
+            row_parameters=body([f"const double p{i} = p[{i}][l];" for i in range(len(self.system.table))]),
             states=body(load, plain, [f"x[{i}][l] = {a};" for i, a in enumerate(after)]),
             tangents=body(load, whole, chained, [f"x[{i}][l] = {a};" for i, a in enumerate(results[:n_x])]),
         )  # fmt: skip
