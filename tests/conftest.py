@@ -7,10 +7,16 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from hybrid_id.gap.diagnosis import Diagnosis
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.systems.chain import System
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, database=None)
 settings.load_profile("repeatable")
@@ -30,3 +36,26 @@ def shared() -> Path:
 def rng() -> np.random.Generator:
     """A seeded source of random numbers, the same for every test."""
     return np.random.default_rng(20240607)
+
+
+@pytest.fixture(scope="session")
+def diagnosed() -> "tuple[Dataset, System, Diagnosis]":
+    """Records of a drive with a spring at its link, today's model without it, and the diagnosis."""
+    from gapcase import small_case
+
+    from hybrid_id.components import REGISTRY
+    from hybrid_id.gap.diagnosis import diagnose
+
+    dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    return dataset, today, diagnose(dataset, today, most=1)
+
+
+@pytest.fixture(scope="session")
+def sound() -> "tuple[Dataset, System, Diagnosis]":
+    """Records of a drive whose model lacks nothing but the right values, today's model, and the diagnosis."""
+    from gapcase import small_case
+
+    from hybrid_id.gap.diagnosis import diagnose
+
+    dataset, today = small_case()
+    return dataset, today, diagnose(dataset, today, most=1)

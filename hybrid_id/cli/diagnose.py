@@ -116,9 +116,8 @@ class SearchProgress:
         if stage != self._stage:
             self._stage = stage
             self._bar.reset(self._task, total=total)
-        self._bar.update(
-            self._task, description=f"{stage}, fit {done} of at most {total}", completed=done, total=total
-        )
+        words = f"{stage}, fit {done} of at most {total}" if total > 1 else stage
+        self._bar.update(self._task, description=words, completed=done)
 
 
 def write_diagnosis(

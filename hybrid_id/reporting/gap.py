@@ -10,6 +10,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.reporting.gap_words import (
     bent_lines,
+    experiment_lines,
     gap_line,
     joint_words,
     place_words,
@@ -24,6 +25,8 @@ from hybrid_id.systems.chain import System
 
 TOP = 5
 """Suspects that the terminal shows."""
+UNLIKELY = 0.01
+"""Probability below which an effect's parameters are noise and no news."""
 
 
 def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> str:
@@ -46,7 +49,8 @@ def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.
     lines = {"where": where_line(diagnosis), "how far": gap_line(diagnosis)}
     parts += [Text(f"{head}: {line}") for head, line in lines.items() if line]
     parts.append(suspects_table(diagnosis, reach, level, TOP))
-    parts += [Text(line, style="yellow") for line in (*tie_lines(diagnosis)[:2], *bent_lines(diagnosis, 4))]
+    remarks = (*tie_lines(diagnosis)[:2], *experiment_lines(diagnosis), *bent_lines(diagnosis, 4))
+    parts += [Text(line, style="yellow") for line in remarks]
     return Group(*parts)
 
 
@@ -56,10 +60,11 @@ def suspects_table(
     """The effects that were tried (the first ``most``), the selected ones first, then by probability."""
     table = open_table("probability>", "effect", "where", f"parameters ± ({100 * level:g} %)", "")
     for one in diagnosis.effects[:most]:
+        values = values_of(diagnosis, one, reach) if one.selected or one.probability >= UNLIKELY else []
         mark = Text("selected", style="green") if one.selected else Text("tied" if one.tied_with else "")
         table.add_row(
             f"{one.probability:.3f}", words_of(one.name), f"{joint_words(one.where)}, {place_words(one.where)}",
-            ", ".join(values_of(diagnosis, one, reach)), mark,
+            ", ".join(values), mark,
         )  # fmt: skip
     return table
 

@@ -43,9 +43,11 @@ def diagnosis_images(dataset: Dataset, nominal: System, diagnosis: Diagnosis) ->
     figures: dict[str, Figure] = {}
     if diagnosis.nominal is not None:
         figures["gap"] = gap_figure(diagnosis)
-    if any(len(one.grid) for one in diagnosis.before):
+    told = [one for one in diagnosis.before if one.share > LEAST_SHARE]
+    if any(len(one.grid) for one in told):
         figures["missing_torque"] = torque_figure(dataset, diagnosis)
-    figures["where"] = share_figure(diagnosis)
+    if told:
+        figures["where"] = share_figure(diagnosis)
     figures["suspects"] = odds_figure(diagnosis)
     figures["worst_record"] = worst_figure(dataset, nominal, diagnosis)
     return {name: pixels(figure) for name, figure in figures.items()}
@@ -87,8 +89,7 @@ def gap_figure(diagnosis: Diagnosis) -> Figure:
 
 def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
     """The torque that the re-fitted model lacks over the signals that tell most, and what the corrected one lacks."""
-    profiles = [one for one in diagnosis.before if len(one.grid)]
-    shown = [one for one in profiles if one.share > LEAST_SHARE][:PROFILES] or profiles[:1]
+    shown = [one for one in diagnosis.before if one.share > LEAST_SHARE and len(one.grid)][:PROFILES]
     after = {_key(one): one for one in diagnosis.after}
     with journal():
         figure = new_figure(2.1)
@@ -114,7 +115,7 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
 
 def share_figure(diagnosis: Diagnosis) -> Figure:
     """Part of what each model leaves that a torque over one signal explains on records left out."""
-    shown = [one for one in diagnosis.before if one.share > LEAST_SHARE][:SHARES] or diagnosis.before[:3]
+    shown = [one for one in diagnosis.before if one.share > LEAST_SHARE][:SHARES]
     after = {_key(one): max(one.share, 0.0) for one in diagnosis.after}
     with journal():
         figure = new_figure(0.27 * len(shown) + 0.9)

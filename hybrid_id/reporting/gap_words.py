@@ -145,6 +145,17 @@ def tie_lines(diagnosis: Diagnosis) -> list[str]:
     return lines
 
 
+def experiment_lines(diagnosis: Diagnosis) -> list[str]:
+    """The record that would part the tied models most, as one line; none where nothing is tied."""
+    if not diagnosis.experiments:
+        return []
+    best = diagnosis.experiments[0]
+    return [
+        f"next experiment: {best.name} at joint {best.joint}: the outputs of the tied models would differ by "
+        f"{best.distance:.2g} times the encoders' noise (RMS; {best.today:.2g} in these records)."
+    ]
+
+
 def bent_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:
     """Parameters that the re-fit has bent, as one line; none where there is none."""
     if not diagnosis.bent:

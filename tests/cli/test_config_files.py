@@ -20,7 +20,7 @@ def test_there_is_an_example() -> None:
 
 def test_comments_of_the_example_tell_the_defaults() -> None:
     config = load_config(CONFIGS[0].with_name("study_link1.yaml"))
-    sections = "preprocessing", "identification", "training", "statistics"
+    sections = "preprocessing", "identification", "training", "gap", "statistics"
     defaults = StudyConfig(dataset=config.dataset, model=config.model)
     for section in sections:
         assert getattr(config, section) == getattr(defaults, section)

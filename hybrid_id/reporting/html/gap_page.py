@@ -11,7 +11,16 @@ from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
 from hybrid_id.reporting.gap import parameters_table, suspects_table
-from hybrid_id.reporting.gap_words import bent_lines, gap_line, tie_lines, verdict_sentence, where_line
+from hybrid_id.reporting.gap_words import (
+    LEAST_SHARE,
+    bent_lines,
+    experiment_lines,
+    gap_line,
+    percent,
+    tie_lines,
+    verdict_sentence,
+    where_line,
+)
 from hybrid_id.reporting.html.page import Page, Section
 from hybrid_id.reporting.tables import findings_list, records_table
 from hybrid_id.systems.chain import System
@@ -21,6 +30,7 @@ _HOW = (
     "added to today's model and fitted with its parameters; the error of prediction is that on train records left out, "
     "each in turn. A probability is that of the effect being at work at this place, so they need not sum to one."
 )
+_NOWHERE = f"No torque over one signal explains {percent(LEAST_SHARE)} of what the re-fitted model leaves."
 _CAPTIONS = {
     "gap": "Normalised error of free runs over the test records (1: as good as the signal's mean), and record by "
     "record. Dashed: what the right model would leave.",
@@ -62,11 +72,10 @@ def gap_page(
             section.picture(images[name], _CAPTIONS[name])
 
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
-    which = page.section("Which").add(
-        _HOW, suspects_table(diagnosis, reach, level), *map(_sentence, tie_lines(diagnosis))
-    )
+    ties = (*tie_lines(diagnosis), *experiment_lines(diagnosis))
+    which = page.section("Which").add(_HOW, suspects_table(diagnosis, reach, level), *map(_sentence, ties))
     picture(which, "suspects")
-    where = page.section("Where").add(*map(_sentence, filter(None, [where_line(diagnosis)])))
+    where = page.section("Where").add(_sentence(where_line(diagnosis) or _NOWHERE))
     picture(where, "missing_torque")
     picture(where, "where")
     picture(page.section("Measured and simulated"), "worst_record")

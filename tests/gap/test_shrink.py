@@ -1,0 +1,39 @@
+"""How far the gap shrinks, with its interval."""
+
+import numpy as np
+import pytest
+
+from hybrid_id.gap.measure import Errors
+from hybrid_id.gap.shrink import shrink
+
+
+def errors(rng: np.random.Generator, size: float, blocks: int) -> Errors:
+    """Errors of one record whose blocks scatter by a fifth about a size."""
+    squares = size**2 * (1 + 0.2 * rng.standard_normal(blocks))
+    nrmse = float(np.sqrt(squares.mean()))
+    return Errors(nrmse, {"run": nrmse}, ((squares,),), 0.0)
+
+
+def test_share_lies_in_its_interval(rng: np.random.Generator) -> None:
+    found = shrink(errors(rng, 0.1, 16), errors(rng, 0.03, 16), 0.01)
+    assert found.share == pytest.approx(
+        (found.refit - found.with_effect) / (found.refit - found.floor), rel=1e-12
+    )
+    assert found.interval[0] < found.share < found.interval[1]
+    assert 0.6 < found.share < 0.9
+
+
+def test_more_blocks_tell_more(rng: np.random.Generator) -> None:
+    few, many = (shrink(errors(rng, 0.1, n), errors(rng, 0.05, n), 0.01) for n in (6, 600))
+    assert np.ptp(many.interval) < 0.5 * np.ptp(few.interval)
+
+
+def test_same_seed_same_interval(rng: np.random.Generator) -> None:
+    pair = errors(rng, 0.1, 16), errors(rng, 0.05, 16)
+    assert shrink(*pair, 0.01, seed=3) == shrink(*pair, 0.01, seed=3)
+
+
+def test_nothing_is_closed_where_nothing_changes(rng: np.random.Generator) -> None:
+    same = errors(rng, 0.1, 16)
+    assert shrink(same, same, 0.05).share == 0.0
+    assert shrink(same, same, same.nrmse).share == 0.0
