@@ -12,10 +12,10 @@ from joblib import Parallel, delayed
 from hybrid_id.blind.campaign import draw_campaign
 from hybrid_id.blind.case import Case, runs_in_mujoco, tuned
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE, Effect
-from hybrid_id.blind.effects.base import UNKNOWN
 from hybrid_id.blind.levels import BANDS, Graded, grade, scale_to_level
-from hybrid_id.blind.rivals import Rival, find_rivals
+from hybrid_id.blind.rivals import find_rivals, with_only
 from hybrid_id.blind.robots import SYSTEMS, Robot, draw_robot
+from hybrid_id.blind.sheet import answers
 from hybrid_id.errors import InputError
 from hybrid_id.records.yaml_file import write_yaml
 
@@ -26,6 +26,8 @@ WRONG = 0.3
 """Nominal values are wrong by up to this share."""
 IN_MUJOCO = 0.5
 """Share of MuJoCo among the cases that it can run, where the engine is not given."""
+NEEDED = 1.2
+"""Re-fit with one effect of a pair alone over the noise floor, at least."""
 DRAWS = 8
 """Machines that are tried for a case before it is given up."""
 
@@ -71,14 +73,15 @@ def make_case(
         graded = _draw(rng, name, family, system, effect, level, engine)
         if graded is None:
             continue
-        rivals = (
-            find_rivals(graded.case, graded.records, seed)
-            if grading and len(graded.case.effects) == 1
-            else []
-        )
-        if family == "unknown" and any(rival.counts for rival in rivals):
-            continue  # the catalogue has a name for it after all
-        return _write(graded, rivals, Path(folder), family, seed)
+        case, records, rivals, alone = graded.case, graded.records, [], {}
+        if grading and len(case.effects) == 1:
+            rivals = find_rivals(case, records, seed)
+        if grading and len(case.effects) > 1:
+            alone = with_only(case, records)
+        named_after_all = family == "unknown" and any(rival.counts for rival in rivals)
+        if named_after_all or any(ratio < NEEDED for ratio in alone.values()):
+            continue
+        return _write(answers(graded, family, seed, rivals=rivals, alone=alone), graded, Path(folder))
     raise InputError(
         f"case {name}: no machine of {DRAWS} shows {effect or family} at level {level}; give another level or seed"
     )
@@ -183,7 +186,7 @@ def _model(rng: np.random.Generator, robot: Robot, effects: list[Effect]) -> dic
     return robot.model(rng, WRONG)
 
 
-def _write(graded: Graded, rivals: list[Rival], folder: Path, family: str, seed: int) -> Path:
+def _write(sheet: Mapping[str, Any], graded: Graded, folder: Path) -> Path:
     """Write a case and its answers; the folder appears only when it is complete."""
     case, path = graded.case, folder / graded.case.name
     if path.exists():
@@ -192,58 +195,9 @@ def _write(graded: Graded, rivals: list[Rival], folder: Path, family: str, seed:
     with tempfile.TemporaryDirectory(dir=folder, prefix=".making-") as temporary:
         made = graded.records.dataset.save(Path(temporary) / case.name)
         write_yaml(made / "model.yaml", case.model)
-        write_yaml(folder / "answers" / f"{case.name}.yaml", answers(graded, rivals, family, seed))
+        write_yaml(folder / "answers" / f"{case.name}.yaml", sheet)
         made.replace(path)
     return path
-
-
-def answers(graded: Graded, rivals: list[Rival], family: str, seed: int) -> dict[str, Any]:
-    """The answer sheet of a case."""
-    floor = graded.records.noise_floor
-    oracle = {
-        "nominal": graded.errors.nominal,
-        "refit": graded.errors.refit,
-        "with_effect": floor if graded.case.effects else graded.errors.refit,
-        "noise_floor": floor,
-    }
-    sheet: dict[str, Any] = {
-        "family": family,
-        "effects": [_answer(effect, rivals, graded.case.robot) for effect in graded.case.effects],
-        "level": graded.level,
-        "oracle": {key: float(f"{value:.4g}") for key, value in oracle.items()},
-        "made_by": {
-            "engine": graded.case.engine,
-            "seed": seed,
-            "formulas": [type(effect).__name__ for effect in graded.case.effects],
-        },
-    }
-    if rivals:
-        rest = {f"{r.effect.name}@{r.effect.joint + 1}": round(r.rest, 3) for r in reversed(rivals[:6])}
-        sheet["notes"] = {"rest_of_gap_with_rival": dict(reversed(rest.items()))}
-    return sheet
-
-
-def _answer(effect: Effect, rivals: list[Rival], robot: Robot) -> dict[str, Any]:
-    """One effect on the answer sheet, with all that counts as right."""
-    right = [effect, *(rival.effect for rival in rivals if rival.counts)]
-    places = [place for one in right for place in _places(one, robot)]
-    names = [one.name for one in right if one.name != UNKNOWN]
-    return {
-        "name": effect.name,
-        "where": effect.where,
-        "accept": list(dict.fromkeys(names)),
-        "accept_where": list(dict.fromkeys(places)),
-        "size": effect.size(),
-    }
-
-
-def _places(effect: Effect, robot: Robot) -> list[str]:
-    """Places of an effect that physics alone cannot tell apart."""
-    if robot.system == "two_link" and effect.name in ("gravity_load", "joint_coupling"):
-        return ["joint1/load", "joint2/load"]
-    if effect.place == "motor_friction" and robot.system != "one_link_flexible":
-        return [effect.where, effect.where.replace("motor_friction", "link_friction")]
-    return [effect.where]
 
 
 def _check(**given: str | None) -> None:

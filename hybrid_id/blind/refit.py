@@ -5,7 +5,7 @@ so that a few steps find the optimum; derivatives are differences, and all pertu
 """
 
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -47,9 +47,20 @@ class Refit:
     test: float
 
 
-def refit_model(case: Case, records: Records, *, substeps: int = 1) -> Refit:
-    """Re-fit today's simulator of a case, without the effects."""
+def refit_model(
+    case: Case, records: Records, *, lacks: frozenset[str] | None = None, substeps: int = 1
+) -> Refit:
+    """Re-fit today's simulator of a case, without the effects.
+
+    Args:
+        case: of the records.
+        records: what is fitted.
+        lacks: parameters that it does without; by default those that the case's effects withhold.
+        substeps: steps a sample.
+    """
     robot = case.truth()
+    if lacks is not None:
+        robot = replace(robot, lacks=lacks)
     free = free_parameters(robot)
 
     def build(values: Mapping[str, np.ndarray]) -> Plant:
@@ -107,6 +118,8 @@ def refit(
         base, jacobian = residuals[0], (residuals[1:] - residuals[0]).T / STEP
         best = float(np.mean(base**2))
         normal, right = jacobian.T @ jacobian, jacobian.T @ base
+        if not np.trace(normal) > 0:  # lost: no parameter makes a difference
+            break
         diagonal = np.diag(np.diag(normal)) + 1e-12 * np.trace(normal) * np.eye(len(names))
         tries = np.array([theta - np.linalg.solve(normal + d * diagonal, right) for d in DAMPINGS])
         tries = np.clip(tries, theta - 1.5, theta + 1.5)

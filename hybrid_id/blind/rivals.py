@@ -61,6 +61,19 @@ def find_rivals(case: Case, records: Records, seed: int) -> list[Rival]:
     return sorted(found, key=lambda rival: rival.rest)
 
 
+def with_only(case: Case, records: Records) -> dict[str, float]:
+    """What each effect of a pair leaves without the other: re-fit with it alone over the noise floor, by name."""
+    model, found = refit_model(case, records), {}
+    for effect in case.effects:
+        if type(effect).alter is Effect.alter:
+            fitted, _ = fit_with(case, records, (effect,), model)
+        else:  # its parameters are some of those that today's simulator lacks
+            lacks = case.truth().lacks - effect.alter(case.robot).lacks
+            fitted = refit_model(case, records, lacks=lacks)
+        found[effect.name] = fitted.test / records.noise_floor
+    return found
+
+
 def fit_with(
     case: Case, records: Records, effects: tuple[Effect, ...], start: Refit
 ) -> tuple[Refit, list[dict[str, float]]]:

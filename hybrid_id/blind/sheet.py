@@ -1,0 +1,71 @@
+"""The answer sheet of a case: what is at work in it, and all that counts as right."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from hybrid_id.blind.effects import Effect
+from hybrid_id.blind.effects.base import UNKNOWN
+from hybrid_id.blind.levels import Graded
+from hybrid_id.blind.rivals import Rival
+from hybrid_id.blind.robots import Robot
+
+
+def answers(
+    graded: Graded, family: str, seed: int, *, rivals: list[Rival], alone: Mapping[str, float]
+) -> dict[str, Any]:
+    """The answer sheet of a case.
+
+    Args:
+        graded: the case with its records.
+        family: single, pair, none or unknown.
+        seed: that it was made from.
+        rivals: other effects that were tried, the best first.
+        alone: what each effect of a pair leaves without the other, over the noise floor.
+    """
+    floor = graded.records.noise_floor
+    oracle = {
+        "nominal": graded.errors.nominal,
+        "refit": graded.errors.refit,
+        "with_effect": floor if graded.case.effects else graded.errors.refit,
+        "noise_floor": floor,
+    }
+    sheet: dict[str, Any] = {
+        "family": family,
+        "effects": [_answer(effect, rivals, graded.case.robot) for effect in graded.case.effects],
+        "level": graded.level,
+        "oracle": {key: float(f"{value:.4g}") for key, value in oracle.items()},
+        "made_by": {
+            "engine": graded.case.engine,
+            "seed": seed,
+            "formulas": [type(effect).__name__ for effect in graded.case.effects],
+        },
+    }
+    if rivals:
+        rest = {f"{r.effect.name}@{r.effect.joint + 1}": round(r.rest, 3) for r in reversed(rivals[:6])}
+        sheet["notes"] = {"rest_of_gap_with_rival": dict(reversed(rest.items()))}
+    if alone:
+        sheet["notes"] = {"refit_over_floor_with_only": {k: round(v, 2) for k, v in alone.items()}}
+    return sheet
+
+
+def _answer(effect: Effect, rivals: list[Rival], robot: Robot) -> dict[str, Any]:
+    """One effect on the answer sheet, with all that counts as right."""
+    right = [effect, *(rival.effect for rival in rivals if rival.counts)]
+    places = [place for one in right for place in _places(one, robot)]
+    names = [one.name for one in right if one.name != UNKNOWN]
+    return {
+        "name": effect.name,
+        "where": effect.where,
+        "accept": list(dict.fromkeys(names)),
+        "accept_where": list(dict.fromkeys(places)),
+        "size": effect.size(),
+    }
+
+
+def _places(effect: Effect, robot: Robot) -> list[str]:
+    """Places of an effect that physics alone cannot tell apart."""
+    if robot.system == "two_link" and effect.name in ("gravity_load", "joint_coupling"):
+        return ["joint1/load", "joint2/load"]
+    if effect.place == "motor_friction" and robot.system != "one_link_flexible":
+        return [effect.where, effect.where.replace("motor_friction", "link_friction")]
+    return [effect.where]
