@@ -168,7 +168,8 @@ def diagnose(
     nominal, first = errors(dataset, system), errors(dataset, base.system, base.result.engine)
     last = errors(dataset, search.chosen.system, search.chosen.result.engine)
     left = max((one.share for one in after), default=0.0)
-    unknown = left > UNEXPLAINED
+    # behind play nobody has measured where the link is, and the probe starts its windows in the wrong place
+    unknown = left > UNEXPLAINED and search.chosen.result.engine.friction == "dry"
     gap = None
     if first is not None and last is not None:
         # what a torque of no name still explains is no noise

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -24,8 +25,8 @@ from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
-STEP = 0.01
-"""Finite step, as a share of the parameter."""
+STEPS = (0.15, 0.01)
+"""Finite steps, as shares of the parameters: the coarse one sees through the ripple of the cost, the fine one ends."""
 WORST = 1e3
 """Weighted residual that stands for a simulation that has left all bounds."""
 SETTLED = 1e-4
@@ -64,7 +65,9 @@ class Rollouts:
         with torch.no_grad():
             samples = part.x.shape[1]
             views = self.system.views(list(theta.repeat_interleave(samples, 1)))
-            channels = self.system.hold({name: channel.reshape(-1) for name, channel in part.u.items()}, views)
+            channels = self.system.hold(
+                {name: channel.reshape(-1) for name, channel in part.u.items()}, views
+            )
             arrived = {name: channels[name].view_as(part.dt) for name in self.plain.input_names}
             arrived |= {name: channel for name, channel in part.u.items() if name.startswith("enable")}
             x = shoot(self.plain, self.engine, part.x, arrived, part.dt, theta[self.rows], samples)
@@ -83,7 +86,7 @@ def secant_fit(
         system: model with start values and bounds.
         batch: prepared records.
         engine: how a sample is integrated; the smooth engine, compiled, makes this affordable.
-        iterations: trial points.
+        iterations: trial points at each finite step.
         starts: the same model at other values; the fit starts at the best of them all.
 
     Raises:
@@ -101,21 +104,29 @@ def secant_fit(
     def residual(z: np.ndarray) -> np.ndarray:
         return run.residuals(np.clip(z * size, low, high)[None])[0].reshape(-1)
 
-    def tangent(z: np.ndarray) -> np.ndarray:
+    def tangent(z: np.ndarray, share: float) -> np.ndarray:
         value = np.clip(z * size, low, high)
-        step = STEP * np.maximum(np.abs(value), 0.1 * size)
-        step = np.where(value + step > high, -step, step)
+        step = share * np.maximum(np.abs(value), 0.1 * size)
+        step = np.where(value + step > high, -np.minimum(step, value - low), step)
         found = run.residuals(np.vstack([value, value + np.diag(step)])).reshape(len(free) + 1, -1)
         return ((found[1:] - found[0]) / (step / size)[:, None]).T
 
     inside = 1e-10 * np.minimum(high - low, size)
-    solution = least_squares(
-        residual, np.clip(start, low + inside, high - inside) / size, cast(Any, tangent), bounds=(low / size, high / size),
-        max_nfev=iterations, ftol=SETTLED, xtol=SETTLED,
-    )  # fmt: skip
+    box, z, spent = (low / size, high / size), np.clip(start, low + inside, high - inside) / size, 0
+    solution = None
+    for share in STEPS:
+        slopes = cast(Any, partial(tangent, share=share))
+        solution = least_squares(
+            residual, z, slopes, bounds=box, max_nfev=iterations, ftol=SETTLED, xtol=SETTLED
+        )
+        z, spent = (
+            np.clip(solution.x, low / size + inside / size, high / size - inside / size),
+            spent + solution.nfev,
+        )
+    assert solution is not None
     value = np.clip(solution.x * size, low, high)
     shape = batch.y.shape
-    jacobian = -(tangent(solution.x) / size).reshape(*shape, len(free))
+    jacobian = -(tangent(solution.x, STEPS[-1]) / size).reshape(*shape, len(free))
     left = residual(solution.x).reshape(shape)
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
     names = tuple(system.table[i].name for i in free)
@@ -128,7 +139,7 @@ def secant_fit(
         records=batch.names,
         cost=float(solution.cost),
         n_samples=int((batch.weight > 0).sum()),
-        iterations=int(solution.nfev),
+        iterations=int(spent),
         jacobian=tuple(jacobian[r][keep[r]] for r in range(batch.rows)),
         residual=tuple(left[r][keep[r]] for r in range(batch.rows)),
         prior_precision=np.zeros(len(free)),
