@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
-from hybrid_id.gap.harmonics import likely_periods
+from hybrid_id.gap.harmonics import likely_waves
 from hybrid_id.gap.refit import Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
@@ -114,7 +114,7 @@ def tasks(refit: Refit, before: Explanation) -> list[Task]:
         for effect in CATALOGUE.values():
             models = effect.models(before.system, size)
             if effect.name == "cogging" and before.result.engine.friction == "dry":
-                models = effect.scanned(before.system, size, likely_periods(before.result, batch, size.joint))
+                models = effect.scanned(before.system, size, likely_waves(before.result, batch, size.joint))
             for where, starts in models.items():
                 if (effect.name, where) in taken:
                     continue

@@ -57,12 +57,12 @@ class Effect:
                 found[where] = models
         return found
 
-    def scanned(self, system: System, scales: Scales, periods: Sequence[int]) -> dict[str, list[System]]:
-        """The same with start points at the periods a turn that a scan has found."""
+    def scanned(self, system: System, scales: Scales, found: Sequence[object]) -> dict[str, list[System]]:
+        """The same with start points from what a scan has found."""
         where = f"joint{scales.joint}/{self.places[0]}"
         return {
             where: [
-                self._model(system, where, *s) for s in self.starts(system, scales, self.places[0], periods)
+                self._model(system, where, *s) for s in self.starts(system, scales, self.places[0], found)
             ]
         }
 

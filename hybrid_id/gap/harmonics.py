@@ -1,4 +1,4 @@
-"""How many periods a turn a torque that goes with the rotor's angle may have."""
+"""Torques that go with the rotor's angle: how many periods a turn, and how large, to begin a fit with."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from hybrid_id.simulation.batch import Batch
 PERIODS = range(1, 49)
 
 
-def likely_periods(result: FitResult, batch: Batch, joint: int, count: int = 2) -> list[int]:
-    """The periods a turn of the rotor whose torque would explain most of a fit's residuals, best first.
+def likely_waves(
+    result: FitResult, batch: Batch, joint: int, count: int = 2
+) -> list[tuple[int, float, float]]:
+    """Torques ``T_c cos(n q) + T_s sin(n q)`` that would explain most of what a fit leaves, best first, as (n, T_c, T_s).
 
     The phase is that of the measured angle: a simulation that is off by a fraction of a period has lost it.
 
@@ -30,8 +32,9 @@ def likely_periods(result: FitResult, batch: Batch, joint: int, count: int = 2) 
     response = opened.response(waves).flatten(0, 1).numpy()
     basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
     response, left = response - basis @ (basis.T @ response), left - basis @ (basis.T @ left)
-    gains = []
-    for i in range(len(PERIODS)):
+    found = []
+    for i, n in enumerate(PERIODS):
         pair = response[:, 2 * i : 2 * i + 2]
-        gains.append(-float(np.square(left - pair @ np.linalg.lstsq(pair, left, rcond=1e-8)[0]).sum()))
-    return [PERIODS[i] for i in np.argsort(gains)[::-1][:count]]
+        wave = np.linalg.lstsq(pair, left, rcond=1e-8)[0]
+        found.append((float(np.square(left - pair @ wave).sum()), n, float(wave[0]), float(wave[1])))
+    return [(n, first, second) for _, n, first, second in sorted(found)[:count]]

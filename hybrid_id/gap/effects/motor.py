@@ -10,11 +10,17 @@ def _lag(system, s, place):
     return [("electrical_lag", {"T_e": free(start * s.sample_time, low, high, "s")}) for start in (1.0, 5.0)]
 
 
-def _cogging(system, s, place, periods=()):
+def _cogging(system, s, place, waves=()):
     if has(system, f"joint{s.joint}/motor", "cogging"):
         return []
-    small = 0.01 * s.torque
-    return [("cogging", {"T_c": small, "T_s": small, "n": float(n)}) for n in periods]
+    limit = 3.0 * s.torque
+    return [
+        (
+            "cogging",
+            {"T_c": free(c, -limit, limit, "N m"), "T_s": free(d, -limit, limit, "N m"), "n": float(n)},
+        )
+        for n, c, d in waves
+    ]
 
 
 def _thermal(system, s, place):
