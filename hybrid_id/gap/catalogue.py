@@ -67,7 +67,7 @@ class Effect:
         }
 
     def _model(self, system: System, where: str, kind: str, values: Values) -> System:
-        richer = system.with_component(where, REGISTRY[kind](**values))
+        richer = system.with_component(where, REGISTRY[kind](**_inside(kind, values)))
         if not self.splits:
             return richer
         share = next(
@@ -119,3 +119,17 @@ def part_of(system: System, where: str, kind: str) -> Component | None:
 def free(value: float, lower: float, upper: float, unit: str = "1") -> Bounded:
     """An estimated parameter inside its bounds."""
     return Bounded(min(max(value, lower), upper), lower, upper, unit)
+
+
+def _inside(kind: str, values: Values) -> dict[str, float | Bounded]:
+    """Values whose bounds stay inside what the component's own physics allows."""
+    kept: dict[str, float | Bounded] = {}
+    for symbol, value in values.items():
+        declared = REGISTRY[kind].declared[symbol]
+        if isinstance(value, Bounded):
+            low, high = max(value.lower, declared.lower), min(value.upper, declared.upper)
+            value = replace(
+                value, lower=low, upper=high, value=min(max(value.value, low), high), unit=declared.unit
+            )
+        kept[symbol] = value
+    return kept

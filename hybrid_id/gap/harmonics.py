@@ -15,7 +15,7 @@ PERIODS = range(1, 49)
 def likely_waves(
     result: FitResult, batch: Batch, joint: int, count: int = 2
 ) -> list[tuple[int, float, float]]:
-    """Torques ``T_c cos(n q) + T_s sin(n q)`` that would explain most of what a fit leaves, best first, as (n, T_c, T_s).
+    """Torques ``T_c cos(n q) + T_s sin(n q)`` that would explain most of what a fit leaves, best first: (n, T_c, T_s).
 
     The phase is that of the measured angle: a simulation that is off by a fraction of a period has lost it.
 

@@ -46,7 +46,7 @@ def _stribeck(system, s, place):
             "stribeck_friction",
             {"F_drop": free(0.3 * s.dry * r, 0.0, 5.0 * s.dry * r, "N m"),
                 "v_s": free(share * v, 0.002 * v, 0.5 * v, "rad/s"),
-             "p": p},
+             "p": free(p, 0.5, 3.0)},
         )
         for share in (0.03, 0.15) for p in (1.0, 2.0)
     ]  # fmt: skip

@@ -45,7 +45,7 @@ def _coupling(system, s, place):
     second = system.joints[1]
     key, inertia = second.inertia
     view = system.components[key].view()  # type: ignore[operator]
-    size = float(inertia.total(view, second.gear_ratio)) * second.gear_ratio**2
+    size = float(inertia.total(view, second.gear_ratio).detach()) * second.gear_ratio**2
     return [
         (
             "joint_coupling",
