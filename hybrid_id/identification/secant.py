@@ -25,8 +25,8 @@ from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
-STEPS = (0.15, 0.01)
-"""Finite steps, as shares of the parameters: the coarse one sees through the ripple of the cost, the fine one ends."""
+STEPS = (0.01, 0.15, 0.01)
+"""Finite steps, as shares of the parameters: in between, a coarse one sees through the ripple of the cost."""
 WORST = 1e3
 """Weighted residual that stands for a simulation that has left all bounds."""
 SETTLED = 1e-4
