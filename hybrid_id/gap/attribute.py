@@ -30,6 +30,8 @@ LEAST_RATIO = 1.015
 """An effect must lower the RMS of the errors of prediction at least by this factor ..."""
 MORE_RATIO = 1.05
 """... beside another effect by this one, for what the fit of that one leaves another may pick up ..."""
+LOOSE_RATIO = 1.2
+"""... and by this one where a gear has play, whose contacts are modelled only roughly ..."""
 LEAST_Z = 3.0
 """... and by so many standard errors, block by block."""
 
@@ -100,10 +102,9 @@ def attribute(
 def better(richer: Explanation, simpler: Explanation) -> bool:
     """Whether a richer model predicts records that it has not seen clearly better."""
     ratio = (simpler.evidence.error / richer.evidence.error) ** 0.5
-    return (
-        ratio >= (MORE_RATIO if simpler.effects else LEAST_RATIO)
-        and richer.evidence.z(simpler.evidence) >= LEAST_Z
-    )
+    loose = simpler.result.engine.friction == "smooth"
+    least = LOOSE_RATIO if loose else MORE_RATIO if simpler.effects else LEAST_RATIO
+    return ratio >= least and richer.evidence.z(simpler.evidence) >= LEAST_Z
 
 
 def one_round(refit: Refit, before: Explanation, stage: str, progress: Progress | None = None) -> Round:
