@@ -1,0 +1,105 @@
+"""The catalogue: complete, buildable, and what it builds goes through a model file."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from drives import flexible_drive, make_record, multisine, rigid_drive
+from gapcase import STEP
+
+import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
+from hybrid_id import InputError, Record, load_model, one_link, save_model, two_link
+from hybrid_id.components import Viscous
+from hybrid_id.gap.catalogue import CATALOGUE, effect
+from hybrid_id.gap.scales import scales
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.systems import System
+
+# Names and places as users and their answer sheets write them.
+NAMES = {
+    "delay": "input", "voltage_deadband": "input", "voltage_saturation": "input", "electrical_lag": "motor",
+    "cogging": "motor", "thermal_derating": "motor", "coulomb_friction": "motor_friction link_friction",
+    "viscous_friction": "motor_friction link_friction", "stribeck_friction": "motor_friction",
+    "asymmetric_friction": "motor_friction", "presliding_friction": "motor_friction",
+    "quadratic_drag": "motor_friction link_friction", "load_dependent_friction": "motor_friction",
+    "position_dependent_friction": "motor_friction link_friction", "backlash": "transmission",
+    "joint_flexibility": "transmission", "hardening_flexibility": "transmission", "kinematic_error": "transmission",
+    "gravity_load": "load", "spring_load": "load", "constant_torque": "load", "joint_coupling": "load",
+}  # fmt: skip
+
+WAVE = (3, 1e-4, 1e-4)
+"""What a scan for cogging tells: periods a turn, and torques in both phases [N m]."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_is_there_with_its_places(name: str) -> None:
+    found = effect(name)
+    assert set(NAMES[name].split()) <= set(found.places)
+    assert found.separated_by
+    assert found.equation
+    assert set(found.mistaken_for) <= set(CATALOGUE)
+    assert name not in found.mistaken_for
+
+
+def test_other_names_are_refused() -> None:
+    with pytest.raises(InputError, match="'gremlins' is not in the catalogue; it has asymmetric_friction"):
+        effect("gremlins")
+
+
+def drives() -> dict[str, System]:
+    """Systems that lack different things."""
+    uncoupled = two_link((50.0, 40.0))
+    uncoupled = uncoupled.without_component("joint1/load", "joint_coupling")
+    return {
+        "rigid": rigid_drive(ratio=50.0),
+        "frictionless": one_link(50.0, friction=Viscous(F_v=5e-5)).with_values({"J": 2e-5}),
+        "flexible": flexible_drive().without_component("joint1/link_friction", "viscous_friction"),
+        "two": uncoupled,
+    }
+
+
+def models(kind: str) -> Iterator[tuple[str, System]]:
+    """Every model that the catalogue makes of a system, with the effect's name."""
+    system = drives()[kind]
+    if kind == "two":
+        time = STEP * np.arange(200)
+        wave = np.sin(3 * time)
+        record = Record("r", time, {"u1": wave, "u2": wave}, {"q_m1": 20 * wave, "q_m2": 20 * wave})
+    else:
+        record = make_record(
+            rigid_drive(ratio=50.0),
+            multisine(0, samples=200, step=STEP),
+            seed=0,
+            noise={"q_m1": 0.01},
+            step=STEP,
+        )
+    batch = make_batch(system, [record], noise_std={"q_m1": 0.01, "q_m2": 0.01})
+    for size in scales(system, batch):
+        for one in CATALOGUE.values():
+            built = one.scanned(system, size, [WAVE]) if one.name == "cogging" else one.models(system, size)
+            for starts in built.values():
+                yield from ((one.name, start) for start in starts)
+
+
+@pytest.mark.parametrize("kind", drives())
+def test_every_model_goes_through_a_file(kind: str, tmp_path: Path) -> None:
+    made = list(models(kind))
+    assert made
+    for name, system in made:
+        save_model(system, tmp_path / "model.yaml")
+        again = load_model(tmp_path / "model.yaml")
+        assert list(again.components) == list(system.components), name
+        assert [i.spec for i in again.table] == [i.spec for i in system.table], name
+        torch.testing.assert_close(again.theta(), system.theta(), rtol=0, atol=0)
+
+
+def test_some_system_takes_each_effect() -> None:
+    assert {name for kind in drives() for name, _ in models(kind)} >= set(NAMES)
+
+
+def test_what_is_there_is_not_offered_again() -> None:
+    offered = {name for name, _ in models("rigid")}
+    assert not offered & {"coulomb_friction", "hardening_flexibility", "joint_coupling"}
+    assert "viscous_friction" not in offered  # behind a rigid gear it is the back-EMF's

@@ -1,0 +1,66 @@
+"""The whole way from records to a verdict, on a drive whose truth is known."""
+
+from gapcase import RATIO
+
+from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.diagnosis import Diagnosis, bent_parameters
+
+
+def test_missing_spring_is_named(diagnosed) -> None:
+    found: Diagnosis = diagnosed[2]
+    assert found.verdict == "effects"
+    assert [(s.name, s.where) for s in found.selected] == [("spring_load", "joint1/load")]
+    assert found.effects[0].selected
+    assert all(found.effects[0].probability >= other.probability for other in found.effects)
+    rest, error = found.effects[0].parameters["q_s"]
+    assert abs(rest - 0.3) < 5 * error + 1e-3
+
+
+def test_gap_closes_on_the_unseen_record(diagnosed) -> None:
+    found: Diagnosis = diagnosed[2]
+    assert found.nominal is not None and found.refit is not None and found.with_effect is not None
+    assert found.with_effect.nrmse < 0.1 * found.refit.nrmse < found.nominal.nrmse
+    assert found.shrink is not None and found.shrink.share > 0.9
+
+
+def test_torque_that_is_missing_goes_with_the_angle(diagnosed) -> None:
+    found: Diagnosis = diagnosed[2]
+    best = found.before[0]
+    assert (best.joint, best.signal) == ("joint1", "angle")
+    assert best.share > 0.5
+    slope = (best.torque[-1] - best.torque[0]) / (best.grid[-1] - best.grid[0])
+    # a spring pulls back; the motor's constant sets the scale of all torques
+    ratio = found.search.base.system.parameter("P_m1").spec.value / 0.019
+    assert -1.5 < slope * RATIO**2 / (0.6 * ratio) < -0.5
+    assert max(one.share for one in found.after) < 0.3
+
+
+def test_nothing_is_named_where_nothing_is_missing(sound) -> None:
+    found: Diagnosis = sound[2]
+    assert found.verdict in ("parameters_only", "no_gap")
+    assert not found.selected and not found.unknown
+    assert not found.ties
+    assert max(s.probability for s in found.effects) < 0.3
+    assert found.as_dict()["no_gap"]
+
+
+def test_contract_of_the_file(diagnosed) -> None:
+    values = diagnosed[2].as_dict()
+    assert {"case", "effects", "verdict", "unknown", "no_gap", "gap", "location"} <= set(values)
+    assert {"nominal", "refit", "with_effect", "noise_floor", "shrink", "shrink_interval"} <= set(
+        values["gap"]
+    )
+    for one in values["effects"]:
+        assert {"name", "where", "probability", "tied_with", "parameters", "selected"} <= set(one)
+        assert one["name"] in CATALOGUE
+        assert one["where"].split("/")[1] in CATALOGUE[one["name"]].places
+        assert 0.0 <= one["probability"] <= 1.0
+
+
+def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
+    nominal = sound[1]
+    values = {i.name: i.spec.value for i in nominal.table if i.spec.estimate}
+    scaled = {name: (1 if name == "P_m2" else 1.7) * value for name, value in values.items()}
+    assert bent_parameters(nominal, nominal.with_values(scaled)) == []
+    words = bent_parameters(nominal, nominal.with_values({"F_c": 0.0}))
+    assert words == ["F_c is driven to zero"]

@@ -1,0 +1,162 @@
+"""A diagnosis in words, tables, pictures and on its page."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.gap.locate import Location
+from hybrid_id.gap.next_experiment import Experiment
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.events import write_gap_events
+from hybrid_id.reporting.gap import parameters_table, summary, suspects_table
+from hybrid_id.reporting.gap_figures import diagnosis_images
+from hybrid_id.reporting.gap_words import goes_with, verdict_sentence
+from hybrid_id.reporting.html.gap_page import gap_page
+from hybrid_id.systems import System
+
+PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), np.zeros(2), 12.345, 1.3)
+TIED = ("spring_load@joint1/load", "gravity_load@joint1/load")
+
+
+@pytest.fixture(scope="module")
+def images(diagnosed: tuple[Dataset, System, Diagnosis]) -> dict[str, np.ndarray]:
+    return diagnosis_images(*diagnosed)
+
+
+def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
+    """Every verdict, the longest form of each."""
+    place = Location("joint2", "load", "angle", 0.62, np.linspace(-1, 1, 5), np.linspace(-2, 2, 5))
+    bent = tuple(f"F_v{k} is driven to zero" for k in range(9))
+    return {
+        "effects": replace(found, ties=(TIED, TIED, TIED), bent=bent, experiments=(PROPOSED,)),
+        "outside_catalogue": replace(
+            found,
+            verdict="outside_catalogue",
+            unknown=True,
+            after=(place,),
+            ties=(TIED, TIED),
+            bent=bent,
+            experiments=(PROPOSED,),
+        ),
+        "parameters_only": replace(sound, verdict="parameters_only", bent=bent),
+        "no_gap": replace(sound, verdict="no_gap"),
+        "inconclusive": replace(sound, verdict="inconclusive"),
+    }
+
+
+WORDS = {
+    "effects": "Spring load at the load of joint 1 (k_s = ",
+    "outside_catalogue": "Something that the catalogue lacks acts at joint 2, on the link side: it grows with "
+    "the angle.",
+    "parameters_only": "Wrong parameters explain the gap, and no effect is missing",
+    "no_gap": "There is no gap: on unseen records today's model leaves a normalised error of ",
+    "inconclusive": "These records are too short to say: their errors are worth ",
+}
+
+
+@pytest.mark.parametrize("verdict", WORDS)
+def test_summary_begins_with_the_verdict_and_is_short(verdict: str, diagnosed, sound) -> None:
+    lines = summary(variants(diagnosed[2], sound[2])[verdict]).splitlines()
+    assert " ".join(lines).startswith(WORDS[verdict])
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 120
+
+
+def test_sentence_tells_the_figures_of_the_result(diagnosed) -> None:
+    found: Diagnosis = diagnosed[2]
+    gap, sentence = found.shrink, verdict_sentence(found)
+    assert gap is not None
+    assert f"falls from {gap.refit:.3g} to {gap.with_effect:.3g}, {100 * gap.share:.0f} % (" in sentence
+    value, error = found.selected[0].parameters["q_s"]
+    assert f"q_s = {value:.4g} ± {1.96 * error:.2g} rad" in sentence
+
+
+def test_ties_come_with_the_experiment_that_tells_them_apart(diagnosed) -> None:
+    words = " ".join(summary(replace(diagnosed[2], ties=(TIED,), experiments=(PROPOSED,))).split())
+    assert (
+        "do not tell apart: spring load (joint 1, at the load), gravity load (joint 1, at the load)." in words
+    )
+    assert "What would: holding at angles all over the range." in words
+    assert (
+        "next experiment: reversals of growing size at joint 1: the outputs of the tied models would differ"
+        in words
+    )
+    assert "by 12 times the encoders' noise (RMS; 1.3 in these records)." in words
+    clear = summary(replace(diagnosed[2], ties=(), experiments=()))
+    assert "tell apart" not in clear and "next experiment" not in clear
+
+
+def test_without_test_records_no_unseen_record_is_claimed(diagnosed, sound) -> None:
+    blind = {"nominal": None, "refit": None, "with_effect": None, "shrink": None}
+    for one in (
+        diagnosed[2],
+        replace(sound[2], verdict="no_gap"),
+        replace(sound[2], verdict="parameters_only"),
+    ):
+        words = summary(replace(one, **blind))
+        assert "normalised error" not in words
+        assert "there is no test record" in words
+
+
+@pytest.mark.parametrize(
+    ("torque", "words"),
+    [
+        ([-2.0, 0.0, 1.0, 3.0], "it grows with the angle"),
+        ([3.0, 1.0, 0.0, -2.0], "it falls with the angle"),
+        ([0.0, 2.0, 2.0, 0.0], "it varies with the angle"),
+    ],
+)
+def test_profile_in_words(torque: list[float], words: str) -> None:
+    one = Location("joint1", "load", "angle", 0.5, np.arange(4.0), np.array(torque))
+    assert goes_with(one) == words
+
+
+def test_every_signal_has_words(diagnosed) -> None:
+    for one in diagnosed[2].before:
+        assert goes_with(one).startswith("it ")
+
+
+def test_tables_hold_every_suspect_and_parameter(diagnosed) -> None:
+    _, today, found = diagnosed
+    assert suspects_table(found).row_count == len(found.effects)
+    table = parameters_table(today, found)
+    names = list(table.columns[0].cells)
+    assert {"J", "F_c", "k_s", "q_s"} <= set(names)
+    row = names.index("k_s")
+    assert [list(column.cells)[row] for column in table.columns[1:3]] == ["", ""]  # today's model lacks it
+
+
+def test_pictures_are_there_and_not_empty(images, sound) -> None:
+    assert list(images) == ["gap", "missing_torque", "where", "suspects", "worst_record"]
+    assert "missing_torque" not in diagnosis_images(*sound)  # nothing is missing
+    for image in images.values():
+        assert image.dtype == np.uint8 and image.shape[2] == 3
+        assert image.min() < 60 and (image == 255).mean() > 0.5
+
+
+def test_pictures_of_records_without_a_test(diagnosed) -> None:
+    dataset, today, found = diagnosed
+    alone = replace(found, nominal=None, refit=None, with_effect=None, shrink=None)
+    assert "gap" not in diagnosis_images(dataset, today, alone)
+
+
+def test_page_has_the_verdict_first_and_every_picture(diagnosed, images) -> None:
+    dataset, today, found = diagnosed
+    text = gap_page(dataset, today, found, images, reach=1.96, level=0.95).html()
+    titles = re.findall(r"<h2>(.*?)</h2>", text)
+    assert titles == ["How far", "Which", "Where", "Measured and simulated", "Parameters", "Records"]
+    assert text.index("Spring load at the load of joint 1") < text.index("<h2>")
+    assert text.count("data:image/png;base64,") == len(images)
+    assert all(f'<td class="">{one.name.replace("_", " ")}</td>' in text for one in found.effects)
+
+
+def test_events_hold_errors_probabilities_and_pictures(diagnosed, images, tmp_path) -> None:
+    write_gap_events(tmp_path, diagnosed[2], images)
+    events = EventAccumulator(str(tmp_path)).Reload()
+    assert {"gap/today", "gap/re-fitted", "gap/corrected"} <= set(events.Tags()["scalars"])
+    assert "probability/joint1/load/spring_load" in events.Tags()["scalars"]
+    assert {f"figures/{name}" for name in images} == set(events.Tags()["images"])
