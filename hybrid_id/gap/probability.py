@@ -13,6 +13,8 @@ from hybrid_id.gap.refit import Explanation, Name
 
 TIE = 1.06
 """Rivals whose RMS errors differ by less than this factor are told apart by no record here."""
+TOLD = 2.5
+"""... and only where fewer standard errors than these part them, block by block."""
 LEFT_OPEN = 0.1
 """A rival that leaves more than this share of the gap's mean square open is none."""
 
@@ -92,6 +94,7 @@ def _equals(explanation: Explanation, one: Round) -> list[Explanation]:
         for e in one.candidates
         if e.evidence.error < allowed
         and max(e.evidence.error / own, own / e.evidence.error) < TIE**2
+        and abs(explanation.evidence.z(e.evidence)) < TOLD
         and better(e, one.before)
     ]
 
