@@ -25,7 +25,9 @@ def answers_of(case: Path) -> dict:
 
 
 def test_case_has_the_format_that_the_package_reads(tmp_path: Path) -> None:
-    case = make_case(7, tmp_path, effect="stribeck_friction", system="one_link", level="strong", grading=False)
+    case = make_case(
+        7, tmp_path, effect="stribeck_friction", system="one_link", level="strong", grading=False
+    )
     data, model, answers = Dataset.load(case), load_model(case / "model.yaml"), answers_of(case)
     assert (len(data.train), len(data.test)) == (6, 2)
     assert {channel.name for channel in data.outputs} == {"q_m1"}
