@@ -93,10 +93,13 @@ def attribute(
         looked += len(found.candidates)
         if found.best is None or not better(found.best, chosen):
             break
+        chosen = _second_chance(refit, base, chosen, found.best)
+        if not better(found.best, chosen):
+            break
         chosen = found.best
         if number > 0:
             chosen = _challenge(refit, base, chosen, rounds, progress)
-    return Attribution(base, tuple(rounds), chosen, looked)
+    return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen, looked)
 
 
 def better(richer: Explanation, simpler: Explanation) -> bool:
@@ -168,6 +171,14 @@ def _best_of_each(found: Sequence[Explanation]) -> list[Explanation]:
     for one in sorted(found, key=lambda e: e.evidence.error):
         best.setdefault(one.effects, one)
     return list(best.values())
+
+
+def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:
+    """The simpler model fitted again from where the richer one ended: the new effect may only have freed its fit."""
+    new = next(name for name in richer.effects if name not in simpler.effects)
+    start = _without(richer.system, base.system, new)
+    again = None if start is None else refit.run([Task(simpler.effects, start)], TO_THE_END)[0]
+    return again if again is not None and again.evidence.error < simpler.evidence.error else simpler
 
 
 def _challenge(

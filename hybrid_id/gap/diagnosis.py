@@ -161,6 +161,7 @@ def diagnose(
             f"Today's model diverges on dataset '{dataset.name}'; check units, signs and start values."
         )
     search = attribute(refit, system, most=most, progress=progress, base=base)
+    base = search.base
     say("location", 0, 1)
     before = tuple(locate(refit, base))
     after = tuple(locate(refit, search.chosen)) if search.chosen is not base else before

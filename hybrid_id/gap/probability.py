@@ -40,10 +40,13 @@ class Suspect:
 
 
 def suspects(found: Attribution) -> list[Suspect]:
-    """Every effect of the catalogue that was tried, most probable first."""
+    """Every effect that was tried: the selected ones as they were found, then the most probable first."""
     chosen = set(found.chosen.effects)
     best: dict[Name, Suspect] = {}
-    for one in found.rounds:
+    found_in: dict[Name, int] = {}
+    for number, one in enumerate(found.rounds):
+        if one.best is not None:
+            found_in.setdefault(_new(one.best, one.before), number)
         weights, present = _weights(one), _present(one)
         for explanation, weight in zip(one.candidates, weights, strict=True):
             name = _new(explanation, one.before)
@@ -53,7 +56,10 @@ def suspects(found: Attribution) -> list[Suspect]:
             )  # fmt: skip
             if name not in best or suspect.probability > best[name].probability:
                 best[name] = suspect
-    return sorted(best.values(), key=lambda s: (-s.selected, -s.probability))
+    return sorted(
+        best.values(),
+        key=lambda s: (-s.selected, found_in.get((s.name, s.where), 0) * s.selected, -s.probability),
+    )
 
 
 def _weights(one: Round) -> np.ndarray:
