@@ -34,6 +34,8 @@ LOOSE_RATIO = 1.2
 """... and by this one where a gear has play, whose contacts are modelled only roughly ..."""
 LEAST_Z = 3.0
 """... and by so many standard errors, block by block."""
+LARGE_RATIO, LARGE_Z = 1.2, 1.5
+"""A gain as large as this one is believed earlier: where a second effect is missing, blocks scatter."""
 
 Progress = Callable[[str, int, int], object]
 
@@ -107,7 +109,8 @@ def better(richer: Explanation, simpler: Explanation) -> bool:
     ratio = (simpler.evidence.error / richer.evidence.error) ** 0.5
     loose = simpler.result.engine.friction == "smooth"
     least = LOOSE_RATIO if loose else MORE_RATIO if simpler.effects else LEAST_RATIO
-    return ratio >= least and richer.evidence.z(simpler.evidence) >= LEAST_Z
+    z = richer.evidence.z(simpler.evidence)
+    return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
 
 
 def one_round(refit: Refit, before: Explanation, stage: str, progress: Progress | None = None) -> Round:

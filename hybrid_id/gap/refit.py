@@ -169,10 +169,13 @@ def _glance(task: Task, before: FitResult, batch: Batch, step: float) -> Explana
         change = [(old - one)[..., None] for old, one in zip(before.residual, residual, strict=True)]
         jacobian = [np.concatenate(pair, -1) for pair in zip(before.jacobian, change, strict=True)]
         names = {(info.component, info.symbol): info.name for info in start.table}
-        old_names = [before.system.parameter(name) for name in before.names]
+        keys = [(i.component, i.symbol) for i in (before.system.parameter(name) for name in before.names)]
+        kept = [k for k, key in enumerate(keys) if key in names]  # a gear with play takes a spring's place
         result = replace(
-            before, system=start, names=tuple(names[i.component, i.symbol] for i in old_names), residual=residual,
-            status="max_iterations", engine=run.engine,
+            before, system=start, names=tuple(names[keys[k]] for k in kept), values=before.values[kept],
+            units=tuple(before.units[k] for k in kept), jacobian=tuple(j[..., kept] for j in before.jacobian),
+            prior_precision=before.prior_precision[kept], residual=residual, status="max_iterations",
+            engine=run.engine,
         )  # fmt: skip
         looks.append(Explanation(task.effects, result, predicted(jacobian, residual, step)))
     return min(looks, key=lambda look: look.evidence.error)

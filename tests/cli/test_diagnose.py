@@ -139,6 +139,7 @@ def test_ctrl_c_leaves_nothing_behind(records: Path, tmp_path: Path) -> None:
     time.sleep(2.0)
     while process.poll() is None and not _searching(process.pid):
         time.sleep(0.2)
+    time.sleep(3.0)  # an import in progress may swallow the interrupt
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate()
     assert process.returncode == 130
