@@ -89,18 +89,28 @@ def attribute(
     """
     base = refit.base(system) if base is None else base
     chosen, rounds, looked = base, [], 0
-    for number in range(most):
-        found = one_round(refit, chosen, f"effect {number + 1}", progress)
+    restarted = False
+    while len(chosen.effects) < most:
+        found = one_round(refit, chosen, f"effect {len(chosen.effects) + 1}", progress)
         rounds.append(found)
         looked += len(found.candidates)
         if found.best is None or not better(found.best, chosen):
             break
-        chosen = _second_chance(refit, base, chosen, found.best)
-        if not better(found.best, chosen):
-            break
-        chosen = found.best
-        if number > 0:
+        simpler = _second_chance(refit, base, chosen, found.best)
+        if not better(found.best, simpler):
+            once_more, chosen = simpler is not chosen and not restarted, simpler
+            base = base if simpler.effects else simpler
+            if not once_more:
+                break
+            # the fit before had not found its best: the round is held again from there
+            restarted = True
+            rounds.pop()
+            continue
+        before, chosen = simpler, found.best
+        if before.effects:
             chosen = _challenge(refit, base, chosen, rounds, progress)
+            if len(chosen.effects) <= len(before.effects):
+                break
     return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen, looked)
 
 
