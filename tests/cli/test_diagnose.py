@@ -135,7 +135,12 @@ def test_ctrl_c_leaves_nothing_behind(records: Path, tmp_path: Path) -> None:
         "--out",
         str(tmp_path / "runs" / "gap"),
     ]
-    process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    # a shell that started the tests in its background has told them to ignore the signal
+    own = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    finally:
+        signal.signal(signal.SIGINT, own)
     time.sleep(2.0)
     while process.poll() is None and not _searching(process.pid):
         time.sleep(0.2)
