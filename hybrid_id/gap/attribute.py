@@ -1,15 +1,15 @@
 """Which effects: the catalogue is searched by fits, richest first look at all, then the best to the end.
 
-Forward selection with a swap: the effect that predicts records left out best is added; then the next beside it; then
-each of the chosen is challenged by the rest. An effect stays only if it predicts clearly better than the model
-without it.
+Forward selection with backward deletion: the effect that predicts records left out best is added; then the next beside
+it; then each of the chosen has to show that the rest cannot do without it. Before an effect is believed, the model
+without it is fitted again from where the model with it has ended.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
@@ -61,13 +61,11 @@ class Attribution:
         base: today's model, re-fitted.
         rounds: the steps; the first tells the effects one by one.
         chosen: the set that the search stands by; ``base`` where no effect has earned its place.
-        looked: number of models that were fitted.
     """
 
     base: Explanation
     rounds: tuple[Round, ...]
     chosen: Explanation
-    looked: int = field(default=0)
 
 
 def attribute(
@@ -88,12 +86,10 @@ def attribute(
         base: today's model already fitted.
     """
     base = refit.base(system) if base is None else base
-    chosen, rounds, looked = base, [], 0
-    restarted = False
+    chosen, rounds, restarted = base, [], False
     while len(chosen.effects) < most:
         found = one_round(refit, chosen, f"effect {len(chosen.effects) + 1}", progress)
         rounds.append(found)
-        looked += len(found.candidates)
         if found.best is None or not better(found.best, chosen):
             break
         simpler = _second_chance(refit, base, chosen, found.best)
@@ -111,7 +107,7 @@ def attribute(
             chosen = _challenge(refit, base, chosen, rounds, progress)
             if len(chosen.effects) <= len(before.effects):
                 break
-    return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen, looked)
+    return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen)
 
 
 def better(richer: Explanation, simpler: Explanation) -> bool:
@@ -189,25 +185,29 @@ def _best_of_each(found: Sequence[Explanation]) -> list[Explanation]:
 def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:
     """The simpler model fitted again from where the richer one ended: the new effect may only have freed its fit."""
     new = next(name for name in richer.effects if name not in simpler.effects)
-    start = _without(richer.system, base.system, new)
-    again = None if start is None else refit.run([Task(simpler.effects, start)], TO_THE_END)[0]
+    again = _refitted_without(refit, base, richer, new)
     return again if again is not None and again.evidence.error < simpler.evidence.error else simpler
 
 
 def _challenge(
     refit: Refit, base: Explanation, chosen: Explanation, rounds: Sequence[Round], progress: Progress | None
 ) -> Explanation:
-    """Drop what the others have made needless; swap the first effect where another pairs better with the last."""
+    """Drop what the others have made needless."""
     for name in chosen.effects:
         rest = tuple(e for e in chosen.effects if e != name)
         simpler = next((e for r in rounds for e in (r.before, *r.candidates) if e.effects == rest), None)
         if simpler is None:
-            start = _without(chosen.system, base.system, name)
-            fitted = refit.run([Task(rest, start)], TO_THE_END)[0] if start is not None else None
-            simpler = fitted
+            simpler = _refitted_without(refit, base, chosen, name)
         if simpler is not None and not better(chosen, simpler):
             return simpler
     return chosen
+
+
+def _refitted_without(refit: Refit, base: Explanation, richer: Explanation, name: Name) -> Explanation | None:
+    """A model less one of its effects, fitted from where it stands; None where that cannot be fitted."""
+    start = _without(richer.system, base.system, name)
+    rest = tuple(effect for effect in richer.effects if effect != name)
+    return None if start is None else refit.run([Task(rest, start)], TO_THE_END)[0]
 
 
 def _without(system: System, base: System, name: Name) -> System | None:

@@ -167,7 +167,9 @@ def diagnose(
     after = tuple(locate(refit, search.chosen)) if search.chosen is not base else before
     found = tuple(suspects(search))
     nominal, first = errors(dataset, system), errors(dataset, base.system, base.result.engine)
-    last = errors(dataset, search.chosen.system, search.chosen.result.engine)
+    last = first
+    if search.chosen is not base:
+        last = errors(dataset, search.chosen.system, search.chosen.result.engine)
     left = max((one.share for one in after), default=0.0)
     # behind play nobody has measured where the link is, and the probe starts its windows in the wrong place
     unknown = left > UNEXPLAINED and search.chosen.result.engine.friction == "dry"

@@ -54,12 +54,6 @@ class Explanation:
         """The fitted model."""
         return self.result.system
 
-    @property
-    def added(self) -> dict[str, float]:
-        """Estimates of the parameters that the effects have brought, by name."""
-        values = dict(zip(self.result.names, self.result.values.tolist(), strict=True))
-        return {name: values[name] for name in values}
-
 
 @dataclass(frozen=True)
 class Task:
@@ -127,7 +121,7 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
             fits = [secant_fit(start, batch, engine=LOOSE, iterations=iterations) for start in starts]
             result = min(fits, key=lambda one: one.cost)
         else:
-            options = replace(Options(), max_iterations=iterations, tolerance=0.05, closed=iterations > LOOK)
+            options = Options(max_iterations=iterations, tolerance=0.05, closed=iterations > LOOK)
             result = fit(task.system, batch, pooled=True, warm=False, options=options)[0]
     except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
         return None
@@ -163,14 +157,15 @@ def _glance(task: Task, before: FitResult, batch: Batch, step: float) -> Explana
     run = Rollouts(task.system, batch, GLANCE, new)
     runs = run.residuals(np.array([s.theta().detach().numpy()[new] for s in starts]))
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
+    # all starts have the same parameters; a gear with play takes a spring's place
+    names = {(info.component, info.symbol): info.name for info in task.system.table}
+    keys = [(i.component, i.symbol) for i in (before.system.parameter(name) for name in before.names)]
+    kept = [k for k, key in enumerate(keys) if key in names]
     looks = []
     for start, rows in zip(starts, runs, strict=True):
         residual = tuple(rows[r][k] for r, k in enumerate(keep))
         change = [(old - one)[..., None] for old, one in zip(before.residual, residual, strict=True)]
         jacobian = [np.concatenate(pair, -1) for pair in zip(before.jacobian, change, strict=True)]
-        names = {(info.component, info.symbol): info.name for info in start.table}
-        keys = [(i.component, i.symbol) for i in (before.system.parameter(name) for name in before.names)]
-        kept = [k for k, key in enumerate(keys) if key in names]  # a gear with play takes a spring's place
         result = replace(
             before, system=start, names=tuple(names[keys[k]] for k in kept), values=before.values[kept],
             units=tuple(before.units[k] for k in kept), jacobian=tuple(j[..., kept] for j in before.jacobian),

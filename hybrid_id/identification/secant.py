@@ -8,7 +8,6 @@ of a parameter see through the impacts. Every difference is a lane of one compil
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, cast
 
@@ -144,6 +143,6 @@ def secant_fit(
         residual=tuple(left[r][keep[r]] for r in range(batch.rows)),
         prior_precision=np.zeros(len(free)),
         x0=batch.x[:, 0].numpy(),
-        engine=replace(run.engine),
+        engine=run.engine,
         history=(float(solution.cost),),
     )
