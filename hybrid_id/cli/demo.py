@@ -37,7 +37,7 @@ def demo(
     use_threads(threads)
     from hybrid_id.cli.identify import run
     from hybrid_id.cli.study import reach_of, show_study, write_study
-    from hybrid_id.records.quality import check_dataset
+    from hybrid_id.records.quality import remarks
     from hybrid_id.records.yaml_file import read_yaml
     from hybrid_id.reporting.plots import truth_figure
     from hybrid_id.reporting.style import save
@@ -53,7 +53,7 @@ def demo(
         show(
             f"1. {count(len(dataset.train), 'record')} of a simulated drive{tests}: voltage in, motor angle out."
         )
-        warnings = [f.message for f in check_dataset(dataset) if f.severity != "info"]
+        warnings = [finding.message for finding in remarks(dataset)]
         show(*(f"   {words}" for words in warnings or ["nothing to remark on their quality"]))
         show("", "2. What these records can tell, before any fit:")
         show(identifiability_table(preflight(dataset, load_model(folder / DATA / "model.yaml"))))

@@ -163,12 +163,13 @@ def write_diagnosis(
 
             write_gap_events(folder / "tensorboard", diagnosis, images)
         if wish.report:
-            from hybrid_id.records.quality import check_dataset
+            from hybrid_id.records.quality import remarks
             from hybrid_id.reporting.html.gap_page import gap_page
 
-            findings = [finding for finding in check_dataset(dataset) if finding.severity != "info"]
             reach, level = reach_of(config), config.statistics.level
-            page = gap_page(dataset, system, diagnosis, images, reach=reach, level=level, findings=findings)
+            page = gap_page(
+                dataset, system, diagnosis, images, reach=reach, level=level, findings=remarks(dataset)
+            )
             page.write(folder / "report.html")
     (folder / DIAGNOSIS).write_text(text + "\n", encoding="utf-8")
     return text

@@ -60,11 +60,10 @@ def write_study(
 
             write_study_events(folder / "tensorboard", study, images, curves=command != "train")
         if wish.report:
-            from hybrid_id.records.quality import check_dataset
+            from hybrid_id.records.quality import remarks
             from hybrid_id.reporting.html.study_page import study_page
 
-            findings = [finding for finding in check_dataset(dataset) if finding.severity != "info"]
-            page = study_page(dataset, study, images, reach=reach, level=level, findings=findings)
+            page = study_page(dataset, study, images, reach=reach, level=level, findings=remarks(dataset))
             page.write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")
     return text

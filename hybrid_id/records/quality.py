@@ -54,6 +54,11 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
     return worst_first(findings)
 
 
+def remarks(dataset: Dataset) -> list[Finding]:
+    """What the check of a dataset has found fault with: its errors and warnings, worst first."""
+    return [finding for finding in check_dataset(dataset) if finding.severity != "info"]
+
+
 def _excitation(record: Record) -> Iterator[Finding]:
     name = record.name
     drives = {key: values for key, values in record.inputs.items() if stem(key) in (*DRIVES, "goal")}
