@@ -50,6 +50,8 @@ def find_rivals(case: Case, records: Records, seed: int) -> list[Rival]:
         for joint in range(case.robot.joints):
             if kind.name == truth.name and (joint == truth.joint or case.robot.joints == 1):
                 continue
+            if joint and kind.place == "transmission" and "P_4" in screen.robot.lacks:
+                continue  # uncoupled, the second link has no inertia of its own that a gear could part from its rotor
             start, left = screen.best_start(kind, joint, rng)
             if left > WORTH:
                 found.append(Rival(start, left, False))
