@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import ctypes
+import functools
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from string import Template
+
+from torch import Tensor
 
 from hybrid_id.errors import InputError
 
@@ -20,8 +24,13 @@ WIDTH = 16
 """Neighbouring samples that a loop of vector instructions takes at once."""
 
 
-def build(source: str) -> ctypes.CDLL:
-    """The library that a C compiler makes of a source; InputError where there is no compiler or it fails."""
+@functools.cache
+def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
+    """The library that a C compiler makes of a source, once a process.
+
+    Raises:
+        InputError: there is no compiler or it fails.
+    """
     compiler = next((c for c in ("gcc", "clang", "cc") if shutil.which(c)), None)
     if compiler is None:
         raise InputError("Compiled steps need a C compiler; install gcc, or leave 'compiled' off.")
@@ -31,7 +40,7 @@ def build(source: str) -> ctypes.CDLL:
         vectors = ["-lmvec"] if "gcc" in compiler else []
         for extra in (vectors, []):
             done = subprocess.run(
-                [compiler, *FLAGS, "-shared", str(code), "-o", str(library), *extra, "-lm"],
+                [compiler, *flags, "-shared", str(code), "-o", str(library), *extra, "-lm"],
                 capture_output=True, text=True,
             )  # fmt: skip
             if done.returncode == 0:
@@ -39,6 +48,12 @@ def build(source: str) -> ctypes.CDLL:
         raise InputError(
             f"The C compiler {compiler} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}"
         )
+
+
+def call(code: ctypes.CDLL, name: str, *arguments: Tensor | int) -> None:
+    """Call a function of a library with arrays (contiguous) and whole numbers."""
+    values = [ctypes.c_void_p(a.data_ptr()) if isinstance(a, Tensor) else ctypes.c_long(a) for a in arguments]
+    getattr(code, name)(*values)
 
 
 TEMPLATE = Template("""\

@@ -3,8 +3,8 @@
 One sub-step of the equations of motion and its Jacobian are recorded (see :mod:`hybrid_id.simulation.tracing`) and
 become the body of a loop over neighbouring samples, which a C compiler turns into vector instructions. Around it, the
 sub-steps are chained and the samples condensed while they are still in the processor's cache. Compilation takes about a
-second and needs a C compiler; it is opt-in (``Engine(compiled=True)``). The dry engine's events depend on the
-data, so it always runs eagerly.
+second and needs a C compiler; it is opt-in (``Engine(compiled=True)``). The dry engine's events depend on the data:
+its lanes are walked one by one (see :mod:`hybrid_id.simulation.compiled_dry`).
 """
 
 from __future__ import annotations
@@ -18,12 +18,11 @@ from weakref import WeakKeyDictionary
 import torch
 from torch import Tensor
 
-from hybrid_id.simulation.c_code import TEMPLATE, WIDTH, build
+from hybrid_id.simulation.c_code import TEMPLATE, WIDTH, call, library
 from hybrid_id.simulation.step import Engine
 from hybrid_id.simulation.tracing import FUNCTIONS, record
 from hybrid_id.systems.chain import System
 
-_LIBRARIES: dict[str, ctypes.CDLL] = {}
 _OF_SYSTEM: WeakKeyDictionary[System, dict[tuple[Any, ...], ctypes.CDLL]] = WeakKeyDictionary()
 
 
@@ -53,10 +52,7 @@ class CompiledStep:
         self.n_x = len(system.state_names)
         known, key = _OF_SYSTEM.setdefault(system, {}), (engine.width, self.channels, self.free)
         if key not in known:
-            source = self.source()
-            if source not in _LIBRARIES:
-                _LIBRARIES[source] = build(source)
-            known[key] = _LIBRARIES[source]
+            known[key] = library(self.source())
         self.library = known[key]
 
     def shoot(self, x: Tensor, u: Mapping[str, Tensor], dt: Tensor, theta: Tensor, length: int) -> Tensor:
@@ -81,10 +77,7 @@ class CompiledStep:
         return held, dt / self.engine.substeps, theta.T.contiguous()
 
     def _call(self, name: str, *arguments: Tensor | int) -> None:
-        values = [
-            ctypes.c_void_p(a.data_ptr()) if isinstance(a, Tensor) else ctypes.c_long(a) for a in arguments
-        ]
-        getattr(self.library, name)(*values, ctypes.c_long(self.engine.substeps))
+        call(self.library, name, *arguments, self.engine.substeps)
 
     # --- the code --------------------------------------------------------------------------------------------------
 

@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.simulation.compiled import CompiledStep, serves
+from hybrid_id.simulation.compiled_dry import walk, walks
 from hybrid_id.simulation.measured import Measured, measure
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -189,6 +190,8 @@ def shoot(
     """
     if serves(system, engine, x):
         return CompiledStep(system, engine, tuple(u), ()).shoot(x, u, dt, theta, length)
+    if walks(system, engine, x):
+        return walk(system, engine, x, u, dt, theta, length)
     rows, samples, n_x = x.shape
     chunks = -(-samples // length)
     pad = chunks * length - samples

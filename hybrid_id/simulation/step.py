@@ -30,7 +30,8 @@ class Engine:
         friction: "dry" (projection) or "smooth" (tanh).
         substeps: RK4 steps a sample.
         width: smoothing speed [rad/s] of the smooth engine.
-        compiled: whether the smooth engine's sub-steps are compiled (see :mod:`hybrid_id.simulation.compiled`).
+        compiled: whether sub-steps are compiled: with smooth friction and their sensitivities (see
+            :mod:`hybrid_id.simulation.compiled`), with dry friction alone (``compiled_dry``).
     """
 
     friction: str = "dry"
@@ -59,16 +60,16 @@ class Engine:
         h, u = dt / self.substeps, system.hold(u, p)
         rows = list(x)
         for _ in range(self.substeps):
-            rows = _remember(system, rows, u, p, 0.5 * h)
+            rows = remember(system, rows, u, p, 0.5 * h)
             if self.friction == "dry":
                 rows = _slide(system, rows, u, h, p, events=2 * len(system.speed_rows))
             else:
                 rows = rk4(rows, h, lambda now: system.rates(now, u, p, width=self.width))
-            rows = _remember(system, rows, u, p, 0.5 * h)
+            rows = remember(system, rows, u, p, 0.5 * h)
         return rows
 
 
-def _remember(system: System, x: list[Tensor], u: Channels, p: Views, h: Tensor) -> list[Tensor]:
+def remember(system: System, x: list[Tensor], u: Channels, p: Views, h: Tensor) -> list[Tensor]:
     """The states that remember, ``h`` seconds later at constant motion: exact however stiff they are."""
     if not system.memory_rows:
         return x

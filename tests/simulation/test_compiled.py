@@ -10,6 +10,7 @@ from drives import batch_of, flexible_drive, multisine, rigid_drive, stored
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, Dahl, Delay, LoadDependent, Stribeck
 from hybrid_id.errors import InputError
+from hybrid_id.simulation.c_code import library
 from hybrid_id.simulation.compiled import CompiledStep, serves
 from hybrid_id.simulation.lifted import condensed, shoot
 from hybrid_id.simulation.rollout import rollout
@@ -93,6 +94,6 @@ def test_compilation_serves_smooth_friction() -> None:
 
 def test_missing_compiler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
-    monkeypatch.setattr("hybrid_id.simulation.compiled._LIBRARIES", {})
+    monkeypatch.setattr("hybrid_id.simulation.compiled.library", library.__wrapped__)
     with pytest.raises(InputError, match="C compiler"):
         CompiledStep(rigid_drive(), SMOOTH, ("u1",), [])

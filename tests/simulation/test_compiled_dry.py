@@ -1,0 +1,164 @@
+"""The compiled dry engine gives what the eager one gives: reversals, standstill, two coupled links, memory, padding."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from drives import batch_of, flexible_drive, make_record, multisine, rigid_drive, stored
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from hybrid_id.components import (
+    AsymmetricStribeck,
+    Coulomb,
+    Dahl,
+    Delay,
+    ElectricalLag,
+    LinearSpring,
+    LoadDependent,
+    LuGre,
+    PositionDependent,
+    ResidualNetwork,
+    Stribeck,
+)
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.compiled_dry import source, walks
+from hybrid_id.simulation.lifted import shoot
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import rollout, simulate
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems import System, one_link_flexible, two_link
+
+pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs a C compiler")
+
+FRICTION, LINK = "joint1/motor_friction", "joint1/link_friction"
+ARM = {
+    "P_1": 1.101, "P_2": 0.136, "P_3": 0.148, "P_4": 0.068, "P_m1m1": 0.019, "P_m2m1": 0.0254,
+    "P_m1m2": 0.0426, "P_m2m2": 0.0107, "F_cm1": 0.011, "F_vm1": 5e-5, "F_cm2": 0.0024, "F_vm2": 2e-5,
+}  # fmt: skip
+
+
+def arm(*, vertical: bool = False) -> System:
+    return two_link((156.0, 84.0), vertical=vertical).with_values(ARM)
+
+
+def behind_springs() -> System:
+    """An arm whose gears are compliant, dry friction on rotors and links."""
+    system = arm()
+    for n in (1, 2):
+        system = system.with_component(f"joint{n}/transmission", LinearSpring(k=3000.0, d=2.0))
+        system = system.with_component(f"joint{n}/link_friction", Coulomb(F_c=0.3))
+    return system
+
+
+SYSTEMS = {
+    "coulomb": rigid_drive(),
+    "stribeck": rigid_drive(Stribeck(), vertical=True),
+    "load": rigid_drive(AsymmetricStribeck(), vertical=True).with_component(FRICTION, LoadDependent(mu=0.2)),
+    "angle": rigid_drive().with_component(FRICTION, PositionDependent()),
+    "flexible": flexible_drive().with_component(LINK, Coulomb(F_c=0.4)),
+    "one side": flexible_drive(),
+    "no friction": rigid_drive().without_component(FRICTION, "coulomb_friction"),
+    "arm": arm(vertical=True),
+    "one dry link": arm().without_component("joint2/motor_friction", "coulomb_friction"),
+    "loaded arm": arm(vertical=True).with_component(FRICTION, LoadDependent(mu=0.1)),
+    "springs": behind_springs(),
+    "dahl": rigid_drive().with_component(FRICTION, Dahl(sigma=0.5)),
+    "lugre": flexible_drive().with_component(FRICTION, LuGre(sigma_0=0.5)),
+    "winding": rigid_drive().with_component("joint1/motor", ElectricalLag()),
+}
+
+
+def signals(joints: int, samples: int = 120) -> dict[str, np.ndarray]:
+    """Reversals, a long standstill, a creeping voltage at which joints stick and slip, (3, T) a channel."""
+    found = {}
+    for n in range(joints):
+        volts = np.stack([multisine(7 * n + k, samples=samples, amplitude=12.0, rest=10) for k in range(3)])
+        volts[1, 30:] *= 0.02
+        volts[1, 80:] *= 60.0
+        volts[2] *= 0.15
+        found[f"u{n + 1}"] = volts
+    return found
+
+
+def moved(system: System, outputs: tuple[str, ...] = ("q_m1",)) -> tuple[Batch, Tensor]:
+    """Three rows, the second padded, with parameters of their own."""
+    batch = batch_of(system, signals(len(system.joints)), rows=3, outputs=outputs)
+    batch.dt[1, 100:] = 0.0
+    return batch, stored(system, 3) * torch.tensor([1.0, 0.9, 1.05])
+
+
+def assert_same(found: Tensor, expected: Tensor) -> None:
+    scale = expected.abs().amax((0, 1)).clamp_min(1e-9)
+    torch.testing.assert_close(found / scale, expected / scale, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("name", "substeps"), [(n, 1) for n in SYSTEMS] + [("stribeck", 3), ("flexible", 3), ("arm", 3)]
+)
+def test_compiled_steps_equal_eager_ones(name: str, substeps: int) -> None:
+    system, eager = SYSTEMS[name], Engine(substeps=substeps)
+    batch, theta = moved(system)
+    compiled = replace(eager, compiled=True)
+    assert walks(system, compiled, batch.x)
+    whole = rollout(system, eager, batch, theta)
+    assert_same(rollout(system, compiled, batch, theta), whole)
+    if any(system.dry):  # the records do what they are for
+        speed = whole[..., system.speed_rows[system.dry.index(True)]]
+        assert ((speed == 0).float().mean() > 0.05) and ((speed[:, 1:] * speed[:, :-1]) < 0).any()
+    off = whole + 0.02 * torch.sin(torch.arange(120.0, dtype=torch.float64))[:, None]
+    for length in (7, 50):
+        arguments = (off, batch.u, batch.dt, theta, length)
+        assert_same(shoot(system, compiled, *arguments), shoot(system, eager, *arguments))
+
+
+@given(
+    factors=st.lists(st.floats(0.2, 5.0), min_size=16, max_size=16),
+    start=st.tuples(st.floats(-40.0, 40.0), st.floats(-0.3, 0.3)),
+)
+@settings(max_examples=10, deadline=None)
+def test_any_parameters_of_a_compliant_drive(factors: list[float], start: tuple[float, float]) -> None:
+    system = SYSTEMS["flexible"]
+    theta = stored(system, 3) * torch.tensor(factors[: len(system.table)], dtype=torch.float64)[:, None]
+    batch = batch_of(system, signals(1, 50), rows=3, start={"v_m1": start[0], "v_a1": start[1]})
+    whole = rollout(system, Engine(substeps=2), batch, theta)
+    assert_same(rollout(system, Engine(substeps=2, compiled=True), batch, theta), whole)
+
+
+def test_one_code_serves_all_values_of_a_structure() -> None:
+    system = SYSTEMS["flexible"]
+    other = system.with_values({"J_m": 2e-5, "F_cm": 0.02, "k": 100.0})
+    assert source(system, ("u1",)) == source(other, ("u1",))
+    assert source(system, ("u1",)) != source(one_link_flexible(50.0), ("u1",))
+
+
+def test_a_delay_is_served() -> None:
+    system = rigid_drive().with_component("joint1/input", Delay(T_d=0.0033))
+    records = [
+        make_record(rigid_drive(), multisine(k, samples=200, rest=20), seed=k, noise={}) for k in range(2)
+    ]
+    batch = make_batch(system, records)
+    theta = stored(system, 2) * torch.tensor([1.0, 1.2])
+    assert_same(rollout(system, Engine(compiled=True), batch, theta), rollout(system, Engine(), batch, theta))
+
+
+def test_simulation_walks_the_loop_and_tells_divergence() -> None:
+    system = SYSTEMS["arm"]
+    batch, theta = moved(system, ("q_m1", "v_a2", "tau1"))
+    theta[0, 2] = torch.nan
+    found = simulate(system, Engine(compiled=True), batch, theta)
+    expected = simulate(system, Engine(), batch, theta)
+    assert found.status == expected.status == ("ok", "ok", "diverged")
+    torch.testing.assert_close(found.y[:2], expected.y[:2], rtol=1e-7, atol=1e-9)
+
+
+def test_compilation_serves_dry_friction_without_networks() -> None:
+    x = torch.zeros(1, 2, 2, dtype=torch.float64)
+    assert not walks(rigid_drive(), Engine(), x)
+    assert not walks(rigid_drive(), Engine(compiled=True), x.float())
+    assert not walks(rigid_drive(), Engine("smooth", compiled=True), x)
+    network = rigid_drive().with_component("joint1/motor", ResidualNetwork())
+    assert not walks(network, Engine(compiled=True), x)
