@@ -75,7 +75,7 @@ class Trainer:
 
     @torch.no_grad()
     def losses(self, theta: Tensor, batch: Batch) -> Tensor:
-        """Loss per measurement in each of ten parts of each row, ``(10 R,)``, with the weights as they are.
+        """Loss per measurement in each of ten parts of each row, ``(10, R)``, with the weights as they are.
 
         Rows run from their measured first states; the loss of one that diverged is infinite.
         """
@@ -84,7 +84,7 @@ class Trainer:
         loss = self.whole.loss.value((batch.y - lin.y) * batch.weight).sum(2)
         loss = loss.where(closed[:, None], torch.inf).nan_to_num(torch.inf, torch.inf)
         scale = PARTS * batch.rows / (batch.weight > 0).sum()
-        return torch.cat([part.sum(1) * scale for part in loss.tensor_split(PARTS, 1)])
+        return torch.stack([part.sum(1) * scale for part in loss.tensor_split(PARTS, 1)])
 
     def run(self, course: Course) -> bool:
         """Run all stages that are left; returns whether the training was stopped."""

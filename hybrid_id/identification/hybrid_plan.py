@@ -97,9 +97,17 @@ def typical(losses: Tensor) -> float:
 
 
 def excess(losses: Tensor, reference: Tensor) -> tuple[float, float]:
-    """Mean logarithm of the ratio of losses to a reference in the same parts, and its standard error."""
+    """Mean logarithm of the ratio of losses to a reference in the same parts, and its standard error.
+
+    The parts of one record share its run of the machine (friction that drifts from run to run), so that the larger of two
+    standard errors counts: that of independent parts, and that of independent records, where there are several.
+
+    Args:
+        losses, reference: in each part of each record, ``(n_parts, R)``.
+    """
     ratio = (losses / reference).clamp_min(1e-300).log()
-    return float(ratio.mean()), float(ratio.std()) / len(ratio) ** 0.5
+    ways = [ratio.flatten()] + ([ratio.mean(0)] if ratio.shape[1] > 1 else [])
+    return float(ratio.mean()), max(float(way.std()) / len(way) ** 0.5 for way in ways)
 
 
 class Found(NamedTuple):
@@ -108,7 +116,7 @@ class Found(NamedTuple):
     Attributes:
         theta, weights: ``(n_p, 1)`` and ``(n_w,)``.
         train: loss per measurement.
-        validation: the same in each part of the validation records; see :func:`typical`.
+        validation: the same in each part of the validation records, ``(n_parts, R)``; see :func:`typical`.
         iterations, status: gradients up to here, and how the rung ended.
     """
 

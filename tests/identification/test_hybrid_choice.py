@@ -8,8 +8,9 @@ import torch
 from hybrid_id.identification.hybrid import choose
 
 
-def parts(*values: float) -> torch.Tensor:
-    return torch.tensor(values, dtype=torch.float64)
+def parts(*values: float, records: int = 1) -> torch.Tensor:
+    """Losses ``(n_parts, records)``, record by record."""
+    return torch.tensor(values, dtype=torch.float64).reshape(records, -1).T
 
 
 @pytest.mark.parametrize(
@@ -31,3 +32,11 @@ def parts(*values: float) -> torch.Tensor:
 )
 def test_the_dearest_that_is_not_worse(losses: list[torch.Tensor], chosen: int) -> None:
     assert choose(losses, 0.02) == chosen
+
+
+def test_where_there_are_several_records_one_alone_chooses_no_network() -> None:
+    alone = parts(2.0, 2.2, 2.1, 2.0, 2.0, 2.2, 2.1, 2.0, records=2)
+    gains_in_one = parts(0.9, 1.0, 1.0, 0.9, 2.0, 2.3, 2.1, 2.1, records=2)
+    assert choose([alone, gains_in_one], 0.02) == 0
+    assert choose([alone.T.reshape(-1, 1), gains_in_one.T.reshape(-1, 1)], 0.02) == 1  # were it a single record
+    assert choose([alone, alone / 2.0], 0.02) == 1
