@@ -158,14 +158,7 @@ def train_hybrid(
 
 def fit_physics(system: System, batch: Batch, engine: OdeEngine, options: HybridOptions) -> FitResult:
     """Pooled Levenberg-Marquardt fit of a system without its networks, by the solver that trains them."""
-    whole = system
-    for key in system.networks:
-        where, _, kind = key.rpartition("/")
-        system = system.without_component(where, kind)
-    rows = [
-        whole.state_names.index(name) for name in system.state_names
-    ]  # hidden states are the networks' own
-    batch = replace(batch, x=batch.x[..., rows], x0_std=batch.x0_std[:, rows])
+    system, batch = physics_of(system, batch)
     settings, smooth = Options(loss=options.loss), Engine("smooth", engine.substeps, engine.width)
     (rough,) = fit(
         system, batch, pooled=True, engine=smooth, options=settings, starts=options.starts, seed=options.seed
@@ -174,6 +167,23 @@ def fit_physics(system: System, batch: Batch, engine: OdeEngine, options: Hybrid
     exact = exact.stable(rough.system, batch, rough.system.theta().detach()[:, None].expand(-1, batch.rows))
     (found,) = fit(rough.system, batch, pooled=True, engine=exact, options=settings, warm=False)
     return found
+
+
+def fit_each(system: System, batch: Batch, physics: FitResult, options: HybridOptions) -> list[FitResult]:
+    """Fits of physics alone with parameters of each row's own, from those of the fit with one set for all rows."""
+    smooth = Engine("smooth", physics.engine.substeps, physics.engine.width)
+    batch = physics_of(system, batch)[1]
+    return fit(physics.system, batch, engine=smooth, options=Options(loss=options.loss), warm=False)
+
+
+def physics_of(system: System, batch: Batch) -> tuple[System, Batch]:
+    """A system without its networks, and the batch without their hidden states."""
+    names = system.state_names
+    for key in system.networks:
+        where, _, kind = key.rpartition("/")
+        system = system.without_component(where, kind)
+    rows = [names.index(name) for name in system.state_names]
+    return system, replace(batch, x=batch.x[..., rows], x0_std=batch.x0_std[:, rows])
 
 
 def choose(losses: Sequence[Tensor], worth: float) -> int:

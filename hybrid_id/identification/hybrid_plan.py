@@ -99,11 +99,12 @@ def typical(losses: Tensor) -> float:
 def excess(losses: Tensor, reference: Tensor) -> tuple[float, float]:
     """Mean logarithm of the ratio of losses to a reference in the same parts, and its standard error.
 
-    The parts of one record share its run of the machine (friction that drifts from run to run), so that the larger of two
-    standard errors counts: that of independent parts, and that of independent records, where there are several.
+    The parts of one record share its run of the machine (friction that drifts from run to run), so that the larger of
+    two standard errors counts: that of independent parts, and that of independent records, where there are several.
 
     Args:
-        losses, reference: in each part of each record, ``(n_parts, R)``.
+        losses: in each part of each record, ``(n_parts, R)``.
+        reference: the same of what they are compared with.
     """
     ratio = (losses / reference).clamp_min(1e-300).log()
     ways = [ratio.flatten()] + ([ratio.mean(0)] if ratio.shape[1] > 1 else [])

@@ -24,7 +24,7 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
     result = study.result
     rows = zip(
         study.names, study.units, study.physics, study.physics_error, study.hybrid, study.hybrid_error,
-        result.rungs[result.chosen].loose, study.drift,
+        result.rungs[result.chosen].loose, study.room, study.drift,
         strict=True,
     )  # fmt: skip
     heads = (
@@ -34,6 +34,7 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
         "hybrid",
         "hybrid_std_error",
         "unpriced_std_error",
+        "half_interval_beside_networks",
         "drift_sigma",
     )
     return {
@@ -53,10 +54,12 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
             {
                 "where": role.where, "unit": role.unit, "rms": role.rms, "share": role.share,
                 "variance_share": role.variance_share, "overlap": role.overlap, "alike": dict(role.alike),
-                "worth": role.worth,
+                "worth": role.worth, "room": role.room,
             }
             for role in study.roles
         ],
+        "error_with_one_set": study.pooled,
+        "error_with_own_sets": study.own,
         "weighted_error": {n: {"physics": a, "hybrid": b} for n, (a, b) in study.errors.items()},
         "warnings": study.warnings,
     }  # fmt: skip

@@ -11,7 +11,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Writer
-from hybrid_id.identification.hybrid import HybridOptions, HybridResult, train_hybrid
+from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_each, train_hybrid
 from hybrid_id.identification.hybrid_course import Progress
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
@@ -26,6 +26,8 @@ OVERLAP, SMALL, DRIFT, BLUR = 0.2, 0.01, 3.0, 5.0
 """Overlap with the physics from which on a network is said to do its work, share of the torque under which it does next
 to nothing, drift in standard errors from which on a parameter is said to have moved, and growth of its standard error
 from which on the network is said to be able to do its work."""
+MET, MISSED = 1.5, 3.0
+"""Errors in units of the noise up to which records are said to be met, and from which on to be missed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +43,8 @@ class HybridStudy:
         roles: what each network of the chosen system does on the train records; of the lowest price where physics alone
             is chosen.
         errors: RMS of the weighted output error by record, physics and hybrid; 1 is the noise floor.
+        pooled, own: RMS of the weighted residuals of physics alone on the train records, with one set of parameters for
+            all and with a set for each.
     """
 
     result: HybridResult
@@ -53,6 +57,8 @@ class HybridStudy:
     hybrid_error: np.ndarray
     roles: tuple[NetworkRole, ...]
     errors: dict[str, tuple[float, float]]
+    pooled: float
+    own: float
 
     @property
     def drift(self) -> np.ndarray:
@@ -64,6 +70,17 @@ class HybridStudy:
         """Growth of each standard error, per unit of what the model misses, by the networks without a price."""
         first, chosen = self.result.rungs[0], self.result.rungs[self.result.chosen]
         return (chosen.loose / chosen.train**0.5) / np.maximum(first.errors / first.train**0.5, 1e-300)
+
+    @property
+    def room(self) -> np.ndarray:
+        """Half the 95 % interval of each parameter where nothing but the price tells it from the networks, ``(n_f,)``.
+
+        The linear error without the price takes the networks as they are. But how much of their torque lies in the
+        parameter, the price has chosen, and nothing that was measured. So a part as large as the networks' whole effect
+        is taken as one more standard error.
+        """
+        hidden = np.array([[role.room[name] for name in self.names] for role in self.roles])
+        return 1.96 * np.hypot(self.result.rungs[self.result.chosen].loose, np.linalg.norm(hidden, axis=0))
 
     @property
     def warnings(self) -> list[str]:
@@ -100,6 +117,7 @@ def hybridise(
         resume: checkpoint to go on from.
         progress: called after each gradient; see :func:`hybrid_id.identification.hybrid.train_hybrid`.
     """
+    options = options or HybridOptions()
     train, held = split(dataset, validation)
     batch, looked = (batch_of(dataset, system, part, signal_share, device) for part in (train, held))
     result = train_hybrid(
@@ -116,10 +134,14 @@ def hybridise(
         run = simulate(trained, result.engine, everything)
         square = ((run.y - everything.y) * everything.weight).square().sum((1, 2))
         misses.append((square / (everything.weight > 0).sum((1, 2))).sqrt().tolist())
+    sets = fit_each(system.to(device), batch, result.physics, options)
+    residuals = np.concatenate([row.reshape(-1) for one in sets for row in one.residual])
+    own = float(np.sqrt(np.square(residuals).sum() / sum(one.n_samples for one in sets)))
     return HybridStudy(
         result, tuple(r.name for r in held), tuple(i.name for i in info), tuple(i.spec.unit for i in info),
         values[0], values[1], first.errors, chosen.errors, roles,
         {name: (a, b) for name, a, b in zip(everything.names, *misses, strict=True)},
+        result.physics.noise_scale, own,
     )  # fmt: skip
 
 
@@ -161,9 +183,18 @@ def _share(change: float, value: float) -> str:
 
 def _warnings(study: HybridStudy) -> list[str]:
     """In words, where a network does the physics' work."""
-    if study.result.chosen == 0:
-        return ["the validation records ask for no network: physics alone is as good, so it is what is kept"]
     found = []
+    if study.own < MET and study.pooled > MISSED:
+        found.append(
+            f"with parameters of its own each train record is met to {study.own:.2g} times the noise, with the same "
+            f"for all to {study.pooled:.2g}: the parameters differ from record to record, which no network that all "
+            "share can say, and what one learns here may be a makeshift; 'hybrid-id identify' tells how far they differ"
+        )
+    if study.result.chosen == 0:
+        return [
+            "the validation records ask for no network: physics alone is as good, so it is what is kept",
+            *found,
+        ]
     for role in study.roles:
         if role.share > SMALL and role.overlap > OVERLAP:
             names = [name for name, cosine in role.alike if cosine > OVERLAP] or [role.alike[0][0]]
@@ -177,13 +208,12 @@ def _warnings(study: HybridStudy) -> list[str]:
                 f"accelerations it causes look like a change of the parameters, of {', '.join(parts)}; these may be "
                 "wrong by as much and more, do not read them as physical"
             )
-    loose = study.result.rungs[study.result.chosen].loose
-    for name, blur, error, value in zip(study.names, study.blur, loose, study.hybrid, strict=True):
+    for name, blur, room, value in zip(study.names, study.blur, study.room, study.hybrid, strict=True):
         if blur > BLUR:
             found.append(
                 f"the network could do the work of {name}, which the price alone keeps near its value without a "
-                "network: what biased it there biases it still. Without the price its 95 % interval is "
-                f"{value:.3g} ± {1.96 * error:.2g}"
+                "network: what biased it there biases it still. If as much of the missing effect lies in it as in the "
+                f"network, its 95 % interval is {value:.3g} ± {room:.2g}"
             )
     for name, drift in zip(study.names, study.drift, strict=True):
         if math.isfinite(drift) and abs(drift) > DRIFT:

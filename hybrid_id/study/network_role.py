@@ -34,6 +34,8 @@ class NetworkRole:
         alike: the parameters to whose effects its own is most alike, with the cosine between them.
         worth: the change of the estimated parameters, by name, that comes nearest to the accelerations it causes: so
             much of each lies in the network.
+        room: the change of each estimated parameter alone, by name, that would cause accelerations as large (RMS) as
+            the network's.
         speed, angle, map: its output ``(n_speed, n_angle)`` against both, of the side where it acts; other inputs at
             their mean, hidden states at rest.
         seen: speed and angle at each tenth sample, ``(n, 2)``: where the records support the map.
@@ -47,6 +49,7 @@ class NetworkRole:
     overlap: float
     alike: tuple[tuple[str, float], ...]
     worth: dict[str, float]
+    room: dict[str, float]
     speed: np.ndarray
     angle: np.ndarray
     map: np.ndarray
@@ -77,8 +80,8 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
             if place in (*LINK_PLACES, "transmission"):
                 reference = joint.gear_ratio * reference
         caused = accelerations[f"b_0 {joint.name}/{place}"] * output.repeat(len(system.speed_rows))
-        length = float(caused.norm())
-        cosines = (physical.T @ caused / (physical.norm(dim=0) * caused.norm()).clamp_min(1e-300)).abs()
+        length, lengths = float(caused.norm()), physical.norm(dim=0)
+        cosines = (physical.T @ caused / (lengths * length).clamp_min(1e-300)).abs()
         alike = sorted(zip(free, cosines.tolist(), strict=True), key=lambda pair: -pair[1])[:3]
         speed, angle, values_at, seen = _map(system, place, networks, part, x, u, p)
         found.append(
@@ -87,7 +90,9 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
                 _ratio(output.square().mean().sqrt(), reference.square().mean().sqrt()),
                 _ratio(output.var(), reference.var()),
                 float((basis.T @ caused).norm()) / length if length > 0 else 0.0,
-                tuple(alike), dict(zip(free, _nearest(physical, caused), strict=True)), speed, angle, values_at, seen,
+                tuple(alike), dict(zip(free, _nearest(physical, caused), strict=True)),
+                dict(zip(free, (length / lengths.clamp_min(1e-300)).tolist(), strict=True)),
+                speed, angle, values_at, seen,
             )
         )  # fmt: skip
     return tuple(found)

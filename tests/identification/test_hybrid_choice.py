@@ -38,5 +38,7 @@ def test_where_there_are_several_records_one_alone_chooses_no_network() -> None:
     alone = parts(2.0, 2.2, 2.1, 2.0, 2.0, 2.2, 2.1, 2.0, records=2)
     gains_in_one = parts(0.9, 1.0, 1.0, 0.9, 2.0, 2.3, 2.1, 2.1, records=2)
     assert choose([alone, gains_in_one], 0.02) == 0
-    assert choose([alone.T.reshape(-1, 1), gains_in_one.T.reshape(-1, 1)], 0.02) == 1  # were it a single record
+    assert (
+        choose([alone.T.reshape(-1, 1), gains_in_one.T.reshape(-1, 1)], 0.02) == 1
+    )  # were it a single record
     assert choose([alone, alone / 2.0], 0.02) == 1
