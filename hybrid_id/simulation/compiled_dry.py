@@ -162,7 +162,8 @@ class _Code:
             "x": len(self.system.state_names),
             "u": len(self.channels),
             "p": len(self.system.table),
-        } | extra
+            **extra,
+        }
         names = {key: [f"{key}{i}" for i in range(n)] if n else [key] for key, n in sizes.items()}
         names |= {key: [] for key in ("u", "d", "s") if sizes.get(key) == 0}
         values = {"x": 0.1, "u": 1.0, "h": 1e-3, "d": 1.0, "s": 1.0}
