@@ -14,6 +14,7 @@ from hybrid_id import InputError, Record, load_model, one_link, save_model, two_
 from hybrid_id.components import Viscous
 from hybrid_id.gap.catalogue import CATALOGUE, effect
 from hybrid_id.gap.scales import scales
+from hybrid_id.simulation.compiled_dry import source
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.systems import System
 
@@ -103,3 +104,10 @@ def test_what_is_there_is_not_offered_again() -> None:
     offered = {name for name, _ in models("rigid")}
     assert not offered & {"coulomb_friction", "hardening_flexibility", "joint_coupling"}
     assert "viscous_friction" not in offered  # behind a rigid gear it is the back-EMF's
+
+
+@pytest.mark.parametrize("kind", drives())
+def test_every_model_can_be_compiled(kind: str) -> None:
+    for _, system in models(kind):
+        arrived = [f"arrived{joint.number}" for joint in system.joints]  # what is left of a delay
+        assert "shoot" in source(system, [*system.input_names, *arrived])
