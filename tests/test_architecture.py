@@ -34,6 +34,7 @@ FLOORS = {
     "gap": 7,
     "reproduction": 7,
     "reporting": 8,
+    "export": 8,
     "blind": 8,
     "config": 9,
     "cli": 9,

@@ -16,6 +16,7 @@ from hybrid_id.cli.demo import demo
 from hybrid_id.cli.diagnose import diagnose
 from hybrid_id.cli.effects import effects
 from hybrid_id.cli.excite import excite
+from hybrid_id.cli.export import export
 from hybrid_id.cli.identify import identify
 from hybrid_id.cli.replay import compare, simulate
 from hybrid_id.cli.reproduce import reproduce
@@ -82,7 +83,7 @@ def _hybrid_id(
 
 
 for command in (
-    check, excite, identify, train, ablate, diagnose, simulate, compare, reproduce, demo, components, effects
+    check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components, effects
 ):  # fmt: skip
     app.command()(command)
 app.add_typer(blind, name="blind")

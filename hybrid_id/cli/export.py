@@ -1,0 +1,148 @@
+"""`export`: what was found, in the formats of others."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.console import remark, show
+from hybrid_id.cli.folder import RESULT, result_file
+from hybrid_id.cli.inputs import load_records
+from hybrid_id.cli.options import JsonOption, use_threads
+from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.systems.chain import System
+
+
+class Format(StrEnum):
+    """What to write."""
+
+    mjcf = "mjcf"
+    ranges = "ranges"
+    torch = "torch"
+
+
+def export(
+    model: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MODEL", help="Model file, or a folder of results with model.yaml.", show_default=False
+        ),
+    ],
+    to: Annotated[
+        Format,
+        typer.Option(
+            help="mjcf: a MuJoCo model; ranges: for domain randomisation; torch: one step as a program."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.", show_default=False)],
+    check: Annotated[
+        Path | None,
+        typer.Option(help="Dataset to replay in MuJoCo and here, side by side.", show_default=False),
+    ] = None,
+    sample_time: Annotated[float, typer.Option(help="Of the torch program [s].", min=1e-6, max=1.0)] = 0.002,
+    width: Annotated[
+        float, typer.Option(help="Speed over which the torch program smooths dry friction [rad/s].", min=1e-9)
+    ] = 0.5,
+    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a model for MuJoCo, parameter ranges for domain randomisation, or one step as a torch program.
+
+    What the format cannot carry is said in one sentence an effect, here and in the file (beside a torch program: in the
+    JSON of the same name). With --check, records are replayed through the exported MuJoCo model and through ours, and
+    the difference is stated as normalised RMSE.
+    """
+    if check is not None and to is not Format.mjcf:
+        raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
+    beside = out.with_suffix(".json")
+    if to is not Format.ranges and beside == out:
+        raise InputError(f"{out} would also be the name of the description beside it; take another ending")
+    use_threads(1)
+    from hybrid_id.systems.model_file import load_model
+
+    file = model / "model.yaml" if model.is_dir() else model
+    system = load_model(file)
+    if to is Format.ranges:
+        text = _ranges(system, model)
+        content, told = text.encode(), {}
+    else:
+        content, told = _mjcf(system, check) if to is Format.mjcf else _program(system, sample_time, width)
+        text = _as_json({"model": str(file), "format": to.value, "file": out.name} | told)
+    with result_file(out, force=force) as temporary:
+        temporary.write_bytes(content)
+    if to is not Format.ranges:
+        with result_file(beside, force=True) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    if as_json:
+        stdout().print(text.rstrip(), markup=False, soft_wrap=True)
+        return
+    for note in told.get("left_out", []):
+        remark(f"{note}.")
+    _say(to, told, out, beside)
+
+
+def _as_json(result: dict[str, Any]) -> str:
+    from hybrid_id.reporting.results import as_json
+
+    return as_json("export", result) + "\n"
+
+
+def _mjcf(system: "System", check: Path | None) -> tuple[bytes, dict[str, Any]]:
+    from hybrid_id.export.mjcf import to_mjcf
+
+    exported = to_mjcf(system)
+    told: dict[str, Any] = {"left_out": list(exported.notes), "check": None}
+    if check is not None:
+        from hybrid_id.export.replay import agreement
+
+        told["check"] = [vars(row) for row in agreement(system, exported, load_records(check))]
+    return exported.text.encode(), told
+
+
+def _program(system: "System", sample_time: float, width: float) -> tuple[bytes, dict[str, Any]]:
+    from hybrid_id.export.program import to_program
+
+    program = to_program(system, sample_time=sample_time, width=width)
+    smoothed = f"dry friction is smoothed over ±{width:g} rad/s, for a program has no events"
+    return program.content, {
+        "interface": program.interface,
+        "difference": program.difference,
+        "left_out": [smoothed] if any(system.dry) else [],
+    }
+
+
+def _ranges(system: "System", model: Path) -> str:
+    from hybrid_id.export.ranges import read_result, to_ranges
+
+    result = read_result(model / RESULT) if model.is_dir() else None
+    return _as_json({"model": str(model), "format": "ranges"} | to_ranges(system, result))
+
+
+def _say(to: Format, told: dict[str, Any], out: Path, beside: Path) -> None:
+    """What was written and how well it agrees, for a reader."""
+    if to is Format.ranges:
+        show(f"a range for each parameter is in {out}")
+        return
+    if to is Format.torch:
+        show(
+            f"{out}, read back, differs from the model's own step by {told['difference']:.1e} of the largest state"
+        )
+    elif told["check"]:
+        from hybrid_id.reporting.tables import open_table
+
+        table = open_table(
+            "record", "role", "output", "MuJoCo - ours>", "measured - ours>", "measured - MuJoCo>"
+        )
+        for row in told["check"]:
+            cells = (f"{row[name]:.5f}" for name in ("apart", "here", "there"))
+            table.add_row(row["record"], row["role"], row["output"], *cells)
+        worst = max(row["apart"] for row in told["check"])
+        show("normalised RMSE, over the same records:", table)
+        show(f"MuJoCo replays these records within {worst:.2g} of ours (normalised RMSE)")
+    elif to is Format.mjcf:
+        show("give --check DATASET to see how closely MuJoCo replays your records")
+    show(f"the model is in {out}, what it leaves out in {beside}")

@@ -1,0 +1,231 @@
+"""A drive's laws as curves of few numbers, the ones that other simulators take, and how well these fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import torch
+from scipy.optimize import least_squares, lsq_linear, nnls
+
+from hybrid_id.components import Backlash
+from hybrid_id.components.bristle import Bristle
+from hybrid_id.components.friction import Dahl, LuGre
+from hybrid_id.systems.joint import Joint
+
+Views = Mapping[str, SimpleNamespace]
+
+STIFF = 2.0 * np.pi * 60.0
+"""Angular frequency [rad/s] of rotor against link from which on play ends in MuJoCo's limits, below in a spring."""
+SLACK = 0.3
+"""Share of a soft play's damping in contact that acts all along in MuJoCo, which has no damper with a dead band."""
+WORTH_SAYING = 0.01
+"""Share of a law's largest torque from which on its curve is said to differ."""
+SUPPLY = 24.0
+"""Voltage [V] whose no-load speed bounds the speeds, and whose stall torque bounds the deflections, that are fitted."""
+
+
+@dataclass(frozen=True)
+class Resistance:
+    """Friction of one place: ``level(v) sgn v + a v + b v |v| + c v^3``, a bias, and ramps.
+
+    A bias is exact for dry friction that one direction has more of: at rest it shifts the interval that holds.
+    Ramps carry what the other terms cannot, in one direction each.
+
+    Attributes:
+        damping: a [N m s/rad], b [N m s^2/rad^2], c [N m s^3/rad^3].
+        coulomb: level at high speed [N m].
+        static: level at rest [N m]; it falls by ``exp(-(v / stribeck)^2)``.
+        stribeck: Stribeck speed [rad/s].
+        bristle: stiffness [N m/rad] and damping [N m s/rad] of the bristle; None for friction that is dry.
+        bias: torque that opposes forward motion [N m].
+        ramps: torque [N m] and speed [rad/s] of either sign: ``torque min(v / speed, 1)`` in the speed's direction.
+        notes: what this leaves out, a sentence each.
+    """
+
+    damping: tuple[float, float, float]
+    coulomb: float
+    static: float
+    stribeck: float
+    bristle: tuple[float, float] | None
+    bias: float
+    ramps: tuple[tuple[float, float], ...]
+    notes: tuple[str, ...]
+
+    @property
+    def falls(self) -> bool:
+        """Whether the level depends on the speed."""
+        return abs(self.static - self.coulomb) > 1e-3 * max(self.static, self.coulomb)
+
+
+def resistance(joint: Joint, place: str, p: Views, top_speed: float) -> Resistance:
+    """The friction of a place over speeds up to ``top_speed`` [rad/s], both directions averaged."""
+    where, laws = f"{joint.name}/{place}", joint.frictions[place]
+    speeds = torch.tensor(np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 80)]) * top_speed)
+    forwards = [torch.full_like(speeds, side) for side in (1.0, 0.0)]
+    zero = torch.zeros_like(speeds)
+
+    def total(terms: list) -> np.ndarray:
+        return sum((t for t in terms if t is not None), zero).detach().numpy()
+
+    levels = [total([law.dry(p[key], speeds, side) for key, law in laws]) for side in forwards]
+    smooth = [side * total([law.smooth(p[key], side * speeds) for key, law in laws]) for side in (1.0, -1.0)]
+    v = speeds.numpy() / top_speed
+    features = np.stack([(v > 0).astype(float), v, v**2, v**3], 1)
+    target = 0.5 * (smooth[0] + smooth[1])
+    found, _ = nnls(features, target)
+    found[found < 1e-9 * target.max(initial=0.0)] = 0.0
+    level, fall, stribeck = _gaussian(v, 0.5 * (levels[0] + levels[1]))
+    curve = features @ found + level + fall * np.exp(-((v / stribeck) ** 2))
+    both = [dry + rest for dry, rest in zip(levels, smooth, strict=True)]
+    most = max(float(torque.max()) for torque in both)
+    bristled = any(isinstance(law, Bristle) for _, law in laws)
+    bias, ramps = float(np.trapezoid(0.5 * (both[0] - both[1]), v)), []
+    misses = [torque - side * bias - curve for torque, side in zip(both, (1, -1), strict=True)]
+    if not bristled and _largest(misses) > WORTH_SAYING * most:
+        found[0], level, fall = 0.0, 0.5 * (levels[0][0] + levels[1][0]), 0.0
+        bias = 0.5 * (levels[0][0] - levels[1][0])
+        for side, torque in zip((1, -1), both, strict=True):
+            forces, misses[side < 0] = _ramps(v, torque - features @ found - level - side * bias, most)
+            ramps += [(side * force, side * top_speed * knot) for knot, force in forces.items()]
+    notes, miss = [], _largest(misses)
+    if miss > WORTH_SAYING * most:
+        notes.append(
+            f"{where}: MuJoCo's friction is up to {miss:.2g} N m ({100 * miss / most:.0f} % of its largest value) off "
+            "the model's curve, which is not that of a bristle there"
+        )
+    for key, law in laws:
+        kind = key.split("/")[2]
+        if law.load_factor(p[key]) is not None or law.dry_over(p[key], zero) is not None:
+            notes.append(f"{where}: {kind} is left out, MuJoCo's dry friction knows neither load nor angle")
+    bristle = None
+    for key, law in laws:
+        if isinstance(law, Dahl):
+            bristle = float(p[key].sigma), 0.0
+        elif isinstance(law, LuGre):
+            bristle = float(p[key].sigma_0), float(p[key].sigma_1)
+        elif isinstance(law, Bristle):
+            notes.append(
+                f"{where}: the bristle of {key.split('/')[2]} is left out, its friction is dry there"
+            )
+    a, b, c = (float(f) / top_speed**n for n, f in enumerate(found) if n)
+    coulomb = level + float(found[0])
+    edges = coulomb, coulomb + fall, stribeck * top_speed
+    return Resistance((a, b, c), *edges, bristle, bias, tuple(ramps), tuple(notes))
+
+
+def _largest(misses: list[np.ndarray]) -> float:
+    """Largest difference of two curves in motion."""
+    return max(float(np.abs(miss[1:]).max()) for miss in misses)
+
+
+def _ramps(v: np.ndarray, torque: np.ndarray, most: float) -> tuple[dict[float, float], np.ndarray]:
+    """Torques by the speed up to which they grow, whose sum is a curve that starts at 0; and what they miss."""
+    knots = np.geomspace(5e-4, 1.0, 16)
+    shapes = np.minimum(v[:, None] / knots, 1.0)
+    force = lsq_linear(shapes, torque).x
+    kept = np.abs(force) > 2e-3 * most
+    force = lsq_linear(shapes[:, kept], torque).x
+    return dict(zip(knots[kept].tolist(), force.tolist(), strict=True)), torque - shapes[:, kept] @ force
+
+
+def _gaussian(v: np.ndarray, level: np.ndarray) -> tuple[float, float, float]:
+    """Level at speed, its fall and the Stribeck speed of ``level + fall exp(-(v / v_s)^2)``."""
+    if np.ptp(level) <= 1e-9 * level.max(initial=0.0):
+        return float(level.max(initial=0.0)), 0.0, 1.0
+    size, best = level.max(), None
+    for start in (0.003, 0.03, 0.3):
+        fit = least_squares(
+            lambda t: (t[0] + t[1] * np.exp(-((v / t[2]) ** 2)) - level) / size,
+            [level[-1], max(level[0] - level[-1], 0.0), start],
+            bounds=([0.0, 0.0, 1e-5], [np.inf, np.inf, 10.0]),
+            x_scale=[size, size, start],
+        )
+        best = fit if best is None or fit.cost < best.cost else best
+    assert best is not None
+    return tuple(float(x) for x in best.x)  # type: ignore[return-value]
+
+
+@dataclass(frozen=True)
+class Elasticity:
+    """A compliant gear: ``a x + c x^3``, springs that begin at a deflection of either sign, and damping.
+
+    Attributes:
+        stiffness: a [N m/rad] and c [N m/rad^3].
+        beyond: deflection [rad] -> stiffness [N m/rad] of a spring that acts beyond it.
+        damping: damping everywhere [N m s/rad].
+        limits: half of the play [rad], square of the angular frequency [1/s^2] and damping rate [1/s] of rotor against
+            link in contact, where that is too stiff for a spring; None without.
+        notes: what this leaves out.
+    """
+
+    stiffness: tuple[float, float]
+    beyond: Mapping[float, float]
+    damping: float
+    limits: tuple[float, float, float] | None
+    notes: tuple[str, ...]
+
+
+def elasticity(joint: Joint, p: Views, torque: float) -> Elasticity:
+    """The spring of a compliant gear up to a ``torque`` at the link [N m]."""
+    key, spring = joint.gear.transmission
+    view, (mass_key, mass) = p[key], joint.inertia
+    sides = (
+        mass.rotor(p[mass_key], joint.gear_ratio) * joint.gear_ratio**2,
+        mass.link(p[mass_key], joint.gear_ratio),
+    )
+    series = sides[0] * sides[1] / (sides[0] + sides[1])
+
+    def force(x: np.ndarray, rate: float = 0.0) -> np.ndarray:
+        deflection = torch.tensor(x, dtype=torch.float64)
+        return spring.torque(view, deflection, torch.full_like(deflection, rate), series).detach().numpy()
+
+    loaded = spring.loaded(view)
+    reach = _reach(force, torque, 1e-6 if loaded is None else float(loaded))
+    small, notes = 1e-9 * reach, []
+    damping = [float((force(np.array([x]), 1e-6) - force(np.array([x])))[0]) / 1e-6 for x in (small, reach)]
+    damping[1] = max(damping[1] - damping[0], 0.0)
+    where = f"{joint.name}/transmission: {key.split('/')[2]}"
+    if isinstance(spring, Backlash):
+        half = 0.5 * float(view.gap)
+        k = float(force(np.array([half + 1e-6]))[0]) / 1e-6
+        if k > float(series) * STIFF**2:
+            return Elasticity((0.0, 0.0), {}, 0.0, (half, k / float(series), damping[1] / float(series)), ())
+        slack = SLACK * damping[1]
+        note = (
+            f"{where}'s damping acts in contact ({damping[1]:.2g} N m s/rad); MuJoCo's, in the play too, is "
+            f"{slack:.2g}"
+        )
+        return Elasticity((0.0, 0.0), {half: k}, slack, None, (note,))
+    if damping[1] > WORTH_SAYING * damping[0]:
+        notes.append(
+            f"{where}'s damping is {damping[0]:.2g} N m s/rad throughout, not {damping[1]:.2g} more "
+            "under load"
+        )
+    x = np.concatenate([np.geomspace(1e-4, 1e-2, 60), np.linspace(1e-2, 1.0, 240)]) * reach
+    target = force(x)
+    shape = np.stack([x / reach, (x / reach) ** 3], 1)
+    (a, c), miss = nnls(shape, target)
+    if miss <= 1e-6 * np.linalg.norm(target):
+        return Elasticity((float(a) / reach, float(c) / reach**3), {}, damping[0], None, tuple(notes))
+    starts = np.concatenate([[0.0], np.geomspace(3e-3, 0.9, 16) * reach])
+    ramps = np.maximum(x[:, None] - starts, 0.0)
+    # small torques count, too: a gear is rarely wound far
+    weight = 1.0 / (np.abs(target) + 0.02 * np.abs(target).max())
+    found = lsq_linear(ramps * weight[:, None], target * weight).x
+    error = float((np.abs(ramps @ found - target) * weight).max())
+    springs = {float(s): float(k) for s, k in zip(starts, found, strict=True) if k != 0.0}
+    notes.append(
+        f"{where} is carried as {len(springs)} springs that set in one after another, within {100 * error:.1g} % of "
+        f"its torque up to {reach:.2g} rad"
+    )
+    return Elasticity((0.0, 0.0), springs, damping[0], None, tuple(notes))
+
+
+def _reach(force: Callable[[np.ndarray], np.ndarray], torque: float, loaded: float) -> float:
+    """Deflection [rad] at which the spring carries the torque, and no less than where it is fully loaded."""
+    reach = np.geomspace(1e-6, 10.0, 400)
+    above = force(reach) >= torque
+    return max(float(reach[above.argmax()]) if above.any() else 1.0, 1.5 * loaded)

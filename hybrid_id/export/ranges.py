@@ -1,0 +1,80 @@
+"""How far each parameter may be off, as ranges for domain randomisation."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hybrid_id.errors import InputError
+from hybrid_id.parameters import Bounded
+from hybrid_id.systems.chain import System
+
+REACH = 1.96
+"""Half-width of a 95 % interval in standard errors."""
+
+
+def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Range of each parameter, and where it comes from.
+
+    ``interval``: what the identification claims. ``prior``: 95 % of the prior, where it claims nothing. ``spread``: the
+    smallest and largest value over the records' own sets, where there is neither. ``held``: the value alone.
+    A range never leaves the parameter's bounds.
+
+    Args:
+        system: the model whose values are the centres.
+        result: content of ``result.json`` of its identification; without it only priors tell.
+
+    Raises:
+        InputError: the result is not one of an identification of this model.
+    """
+    selected = (result or {}).get("selected") or {}
+    values, half_widths = selected.get("values") or {}, selected.get("half_widths") or {}
+    if result is not None and not values:
+        raise InputError(
+            "the result holds no identified values; give a folder that 'identify' or 'train' has written"
+        )
+    if foreign := set(values) - {info.name for info in system.table}:
+        raise InputError(
+            f"the result speaks of {min(foreign)}, which the model lacks; give both from one run"
+        )
+    sets = (
+        [dict(zip(result["parameters"], s["values"], strict=True)) for s in result["sets"]] if result else []
+    )
+    ranges = {}
+    for info in system.table:
+        name, spec = info.name, info.spec
+        low, high, source = _range(spec, half_widths.get(name), [s[name] for s in sets if name in s])
+        ranges[name] = {
+            "nominal": spec.value,
+            "lower": max(low, spec.lower),
+            "upper": min(high, spec.upper),
+            "unit": spec.unit,
+            "from": source,
+            "component": info.component,
+        }
+    return {"level": (result or {}).get("level", 0.95), "parameters": ranges}
+
+
+def _range(spec: Bounded, half_width: float | None, spread: list[float]) -> tuple[float, float, str]:
+    if half_width is not None and math.isfinite(half_width):
+        return spec.value - half_width, spec.value + half_width, "interval"
+    if spec.estimate and spec.prior_std is not None and spec.prior_mean is not None:
+        reach = REACH * spec.prior_std
+        return min(spec.prior_mean - reach, spec.value), max(spec.prior_mean + reach, spec.value), "prior"
+    if len(spread) > 1:
+        return min(*spread, spec.value), max(*spread, spec.value), "spread"
+    return spec.value, spec.value, "held"
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Content of a ``result.json``; InputError where it is none."""
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(found, dict) or not str(found["program"]).startswith("hybrid_id "):
+            raise KeyError
+    except (OSError, ValueError, KeyError):
+        raise InputError(f"{path} is no result of hybrid-id; give the folder of an identification") from None
+    return found

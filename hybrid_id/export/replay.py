@@ -1,0 +1,142 @@
+"""Records replayed through an exported model in MuJoCo, beside the package's own replay."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+
+from hybrid_id.components import PositionLoop
+from hybrid_id.errors import InputError
+from hybrid_id.export.mjcf import Mjcf
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.statistics.fit import nrmse
+from hybrid_id.study.comparison import replay
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """One output of one record in MuJoCo and here, as normalised RMSE.
+
+    Attributes:
+        record: name of the record.
+        role: its role.
+        output: name of the output.
+        apart: MuJoCo against the package's own replay.
+        here: the package's replay against what was measured.
+        there: MuJoCo against what was measured.
+    """
+
+    record: str
+    role: str
+    output: str
+    apart: float
+    here: float
+    there: float
+
+
+def agreement(system: System, exported: Mjcf, dataset: Dataset) -> list[Agreement]:
+    """Replay every record in MuJoCo and here.
+
+    Raises:
+        InputError: MuJoCo is not installed, or a record has what MuJoCo cannot follow.
+    """
+    found = []
+    for record, own in zip(dataset.records, replay(dataset, system), strict=True):
+        there = mujoco_replay(system, exported, record)
+        for name, values in own.outputs.items():
+            if name in there:
+                measured = record.signal(name)
+                pairs = (values, there[name]), (measured, values), (measured, there[name])
+                scores = [float(nrmse(*pair)) for pair in pairs]
+                found.append(Agreement(record.name, record.role, name, *scores))
+    return found
+
+
+def mujoco_replay(system: System, exported: Mjcf, record: Record) -> Mapping[str, np.ndarray]:
+    """Outputs of the exported model under a record's commands, ``(T,)`` each, from the package's own start state."""
+    try:
+        import mujoco
+    except ImportError:
+        raise InputError("MuJoCo is not installed; pip install 'hybrid-id[blind]' brings it") from None
+    off = [n for n in record.inputs if n.startswith("enable") and np.any(record.inputs[n] != 1.0)]
+    if off:
+        raise InputError(
+            f"{record.title} switches a motor off ({off[0]}), which MuJoCo's cannot; leave it out"
+        )
+    model = mujoco.MjModel.from_xml_string(exported.text)  # type: ignore[attr-defined]
+    data = mujoco.MjData(model)  # type: ignore[attr-defined]
+    start = make_batch(system, [record], noise_std={n: 1e-6 for n in record.outputs}).x[0, 0].tolist()
+    for joint in system.joints:
+        row, r = joint.positions[0], joint.gear_ratio
+        state = {f"joint{joint.number}": [v / r for v in start[row : row + 2]]}
+        if not joint.rigid:
+            rotor, link = state[f"joint{joint.number}"], start[joint.positions[1] : joint.positions[1] + 2]
+            state[f"gear{joint.number}"] = [b - a for a, b in zip(rotor, link, strict=True)]
+        for name, (angle, speed) in state.items():
+            data.joint(name).qpos[:], data.joint(name).qvel[:] = angle, speed
+    commands = [_Command(system, joint, record) for joint in system.joints]
+    for command, joint in zip(commands, system.joints, strict=True):
+        _fill_delay(mujoco, model, data, joint, command(0, data))
+    found: dict[str, list[float]] = {n: [] for n in record.outputs if n[:-1] in ("q_m", "v_m", "q_a", "v_a")}
+    ticks = np.rint((record.time - record.time[0]) / model.opt.timestep).astype(int)
+    for k in range(record.n_samples):
+        for name, values in found.items():
+            values.append(_output(system, data, name))
+        for tick in range(ticks[k + 1] - ticks[k] if k + 1 < record.n_samples else 0):
+            if tick == 0 or any(command.closed for command in commands):
+                data.ctrl[: len(commands)] = [command(k, data) for command in commands]
+            mujoco.mj_step(model, data)  # type: ignore[attr-defined]
+    return {name: np.array(values) for name, values in found.items()}
+
+
+def _fill_delay(mujoco: Any, model: Any, data: Any, joint: Joint, first: float) -> None:
+    """What a delay holds at the start: the first command, as the package takes it."""
+    motor = model.actuator(f"motor{joint.number}").id
+    if (samples := int(model.actuator_history[motor, 0])) > 0:
+        times = model.opt.timestep * np.arange(-samples, 0)
+        mujoco.mj_initCtrlHistory(model, data, motor, times, np.full(samples, first))
+
+
+def _output(system: System, data: Any, name: str) -> float:
+    """A measured angle or speed: the sensors' values lag a step behind the state."""
+    joint = system.joints[int(name[-1]) - 1]
+    field = "qvel" if name.startswith("v") else "qpos"
+    rotor = getattr(data.joint(f"joint{joint.number}"), field)[0]
+    if name[2] == "m":
+        return joint.gear_ratio * rotor
+    return rotor if joint.rigid else rotor + getattr(data.joint(f"gear{joint.number}"), field)[0]
+
+
+class _Command:
+    """What a joint's input stage gives at a sample: duty times supply, say; a position loop needs the angle, too."""
+
+    def __init__(self, system: System, joint: Joint, record: Record) -> None:
+        key, self._source = joint.drive.input
+        self._joint, self._view = joint, system.components[key].view()  # type: ignore[operator]
+        self._channels = {
+            c: torch.tensor(record.signal(f"{c}{joint.number}"), dtype=torch.float64)
+            for c in self._source.channels
+        }
+        self.closed = isinstance(self._source, PositionLoop)
+        zero = torch.zeros(1, dtype=torch.float64)
+        self._held = None if self.closed else self._at(self._channels, zero).expand(record.n_samples)
+
+    @torch.no_grad()
+    def _at(self, channels: Mapping[str, torch.Tensor], angle: torch.Tensor) -> torch.Tensor:
+        return self._source.command(self._view, channels, angle, torch.zeros_like(angle))
+
+    def __call__(self, sample: int, data: Any) -> float:
+        """The command at a sample."""
+        if self._held is not None:
+            return float(self._held[sample])
+        turned = self._joint.gear_ratio * data.joint(f"joint{self._joint.number}").qpos[0]
+        angle = torch.tensor([turned], dtype=torch.float64)
+        return float(self._at({c: v[sample : sample + 1] for c, v in self._channels.items()}, angle)[0])

@@ -1,0 +1,62 @@
+"""`export`: the files, what is said about them, and wrong input."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+
+def test_mjcf_with_check(run, drive: Path, tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    file = tmp_path / "robot.xml"
+    done = run("export", drive / "model.yaml", "--to", "mjcf", "--out", file, "--check", drive)
+    assert done.code == 0, done.err
+    assert "MuJoCo replays these records within" in done.out
+    assert mujoco.MjModel.from_xml_path(str(file)).nu == 1
+    told = json.loads((tmp_path / "robot.json").read_text())
+    assert told["program"].startswith("hybrid_id ") and told["left_out"] == []
+    assert max(row["apart"] for row in told["check"]) < 2e-3
+    assert len(told["check"]) == 4
+
+
+def test_ranges_as_json(run, drive: Path, tmp_path: Path) -> None:
+    done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json", "--json")
+    assert done.code == 0, done.err
+    assert json.loads(done.out) == json.loads((tmp_path / "ranges.json").read_text())
+    assert json.loads(done.out)["parameters"]["J"]["unit"] == "kg m^2"
+
+
+def test_torch_program(run, drive: Path, tmp_path: Path) -> None:
+    done = run("export", drive / "model.yaml", "--to", "torch", "--out", tmp_path / "step.pt2")
+    assert done.code == 0, done.err
+    assert "differs from the model's own step by 0.0e+00" in done.out
+    assert "friction is smoothed" in done.err
+    assert torch.export.load(tmp_path / "step.pt2").module()(
+        torch.zeros(1, 2).double(), torch.ones(1, 1).double()
+    ).shape == (1, 2)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--to", "torch", "--check", "x"], "--check replays records in MuJoCo"),
+        (["--to", "mjcf", "--out", "{}/m.json"], "take another ending"),
+        (["--to", "urdf"], "'urdf' is not one of"),
+        (["--to", "mjcf", "--out", "{}"], "is a folder"),
+    ],
+)
+def test_wrong_input(run, drive: Path, tmp_path: Path, options: list[str], words: str) -> None:
+    given = [option.format(tmp_path) for option in options]
+    given += [] if "--out" in given else ["--out", str(tmp_path / "file.xml")]
+    done = run("export", drive / "model.yaml", *given)
+    assert done.code == 2
+    assert words in done.err
+    assert not list(tmp_path.iterdir())
+
+
+def test_file_is_kept_without_force(run, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "ranges.json").write_text("mine")
+    done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json")
+    assert done.code == 2 and "--force" in done.err
+    assert (tmp_path / "ranges.json").read_text() == "mine"

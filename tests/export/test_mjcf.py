@@ -1,0 +1,173 @@
+"""The exported MuJoCo model moves as ours does, for every system and every effect that MuJoCo can carry."""
+
+import numpy as np
+import pytest
+
+from hybrid_id.components import (
+    AsymmetricStribeck,
+    AsymmetricTanh,
+    Backlash,
+    BacklashFlexibility,
+    Cogging,
+    ConstantTorque,
+    Coulomb,
+    CurrentCommand,
+    CurrentMotor,
+    Dahl,
+    Deadband,
+    Delay,
+    ElectricalLag,
+    HardeningSpring,
+    JointFlexibility,
+    KinematicError,
+    LoadDependent,
+    LuGre,
+    PositionDependent,
+    QuadraticDrag,
+    ResidualNetwork,
+    Saturation,
+    Spring,
+    Stribeck,
+    ThermalDerating,
+)
+from hybrid_id.components.base import Component
+from hybrid_id.errors import InputError
+from hybrid_id.export.mjcf import to_mjcf
+from hybrid_id.export.replay import agreement, mujoco_replay
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.systems import System, one_link, one_link_flexible, two_link
+
+RATIO = 156.0
+
+
+def dataset(
+    joints: int = 1, outputs: tuple[str, ...] = ("q_m1",), channel: str = "u", size: float = 8.0
+) -> Dataset:
+    """Commands from rest, the outputs all zero: what was measured does not matter to the difference of two models."""
+    t = np.arange(0.0, 1.6, 0.002)
+    inputs = {}
+    for n in range(1, joints + 1):
+        waves = 0.7 * np.sin(2 * np.pi * (0.8 + 0.2 * n) * t) + 0.5 * np.sin(2 * np.pi * 3.1 * t + n)
+        inputs[f"{channel}{n}"] = size * np.where(t < 0.05, 0.0, waves)
+    still = {name: np.zeros_like(t) for name in outputs}
+    record = Record(name="waves", time=t, inputs=inputs, outputs=still)
+    channels = (
+        tuple(Channel(n, "A" if n[0] == "i" else "V") for n in inputs),
+        tuple(Channel(n, "rad/s" if n[0] == "v" else "rad") for n in outputs),
+    )
+    return Dataset(name="bench", inputs=channels[0], outputs=channels[1], records=(record,))
+
+
+def apart(system: System, data: Dataset) -> float:
+    return max(row.apart for row in agreement(system, to_mjcf(system), data))
+
+
+def flexible() -> System:
+    return one_link_flexible(RATIO, vertical=True).with_values(
+        {"J_m": 1e-5, "J_a": 0.25, "k": 300.0, "G_l": 1.0}
+    )
+
+
+SYSTEMS = {
+    "one_link": one_link(RATIO),
+    "weight": one_link(RATIO, vertical=True).with_values({"G_l": 0.8, "q_0": 0.4}),
+    "all_rotor": one_link(RATIO, vertical=True).with_values({"rotor_share": 1.0}),
+    "flexible": flexible(),
+    "two_link": two_link((100.0, 100.0)),
+    "arm_weight": two_link((100.0, 100.0), vertical=True).with_values({"q_0": 0.2}),
+    "weightless_second_link": two_link((100.0, 100.0), vertical=True).with_values({"G_l2": 0.0}),
+    "uncoupled": two_link((100.0, 100.0)).without_component("joint1/load", "joint_coupling"),
+    "uneven": one_link(RATIO, friction=AsymmetricStribeck(f_21=0.012, f_22=0.026)),
+}
+EFFECTS: dict[str, tuple[str, Component, float]] = {
+    "drag": ("motor_friction", QuadraticDrag(F_q=1e-7), 1e-3),
+    "stribeck": ("motor_friction", Stribeck(F_drop=0.005, v_s=10.0), 4e-3),
+    "dahl": ("motor_friction", Dahl(sigma=0.1), 2e-3),
+    "lugre": ("motor_friction", LuGre(sigma_0=0.1, sigma_1=1e-4), 2e-3),
+    "link_dry": ("link_friction", Coulomb(F_c=0.5), 1e-3),
+    "link_tanh": ("link_friction", AsymmetricTanh(f_a1=0.3, f_a2=0.5), 3e-3),
+    "cogging": ("motor", Cogging(T_c=3e-3, T_s=-2e-3, n=8), 1e-3),
+    "lag": ("motor", ElectricalLag(T_e=3e-3), 2e-3),
+    "heat": ("motor", ThermalDerating(T_w=1.0, c=30.0), 1e-3),
+    "limit": ("input", Saturation(V_max=5.0), 1e-3),
+    "delay": ("input", Delay(T_d=0.006), 1e-3),
+    "spring": ("load", Spring(k_s=2.0, q_s=0.1), 1e-3),
+    "bias": ("load", ConstantTorque(T_0=0.3), 1e-3),
+}
+GEARS: dict[str, tuple[Component, float]] = {
+    "play": (Backlash(gap=0.01), 5e-3),
+    "soft_play": (Backlash(gap=0.01, compliance=1 / 300), 4e-2),
+    "hardening": (HardeningSpring(k=100.0, h=1e4, d=0.5), 1e-3),
+    "compliance": (JointFlexibility(compliance=1 / 200, zeta=0.1), 1e-3),
+    "eq_12": (BacklashFlexibility(), 2e-3),
+}
+LEFT_OUT: dict[str, tuple[str, Component]] = {
+    "dead band": ("input", Deadband()),
+    "load": ("motor_friction", LoadDependent()),
+    "angle": ("motor_friction", PositionDependent()),
+    "constant ratio": ("transmission", KinematicError()),
+    "--to torch": ("motor", ResidualNetwork()),
+    "whole number": ("motor", Cogging(n=2.5)),
+}
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_every_system_moves_as_ours(name: str) -> None:
+    pytest.importorskip("mujoco")
+    system = SYSTEMS[name]
+    outputs = ("q_m1", "q_a1", "v_m1") if name == "flexible" else ("q_m1", "q_m2")[: len(system.joints)]
+    assert not to_mjcf(system).notes
+    assert apart(system, dataset(len(system.joints), outputs)) < (5e-3 if name == "uneven" else 2e-3)
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_effect_is_carried(name: str) -> None:
+    pytest.importorskip("mujoco")
+    place, part, limit = EFFECTS[name]
+    assert apart(one_link(RATIO).with_component(f"joint1/{place}", part), dataset()) < limit
+
+
+@pytest.mark.parametrize("name", GEARS)
+def test_gear_is_carried(name: str) -> None:
+    pytest.importorskip("mujoco")
+    part, limit = GEARS[name]
+    system = flexible().with_component("joint1/transmission", part)
+    assert apart(system, dataset(outputs=("q_m1", "q_a1"))) < limit
+
+
+def test_current_drive_is_carried() -> None:
+    pytest.importorskip("mujoco")
+    system = one_link(RATIO).with_component("joint1/input", CurrentCommand())
+    system = system.with_component("joint1/motor", CurrentMotor(k_t=0.02)).with_component(
+        "joint1/motor", Cogging()
+    )
+    assert apart(system, dataset(channel="i", size=2.0)) < 2e-3
+
+
+@pytest.mark.parametrize("words", LEFT_OUT)
+def test_what_is_left_out_is_said(words: str) -> None:
+    place, part = LEFT_OUT[words]
+    exported = to_mjcf(one_link(RATIO).with_component(f"joint1/{place}", part))
+    assert len(exported.notes) == 1
+    assert words in exported.notes[0] and f"joint1/{place}" in exported.notes[0]
+    assert exported.notes[0].replace("--", "- -") in exported.text
+
+
+def test_arm_that_no_bodies_have_is_refused() -> None:
+    system = two_link((100.0, 100.0)).with_values({"P_2": 0.06})
+    with pytest.raises(InputError, match="no two bodies"):
+        to_mjcf(system)
+
+
+def test_motor_that_is_switched_off_is_refused() -> None:
+    pytest.importorskip("mujoco")
+    record = dataset().records[0]
+    off = Record(
+        name="off",
+        time=record.time,
+        inputs=record.inputs | {"enable1": 0.0 * record.time},
+        outputs=record.outputs,
+    )
+    with pytest.raises(InputError, match="switches a motor off"):
+        mujoco_replay(one_link(RATIO), to_mjcf(one_link(RATIO)), off)

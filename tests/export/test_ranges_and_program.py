@@ -1,0 +1,72 @@
+"""Ranges for domain randomisation, and the step as a torch program."""
+
+import io
+
+import pytest
+import torch
+
+from hybrid_id.components import Delay, ResidualNetwork
+from hybrid_id.errors import InputError
+from hybrid_id.export.program import to_program
+from hybrid_id.export.ranges import read_result, to_ranges
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems import one_link
+
+RESULT = {
+    "parameters": ["J", "F_c"],
+    "level": 0.95,
+    "selected": {"values": {"J": 2e-5, "F_c": 0.01}, "half_widths": {"J": 1e-6, "F_c": None}},
+    "sets": [{"values": [2e-5, 0.008]}, {"values": [2.1e-5, 0.013]}],
+}
+
+
+def test_ranges_say_where_they_come_from() -> None:
+    system = one_link(100.0)
+    system = system.with_specs({"P_m1": system.parameter("P_m1").spec.at(0.02)})
+    found = to_ranges(system, RESULT)["parameters"]
+    assert (found["J"]["lower"], found["J"]["upper"]) == pytest.approx((1.9e-5, 2.1e-5))
+    assert found["J"]["from"] == "interval" and found["J"]["unit"] == "kg m^2"
+    assert (found["F_c"]["lower"], found["F_c"]["upper"], found["F_c"]["from"]) == (0.008, 0.013, "spread")
+    assert found["P_m1"]["from"] == "held" and found["P_m1"]["lower"] == found["P_m1"]["upper"]
+
+
+def test_range_stays_within_bounds() -> None:
+    wide = RESULT | {"selected": {"values": {"J": 2e-5}, "half_widths": {"J": 1.0}}}
+    assert to_ranges(one_link(100.0), wide)["parameters"]["J"]["lower"] == 1e-12
+
+
+def test_foreign_results_are_refused(tmp_path) -> None:
+    with pytest.raises(InputError, match="which the model lacks"):
+        to_ranges(one_link(100.0), RESULT | {"selected": {"values": {"k": 1.0}, "half_widths": {}}})
+    with pytest.raises(InputError, match="no identified values"):
+        to_ranges(one_link(100.0), {"selected": None})
+    (tmp_path / "result.json").write_text("[1]")
+    with pytest.raises(InputError, match="no result of hybrid-id"):
+        read_result(tmp_path / "result.json")
+
+
+def test_program_is_the_hybrid_step() -> None:
+    network = ResidualNetwork(inputs=("speed", "torque"), hidden=(4,), memory=1)
+    with torch.no_grad():
+        for weight in network.last_weights().values():
+            weight.fill_(0.01)
+    system = one_link(100.0).with_component("joint1/motor", network)
+    program = to_program(system, sample_time=0.002)
+    assert program.difference < 1e-12
+    assert program.interface["states"] == ["q_m1", "v_m1", "h1_motor1"]
+    step = torch.export.load(io.BytesIO(program.content)).module()
+    x, u = (
+        torch.tensor([[0.1, 3.0, 0.2]] * 2, dtype=torch.float64),
+        torch.tensor([[1.0], [2.0]], dtype=torch.float64),
+    )
+    views = system.views(list(system.theta().detach()[:, None]))
+    engine = Engine("smooth", substeps=program.interface["substeps"])
+    ours = engine.sample(
+        system, x.unbind(1), {"u1": u[:, 0]}, torch.full((2,), 0.002, dtype=torch.float64), views
+    )
+    torch.testing.assert_close(step(x, u), torch.stack(ours, 1).detach())
+
+
+def test_program_without_the_past_is_refused() -> None:
+    with pytest.raises(InputError, match="joint1 has a delay"):
+        to_program(one_link(100.0).with_component("joint1/input", Delay()), sample_time=0.002)
