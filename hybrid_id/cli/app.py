@@ -14,6 +14,7 @@ from hybrid_id.cli.check import check
 from hybrid_id.cli.components import components
 from hybrid_id.cli.demo import demo
 from hybrid_id.cli.diagnose import diagnose
+from hybrid_id.cli.doctor import doctor
 from hybrid_id.cli.effects import effects
 from hybrid_id.cli.excite import excite
 from hybrid_id.cli.export import export
@@ -61,7 +62,7 @@ def _refuse(message: str, code: int = 2) -> int:
 app = typer.Typer(
     cls=Commands,
     name="hybrid-id",
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
 )
@@ -83,7 +84,8 @@ def _hybrid_id(
 
 
 for command in (
-    check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components, effects
+    check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components, effects,
+    doctor,
 ):  # fmt: skip
     app.command()(command)
 app.add_typer(blind, name="blind")

@@ -5,13 +5,21 @@ from typing import Annotated
 import typer
 
 from hybrid_id.cli.console import out, show
+from hybrid_id.cli.options import JsonOption
 
 
 def components(
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """List every kind of component with its places, parameters and units, and its law."""
     rows = component_rows()
+    if as_json:
+        from hybrid_id.reporting.results import as_json as to_json
+
+        named = [dict(zip(("kind", "place", "parameters", "law"), row, strict=True)) for row in rows]
+        out().print(to_json("components", {"components": named}), markup=False, soft_wrap=True)
+        return
     if markdown:
         table = [("kind", "place", "parameters [unit]", "law"), ("---",) * 4]
         table += [

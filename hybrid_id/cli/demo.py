@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import show
+from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.console import show as print_all
 from hybrid_id.cli.folder import refuse_taken, results_folder
-from hybrid_id.cli.options import ForceOption, ThreadsOption, use_threads
+from hybrid_id.cli.options import ForceOption, JsonOption, ThreadsOption, use_threads
 from hybrid_id.config import study_config
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def demo(
     ] = None,
     seed: Annotated[int, typer.Option(help="Seed of noise and disturbances.", min=0)] = 0,
     force: ForceOption = False,
+    as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
     """Identify a drive from simulated records whose truth is known, and show estimates beside the truth.
@@ -35,6 +37,11 @@ def demo(
     """
     refuse_taken(out, force=force)
     use_threads(threads)
+
+    def show(*parts: object) -> None:
+        if not as_json:
+            print_all(*parts)  # type: ignore[arg-type]
+
     from hybrid_id.cli.identify import run
     from hybrid_id.cli.study import reach_of, show_study, write_study
     from hybrid_id.records.quality import remarks
@@ -70,6 +77,9 @@ def demo(
             study.selected.records[0]
         ]
         save(truth_figure(study, truth, reach_of(config)), folder / "truth.png")
+    if as_json:
+        stdout().print(text, markup=False, soft_wrap=True)
+        return
     show_study(study, config, out, text, as_json=False)
     show("", f"4. The truth of {study.selected.records[0]} beside its estimates:")
     show(truth_table(study, truth, reach_of(config), config.statistics.level))

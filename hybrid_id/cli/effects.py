@@ -5,15 +5,25 @@ from typing import Annotated
 import typer
 
 from hybrid_id.cli.console import out, show
+from hybrid_id.cli.options import JsonOption
 
 HEADS = ("effect", "where", "easily mistaken for", "what tells them apart")
 
 
 def effects(
     markdown: Annotated[bool, typer.Option("--markdown", help="Print a Markdown table.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """List the effects that `diagnose` can name, what each is mistaken for, and what tells them apart."""
     rows = effect_rows()
+    if as_json:
+        from hybrid_id.reporting.results import as_json as to_json
+
+        named = [
+            dict(zip(("effect", "where", "mistaken_for", "separated_by"), row, strict=True)) for row in rows
+        ]
+        out().print(to_json("effects", {"effects": named}), markup=False, soft_wrap=True)
+        return
     if markdown:
         table = [HEADS, ("---",) * len(HEADS)]
         table += [(f"`{name}`", *rest) for name, *rest in rows]

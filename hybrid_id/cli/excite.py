@@ -5,8 +5,9 @@ from typing import Annotated
 
 import typer
 
-from hybrid_id.cli.console import show
+from hybrid_id.cli.console import out, show
 from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.options import JsonOption
 
 MAX_SAMPLES = 1_000_000
 
@@ -30,6 +31,7 @@ def excite(
     seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0)] = 0,
     plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.", show_default=False)] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Design a multisine of least crest factor and write it as CSV."""
     from contextlib import ExitStack
@@ -71,6 +73,18 @@ def excite(
 
             save(excitation_figure(design), picture)
     usual = usual_crest_factors(design, seed)
+    if as_json:
+        from hybrid_id.reporting.results import as_json as to_json
+
+        told = {"crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal)}
+        told |= {
+            "sample_time": sample_time,
+            "rest": sample_time * quiet,
+            "file": str(file),
+            "plot": plot and str(plot),
+        }
+        out().print(to_json("excite", told), markup=False, soft_wrap=True)
+        return
     gain = usual["random"] / design.crest_factor
     show(
         f"{design.message}.",

@@ -5,9 +5,10 @@ from typing import Annotated
 
 import typer
 
+from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import RESULT, refuse_taken
-from hybrid_id.cli.options import ThreadsOption, use_threads
+from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
 from hybrid_id.errors import InputError
 
 PARTS = "parts"
@@ -24,6 +25,7 @@ def reproduce(
         int | None,
         typer.Option(help="Runs of each closed loop; 20, with --quick 2.", min=1, show_default=False),
     ] = None,
+    as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
     """Walk through the paper on digital twins: every table and figure, printed values beside ours, on one page.
@@ -52,7 +54,7 @@ def reproduce(
         raise typer.Exit(130) from None
     from hybrid_id.reporting.html.paper_page import QUICK, paper_figures, paper_page
     from hybrid_id.reporting.paper_tables import claims_table
-    from hybrid_id.reporting.results import as_json
+    from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.style import save
     from hybrid_id.reproduction.claims import claims
 
@@ -63,9 +65,12 @@ def reproduce(
     page = parts / "report.html"
     paper_page(result, found, images, quick=quick).write(page)
     page.replace(out / "report.html")
-    text = as_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
+    text = to_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
     (parts / RESULT).write_text(text + "\n", encoding="utf-8")
     (parts / RESULT).replace(out / RESULT)
+    if as_json:
+        stdout().print(text, markup=False, soft_wrap=True)
+        return
     show(claims_table(found))
     if quick:
         show(QUICK)

@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
+from hybrid_id import __version__
 from hybrid_id.errors import InputError
 
 Schema = TypeVar("Schema", bound=BaseModel)
@@ -70,7 +71,7 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
 
 
 def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
-    """Write a mapping as YAML, innermost ones on one line, under a temporary name first."""
+    """Write a mapping as YAML below the program's version, innermost ones on one line, under a temporary name first."""
     path, values = Path(path), dict(values)
     layout = {"sort_keys": False, "width": 110, "default_flow_style": None}
     text = yaml.safe_dump(values, allow_unicode=True, **layout)
@@ -79,7 +80,7 @@ def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(text)
+        file.write(f"# hybrid_id {__version__}\n{text}")
     os.chmod(temporary, 0o644)  # mkstemp makes files that nobody else may read
     os.replace(temporary, path)
 

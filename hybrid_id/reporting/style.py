@@ -17,6 +17,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.image import imsave
 
+from hybrid_id import __version__
+
 WIDTH = 7.16  # in; the text width of a two-column journal page
 DPI = 200
 GREY = "#8c8c8c"
@@ -98,8 +100,9 @@ def pixels(figure: Figure) -> np.ndarray:
 
 
 def save(figure: Figure | np.ndarray, path: Path) -> None:
-    """Write a figure, or the image of one, as PNG."""
-    imsave(path, pixels(figure) if isinstance(figure, Figure) else figure, dpi=DPI)
+    """Write a figure, or the image of one, as PNG that names the program."""
+    image = pixels(figure) if isinstance(figure, Figure) else figure
+    imsave(path, image, dpi=DPI, metadata={"Software": f"hybrid_id {__version__}"})
 
 
 def power_of_ten(values: np.ndarray) -> int:
