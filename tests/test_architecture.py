@@ -36,6 +36,7 @@ FLOORS = {
     "reporting": 8,
     "export": 8,
     "blind": 8,
+    "contenders": 8,
     "config": 9,
     "cli": 9,
     "__main__": 10,
@@ -44,7 +45,7 @@ FLOORS = {
 NEIGHBOURS = {("parameters", "errors"), ("twin", "records"), ("cli", "config")}
 # Units that must stay independent of more than their floor says: all that they may import of hybrid_id.
 ONLY = {"twin": {"twin", "errors", "records"}, "blind": {"blind", "errors", "records"}}
-NEVER = {("gap", "blind")}
+NEVER = {("gap", "blind"), ("contenders", "blind")}
 WITHOUT_TORCH = ("errors", "records", "twin", "statistics", "blind")
 PICKLES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal"}
 COMMAND_LINE = {"argparse", "click", "typer", "optparse", "getopt"}

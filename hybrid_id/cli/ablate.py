@@ -2,26 +2,29 @@
 
 import tempfile
 from collections.abc import Sequence
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
-from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import refuse_taken, required
 from hybrid_id.cli.hybrid import engine_of, options_of
 from hybrid_id.cli.inputs import checked_records, load_system
-from hybrid_id.cli.options import JsonOption, ModelOption, OutOption, SourceArgument, use_threads
+from hybrid_id.cli.options import (
+    Backend,
+    BackendOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    ProcessesOption,
+    SchedulerOption,
+    SourceArgument,
+    check_backend,
+    use_threads,
+)
+from hybrid_id.cli.progress import counting
 from hybrid_id.config import Ablation, Hybrid, StudyConfig, study_config
 from hybrid_id.errors import InputError
 
@@ -36,25 +39,13 @@ if TYPE_CHECKING:
 CELLS, RESULT, EVENTS = "cells", "ablation.json", "tensorboard"
 
 
-class Backend(StrEnum):
-    """Where the cells are computed."""
-
-    joblib = "joblib"
-    dask = "dask"
-
-
 def ablate(
     source: SourceArgument,
     model: ModelOption = None,
     out: OutOption = None,
-    jobs: Annotated[int, typer.Option(help="Processes of this machine.", min=1)] = 1,
-    backend: Annotated[
-        Backend, typer.Option(help="joblib: this machine; dask: an existing cluster.")
-    ] = Backend.joblib,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(help="Address of the Dask scheduler, tcp://host:8786 say.", show_default=False),
-    ] = None,
+    jobs: ProcessesOption = 1,
+    backend: BackendOption = Backend.joblib,
+    scheduler: SchedulerOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Physics only or hybrid? Arms on the same records and seeds, paired differences, and the answer in words.
@@ -63,8 +54,7 @@ def ablate(
     one repeat, is kept as soon as it is done: after Ctrl-C the same command goes on. `tensorboard --logdir DIR` shows
     the cells that are done, with their settings.
     """
-    if (backend is Backend.dask) != (scheduler is not None):
-        raise InputError("--backend dask and --scheduler ADDRESS belong together; give both, or neither")
+    check_backend(backend, scheduler)
     changes = {
         "model": None if model is None else str(model),
         "output.folder": None if out is None else str(out),
@@ -153,16 +143,8 @@ def _run(
     for cell, result in found.items():
         if not (home / EVENTS / cell.name).is_dir():
             write_cell_events(home / EVENTS, result)
-    console = err()
-    columns = (
-        TextColumn("cells"),
-        BarColumn(24),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
     try:
-        with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        with counting("cells") as bar:
             bar_id = bar.add_task("cells", total=len(left))
             for result in run_cells(task, left, jobs=jobs, scheduler=scheduler):
                 found[result.cell] = result

@@ -1,61 +1,177 @@
-"""`blind`: cases whose unmodelled effect is withheld."""
+"""`blind`: cases whose unmodelled effect is withheld, those who take them, and the scoreboard."""
 
+import datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from hybrid_id import __version__
+from hybrid_id.cli.blind_run import Method, MethodsOption, RecordsOption, run, run_methods
+from hybrid_id.cli.blind_score import AppendOption, gathered, score, write_scores
 from hybrid_id.cli.console import remark, show
+from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
+from hybrid_id.cli.provenance import UNKNOWN, commit
+from hybrid_id.errors import InputError
 
-blind = typer.Typer(help="Cases whose unmodelled effect is withheld, with their answers on a sheet apart.")
+blind = typer.Typer(
+    help="Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses."
+)
 
 
 @blind.callback()
 def _blind() -> None:
-    """Cases whose unmodelled effect is withheld, with their answers on a sheet apart."""
+    """Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses."""
+
+
+CountOption = Annotated[int, typer.Option("--cases", help="Number of cases.", min=1)]
+SeedOption = Annotated[
+    str,
+    typer.Option(
+        help="Seed of the first case, the others count up; 'commit' takes it from the hash of this commit."
+    ),
+]
+SystemOption = Annotated[
+    str | None, typer.Option(help="one_link, one_link_flexible or two_link.", show_default="drawn")
+]
+FamilyOption = Annotated[
+    str | None, typer.Option(help="single, pair, none or unknown.", show_default="drawn")
+]
+EffectOption = Annotated[
+    str | None, typer.Option(help="Name of the effect, say backlash.", show_default="drawn")
+]
+LevelOption = Annotated[str | None, typer.Option(help="strong, medium or weak.", show_default="drawn")]
+EngineOption = Annotated[
+    str | None, typer.Option(help="in_house, or mujoco where it is installed.", show_default="drawn")
+]
 
 
 @blind.command()
 def make(
-    out: Annotated[
-        Path,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the cases.", show_default=False)],
+    answers: Annotated[
+        Path | None,
         typer.Option(
-            "--out", "-o", help="Folder for the cases; answers go to its answers/.", show_default=False
+            "--answers",
+            help="Archive for the answers.",
+            show_default="sealed/NAME.answers.tar beside the folder",
         ),
-    ],
-    cases: Annotated[int, typer.Option(help="Number of cases.", min=1)] = 24,
-    seed: Annotated[int, typer.Option(help="Seed of the first case; the others count up.", min=0)] = 0,
-    system: Annotated[
-        str | None, typer.Option(help="one_link, one_link_flexible or two_link.", show_default="drawn")
     ] = None,
-    family: Annotated[
-        str | None, typer.Option(help="single, pair, none or unknown.", show_default="drawn")
-    ] = None,
-    effect: Annotated[
-        str | None, typer.Option(help="Name of the effect, say backlash.", show_default="drawn")
-    ] = None,
-    level: Annotated[str | None, typer.Option(help="strong, medium or weak.", show_default="drawn")] = None,
-    engine: Annotated[
-        str | None, typer.Option(help="in_house, or mujoco where it is installed.", show_default="drawn")
-    ] = None,
-    jobs: Annotated[int, typer.Option(help="Cases that are made at the same time.", min=1)] = 1,
+    open_answers: Annotated[
+        bool, typer.Option("--open-answers", help="Leave the answers in answers/, for development.")
+    ] = False,
+    cases: CountOption = 24,
+    seed: SeedOption = "0",
+    system: SystemOption = None,
+    family: FamilyOption = None,
+    effect: EffectOption = None,
+    level: LevelOption = None,
+    engine: EngineOption = None,
+    jobs: ProcessesOption = 1,
 ) -> None:
     """Make records of machines in which something is at work that their model lacks.
 
     Each case is a folder with records and today's simulator, ready for every command that takes a dataset. Its answers
-    lie apart, in answers/. The physics is another one than that of the models.
+    go into an archive apart, whose hash stands in manifest.json beside the cases. The physics is another one than that
+    of the models.
     """
+    if open_answers and answers is not None:
+        raise InputError("--answers and --open-answers contradict each other; give one of them")
+    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
+    archive = None if open_answers else answers or out.parent / "sealed" / f"{out.name}.answers.tar"
+    make_sealed(out, archive, cases, _seed(seed), options, jobs)
+
+
+def make_sealed(
+    out: Path, archive: Path | None, cases: int, seed: int, options: dict[str, str | None], jobs: int
+) -> None:
+    """Make cases, move their answers into the archive, and say how it went."""
     from hybrid_id.blind.make import make_cases
+    from hybrid_id.blind.seal import ANSWERS, seal
     from hybrid_id.cli.folder import refuse_taken
-    from hybrid_id.errors import InputError
     from hybrid_id.reporting.tables import count
 
     refuse_taken(out, force=False)
-    made = make_cases(
-        cases, seed, out, jobs=jobs, system=system, family=family, effect=effect, level=level, engine=engine
-    )
+    if archive is not None and archive.exists():
+        raise InputError(f"{archive} exists already; remove it, or give another --answers")
+    made = make_cases(cases, seed, out, jobs=jobs, **options)
     if not made:
         raise InputError(f"no case of {cases} could be made; give another seed, level or effect")
     if len(made) < cases:
         remark(f"{cases - len(made)} of {cases} cases were left out: their effect did not show as wanted")
-    show(f"{count(len(made), 'case')} in {out}, their answers in {out / 'answers'}")
+    about: dict[str, Any] = {
+        "program": f"hybrid_id {__version__}",
+        "commit": commit(),
+        "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+        "seed": seed,
+        "asked": cases,
+        "options": options,
+    }
+    sealed = seal(out, archive, about)["answers"]["sha256"]
+    show(f"{count(len(made), 'case')} in {out}, their answers in {archive or out / ANSWERS}")
+    show(f"hash of the answers: {sealed}")
+
+
+@blind.command()
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for all of it.", show_default=False)],
+    cases: CountOption = 24,
+    seed: SeedOption = "0",
+    system: SystemOption = None,
+    family: FamilyOption = None,
+    effect: EffectOption = None,
+    level: LevelOption = None,
+    engine: EngineOption = None,
+    method: MethodsOption = None,
+    train_records: RecordsOption = None,
+    append: AppendOption = None,
+    jobs: ProcessesOption = 1,
+    backend: BackendOption = Backend.joblib,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Make, run and score in one command: a published scoreboard again from its seed.
+
+    The same command goes on after Ctrl-C, once the cases are made.
+    """
+    check_backend(backend, scheduler)
+    made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
+    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
+    if archive.exists():
+        _check_same(made, cases, _seed(seed), options)
+    else:
+        make_sealed(made, archive, cases, _seed(seed), options, jobs)
+    runs.parent.mkdir(parents=True, exist_ok=True)
+    broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler)
+    content = gathered(runs, archive)
+    write_scores(runs, content, append)
+    from hybrid_id.reporting.scoreboard import markdown
+
+    show(markdown(content))
+    show(f"results are in {runs}")
+    if broken:
+        raise typer.Exit(1)
+
+
+def _check_same(made: Path, cases: int, seed: int, options: dict[str, str | None]) -> None:
+    """Refuse to go on with cases that were made otherwise."""
+    from hybrid_id.blind.seal import read_manifest
+
+    manifest = read_manifest(made)
+    if (manifest["asked"], manifest["seed"], manifest["options"]) != (cases, seed, options):
+        raise InputError(f"{made} holds cases of another seed, number or kind; give another --out")
+
+
+def _seed(text: str) -> int:
+    """A seed from a number, or from the hash of the commit that is running."""
+    if text.isdecimal():
+        return int(text)
+    if text != "commit":
+        raise InputError(f"--seed {text} is neither a number nor 'commit'; give one of them")
+    at = commit()
+    if at == UNKNOWN or at.endswith("-dirty"):
+        raise InputError("--seed commit needs a checkout without changes; commit them, or give a number")
+    return int(at[:8], 16)
+
+
+blind.command()(run)
+blind.command()(score)

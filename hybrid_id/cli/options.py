@@ -1,9 +1,12 @@
 """Arguments and options that several commands share."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from hybrid_id.errors import InputError
 
 DatasetArgument = Annotated[
     Path,
@@ -37,6 +40,26 @@ ThreadsOption = Annotated[
 ]
 
 
+class Backend(StrEnum):
+    """Where pieces of work are done."""
+
+    joblib = "joblib"
+    dask = "dask"
+
+
+ProcessesOption = Annotated[int, typer.Option("--jobs", help="Processes of this machine.", min=1)]
+BackendOption = Annotated[Backend, typer.Option(help="joblib: this machine; dask: an existing cluster.")]
+SchedulerOption = Annotated[
+    str | None, typer.Option(help="Address of the Dask scheduler, tcp://host:8786 say.", show_default=False)
+]
+
+
+def check_backend(backend: Backend, scheduler: str | None) -> None:
+    """Refuse a cluster without an address, and an address without a cluster."""
+    if (backend is Backend.dask) != (scheduler is not None):
+        raise InputError("--backend dask and --scheduler ADDRESS belong together; give both, or neither")
+
+
 def use_threads(count: int) -> None:
     """Set torch's threads for this process."""
     import torch
@@ -47,8 +70,6 @@ def use_threads(count: int) -> None:
 def use_device(name: str) -> str:
     """Return the device's name, or say in a sentence why it cannot be used."""
     import torch
-
-    from hybrid_id.errors import InputError
 
     try:
         torch.zeros(1, device=name)

@@ -7,11 +7,31 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from hybrid_id.cli.console import err, remark
 
 STAGES = {"windows": "short windows", "records": "whole records"}
+
+
+def counting(noun: str) -> Progress:
+    """Bar on stderr for pieces of work that are done one by one, with the time that is left."""
+    console = err()
+    columns = (
+        TextColumn(noun),
+        BarColumn(24),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    return Progress(*columns, console=console, disable=not console.is_terminal)
 
 
 class FitProgress:

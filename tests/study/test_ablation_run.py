@@ -17,7 +17,7 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.study.ablation import Task
 from hybrid_id.study.ablation_cell import CellResult, as_plain, from_plain
 from hybrid_id.study.ablation_plan import BLACK_BOX, Arm, Cell
-from hybrid_id.study.ablation_run import attempt, key_of, load_cell, run_cells, save_cell
+from hybrid_id.study.ablation_run import key_of, load_cell, run_cells, save_cell
 
 STATIC = Arm("static", ("joint1/motor",), 3)
 BROKEN = Cell(Arm("static", ("joint9/motor",), 3), 0)
@@ -74,14 +74,14 @@ def test_a_dask_cluster_comes_to_the_same(task: Task, in_turn: list[CellResult])
 
 def test_a_scheduler_that_does_not_answer_is_told(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="needs distributed (hybrid-id[dask])")
-    monkeypatch.setattr("hybrid_id.study.ablation_run.TIMEOUT", 0.2)
+    monkeypatch.setattr("hybrid_id.study.fan_out.TIMEOUT", 0.2)
     for address in ("tcp://127.0.0.1:9", "nonsense://"):
         with pytest.raises(InputError, match="No Dask scheduler answers"):
             list(run_cells(task, CELLS, scheduler=address))
 
 
 def test_physics_of_a_hybrid_cell_is_that_of_physics_only(task: Task, in_turn: list[CellResult]) -> None:
-    result = attempt(task, Cell(STATIC, 0))
+    result = next(run_cells(task, [Cell(STATIC, 0)]))
     assert result.status == "done", result.message
     assert result.split == in_turn[0].split
     assert result.rungs[0].values == in_turn[0].best.values
@@ -92,7 +92,7 @@ def test_physics_of_a_hybrid_cell_is_that_of_physics_only(task: Task, in_turn: l
 
 
 def test_a_network_alone_is_trained_by_the_same_machinery(task: Task) -> None:
-    result = attempt(task, Cell(Arm(BLACK_BOX, (), 3), 0))
+    result = next(run_cells(task, [Cell(Arm(BLACK_BOX, (), 3), 0)]))
     assert result.status == "done", result.message
     assert [rung.price for rung in result.rungs] == [0.0] and set(result.best.values) == {"T_0"}
     assert set(result.best.errors) == {f"run_{k}" for k in range(5)} == set(result.best.short)

@@ -1,0 +1,162 @@
+"""Scores of many judged cases, each with its interval, all together and group by group."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import binom, binomtest
+
+from hybrid_id.blind.judge import Judged
+
+LEVEL = 0.95
+BINS = 10
+"""Bins of the reliability curve."""
+DRAWS = 2000
+Score = dict[str, Any]
+"""``value``, ``low``, ``high``, the number ``n`` of cases behind it, and the ``wrong`` ones by name."""
+
+SHARES: Mapping[str, Callable[[Judged], bool | None]] = {
+    "top_1": lambda one: one.top_1,
+    "top_3": lambda one: one.top_3,
+    "place": lambda one: one.place,
+    "top_1_at_place": lambda one: one.top_1_at_place,
+    "whole": lambda one: one.whole,
+    "false_alarms": lambda one: one.false_alarm,
+    "outside_detected": lambda one: one.outside,
+    "false_unknown": lambda one: one.false_unknown,
+    "covered": lambda one: one.covered,
+    "broken": lambda one: bool(one.broken),
+}
+BAD = ("false_alarms", "false_unknown", "broken")
+"""Shares where fewer is better."""
+GROUPS: Mapping[str, Callable[[Judged], str]] = {
+    "family": lambda one: one.family,
+    "level": lambda one: one.level,
+    "family and level": lambda one: f"{one.family}, {one.level}",
+    "system": lambda one: one.system,
+    "train records": lambda one: str(one.records),
+    "engine": lambda one: one.engine,
+    "effect": lambda one: one.effect,
+}
+
+
+def scores(judged: Sequence[Judged]) -> dict[str, Any]:
+    """All scores of a method.
+
+    Args:
+        judged: its cases.
+
+    Returns:
+        Plain data: ``all``; ``by`` dimension and group; ``confusion``; ``reliability``.
+    """
+    by: dict[str, dict[str, Any]] = {}
+    for name, key in GROUPS.items():
+        groups = sorted({key(one) for one in judged} - {""})
+        by[name] = {group: figures([one for one in judged if key(one) == group]) for group in groups}
+    return {
+        "all": figures(judged),
+        "by": by,
+        "confusion": confusion(judged),
+        "reliability": reliability([one.confidence for one in judged if one.confidence is not None]),
+    }
+
+
+def figures(judged: Sequence[Judged]) -> dict[str, Score]:
+    """Scores of a group of cases; those without a case to speak of are left out."""
+    found: dict[str, Score] = {"cases": {"value": len(judged), "n": len(judged)}}
+    for name, ask in SHARES.items():
+        told = [(one.case, ask(one)) for one in judged]
+        told = [(case, answer) for case, answer in told if answer is not None]
+        if told:
+            wrong = [case for case, answer in told if answer == (name in BAD)]
+            found[name] = share([bool(answer) for _, answer in told]) | {"wrong": wrong}
+    f1 = [(one.case, one.f1) for one in judged if one.f1 is not None]
+    if f1:
+        found["f1"] = mean([value for _, value in f1]) | {"wrong": [case for case, value in f1 if value < 1]}
+    for name, values in (
+        ("closed", [(one.case, one.closed) for one in judged]),
+        ("shrink_error", [(one.case, one.shrink_error) for one in judged]),
+        ("seconds", [(one.case, one.seconds) for one in judged]),
+    ):
+        told = [(case, abs(v) if name == "shrink_error" else v) for case, v in values if v is not None]
+        told = [(case, v) for case, v in told if math.isfinite(v)]
+        if told:
+            worst = sorted(told, key=lambda pair: pair[1], reverse=name != "closed")[:5]
+            found[name] = median([v for _, v in told]) | {"wrong": [case for case, _ in worst]}
+    return found
+
+
+def share(answers: Sequence[bool]) -> Score:
+    """A share with Wilson's interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
+    interval = binomtest(sum(answers), len(answers)).proportion_ci(LEVEL, method="wilson")
+    low, high = float(interval.low), float(interval.high)
+    return {"value": sum(answers) / len(answers), "low": low, "high": high, "n": len(answers)}
+
+
+def mean(values: Sequence[float]) -> Score:
+    """A mean with the interval of cases drawn with replacement; that of one case is unknown."""
+    drawn = np.random.default_rng(0).choice(values, (DRAWS, len(values))).mean(axis=1)
+    low, high = (
+        np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) if len(values) > 1 else (-np.inf, np.inf)
+    )
+    return {"value": float(np.mean(values)), "low": _finite(low), "high": _finite(high), "n": len(values)}
+
+
+def median(values: Sequence[float]) -> Score:
+    """A median with its distribution-free interval from order statistics, and the greatest value."""
+    ordered, n = np.sort(values), len(values)
+    rank = int(binom.ppf((1 - LEVEL) / 2, n, 0.5))
+    known = rank >= 1
+    return {
+        "value": float(np.median(ordered)),
+        "low": float(ordered[rank - 1]) if known else None,
+        "high": float(ordered[n - rank]) if known else None,
+        "n": n,
+        "least": float(ordered[0]),
+        "most": float(ordered[-1]),
+    }
+
+
+def reliability(told: Sequence[tuple[float, bool]]) -> dict[str, Any]:
+    """How often the effect ranked first is at work, against the probability that was claimed.
+
+    The expected calibration error is the mean distance of the two, bin by bin, weighted by the cases in it (C. Guo et
+    al., On calibration of modern neural networks, ICML 2017).
+
+    Args:
+        told: claimed probability and truth of each case.
+    """
+    bins, error = [], 0.0
+    for k in range(BINS):
+        low, high = k / BINS, (k + 1) / BINS
+        own = [(p, right) for p, right in told if low <= p < high or (k == BINS - 1 and p >= 1.0)]
+        if own:
+            claimed, seen = float(np.mean([p for p, _ in own])), share([right for _, right in own])
+            bins.append({"claimed": claimed, **seen})
+            error += len(own) / len(told) * abs(claimed - seen["value"])
+    brier = float(np.mean([(p - right) ** 2 for p, right in told])) if told else None
+    return {"bins": bins, "expected_error": error if told else None, "brier": brier, "n": len(told)}
+
+
+def confusion(judged: Sequence[Judged]) -> dict[str, Any]:
+    """Counts of what was said (columns) for what was at work (rows), pairs apart.
+
+    An accepted equivalent counts as the effect itself.
+    """
+    pairs = Counter((_row(one), one.said) for one in judged if one.family != "pair")
+    last = ("none", "unknown", "broken")
+    rows = {row for row, _ in pairs}
+    effects = sorted((rows | {said for _, said in pairs}) - set(last))
+    names = [*[e for e in effects if e in rows], *[e for e in ("none", "unknown") if e in rows]]
+    columns = [*effects, *[e for e in last if any(said == e for _, said in pairs)]]
+    return {"rows": names, "columns": columns, "counts": [[pairs[(r, c)] for c in columns] for r in names]}
+
+
+def _row(one: Judged) -> str:
+    return one.family if one.family in ("none", "unknown") else one.effect
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

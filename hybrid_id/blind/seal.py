@@ -1,0 +1,145 @@
+"""Sealing: answers go into an archive apart, and its hash into a manifest beside the cases."""
+
+import hashlib
+import io
+import json
+import tarfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hybrid_id.errors import InputError
+
+MANIFEST, ANSWERS = "manifest.json", "answers"
+
+Sheet = dict[str, Any]
+"""The content of one answer sheet."""
+
+
+def pack(folder: Path) -> bytes:
+    """The answer sheets of a folder as one archive, whose bytes depend on nothing but names and contents.
+
+    It is not compressed, since compressed bytes depend on the version of the library.
+    """
+    file = io.BytesIO()
+    with tarfile.open(fileobj=file, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+        for path in sorted(folder.glob("*.yaml")):
+            entry, content = tarfile.TarInfo(path.name), path.read_bytes()
+            entry.size, entry.mode = len(content), 0o644
+            archive.addfile(entry, io.BytesIO(content))
+    return file.getvalue()
+
+
+def seal(cases: Path, archive: Path | None, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Write the manifest of a folder of cases, and move their answers into an archive.
+
+    Args:
+        cases: folder of the cases, with their answers in `answers/`.
+        archive: file that takes the answers; None leaves them where they are, open, for development.
+        about: what else the manifest tells, say seed and version.
+
+    Returns:
+        The manifest.
+    """
+    content = pack(cases / ANSWERS)
+    manifest = {
+        **about,
+        "names": case_names(cases),
+        "answers": {"sealed": archive is not None, "sha256": hashlib.sha256(content).hexdigest()},
+    }
+    if archive is not None:
+        archive.parent.mkdir(parents=True, exist_ok=True)
+        _write(archive, content)
+    _write(cases / MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
+    if archive is not None:
+        for sheet in (cases / ANSWERS).glob("*.yaml"):
+            sheet.unlink()
+        (cases / ANSWERS).rmdir()
+    return manifest
+
+
+def case_names(cases: Path) -> list[str]:
+    """Names of the cases in a folder, sorted."""
+    if not cases.is_dir():
+        raise InputError(f"{cases} is no folder of cases; 'hybrid-id blind make' makes one")
+    found = sorted(path.parent.name for path in cases.glob("*/dataset.yaml") if path.parent.name[0] != ".")
+    if not found:
+        raise InputError(f"{cases} holds no case; 'hybrid-id blind make' makes some")
+    return found
+
+
+def read_manifest(cases: Path) -> dict[str, Any]:
+    """The manifest of a folder of cases.
+
+    Raises:
+        InputError: there is none, or it cannot be read.
+    """
+    file = cases / MANIFEST
+    try:
+        manifest = json.loads(file.read_text(encoding="utf-8"))
+        if len(manifest["answers"]["sha256"]) == 64 and isinstance(manifest["names"], list):
+            return manifest
+    except OSError:
+        raise InputError(
+            f"{cases} has no {MANIFEST}; make the cases with 'hybrid-id blind make', which seals their answers"
+        ) from None
+    except (ValueError, KeyError, TypeError):
+        pass
+    raise InputError(f"{file} does not tell the hash of the answers; make the cases anew") from None
+
+
+def refuse_reachable(cases: Path, runs: Path, sha256: str) -> None:
+    """Raise InputError where answers lie in the folder of the cases or of the runs, or beside either.
+
+    Args:
+        cases: folder of the cases.
+        runs: folder of the diagnoses; need not exist.
+        sha256: hash of the archive, which is found under any name.
+    """
+    for folder in dict.fromkeys(p.absolute() for p in (cases, cases.parent, runs, runs.parent)):
+        for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+            named = path.name.split(".")[0] == ANSWERS
+            if named or (path.is_file() and path.suffix == ".tar" and _hash(path) == sha256):
+                raise InputError(
+                    f"{path} can be read by the run, which must not see answers; move it to another folder"
+                )
+
+
+def open_answers(archive: Path, sha256: str) -> dict[str, Sheet]:
+    """The answer sheets of an archive by case.
+
+    Args:
+        archive: file of the answers.
+        sha256: its hash as it was recorded before the run.
+
+    Raises:
+        InputError: the archive is another one, or cannot be read.
+    """
+    try:
+        content = archive.read_bytes()
+    except OSError as error:
+        raise InputError(f"answers {archive} cannot be read ({error.strerror}); give another file") from None
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise InputError(
+            f"{archive} is not the archive that was sealed before the run, which had the hash {sha256[:16]}…; "
+            "no score is given"
+        )
+    sheets = {}
+    with tarfile.open(fileobj=io.BytesIO(content)) as file:
+        for entry in file:
+            stream = file.extractfile(entry)
+            if stream is not None:
+                sheets[Path(entry.name).stem] = yaml.safe_load(stream.read())
+    return sheets
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _write(path: Path, content: bytes) -> None:
+    new = path.with_name(f".{path.name}.new")
+    new.write_bytes(content)
+    new.replace(path)

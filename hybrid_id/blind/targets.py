@@ -1,0 +1,72 @@
+"""What the blind check set out to reach, and what of it was seen."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Target:
+    """One figure that was aimed at before the first run.
+
+    Attributes:
+        claim: in words.
+        group: of `scores`: ``all``, or a dimension and a group of it.
+        score: its name.
+        bound: the figure.
+        most: a second bound above it, or whether the first is an upper one.
+    """
+
+    claim: str
+    group: tuple[str, str] | None
+    score: str
+    bound: float
+    upper: bool = False
+    most: float | None = None
+
+    @property
+    def words(self) -> str:
+        """The bound as it is printed."""
+        unit = 1 if self.score == "shrink_error" else 100
+        sign = "≤" if self.upper else "≥"
+        text = f"{self.bound:.2f}" if self.score == "f1" else f"{unit * self.bound:g}"
+        ending = "" if self.score == "f1" else " points" if unit == 1 else " %"
+        return f"{text}-{unit * self.most:g}{ending}" if self.most is not None else f"{sign} {text}{ending}"
+
+    def met(self, value: float) -> bool:
+        """Whether a value reaches it."""
+        if self.most is not None:
+            return self.bound <= value <= self.most
+        return value <= self.bound if self.upper else value >= self.bound
+
+
+_BY = "family and level"
+TARGETS = (
+    Target("strong effects: first name right", (_BY, "single, strong"), "top_1", 0.95),
+    Target("medium effects: first name right", (_BY, "single, medium"), "top_1", 0.85),
+    Target("strong effects: place right", (_BY, "single, strong"), "place", 0.95),
+    Target("medium effects: place right", (_BY, "single, medium"), "place", 0.90),
+    Target("strong pairs: F1 of the set", (_BY, "pair, strong"), "f1", 0.85),
+    Target("medium pairs: F1 of the set", (_BY, "pair, medium"), "f1", 0.65),
+    Target("false alarms where the structure is right", None, "false_alarms", 0.05, upper=True),
+    Target("outside the catalogue: detected", None, "outside_detected", 0.75),
+    Target("false 'unknown'", None, "false_unknown", 0.10, upper=True),
+    Target("error of the claimed shrink, median", None, "shrink_error", 5.0, upper=True),
+    Target("95 % intervals that hold the true shrink", None, "covered", 0.90, most=0.99),
+    Target("closable gap that is closed, median", None, "closed", 0.90),
+)
+
+
+def against_targets(scores: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Each target with what was seen: ``met`` is None where no case speaks of it; ``cases`` are those to look at."""
+    rows = []
+    for target in TARGETS:
+        group = (
+            scores["all"] if target.group is None else scores["by"][target.group[0]].get(target.group[1], {})
+        )
+        seen = group.get(target.score)
+        met = None if seen is None else target.met(seen["value"])
+        cases = [] if seen is None or met else seen["wrong"]
+        told = {"claim": target.claim, "target": target.words, "score": target.score}
+        rows.append(told | {"seen": seen, "met": met, "cases": cases})
+    return rows

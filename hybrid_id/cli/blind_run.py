@@ -1,0 +1,137 @@
+"""`blind run`: cases are taken by contenders that cannot see the answers."""
+
+import datetime
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from hybrid_id import __version__
+from hybrid_id.cli.console import remark, show
+from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
+from hybrid_id.cli.progress import counting
+from hybrid_id.cli.provenance import commit
+from hybrid_id.errors import InputError
+
+
+class Method(StrEnum):
+    """Who takes the cases."""
+
+    diagnose = "diagnose"
+    bic = "bic"
+    sparse = "sparse"
+    network = "network"
+    stribeck = "stribeck"
+
+
+CasesArgument = Annotated[
+    Path, typer.Argument(metavar="CASES", help="Folder that 'blind make' has made.", show_default=False)
+]
+MethodsOption = Annotated[
+    list[Method] | None,
+    typer.Option(
+        "--method",
+        help="diagnose, or a baseline: bic, sparse, network, stribeck; may be given several times.",
+        show_default="diagnose",
+    ),
+]
+RecordsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--train-records", help="So many train records of each case at most.", min=1, show_default="all"
+    ),
+]
+
+
+def run(
+    cases: CasesArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the diagnoses.", show_default=False)],
+    method: MethodsOption = None,
+    train_records: RecordsOption = None,
+    jobs: ProcessesOption = 1,
+    backend: BackendOption = Backend.joblib,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Diagnose every case of a folder; fails where the answers could be read.
+
+    Each diagnosis is kept as soon as it is there: after Ctrl-C the same command goes on. A case that breaks is kept
+    with its reason and tried again by the next run.
+    """
+    check_backend(backend, scheduler)
+    broken = run_methods(cases, out, method or [Method.diagnose], train_records, jobs, scheduler)
+    show(f"diagnoses are in {out}; 'hybrid-id blind score {out} --answers ARCHIVE' scores them")
+    if broken:
+        raise typer.Exit(1)
+
+
+def run_methods(
+    cases: Path,
+    out: Path,
+    methods: Sequence[Method],
+    train_records: int | None,
+    jobs: int,
+    scheduler: str | None,
+) -> int:
+    """Let contenders take the cases one after the other; returns how many cases broke."""
+    from hybrid_id.blind.seal import case_names, read_manifest, refuse_reachable
+
+    manifest = read_manifest(cases)
+    refuse_reachable(cases, out, manifest["answers"]["sha256"])
+    if missing := sorted(set(manifest["names"]) ^ set(case_names(cases))):
+        raise InputError(f"{cases} and its manifest differ in {', '.join(missing[:5])}; make the cases anew")
+    if out.is_dir() and any(out.iterdir()) and not any(out.glob("*/run.json")):
+        raise InputError(f"{out} holds files that are no runs; give another folder")
+    return sum(_run(cases, out / m.value, m, manifest, train_records, jobs, scheduler) for m in methods)
+
+
+def _run(
+    cases: Path,
+    folder: Path,
+    method: Method,
+    manifest: Mapping[str, Any],
+    train_records: int | None,
+    jobs: int,
+    scheduler: str | None,
+) -> int:
+    from hybrid_id.contenders.keep import begin, is_done, key_of, load, save
+    from hybrid_id.contenders.run import Settings, read_case, run_cases
+
+    settings, at = Settings(method.value, train_records), commit()
+    begin(
+        folder,
+        {
+            "program": f"hybrid_id {__version__}",
+            "commit": at,
+            "method": method.value,
+            "train_records": train_records,
+            "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+            "cases": manifest,
+        },
+    )
+    todo = [read_case(cases / name) for name in manifest["names"]]
+    keys = {case.name: key_of(case, settings, __version__, at) for case in todo}
+    left = [case for case in todo if not is_done(load(folder, case.name), keys[case.name])]
+    done, broken = len(todo) - len(left), 0
+    if done:
+        remark(f"{method}: {done} of {len(todo)} cases are kept from before")
+    try:
+        with counting(method.value) as bar:
+            task = bar.add_task(method.value, total=len(left))
+            for number, said in run_cases(settings, left, jobs=jobs, scheduler=scheduler):
+                case, about = left[number], said["run"]
+                save(folder, said | {"run": about | {"commit": at}}, keys[case.name])
+                done, broken = done + 1, broken + bool(about["message"])
+                bar.advance(task)
+                how = about["message"] or f"{said['verdict']}, {about['seconds']:.0f} s"
+                bar.console.print(
+                    f"{method} {done} of {len(todo)}: {case.name}, {how}", markup=False, style="dim"
+                )
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(
+            f"stopped; {done} of {len(todo)} cases are kept in {folder}, and the same command goes on"
+        ) from None
+    if broken:
+        remark(f"{method}: {broken} of {len(todo)} cases broke; the same command tries them again")
+    return broken

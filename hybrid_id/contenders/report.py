@@ -1,0 +1,65 @@
+"""What every contender answers with, in the form of ``diagnosis.json``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hybrid_id.gap.measure import errors
+from hybrid_id.gap.shrink import shrink
+from hybrid_id.identification.result import FitResult
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.systems.chain import System
+
+
+def suspect(name: str, where: str, probability: float, *, selected: bool = False) -> dict[str, Any]:
+    """One effect of the ranking."""
+    return {
+        "name": name, "where": where, "probability": round(float(probability), 4), "tied_with": [],
+        "parameters": {}, "selected": selected,
+    }  # fmt: skip
+
+
+def answer(
+    case: str, effects: Sequence[Mapping[str, Any]], gap: Mapping[str, Any], *, unknown: bool = False
+) -> dict[str, Any]:
+    """The answer of a contender.
+
+    Args:
+        case: name of the dataset.
+        effects: by :func:`suspect`, best first.
+        gap: by :func:`gap_of`, or without figures where a method has no model to simulate.
+        unknown: whether it says that something outside the catalogue acts.
+    """
+    found = any(effect["selected"] for effect in effects)
+    verdict = "outside_catalogue" if unknown else "effects" if found else "no_gap"
+    return {
+        "case": case,
+        "verdict": verdict,
+        "unknown": unknown,
+        "no_gap": verdict == "no_gap",
+        "effects": list(effects),
+        "ties": [],
+        "gap": dict(gap),
+    }
+
+
+def gap_of(dataset: Dataset, today: System, before: FitResult, after: FitResult) -> dict[str, Any]:
+    """Errors on the test records of today's model, of its re-fit, and of the model that a contender stands by.
+
+    Args:
+        dataset: with test records, else nothing is known.
+        today: the model as it was given.
+        before: its re-fit.
+        after: the fit of the corrected one.
+    """
+    nominal = errors(dataset, today)
+    first = errors(dataset, before.system, before.engine)
+    last = errors(dataset, after.system, after.engine)
+    if nominal is None or first is None or last is None:
+        return {}
+    closed = shrink(first, last, min(last.noise, last.nrmse))
+    return {
+        "nominal": nominal.nrmse, "refit": first.nrmse, "with_effect": last.nrmse, "noise_floor": closed.floor,
+        "shrink": closed.share, "shrink_interval": list(closed.interval),
+    }  # fmt: skip

@@ -1,0 +1,128 @@
+"""The scoreboard of a blind check as text: one column a contender, intervals, targets, and what fell short."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hybrid_id.errors import InputError
+
+Scores = Mapping[str, Any]
+"""What ``blind score`` keeps in ``scores.json``."""
+
+ROWS = {
+    "top_1": "first name right (single effects)",
+    "top_3": "among the first three",
+    "place": "place of the first right",
+    "top_1_at_place": "first name right at the right place",
+    "f1": "F1 of the set (pairs)",
+    "whole": "exactly what was at work named (all cases)",
+    "false_alarms": "false alarms (nothing at work)",
+    "outside_detected": "outside the catalogue: detected",
+    "false_unknown": "false 'unknown'",
+    "shrink_error": "error of the claimed shrink, median [points]",
+    "covered": "95 % intervals that hold the true shrink",
+    "closed": "closable gap that is closed, median",
+    "seconds": "time per case, median [s]",
+    "broken": "broken cases",
+}
+IN_GROUPS = ("cases", "top_1", "top_3", "place", "f1", "whole", "false_unknown", "closed", "seconds")
+"""Scores that are shown group by group."""
+SHORT = {
+    "cases": "cases", "top_1": "first name", "top_3": "first three", "place": "place", "f1": "F1",
+    "whole": "all right", "false_unknown": "false unknown", "closed": "gap closed", "seconds": "time [s]",
+}  # fmt: skip
+
+
+def value(name: str, score: Mapping[str, Any] | None, *, interval: bool = True) -> str:
+    """A score in words: value, interval and number of cases."""
+    if score is None:
+        return "–"
+    if name == "cases":
+        return str(score["value"])
+    percent = name not in ("f1", "shrink_error", "seconds")
+    form = "{:.1f}" if name in ("shrink_error", "seconds") else "{:.2f}"
+
+    def number(x: float) -> str:
+        return f"{100 * x:.0f}" if percent else form.format(x)
+
+    text = number(score["value"]) + (" %" if percent else "")
+    if not interval or name == "seconds" or score.get("low") is None:
+        return text
+    return f"{text} ({number(score['low'])} to {number(score['high'])}; {score['n']})"
+
+
+def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def score_rows(content: Scores) -> tuple[list[str], list[list[str]]]:
+    """Heads and rows of the main table: scores against contenders."""
+    methods = list(content["methods"])
+    rows = []
+    for name, words in ROWS.items():
+        told = [content["methods"][m]["scores"]["all"].get(name) for m in methods]
+        if any(told):
+            rows.append([words, *(value(name, one) for one in told)])
+    return ["", *methods], rows
+
+
+def target_rows(targets: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
+    """Heads and rows of the targets."""
+    verdict = {True: "met", False: "**missed**", None: "no case"}
+    rows = [
+        [t["claim"], t["target"], value(t["score"], t["seen"]), verdict[t["met"]], ", ".join(t["cases"][:12])]
+        for t in targets
+    ]
+    return ["claim", "target", "seen", "", "cases to look at"], rows
+
+
+def group_rows(groups: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Heads and rows of one dimension."""
+    shown = [name for name in IN_GROUPS if any(name in figures for figures in groups.values())]
+    rows = [[group, *(value(n, f.get(n), interval=False) for n in shown)] for group, f in groups.items()]
+    return ["", *(SHORT[name] for name in shown)], rows
+
+
+def markdown(content: Scores) -> str:
+    """A section for a file of scoreboards.
+
+    Args:
+        content: what is kept in ``scores.json``.
+    """
+    about, first = content["about"], next(iter(content["methods"]))
+    parts = [
+        f"## {about['date']}, commit {about['commit'][:7]}, seed {about['seed']}",
+        f"{about['scored']} of {about['cases']} cases scored; made at commit {about['made_at'][:7]}, hash of the "
+        f"answers {about['sha256'][:16]}. Shares with Wilson's 95 % interval and the number of cases behind them.",
+        "\n".join(f"    {line}" for line in about["commands"]),
+        table(*score_rows(content)),
+        f"Targets, for `{first}`:",
+        table(*target_rows(content["methods"][first]["targets"])),
+        calibration(content["methods"][first]["scores"]["reliability"]),
+    ]
+    for dimension, groups in content["methods"][first]["scores"]["by"].items():
+        parts += [f"`{first}` by {dimension}:", table(*group_rows(groups))]
+    return "\n\n".join(parts) + "\n"
+
+
+def calibration(told: Mapping[str, Any]) -> str:
+    """The calibration of the probabilities in a sentence."""
+    if told["expected_error"] is None:
+        return "No effect was ranked, so that there is no probability to judge."
+    return (
+        f"Probability of the effect ranked first: expected calibration error {told['expected_error']:.3f}, "
+        f"Brier score {told['brier']:.3f} over {told['n']} cases."
+    )
+
+
+def append_section(path: Path, section: str) -> None:
+    """Add a section at the end of a file; what stands there is never touched."""
+    try:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(("\n" if file.tell() else "") + section)
+    except OSError as error:
+        raise InputError(f"{path} cannot be written ({error.strerror}); give another file") from None

@@ -1,0 +1,116 @@
+"""Pieces of work done one by one, in processes of this machine, or on a Dask cluster; a broken one loses no other."""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import torch
+from joblib import Parallel, delayed
+from joblib.externals.loky.process_executor import BrokenProcessPool
+
+from hybrid_id.errors import InputError
+
+TIMEOUT = 20.0
+"""Time [s] within which a Dask scheduler has to answer."""
+
+Work = Callable[[Any, Any], Any]
+"""Takes what all pieces share and one piece, and returns its result."""
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What is left of a piece of work that broke: the reason in one line."""
+
+    message: str
+
+
+def fan_out(
+    work: Work, shared: Any, pieces: Sequence[Any], *, jobs: int = 1, scheduler: str | None = None
+) -> Iterator[tuple[int, Any]]:
+    """Yield the number of each piece and its result, or a :class:`Failure`, as soon as it is done.
+
+    Args:
+        work: a function of a module, so that other processes can import it.
+        shared: what all pieces share.
+        pieces: the second argument of each call.
+        jobs: processes on this machine.
+        scheduler: address of an existing Dask cluster, which is taken instead.
+
+    Raises:
+        InputError: nobody answers at the address, or Dask is not installed.
+    """
+    if scheduler is not None:
+        yield from _on_dask(work, shared, pieces, scheduler)
+    elif jobs > 1:
+        yield from _in_processes(work, shared, pieces, jobs)
+    else:
+        yield from (_attempt(work, shared, k, piece) for k, piece in enumerate(pieces))
+
+
+def _attempt(work: Work, shared: Any, number: int, piece: Any) -> tuple[int, Any]:
+    torch.set_num_threads(1)
+    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
+        # a terminal sends Ctrl-C to all; the first process decides
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        return number, work(shared, piece)
+    except Exception as error:  # whatever breaks one piece must not take the others along
+        return number, _failure(error)
+
+
+def _failure(error: BaseException | None) -> Failure:
+    words = f"{type(error).__name__}: {error}" if error is not None else "its worker was lost"
+    return Failure(words.splitlines()[0])
+
+
+def _in_processes(work: Work, shared: Any, pieces: Sequence[Any], jobs: int) -> Iterator[tuple[int, Any]]:
+    left = dict(enumerate(pieces))
+    try:
+        calls = (delayed(_attempt)(work, shared, k, piece) for k, piece in enumerate(pieces))
+        found = Parallel(jobs, return_as="generator_unordered", pre_dispatch="n_jobs")(calls)
+        for number, result in cast("Iterator[tuple[int, Any]]", found):
+            del left[number]
+            yield number, result
+    except BrokenProcessPool:
+        # a process was killed: the rest in pools of their own, which tells the guilty piece
+        for number, piece in left.items():
+            try:
+                yield from cast(
+                    "list[tuple[int, Any]]", Parallel(2)([delayed(_attempt)(work, shared, number, piece)])
+                )
+            except BrokenProcessPool as error:
+                yield number, _failure(error)
+
+
+def _on_dask(work: Work, shared: Any, pieces: Sequence[Any], address: str) -> Iterator[tuple[int, Any]]:
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise InputError(
+            "The backend dask needs the package distributed; install hybrid-id[dask], or use --jobs."
+        ) from None
+    try:
+        client = Client(address, timeout=TIMEOUT, set_as_default=False)
+    except (OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"No Dask scheduler answers at {address} ({reason}); start one there.") from None
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise InputError(
+                f"The Dask scheduler at {address} has no worker; start some with 'dask worker {address}'."
+            )
+        common = client.scatter(shared, broadcast=True, hash=False)
+        futures = {
+            client.submit(_attempt, work, common, k, piece, pure=False): k for k, piece in enumerate(pieces)
+        }
+        try:
+            for future in as_completed(list(futures), loop=client.loop, raise_errors=False):
+                done = future.status == "finished"
+                yield future.result() if done else (futures[future], _failure(future.exception()))  # type: ignore[misc]
+        finally:
+            client.cancel(list(futures))

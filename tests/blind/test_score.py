@@ -1,0 +1,203 @@
+"""Judging: right, equivalent, wrong, tied, pair, none, unknown and broken; scores by hand."""
+
+import math
+from typing import Any
+
+import pytest
+
+from hybrid_id.blind.judge import Judged, judge
+from hybrid_id.blind.score import confusion, figures, median, reliability, scores, share
+from hybrid_id.blind.targets import against_targets
+
+FRICTION = "joint1/motor_friction"
+ORACLE = {"nominal": 0.4, "refit": 0.11, "with_effect": 0.01, "noise_floor": 0.01}
+
+
+def truth(name: str, where: str = FRICTION, *, also: tuple[str, ...] = ()) -> dict[str, Any]:
+    accept_where = [where, where.replace("motor_friction", "link_friction")]
+    accept = [] if name == "unknown" else [name, *also]
+    return {"name": name, "where": where, "accept": accept, "accept_where": accept_where}
+
+
+def sheet(family: str, *effects: dict[str, Any], level: str = "strong") -> dict[str, Any]:
+    about = {"level": level, "oracle": ORACLE, "made_by": {"engine": "in_house"}}
+    return {"family": family, "effects": list(effects), **about}
+
+
+def effect(
+    name: str, where: str = FRICTION, p: float = 0.5, selected: bool = False, **more: Any
+) -> dict[str, Any]:
+    return {"name": name, "where": where, "probability": p, "selected": selected, "tied_with": []} | more
+
+
+def said(
+    *effects: dict[str, Any], unknown: bool = False, gap: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    about = {"message": "", "system": "one_link", "train_records": 6, "seconds": 2.0}
+    return {"effects": list(effects), "unknown": unknown, "gap": gap or {}, "run": about}
+
+
+STRIBECK = sheet("single", truth("stribeck_friction", also=("presliding_friction",)))
+PAIR = sheet("pair", truth("stribeck_friction"), truth("delay", "joint1/input"))
+NONE = sheet("none", level="none")
+OUTSIDE = sheet("unknown", truth("unknown"))
+
+
+def test_right_name_at_right_place() -> None:
+    gap = {"refit": 0.11, "with_effect": 0.02, "shrink": 0.95, "shrink_interval": [0.85, 0.97]}
+    one = judge("c1", STRIBECK, said(effect("stribeck_friction", p=0.9, selected=True), gap=gap))
+    assert one.top_1 and one.top_3 and one.place and one.top_1_at_place and one.whole
+    assert one.said == one.effect == "stribeck_friction" and one.confidence == (0.9, True)
+    assert one.shrink_error == pytest.approx(5.0) and one.covered and one.closed == pytest.approx(0.9)
+    assert (one.system, one.records, one.engine, one.level) == ("one_link", 6, "in_house", "strong")
+    assert one.false_unknown is False and one.false_alarm is None and one.outside is None and one.pair is None
+
+
+def test_equivalent_of_a_tie_counts_as_the_effect() -> None:
+    tied = effect(
+        "presliding_friction", FRICTION.replace("motor", "link"), 0.6, True, tied_with=["stribeck_friction@x"]
+    )
+    one = judge("c1", STRIBECK, said(tied))
+    assert one.top_1_at_place and one.whole and one.said == "stribeck_friction"
+
+
+def test_wrong_name_keeps_its_place_and_its_rank() -> None:
+    guesses = [
+        effect("coulomb_friction", p=0.8, selected=True),
+        effect("delay", "joint1/input"),
+        effect("stribeck_friction"),
+    ]
+    one = judge("c1", STRIBECK, said(*guesses))
+    assert (one.top_1, one.top_3, one.place, one.top_1_at_place, one.whole) == (
+        False,
+        True,
+        True,
+        False,
+        False,
+    )
+    assert one.said == "coulomb_friction" and one.confidence == (0.8, False)
+    assert one.closed == 0.0 and one.shrink_error is None
+
+
+def test_right_name_at_wrong_place() -> None:
+    one = judge("c1", STRIBECK, said(effect("stribeck_friction", "joint2/motor_friction", selected=True)))
+    assert (one.top_1, one.place, one.top_1_at_place, one.whole) == (True, False, False, False)
+
+
+@pytest.mark.parametrize(
+    ("names", "hits", "f1"),
+    [
+        (["stribeck_friction", "delay"], 2, 1.0),
+        (["stribeck_friction"], 1, 2 / 3),
+        (["stribeck_friction", "cogging"], 1, 0.5),
+        (["cogging", "delay", "stribeck_friction"], 2, 0.8),
+        ([], 0, 0.0),
+    ],
+)
+def test_pair_by_the_f1_of_its_set(names: list[str], hits: int, f1: float) -> None:
+    where = {"delay": "joint1/input", "cogging": "joint1/motor"}
+    one = judge("c1", PAIR, said(*(effect(n, where.get(n, FRICTION), selected=True) for n in names)))
+    assert one.pair == (hits, len(names), 2) and one.f1 == pytest.approx(f1)
+    assert one.whole == (f1 == 1.0) and one.top_1 is None and one.effect == "stribeck_friction+delay"
+
+
+def test_one_answer_serves_one_effect_of_a_pair() -> None:
+    twice = sheet("pair", truth("stribeck_friction", also=("dahl",)), truth("dahl"))
+    one = judge("c1", twice, said(effect("dahl", selected=True)))
+    assert one.pair == (1, 1, 2)
+
+
+def test_nothing_at_work() -> None:
+    quiet = judge("c1", NONE, said(effect("delay", p=0.1)))
+    assert quiet.false_alarm is False and quiet.whole and quiet.said == "none" and quiet.closed is None
+    assert quiet.confidence == (0.1, False)
+    for loud in (said(effect("delay", selected=True)), said(unknown=True)):
+        assert judge("c1", NONE, loud).false_alarm and not judge("c1", NONE, loud).whole
+    assert judge("c1", NONE, said(unknown=True)).false_unknown
+
+
+def test_outside_the_catalogue() -> None:
+    seen = judge("c1", OUTSIDE, said(effect("delay", p=0.3), unknown=True))
+    assert seen.outside and seen.whole and seen.said == "unknown" and seen.false_unknown is None
+    missed = judge("c1", OUTSIDE, said(effect("delay", selected=True)))
+    assert missed.outside is False and not missed.whole and missed.said == "delay"
+
+
+@pytest.mark.parametrize(
+    "broken", [None, {"case": "c1", "run": {"message": "ValueError: no", "method": "bic"}}]
+)
+def test_broken_case_has_nothing_right(broken: dict[str, Any] | None) -> None:
+    one = judge("c1", STRIBECK, broken)
+    assert one.top_1 is False and one.place is False and not one.whole and one.said == "broken" and one.broken
+    assert one.closed == 0.0 and one.confidence is None
+    quiet = judge("c1", NONE, broken)
+    assert quiet.false_alarm is None and not quiet.whole
+
+
+def cases() -> list[Judged]:
+    right = said(effect("stribeck_friction", p=0.95, selected=True))
+    return [
+        judge("c1", STRIBECK, right),
+        judge("c2", STRIBECK, right),
+        judge("c3", STRIBECK, said(effect("cogging", p=0.95, selected=True))),
+        judge("c4", NONE, said()),
+        judge("c5", OUTSIDE, said(unknown=True)),
+        judge("c6", PAIR, right),
+        judge("c7", STRIBECK, None),
+    ]
+
+
+def test_figures_of_a_group() -> None:
+    found = figures(cases())
+    assert found["cases"]["value"] == 7
+    assert (
+        found["top_1"]["value"] == 0.5
+        and found["top_1"]["n"] == 4
+        and found["top_1"]["wrong"] == ["c3", "c7"]
+    )
+    assert found["false_alarms"]["value"] == 0 and found["outside_detected"]["value"] == 1
+    assert found["f1"]["value"] == pytest.approx(2 / 3) and found["f1"]["wrong"] == ["c6"]
+    assert found["broken"]["wrong"] == ["c7"]
+    assert "covered" not in found
+
+
+def test_scores_by_group_and_confusion() -> None:
+    told = scores(cases())
+    assert told["by"]["family"]["none"]["cases"]["value"] == 1
+    assert told["by"]["family and level"]["single, strong"]["top_1"]["n"] == 4
+    assert told["by"]["train records"]["6"]["cases"]["value"] == 6
+    table = confusion(cases())
+    assert table["rows"] == ["stribeck_friction", "none", "unknown"]
+    assert table["columns"] == ["cogging", "stribeck_friction", "none", "unknown", "broken"]
+    assert table["counts"] == [[1, 2, 0, 0, 1], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0]]
+
+
+def test_wilson_interval() -> None:
+    # Newcombe, Stat. Med. 17 (1998), table I: 81 of 263, method 3
+    found = share([True] * 81 + [False] * 182)
+    assert (found["low"], found["high"]) == (pytest.approx(0.2553, abs=1e-4), pytest.approx(0.3662, abs=1e-4))
+
+
+def test_median_and_its_interval() -> None:
+    found = median([float(k) for k in range(1, 11)])
+    # n = 10: order statistics 2 and 9 hold the median with 97.9 %
+    assert (found["value"], found["low"], found["high"]) == (5.5, 2.0, 9.0)
+    assert median([1.0, 2.0])["low"] is None
+
+
+def test_reliability() -> None:
+    told = reliability([(0.95, True)] * 3 + [(0.95, False), (0.25, False), (1.0, True)])
+    assert [b["n"] for b in told["bins"]] == [1, 5]
+    claimed = (4 * 0.95 + 1.0) / 5
+    assert told["expected_error"] == pytest.approx((0.25 + 5 * abs(claimed - 0.8)) / 6)
+    assert reliability([])["expected_error"] is None
+
+
+def test_targets_say_what_fell_short_and_where_to_look() -> None:
+    rows = {row["claim"]: row for row in against_targets(scores(cases()))}
+    strong = rows["strong effects: first name right"]
+    assert strong["target"] == "≥ 95 %" and strong["met"] is False and strong["cases"] == ["c3", "c7"]
+    assert rows["medium effects: first name right"]["met"] is None
+    assert rows["false alarms where the structure is right"]["met"]
+    assert rows["95 % intervals that hold the true shrink"]["target"] == "90-99 %"
+    assert all(math.isfinite(row["seen"]["value"]) for row in rows.values() if row["seen"])

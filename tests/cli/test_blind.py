@@ -1,0 +1,116 @@
+"""`blind make | run | score | reproduce` from the command line: sealed, resumed, refused, scored and published."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gapcase import small_case
+from typer.testing import CliRunner
+
+from hybrid_id.blind import campaign as plans
+from hybrid_id.blind import levels
+from hybrid_id.blind.seal import seal
+from hybrid_id.cli.app import app
+from hybrid_id.components import ConstantTorque
+from hybrid_id.records.yaml_file import write_yaml
+from hybrid_id.systems.model_file import save_model
+
+ORACLE = {"nominal": 0.3, "refit": 0.1, "with_effect": 0.01, "noise_floor": 0.01}
+BIAS = {
+    "name": "constant_torque", "where": "joint1/load", "accept": ["constant_torque"], "accept_where": ["joint1/load"],
+}  # fmt: skip
+ABOUT = {"seed": 5, "commit": "0" * 40, "asked": 3, "options": {"system": "one_link", "family": None}}
+
+
+def call(*words: object, fails: str = "") -> str:
+    """Output of a command; where it shall be refused, the sentence matches and the exit code is 2."""
+    result = CliRunner().invoke(app, ["blind", *map(str, words)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    if fails:
+        assert result.exit_code == 2 and re.search(fails, result.output), result.output
+    return result.output
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    """Three sealed cases: a bias that is withheld, nothing, and a broken one."""
+    cases = tmp_path / "cases"
+    for name, missing in (("c001", ConstantTorque(T_0=0.15)), ("c002", None), ("c003", None)):
+        dataset, system = small_case(missing)
+        place = dataset.save(cases / name)
+        save_model(system, place / "model.yaml")
+        truth = {"family": "single" if missing else "none", "effects": [BIAS] if missing else []}
+        write_yaml(cases / "answers" / f"{name}.yaml", truth | {"level": "strong", "oracle": ORACLE})
+    (cases / "c003" / "model.yaml").write_text("system: one_leg\n")
+    seal(cases, tmp_path / "sealed" / "a.tar", ABOUT)
+    return tmp_path
+
+
+def test_run_is_scored_and_published(home: Path) -> None:
+    cases, runs, archive = home / "cases", home / "runs", home / "sealed" / "a.tar"
+    said = call("run", cases, "--out", runs, "--method", "stribeck", "--method", "sparse")
+    assert "c003, InputError" in said and "1 of 3 cases broke" in said
+    before = (runs / "sparse" / "c001" / "diagnosis.json").stat().st_mtime_ns
+    assert "2 of 3 cases are kept from before" in call("run", cases, "--out", runs, "--method", "sparse")
+    assert (runs / "sparse" / "c001" / "diagnosis.json").stat().st_mtime_ns == before
+    board = home / "blind.md"
+    board.write_text("# Earlier\n")
+    told = call("score", runs, "--answers", archive, "--append", board)
+    assert (
+        "reproduce --out blind --seed 5 --cases 3 --system one_link --method sparse --method stribeck" in told
+    )
+    content = json.loads((runs / "scores.json").read_text())
+    assert content["about"]["scored"] == 3 and list(content["methods"]) == ["sparse", "stribeck"]
+    stribeck = content["methods"]["stribeck"]["scores"]["all"]
+    assert stribeck["top_1"]["value"] == 0 and stribeck["false_alarms"]["value"] == 1
+    assert stribeck["broken"]["wrong"] == ["c003"]
+    assert {"confusion.png", "reliability.png", "report.html", "scoreboard.md"} <= {
+        p.name for p in runs.iterdir()
+    }
+    call("score", runs, "--answers", archive, "--append", board)
+    text = board.read_text()
+    assert text.startswith("# Earlier\n\n## ") and text.count(", seed 5\n") == 2
+
+
+def test_answers_within_reach_and_other_answers_are_refused(home: Path) -> None:
+    cases, runs, archive = home / "cases", home / "runs", home / "sealed" / "a.tar"
+    (home / "answers").mkdir()
+    call("run", cases, "--out", runs, fails="answers can be read by the run")
+    (home / "answers").rmdir()
+    call("run", cases, "--out", runs, "--method", "sparse")
+    archive.write_bytes(archive.read_bytes() + b"x")
+    call("score", runs, "--answers", archive, fails="not the archive that was sealed")
+
+
+def test_unfinished_run_is_scored_on_demand_only(home: Path) -> None:
+    cases, runs, archive = home / "cases", home / "runs", home / "sealed" / "a.tar"
+    call("run", cases, "--out", runs, "--method", "sparse")
+    (runs / "sparse" / "c002" / "diagnosis.json").unlink()
+    call("score", runs, "--answers", archive, fails="lacks 1 of 3 cases")
+    assert "2 of 3 cases scored" in call("score", runs, "--answers", archive, "--partial")
+
+
+def test_wrong_input_is_refused(home: Path, tmp_path: Path) -> None:
+    cases, archive = home / "cases", home / "sealed" / "a.tar"
+    call("run", home / "nothing", "--out", home / "runs", fails=r"has no manifest\.json")
+    call("run", cases, "--out", cases, fails="holds files that are no runs")
+    call("run", cases, "--out", home / "runs", "--backend", "dask", fails="belong together")
+    call("score", home / "cases", "--answers", archive, fails="holds no run")
+    call("make", "--out", tmp_path / "x", "--seed", "five", fails="neither a number nor 'commit'")
+    call("make", "--out", tmp_path / "x", "--open-answers", "--answers", archive, fails="contradict")
+    call("make", "--out", tmp_path / "x", "--answers", archive, fails="exists already")
+
+
+def test_one_command_makes_runs_and_scores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
+    monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+    wish = ["--cases", 1, "--seed", 4, "--family", "none", "--system", "one_link", "--method", "sparse"]
+    said = call("reproduce", "--out", tmp_path / "a", *wish)
+    assert "1 of 1 cases scored" in said and "hash of the answers" in said
+    assert "hash of the answers:" not in call("reproduce", "--out", tmp_path / "a", *wish)
+    call("reproduce", "--out", tmp_path / "a", *wish, "--level", "weak", fails="cases of another seed")
+    again = call("reproduce", "--out", tmp_path / "b", *wish)
+    assert re.findall(r"hash of the answers: (\w+)", again) == re.findall(r"hash of the answers: (\w+)", said)
