@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from string import Template
 
-FLAGS = ("-O1", "-std=gnu11", "-fPIC", "-fno-math-errno", "-ffp-contract=off")
+FLAGS = (
+    "-O1", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC", "-fopenmp-simd", "-fno-math-errno",
+    "-ffp-contract=off",
+)  # fmt: skip
 """As exact as the eager engine: whether a joint sticks may hang on a difference that is zero."""
 
 TEMPLATE = Template("""\
 #include <math.h>
+#include <string.h>
 enum { NX = $n_x, HELD = $held, NP = $n_p, FIXED = $n_fixed, ND = $n_dry, SPEEDS = $n_speeds, MANY = ND ? ND : 1 };
+/* columns of tangents, by the state before and by free parameters; none where they are not asked for */
+enum { NC = $n_columns, MC = NC ? NC : 1 };
+#define COLUMNS _Pragma("omp simd") for (int c = 0; c < NC; c++)
 /* state row of each dry speed; the dry speeds, NONE where there is none, that the links of an arm couple */
 static const int row[MANY] = { $rows };
 enum { NONE = MANY, FIRST = $first, SECOND = $second };
@@ -20,8 +27,9 @@ static void prepare(const double *p, double *fixed)
 $prepare
 }
 
-/* time derivative of the state for directions d of dry friction */
-static void rates(const double *x, const double *u, const double *p, const double *fixed, const double *d, double *k)
+/* time derivative of the state for directions d of dry friction; x_t, k_t ... are tangents */
+static void rates(const double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed,
+                  const double *d, double *k, double (*k_t)[MC])
 {
 $rates
 }
@@ -35,23 +43,37 @@ $pushes
 }
 
 /* the states that remember, h seconds later at constant motion */
-static void remember(double *x, const double *u, const double *p, const double *fixed, double h)
+static void remember(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h)
 {
+    double k_t[NX][MC];
 $remember
 }
 
-static void rk4(const double *x, const double *u, const double *p, const double *fixed, const double *d, double h,
-                double *after)
+/* x + step k, where the step's tangent is part h_t */
+static void along(const double *x, double (*x_t)[MC], double step, double part, const double *h_t,
+                  const double *k, double (*k_t)[MC], double *at, double (*at_t)[MC])
 {
-    double k[4][NX], at[NX];
-    rates(x, u, p, fixed, d, k[0]);
-    for (int i = 0; i < NX; i++) at[i] = x[i] + (0.5 * h) * k[0][i];
-    rates(at, u, p, fixed, d, k[1]);
-    for (int i = 0; i < NX; i++) at[i] = x[i] + (0.5 * h) * k[1][i];
-    rates(at, u, p, fixed, d, k[2]);
-    for (int i = 0; i < NX; i++) at[i] = x[i] + h * k[2][i];
-    rates(at, u, p, fixed, d, k[3]);
-    for (int i = 0; i < NX; i++) after[i] = x[i] + h / 6.0 * (k[0][i] + 2.0 * (k[1][i] + k[2][i]) + k[3][i]);
+    for (int i = 0; i < NX; i++) {
+        at[i] = x[i] + step * k[i];
+        COLUMNS at_t[i][c] = x_t[i][c] + part * k[i] * h_t[c] + step * k_t[i][c];
+    }
+}
+
+static void rk4(const double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed,
+                const double *d, double h, const double *h_t, double *after, double (*after_t)[MC])
+{
+    double k[4][NX], k_t[4][NX][MC];
+    rates(x, x_t, u, p, fixed, d, k[0], k_t[0]);
+    for (int stage = 1; stage < 4; stage++) {
+        const double part = stage < 3 ? 0.5 : 1.0;
+        along(x, x_t, part * h, part, h_t, k[stage - 1], k_t[stage - 1], after, after_t);
+        rates(after, after_t, u, p, fixed, d, k[stage], k_t[stage]);
+    }
+    for (int i = 0; i < NX; i++) {
+        k[0][i] = k[0][i] + 2.0 * (k[1][i] + k[2][i]) + k[3][i];
+        COLUMNS k_t[0][i][c] = k_t[0][i][c] + 2.0 * (k_t[1][i][c] + k_t[2][i][c]) + k_t[3][i][c];
+    }
+    along(x, x_t, h / 6.0, 1.0 / 6.0, h_t, k[0], k_t[0], after, after_t);
 }
 
 /* a speed at rest goes where it is pushed beyond its level; two coupled links find the one pair that agrees */
@@ -117,69 +139,111 @@ static void breakaways(const double *x, const double *after, const double *u, co
 }
 
 /* one step: to the moment at which a speed reaches zero or breaks away, and on from there */
-static void slide(double *x, const double *u, const double *p, const double *fixed, double h)
+static void slide(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h)
 {
     double d[MANY], released[MANY] = { 0.0 }, leaves[MANY], when[MANY], after[NX], k[NX];
+    double after_t[NX][MC], k_t[NX][MC], h_t[MC] = { 0.0 }, moment_t[MC], late_t[MC];
     for (int events = 2 * SPEEDS;; events--) {
-        int first = -1;
+        int first = -1, event = 0, passes = 0;
         double share = INFINITY;
         directions(x, u, p, fixed, d);
         for (int i = 0; i < ND; i++) {
             if (released[i] != 0.0) d[i] = released[i];
             x[row[i]] *= fabs(d[i]);  /* a speed that is held has forgotten its value */
+            COLUMNS x_t[row[i]][c] *= fabs(d[i]);
         }
-        rk4(x, u, p, fixed, d, h, after);
+        rk4(x, x_t, u, p, fixed, d, h, h_t, after, after_t);
         breakaways(x, after, u, p, fixed, d, leaves, when);
-        int event = 0;
         for (int i = 0; i < ND; i++) {
             const double v = x[row[i]], to = after[row[i]];
             const int crossed = d[i] * to < 0.0;
             const double at = crossed ? v / (v - to) : when[i];
             event |= crossed || leaves[i] != 0.0;
-            if (crossed && events == 0) after[row[i]] = 0.0;
+            if (crossed && events == 0) {
+                after[row[i]] = 0.0;
+                COLUMNS after_t[row[i]][c] = 0.0;
+            }
             if (first < 0 || at < share) {
                 share = at;
                 first = i;
+                passes = crossed;
             }
         }
         if (!event || events == 0) {
-            for (int i = 0; i < NX; i++) x[i] = after[i];
+            memcpy(x, after, sizeof after);
+            memcpy(x_t, after_t, sizeof after_t);
             return;
         }
         /* the chord's estimate of that moment, then one Newton step on the speed that reaches zero there */
-        const double moment = share * h, before = x[row[first]];
-        rk4(x, u, p, fixed, d, moment, after);
-        rates(after, u, p, fixed, d, k);
-        const double slope = k[row[first]];
-        double late = slope * before < 0.0 ? after[row[first]] / slope : 0.0;
-        late = late < moment - h ? moment - h : late;
+        const int f = row[first];
+        const double before = x[f], drop = before - after[f], moment = share * h;
+        COLUMNS moment_t[c] = share * h_t[c]
+            + (passes ? h * (before * after_t[f][c] - after[f] * x_t[f][c]) / (drop * drop) : 0.0);
+        rk4(x, x_t, u, p, fixed, d, moment, moment_t, after, after_t);
+        rates(after, after_t, u, p, fixed, d, k, k_t);
+        const int slows = k[f] * before < 0.0;
+        double late = slows ? after[f] / k[f] : 0.0;
+        COLUMNS late_t[c] = slows ? (after_t[f][c] - late * k_t[f][c]) / k[f] : 0.0;
+        /* no later than the step's end, no earlier than its start; where both are equal they share the tangent */
+        const double low = moment - h, above = late > low ? 1.0 : late < low ? 0.0 : 0.5;
+        late = late < low ? low : late;
+        COLUMNS late_t[c] = above * late_t[c] + (1.0 - above) * (moment_t[c] - h_t[c]);
+        const double below = late < moment ? 1.0 : late > moment ? 0.0 : 0.5;
         late = late > moment ? moment : late;
-        for (int i = 0; i < NX; i++) x[i] = after[i] - late * k[i];
-        x[row[first]] = 0.0;
+        COLUMNS late_t[c] = below * late_t[c] + (1.0 - below) * moment_t[c];
+        along(after, after_t, -late, -1.0, late_t, k, k_t, x, x_t);
+        x[f] = 0.0;
+        COLUMNS x_t[f][c] = 0.0;
         for (int i = 0; i < ND; i++) released[i] = i == first ? leaves[i] : 0.0;
         h -= moment - late;
+        COLUMNS h_t[c] -= moment_t[c] - late_t[c];
     }
 }
 
+static void sample(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h,
+                   long sub_steps)
+{
+    for (long s = 0; s < sub_steps; s++) {
+        remember(x, x_t, u, p, fixed, 0.5 * h);
+        slide(x, x_t, u, p, fixed, h);
+        remember(x, x_t, u, p, fixed, 0.5 * h);
+    }
+}
+
+/* nodes inside each chunk of a length become a rollout of its first */
 void shoot(double *path, const double *u, const double *dt, const double *p, long rows, long samples, long length,
            long sub_steps)
 {
-    double x[NX], held[HELD + 1], fixed[FIXED + 1];
+    double x[NX], x_t[NX][MC], held[HELD + 1], fixed[FIXED + 1];
     for (long r = 0; r < rows; r++) {
         prepare(p + r * NP, fixed);
         for (long t = 0; t + 1 < samples; t++) {
             const long at = r * samples + t;
-            if (t % length == 0)
-                for (int i = 0; i < NX; i++) x[i] = path[at * NX + i];
+            if (t % length == 0) memcpy(x, path + at * NX, sizeof x);
             if ((t + 1) % length == 0) continue;
             for (int i = 0; i < HELD; i++) held[i] = u[i * rows * samples + at];
-            if (dt[at] != 0.0)
-                for (long s = 0; s < sub_steps; s++) {
-                    remember(x, held, p + r * NP, fixed, 0.5 * dt[at]);
-                    slide(x, held, p + r * NP, fixed, dt[at]);
-                    remember(x, held, p + r * NP, fixed, 0.5 * dt[at]);
-                }
-            for (int i = 0; i < NX; i++) path[(at + 1) * NX + i] = x[i];
+            if (dt[at] != 0.0) sample(x, x_t, held, p + r * NP, fixed, dt[at], sub_steps);
+            memcpy(path + (at + 1) * NX, x, sizeof x);
+        }
+    }
+}
+
+/* the sample after every node, and its tangents */
+void linearise(double *next, double *tangents, const double *nodes, const double *u, const double *dt,
+               const double *p, long rows, long samples, long sub_steps)
+{
+    double x_t[NX][MC], held[HELD + 1], fixed[FIXED + 1];
+    for (long r = 0; r < rows; r++) {
+        prepare(p + r * NP, fixed);
+        for (long at = r * samples; at < (r + 1) * samples; at++) {
+            double *x = next + at * NX;
+            for (int i = 0; i < NX; i++) {
+                x[i] = nodes[at * NX + i];
+                COLUMNS x_t[i][c] = c == i;
+            }
+            for (int i = 0; i < HELD; i++) held[i] = u[i * rows * samples + at];
+            sample(x, x_t, held, p + r * NP, fixed, dt[at], sub_steps);
+            memcpy(tangents + at * NX * NC, x_t, NX * NC * sizeof(double));
         }
     }
 }

@@ -23,7 +23,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.simulation.compiled import CompiledStep, serves
-from hybrid_id.simulation.compiled_dry import walk, walks
+from hybrid_id.simulation.compiled_dry import tangents, walk, walks
 from hybrid_id.simulation.condense_code import condense_rows
 from hybrid_id.simulation.measured import Measured, measure
 from hybrid_id.simulation.step import Engine
@@ -79,7 +79,7 @@ def linearise(
     free: Sequence[int],
     outputs: Sequence[str],
 ) -> Linearisation:
-    """Evaluate and differentiate one sample at every node of a batch of rows, reverse mode, block by block.
+    """Evaluate and differentiate one sample at every node of a batch of rows: compiled, or reverse mode by blocks.
 
     Args:
         system: equations of motion.
@@ -92,6 +92,10 @@ def linearise(
         outputs: names of the measured outputs.
     """
     rows, samples, n_x = x.shape
+    if walks(system, engine, x) and not any(joint.drive.delay for joint in system.joints):
+        after, jacobian = tangents(system, engine, x, u, dt, theta, free)
+        measured = measure(system, x, u, theta, free, outputs)
+        return Linearisation(**vars(measured), x_next=after, a=jacobian[..., :n_x], b=jacobian[..., n_x:])
     lanes, columns = rows * samples, n_x + len(free)
     flat_x, flat_dt = x.reshape(lanes, n_x), dt.reshape(lanes)
     flat_u = {name: channel.reshape(lanes) for name, channel in u.items()}

@@ -30,8 +30,8 @@ class Engine:
         friction: "dry" (projection) or "smooth" (tanh).
         substeps: RK4 steps a sample.
         width: smoothing speed [rad/s] of the smooth engine.
-        compiled: whether sub-steps are compiled: with smooth friction and their sensitivities (see
-            :mod:`hybrid_id.simulation.compiled`), with dry friction alone (``compiled_dry``).
+        compiled: whether sub-steps and their sensitivities are compiled (see :mod:`hybrid_id.simulation.compiled` and
+            :mod:`hybrid_id.simulation.compiled_dry`).
     """
 
     friction: str = "dry"

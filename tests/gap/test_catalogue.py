@@ -14,7 +14,7 @@ from hybrid_id import InputError, Record, load_model, one_link, save_model, two_
 from hybrid_id.components import Viscous
 from hybrid_id.gap.catalogue import CATALOGUE, effect
 from hybrid_id.gap.scales import scales
-from hybrid_id.simulation.compiled_dry import source
+from hybrid_id.simulation.dry_equations import source
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.systems import System
 
