@@ -132,9 +132,9 @@ def _say(told: dict[str, Any]) -> None:
         table.add_row(name, found or missing)
     test = told["self_test"]
     verdict = "passed" if test["passed"] else f"FAILED ({', '.join(test['off']) or 'the fit'} off)"
+    how = f"{test['fit_percent']:.2f} % of a record that was held back explained (at least {FIT:g} %)"
     show(
         table,
-        f"self-test {verdict}: a drive of known truth identified in {test['seconds']:.1f} s, {test['fit_percent']:.2f} % of "
-        f"a record that was held back explained (at least {FIT:g} %); each estimate with a standard error has to lie "
-        f"within {REACH:g} of them",
+        f"self-test {verdict}: a drive of known truth identified in {test['seconds']:.1f} s, {how}; each estimate "
+        f"with a standard error has to lie within {REACH:g} of them",
     )

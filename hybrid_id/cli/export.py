@@ -118,7 +118,12 @@ def _program(system: "System", sample_time: float, width: float) -> tuple[bytes,
 def _ranges(system: "System", model: Path) -> str:
     from hybrid_id.export.ranges import read_result, to_ranges
 
-    result = read_result(model / RESULT) if model.is_dir() else None
+    file = model / RESULT
+    if not file.is_file():
+        remark(
+            "there is no result of an identification beside this model: only its priors tell how far it may be off"
+        )
+    result = read_result(file) if file.is_file() else None
     return _as_json({"model": str(model), "format": "ranges"} | to_ranges(system, result))
 
 

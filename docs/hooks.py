@@ -1,0 +1,86 @@
+"""Pages that are made from the package: equation sheets and the Python interface; links out of docs/ are turned in."""
+
+import inspect
+import re
+from pathlib import Path
+
+from mkdocs.structure.files import File
+
+import hybrid_id
+from hybrid_id.components.base import PLACES, REGISTRY
+
+CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
+
+
+def on_files(files, config):
+    """Add the generated pages."""
+    pages = {
+        "equations.md": equations(),
+        "api.md": api(),
+        "contributing.md": CONTRIBUTING.read_text(encoding="utf-8"),
+    }
+    for name, text in pages.items():
+        files.append(File.generated(config, name, content=text))
+    return files
+
+
+def on_page_markdown(markdown, page, **_):
+    """Point at the pages of the site, and leave links to files of the repository as their names."""
+    markdown = markdown.replace("](../CONTRIBUTING.md", "](contributing.md")
+    markdown = re.sub(r"\]\(docs/(\w+\.md)", r"](\1", markdown)
+    return re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", markdown)
+
+
+def equations() -> str:
+    """The docstring of every component, in the order of the chain."""
+    kinds = {kind: part for kind, part in REGISTRY.items() if part.__module__.startswith("hybrid_id.")}
+    parts = [
+        "# Equations",
+        "What every component says, from its docstring. `r` is the gear ratio, angles are in rad.",
+    ]
+    for place in PLACES:
+        parts.append(f"## {place.replace('_', ' ').capitalize()}")
+        for kind, part in sorted(kinds.items()):
+            if part.places[0] == place:
+                parts += [f"### `{kind}`", sheet(part)]
+    return "\n\n".join(parts) + "\n"
+
+
+def sheet(part: type) -> str:
+    """A docstring as Markdown: double backticks become single, roles become names, arguments a list."""
+    text = plain(inspect.getdoc(part) or "")
+    rows = [
+        f"| `{name}` | {spec.unit} | {spec.doc} | {spec.bounded().value:g} | {'yes' if spec.estimate else 'no'} |"
+        for name, spec in part.declared.items()
+    ]
+    heads = "| parameter | unit | meaning | default | estimated |\n| --- | --- | --- | --- | --- |"
+    return text + ("\n\n" + "\n".join([heads, *rows]) if rows else "")
+
+
+def plain(text: str) -> str:
+    """ReStructuredText roles and double backticks as Markdown; sections of arguments as lists."""
+    text = re.sub(r":\w+:`~?([\w.]+)`", lambda m: f"`{m[1].rsplit('.', 1)[-1]}`", text).replace("``", "`")
+    text = re.sub(r"^(Args|Attributes|Returns|Raises|Yields):\n", r"\n**\1**\n\n", text, flags=re.MULTILINE)
+    text = re.sub(r"^    (\w[\w, .]*): ", r"- `\1`: ", text, flags=re.MULTILINE)
+    return re.sub(r"(?<=\S) *\n(?=[a-z0-9(][^|\n]*\|$)", " ", text, flags=re.MULTILINE)
+
+
+def api() -> str:
+    """Every public name with its signature and docstring."""
+    parts = ["# Python interface", "All of this is imported from `hybrid_id`."]
+    for name in sorted(hybrid_id._HOME, key=str.lower):
+        thing = getattr(hybrid_id, name)
+        if isinstance(thing, type) and thing in REGISTRY.values():
+            parts += [f"## `{name}`", f"A component, see its [equation sheet](equations.md#{thing.kind})."]
+            continue
+        try:
+            signature = str(inspect.signature(thing)).replace("hybrid_id.", "").replace("'", "")
+        except ValueError:
+            signature = ""
+        lines = (
+            re.sub(r"(?<=[(,]) (?=\*?\*?\w+[:=,)])", "\n    ", signature)
+            if len(signature) > 80
+            else signature
+        )
+        parts += [f"## `{name}`", f"```text\n{name}{lines}\n```", plain(inspect.getdoc(thing) or "")]
+    return "\n\n".join(parts) + "\n"
