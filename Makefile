@@ -31,7 +31,6 @@ check: $(INSTALLED)  ## lint, format and type checks
 	$(BIN)/pyright
 
 docs: $(INSTALLED)  ## build the documentation (site/)
-	$(BIN)/pip install -q -c constraints.txt -e '.[docs]'
 	$(BIN)/python -m mkdocs build --strict
 
 format: $(INSTALLED)  ## repair what ruff can repair
