@@ -14,24 +14,25 @@ from dataclasses import dataclass
 import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.harmonics import likely_waves
-from hybrid_id.gap.refit import Explanation, Name, Refit, Task
+from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
 MOST = 3
 """Effects at once."""
-FIRST_LOOK, SECOND_LOOK, TO_THE_END = 2, 6, 30
-PROMISING, FINALISTS = 8, 4
-"""Candidates that get a second look, and of these those that are fitted to the end."""
+SECOND_LOOK = 10
+"""Iterations of a second look."""
+PROMISING, EACH, FINALISTS = 14, 3, 4
+"""Candidates that get a second look, starts of one effect among them, and candidates that are fitted to the end."""
+SAME = 2e-3
+"""Costs that differ by less than this share are of one valley."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted to the end."""
 LEAST_RATIO = 1.015
 """An effect must lower the RMS of the errors of prediction at least by this factor ..."""
 MORE_RATIO = 1.05
 """... beside another effect by this one, for what the fit of that one leaves another may pick up ..."""
-LOOSE_RATIO = 1.2
-"""... and by this one where a gear has play, whose contacts are modelled only roughly ..."""
 LEAST_Z = 3.0
 """... and by so many standard errors, block by block."""
 LARGE_RATIO, LARGE_Z = 1.2, 1.5
@@ -69,12 +70,7 @@ class Attribution:
 
 
 def attribute(
-    refit: Refit,
-    system: System,
-    *,
-    most: int = MOST,
-    progress: Progress | None = None,
-    base: Explanation | None = None,
+    refit: Refit, system: System, *, most: int = MOST, progress: Progress | None = None
 ) -> Attribution:
     """Search the catalogue for the effects that the records call for.
 
@@ -83,12 +79,11 @@ def attribute(
         system: today's model.
         most: effects at most.
         progress: called with (stage, done, total).
-        base: today's model already fitted.
     """
-    base = refit.base(system) if base is None else base
+    base = refit.base(system)
     chosen, rounds, restarted = base, [], False
     while len(chosen.effects) < most:
-        found = one_round(refit, chosen, f"effect {len(chosen.effects) + 1}", progress)
+        found = one_round(refit, chosen, system, f"effect {len(chosen.effects) + 1}", progress)
         rounds.append(found)
         if found.best is None or not better(found.best, chosen):
             break
@@ -113,34 +108,40 @@ def attribute(
 def better(richer: Explanation, simpler: Explanation) -> bool:
     """Whether a richer model predicts records that it has not seen clearly better."""
     ratio = (simpler.evidence.error / richer.evidence.error) ** 0.5
-    loose = simpler.result.engine.friction == "smooth"
-    least = LOOSE_RATIO if loose else MORE_RATIO if simpler.effects else LEAST_RATIO
+    least = MORE_RATIO if simpler.effects else LEAST_RATIO
     z = richer.evidence.z(simpler.evidence)
     return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
 
 
-def one_round(refit: Refit, before: Explanation, stage: str, progress: Progress | None = None) -> Round:
+def one_round(
+    refit: Refit, before: Explanation, today: System, stage: str, progress: Progress | None = None
+) -> Round:
     """Every effect of the catalogue added to a model, one at a time."""
-    return Round(before, _ranked(refit, before, tasks(refit, before), stage, progress))
+    return Round(before, _ranked(refit, before, tasks(refit, before, today), stage, progress))
 
 
-def tasks(refit: Refit, before: Explanation) -> list[Task]:
-    """A fit to start for every effect, place and start point."""
+def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
+    """A fit to start for every effect, place and start point.
+
+    Each starts where the model before has ended, and, as long as no effect is known, from today's own values, too: the
+    re-fit may have bent its parameters to make up for what it lacks.
+    """
     batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
+    nominal = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
     taken, found = set(before.effects), []
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
             models = effect.models(before.system, size)
-            if effect.name == "cogging" and before.result.engine.friction == "dry":
+            if effect.name == "cogging":
                 models = effect.scanned(before.system, size, likely_waves(before.result, batch, size.joint))
             for where, starts in models.items():
                 if (effect.name, where) in taken:
                     continue
                 names = tuple(sorted((*before.effects, (effect.name, where))))
-                if effect.name == "backlash":
-                    found.append(Task(names, starts[0], tuple(starts[1:]), before.result))
-                else:
-                    found += [Task(names, start, (), before.result) for start in starts]
+                for start in starts:
+                    names_of = {(info.component, info.symbol): info.name for info in start.table}
+                    plain = start.with_values({names_of[k]: v for k, v in nominal.items() if k in names_of})
+                    found += [Task(names, s) for s in ((start,) if before.effects else (start, plain))]
     return found
 
 
@@ -155,8 +156,8 @@ def _ranked(
         if progress is not None:
             progress(stage, count[0], total)
 
-    seen = refit.run(todo, FIRST_LOOK, tick)
-    ranked = _best_of_each([e for e in seen if e is not None])
+    seen = refit.run(todo, LOOK, tick)
+    ranked = _best_of_each([e for e in seen if e is not None], EACH)
     finished: set[tuple[Name, ...]] = set()
     for keep, iterations in (
         (PROMISING, SECOND_LOOK),
@@ -168,18 +169,25 @@ def _ranked(
         if before.effects:  # beside another effect, one that promises nothing is let go
             limit = min(limit, before.evidence.error)
         rivals = [e for e in ranked[:keep] if e.evidence.error < limit and e.effects not in finished]
-        more = refit.run([Task(e.effects, e.system) for e in rivals if not e.result.ok], iterations, tick)
-        fresh = {e.effects: e for e in more if e is not None}
+        again = [e for e in rivals if not e.result.ok or iterations != TO_THE_END]
+        more = refit.run([Task(e.effects, e.system) for e in again], iterations, tick)
         finished |= {e.effects for e in rivals} if iterations == TO_THE_END else set()
-        ranked = sorted((fresh.get(e.effects, e) for e in ranked), key=lambda e: e.evidence.error)
+        # what has been fitted further counts, be it better or worse; the rest stays as it was seen
+        kept = [e for e in ranked if e not in again]
+        ranked = _best_of_each([*(e for e in more if e is not None), *kept])
     return tuple(ranked)
 
 
-def _best_of_each(found: Sequence[Explanation]) -> list[Explanation]:
-    best: dict[tuple[Name, ...], Explanation] = {}
+def _best_of_each(found: Sequence[Explanation], each: int = 1) -> list[Explanation]:
+    """The best fits of each set of effects, best first; of those that have come to the same end only one."""
+    ends: dict[tuple[Name, ...], list[float]] = {}
+    best = []
     for one in sorted(found, key=lambda e: e.evidence.error):
-        best.setdefault(one.effects, one)
-    return list(best.values())
+        known = ends.setdefault(one.effects, [])
+        if len(known) < each and all(one.result.cost > (1.0 + SAME) * end for end in known):
+            known.append(one.result.cost)
+            best.append(one)
+    return best
 
 
 def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:

@@ -1,9 +1,4 @@
-"""What a fit is worth on records that it has not seen, without fitting it again.
-
-Leaving a record out moves the estimate by one Gauss-Newton step, which the sensitivities of the fit already hold:
-``(H - H_i) delta = sum_{j != i} J_j' r_j``; the record's residuals there are ``r_i - J_i delta``. Exact for a linear
-model (A. C. Davison and D. V. Hinkley, Bootstrap Methods and their Application, 1997, section 6.4: the linear case).
-"""
+"""What errors of prediction say: how large they are, how many independent ones, how surely one model beats another."""
 
 from __future__ import annotations
 
@@ -11,8 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-
-from hybrid_id.identification.result import FitResult
 
 BLOCK = 0.25
 """Length [s] of the blocks in which errors are compared."""
@@ -52,44 +45,19 @@ class Evidence:
         return float(surplus.mean() / max(spread, 1e-3) * np.sqrt(len(surplus)))
 
 
-def evidence(result: FitResult, sample_time: float) -> Evidence:
-    """Errors of a fit on each of its records, left out in turn.
+def evidence(residuals: Sequence[np.ndarray], sample_time: float) -> Evidence:
+    """What errors of prediction say.
 
     Args:
-        result: of several records, pooled; it need not have converged.
+        residuals: weighted errors on each record, which the estimate has not seen, ``(T, n_y)``.
         sample_time: of the records [s].
     """
-    free = [i for i, name in enumerate(result.names) if name not in result.at_bound]
-    return predicted([j[..., free] for j in result.jacobian], result.residual, sample_time)
-
-
-def predicted(jacobian: Sequence[np.ndarray], residual: Sequence[np.ndarray], sample_time: float) -> Evidence:
-    """Errors on each record from the sensitivities and residuals of all, by the step that the others ask for.
-
-    Args:
-        jacobian: weighted sensitivities of each record, ``(T, n_y, n)``.
-        residual: weighted residuals of each record, ``(T, n_y)``.
-        sample_time: of the records [s].
-    """
-    jacobians = [j.reshape(-1, j.shape[-1]) for j in jacobian]
-    residuals = [r.reshape(-1) for r in residual]
-    size = np.sqrt(sum((np.square(j).sum(0) for j in jacobians), np.zeros(jacobians[0].shape[1])))
-    size = np.where(size > 0, size, 1.0)
-    jacobians = [j / size for j in jacobians]
-    hessians = [j.T @ j for j in jacobians]
-    slopes = [j.T @ r for j, r in zip(jacobians, residuals, strict=True)]
-    hessian, slope = np.sum(hessians, 0), np.sum(slopes, 0)
-    blocks, left_out = [], []
-    for j, r, h, g, shape in zip(jacobians, residuals, hessians, slopes, residual, strict=True):
-        alone = len(residuals) == 1
-        step = _solve(hessian if alone else hessian - h, slope if alone else slope - g)
-        error = (r - j @ step).reshape(shape.shape)
-        left_out.append(error)
-        squares = np.square(error).sum(1)
-        length = max(1, round(BLOCK / sample_time))
+    length, blocks = max(1, round(BLOCK / sample_time)), []
+    for residual in residuals:
+        squares = np.square(residual).sum(1)
         blocks.append(np.add.reduceat(squares, np.arange(0, len(squares), length)))
-    samples = sum(int(np.count_nonzero(r)) for r in residual)
-    return Evidence(np.concatenate(blocks), samples, effective_samples(left_out))
+    samples = sum(int(np.count_nonzero(r)) for r in residuals)
+    return Evidence(np.concatenate(blocks), samples, effective_samples(residuals))
 
 
 def effective_samples(residuals: Sequence[np.ndarray]) -> float:
@@ -111,10 +79,3 @@ def effective_samples(residuals: Sequence[np.ndarray]) -> float:
     negative = np.nonzero(correlation <= 0)[0]
     end = int(negative[0]) if len(negative) else longest
     return float(total / max(1.0, 2.0 * correlation[:end].sum() - 1.0))
-
-
-def _solve(hessian: np.ndarray, slope: np.ndarray) -> np.ndarray:
-    """Step along the directions that the other records tell."""
-    values, vectors = np.linalg.eigh(hessian)
-    kept = values > 1e-8 * max(values.max(initial=0.0), 1e-300)
-    return vectors[:, kept] @ ((vectors[:, kept].T @ slope) / values[kept])

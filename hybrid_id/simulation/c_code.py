@@ -24,6 +24,11 @@ WIDTH = 16
 """Neighbouring samples that a loop of vector instructions takes at once."""
 
 
+def compiler() -> str | None:
+    """Name of the C compiler here, None where there is none."""
+    return next((c for c in ("gcc", "clang", "cc") if shutil.which(c)), None)
+
+
 @functools.cache
 def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
     """The library that a C compiler makes of a source, once a process.
@@ -31,23 +36,21 @@ def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
     Raises:
         InputError: there is no compiler or it fails.
     """
-    compiler = next((c for c in ("gcc", "clang", "cc") if shutil.which(c)), None)
-    if compiler is None:
+    found = compiler()
+    if found is None:
         raise InputError("Compiled steps need a C compiler; install gcc, or leave 'compiled' off.")
     with tempfile.TemporaryDirectory() as folder:
         code, library = Path(folder) / "steps.c", Path(folder) / "steps.so"
         code.write_text(source)
-        vectors = ["-lmvec"] if "gcc" in compiler else []
+        vectors = ["-lmvec"] if "gcc" in found else []
         for extra in (vectors, []):
             done = subprocess.run(
-                [compiler, *flags, "-shared", str(code), "-o", str(library), *extra, "-lm"],
+                [found, *flags, "-shared", str(code), "-o", str(library), *extra, "-lm"],
                 capture_output=True, text=True,
             )  # fmt: skip
             if done.returncode == 0:
                 return ctypes.CDLL(str(library))
-        raise InputError(
-            f"The C compiler {compiler} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}"
-        )
+        raise InputError(f"The C compiler {found} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}")
 
 
 def call(code: ctypes.CDLL, name: str, *arguments: Tensor | int) -> None:

@@ -10,13 +10,14 @@ from drives import batch_of, multisine, rigid_drive
 
 from hybrid_id.components import Backlash, Delay
 from hybrid_id.errors import InputError
-from hybrid_id.identification.secant import Rollouts, secant_fit
+from hybrid_id.identification.secant import Rollouts, left_out, secant_fit
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
 QUICK = Engine("smooth", width=0.5, compiled=True)
+DRY = Engine(compiled=True)
 NOISE = 0.2
 """Of the encoder [rad], beside motion of some 40 rad."""
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs a C compiler")
@@ -72,3 +73,41 @@ def test_nothing_to_estimate_is_told() -> None:
     held = system.with_specs({info.name: replace(info.spec, estimate=False) for info in system.table})
     with pytest.raises(InputError, match="no parameter to estimate"):
         secant_fit(held, batch, engine=QUICK)
+
+
+def test_a_record_left_out_is_predicted_as_by_a_fit_to_the_others() -> None:
+    truth = rigid_drive()
+    inputs = {"u1": np.stack([multisine(k, samples=300, rest=20) for k in range(3)])}
+    batch = batch_of(truth, inputs, rows=3, outputs=("q_m1",))
+    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None].expand(-1, 3))[..., :1]
+    noise = NOISE * torch.randn(run.shape, generator=torch.Generator().manual_seed(1), dtype=run.dtype)
+    batch = replace(batch, y=run + noise, weight=torch.full_like(run, 1.0 / NOISE))
+    whole = secant_fit(truth, batch, engine=DRY)
+    seen = sum(float(np.square(r).sum()) for r in whole.residual)
+    found, refitted = left_out(whole, batch), []
+    free = [i for i, info in enumerate(truth.table) if info.spec.estimate]
+    for i in range(3):
+        others = batch.take(torch.tensor([k for k in range(3) if k != i]))
+        alone = secant_fit(whole.system, others, engine=DRY)
+        refitted.append(Rollouts(truth, batch, DRY, free).residuals(alone.values[None])[0, i])
+    told = sum(float(np.square(r).sum()) for r in found)
+    assert told > seen
+    assert told - seen == pytest.approx(sum(float(np.square(r).sum()) for r in refitted) - seen, rel=0.3)
+
+
+def test_one_record_alone_has_nothing_to_be_left_out_for() -> None:
+    batch = measured(loose_drive(0.03), QUICK).take(torch.tensor([0]))
+    found = secant_fit(loose_drive(0.03), batch, engine=QUICK, iterations=2)
+    assert np.array_equal(left_out(found, batch)[0], found.residual[0])
+
+
+def test_priors_hold_what_the_records_do_not_tell() -> None:
+    system = rigid_drive()
+    name = next(info.name for info in system.table if info.spec.estimate)
+    spec = replace(system.parameter(name).spec, prior_mean=system.parameter(name).spec.value, prior_std=1e-6)
+    held = system.with_specs({name: spec})
+    inputs = {"u1": multisine(0, samples=200, rest=20)[None]}
+    batch = batch_of(system, inputs, rows=1, outputs=("q_m1",))
+    batch = replace(batch, weight=torch.full_like(batch.y, 1.0 / NOISE))
+    found = secant_fit(held, batch, engine=DRY, iterations=5)
+    assert found.system.parameter(name).spec.value == pytest.approx(spec.value, rel=0.01)
