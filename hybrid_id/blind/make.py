@@ -65,9 +65,7 @@ def make_case(
     """
     _check(family=family, system=system, effect=effect, level=level, engine=engine)
     name = name or f"c{seed:03d}"
-    rng = np.random.default_rng([seed, 0])
-    family = family or ("single" if effect else str(rng.choice(list(FAMILIES), p=list(FAMILIES.values()))))
-    level = level or str(rng.choice(list(LEVELS), p=list(LEVELS.values())))
+    family, level = _wish(seed, family, effect, level)
     for draw in range(DRAWS):
         rng = np.random.default_rng([seed, 1, draw])
         graded = _draw(rng, name, family, system, effect, level, engine)
@@ -81,10 +79,50 @@ def make_case(
         named_after_all = family == "unknown" and any(rival.counts for rival in rivals)
         if named_after_all or any(ratio < NEEDED for ratio in alone.values()):
             continue
-        return _write(answers(graded, family, seed, rivals=rivals, alone=alone), graded, Path(folder))
+        sheet = answers(graded, family, (seed, draw), rivals=rivals, alone=alone)
+        return _write(sheet, graded, Path(folder))
     raise InputError(
         f"case {name}: no machine of {DRAWS} shows {effect or family} at level {level}; give another level or seed"
     )
+
+
+def same_case(
+    seed: int,
+    draw: int,
+    *,
+    name: str = "again",
+    family: str | None = None,
+    system: str | None = None,
+    effect: str | None = None,
+    level: str | None = None,
+    engine: str | None = None,
+) -> Case:
+    """The machine and the experiments of a case once more, for experiments beyond them.
+
+    Args:
+        seed: of the case, as its answers tell.
+        draw: which of the machines that were tried, as its answers tell.
+        name: of the case.
+        family: this and the rest as they were given to `make_case`.
+        system: see there.
+        effect: see there.
+        level: see there.
+        engine: see there.
+    """
+    family, level = _wish(seed, family, effect, level)
+    graded = _draw(np.random.default_rng([seed, 1, draw]), name, family, system, effect, level, engine)
+    if graded is None:
+        raise InputError(
+            f"case {name} cannot be made again; its answers belong to another version of the generator"
+        )
+    return graded.case
+
+
+def _wish(seed: int, family: str | None, effect: str | None, level: str | None) -> tuple[str, str]:
+    """Family and level, drawn where they are not given."""
+    rng = np.random.default_rng([seed, 0])
+    family = family or ("single" if effect else str(rng.choice(list(FAMILIES), p=list(FAMILIES.values()))))
+    return family, level or str(rng.choice(list(LEVELS), p=list(LEVELS.values())))
 
 
 def make_cases(n: int, seed: int, folder: str | Path, *, jobs: int = 1, **options: Any) -> list[Path]:

@@ -11,14 +11,14 @@ from hybrid_id.blind.robots import Robot
 
 
 def answers(
-    graded: Graded, family: str, seed: int, *, rivals: list[Rival], alone: Mapping[str, float]
+    graded: Graded, family: str, source: tuple[int, int], *, rivals: list[Rival], alone: Mapping[str, float]
 ) -> dict[str, Any]:
     """The answer sheet of a case.
 
     Args:
         graded: the case with its records.
         family: single, pair, none or unknown.
-        seed: that it was made from.
+        source: the seed that it was made from, and which of the machines that were drawn.
         rivals: other effects that were tried, the best first.
         alone: what each effect of a pair leaves without the other, over the noise floor.
     """
@@ -36,7 +36,8 @@ def answers(
         "oracle": {key: float(f"{value:.4g}") for key, value in oracle.items()},
         "made_by": {
             "engine": graded.case.engine,
-            "seed": seed,
+            "seed": source[0],
+            "draw": source[1],
             "formulas": [type(effect).__name__ for effect in graded.case.effects],
         },
     }

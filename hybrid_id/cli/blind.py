@@ -9,6 +9,7 @@ import typer
 from hybrid_id import __version__
 from hybrid_id.cli.blind_run import Method, MethodsOption, RecordsOption, run, run_methods
 from hybrid_id.cli.blind_score import AppendOption, gathered, score, write_scores
+from hybrid_id.cli.blind_ties import ties
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
 from hybrid_id.cli.provenance import UNKNOWN, commit
@@ -175,3 +176,4 @@ def _seed(text: str) -> int:
 
 blind.command()(run)
 blind.command()(score)
+blind.command()(ties)

@@ -1,6 +1,7 @@
 """`blind score`: diagnoses are held against the answers that were sealed before them."""
 
 import dataclasses
+import json
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -86,7 +87,9 @@ def gathered(runs: Path, archive: Path, *, partial: bool = False) -> dict[str, A
         "sha256": manifest["answers"]["sha256"],
         "commands": [_command(manifest, told[first]["train_records"], list(told))],
     }
-    return {"about": about, "methods": methods}
+    told_ties = runs / "ties.json"
+    ties = json.loads(told_ties.read_text(encoding="utf-8")) if told_ties.exists() else None
+    return {"about": about, "methods": methods, "ties": ties}
 
 
 def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Judged]":

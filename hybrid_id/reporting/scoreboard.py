@@ -27,6 +27,8 @@ ROWS = {
     "seconds": "time per case, median [s]",
     "broken": "broken cases",
 }
+TIES_RESOLVED = 0.7
+"""Share of ties that the next experiment is to resolve."""
 IN_GROUPS = ("cases", "top_1", "top_3", "place", "f1", "whole", "false_unknown", "closed", "seconds")
 """Scores that are shown group by group."""
 SHORT = {
@@ -104,6 +106,8 @@ def markdown(content: Scores) -> str:
         table(*target_rows(content["methods"][first]["targets"])),
         calibration(content["methods"][first]["scores"]["reliability"]),
     ]
+    if content.get("ties"):
+        parts.append(ties_line(content["ties"]))
     for dimension, groups in content["methods"][first]["scores"]["by"].items():
         parts += [f"`{first}` by {dimension}:", table(*group_rows(groups))]
     return "\n\n".join(parts) + "\n"
@@ -116,6 +120,20 @@ def calibration(told: Mapping[str, Any]) -> str:
     return (
         f"Probability of the effect ranked first: expected calibration error {told['expected_error']:.3f}, "
         f"Brier score {told['brier']:.3f} over {told['n']} cases."
+    )
+
+
+def ties_line(told: Mapping[str, Any]) -> str:
+    """How many ties the proposed experiment resolves, in a sentence or two."""
+    if told["resolved"] is None:
+        return "No case had a tie for which an experiment was proposed."
+    verdict = "met" if told["resolved"]["value"] >= TIES_RESOLVED else "**missed**"
+    left = [name for name, one in told["cases"].items() if not one["resolved"]]
+    look = f" Not resolved: {', '.join(left[:12])}." if left else ""
+    return (
+        f"Ties that the proposed next experiment resolves: {value('resolved', told['resolved'])}, target "
+        f"≥ {100 * TIES_RESOLVED:.0f} %, {verdict}; resolved to exactly what was at work: "
+        f"{value('right', told['right'])}.{look}"
     )
 
 

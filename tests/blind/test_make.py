@@ -8,7 +8,11 @@ import yaml
 
 from hybrid_id.blind import campaign as plans
 from hybrid_id.blind import levels
-from hybrid_id.blind.make import make_case, make_cases
+from hybrid_id.blind.campaign import noise_std
+from hybrid_id.blind.case import record as measured_again
+from hybrid_id.blind.further import further_record
+from hybrid_id.blind.make import make_case, make_cases, same_case
+from hybrid_id.blind.physics.bench import replay
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
@@ -97,6 +101,25 @@ def test_existing_case_is_kept(tmp_path: Path) -> None:
     (tmp_path / "c001").mkdir()
     with pytest.raises(InputError, match="exists already"):
         make_case(1, tmp_path, family="none", system="one_link")
+
+
+def test_machine_of_a_case_goes_on_the_bench_again(tmp_path: Path) -> None:
+    wish = {"effect": "stribeck_friction", "system": "one_link", "level": "strong"}
+    case = make_case(7, tmp_path, grading=False, **wish)
+    source = answers_of(case)["made_by"]
+    again = same_case(source["seed"], source["draw"], **wish)
+    for measured, repeated in zip(Dataset.load(case), measured_again(again).dataset, strict=True):
+        assert np.array_equal(measured.signal("q_m1"), repeated.signal("q_m1"))
+    time = 0.002 * np.arange(400)
+    command = np.where(time < 0.1, 0.0, 1.5 * again.robot.supply * np.sin(6 * time))
+    more = further_record(again, 1, command, 0.002, seed=7)
+    assert np.all(np.abs(more.signal("u1")) <= again.robot.supply) and more.role == "train"
+    clean = replay(again.plant(), more.signal("u1")[:, None, None], sample_time=0.002)[:, 0, 0]
+    error = np.std(more.signal("q_m1") - clean)
+    assert error < 0.1 * np.ptp(clean)
+    assert error == pytest.approx(noise_std(again.campaign.encoders)[0], rel=1.0)
+    with pytest.raises(InputError, match="needs the sample time"):
+        further_record(again, 1, command, 0.001, seed=7)
 
 
 def test_winding_that_lags_is_as_good_an_answer_as_a_short_delay(tmp_path: Path) -> None:

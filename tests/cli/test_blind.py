@@ -14,6 +14,8 @@ from hybrid_id.blind import levels
 from hybrid_id.blind.seal import seal
 from hybrid_id.cli.app import app
 from hybrid_id.components import ConstantTorque
+from hybrid_id.contenders import run as runner
+from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.systems.model_file import save_model
 
@@ -114,3 +116,57 @@ def test_one_command_makes_runs_and_scores(tmp_path: Path, monkeypatch: pytest.M
     call("reproduce", "--out", tmp_path / "a", *wish, "--level", "weak", fails="cases of another seed")
     again = call("reproduce", "--out", tmp_path / "b", *wish)
     assert re.findall(r"hash of the answers: (\w+)", again) == re.findall(r"hash of the answers: (\w+)", said)
+
+
+def test_proposed_experiment_is_simulated_and_parts_a_tie(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
+    monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+    seen = []
+
+    def fake(dataset: Dataset, system: object) -> dict:
+        """Undecided about six records; one more shows what is at work."""
+        seen.append(sorted(record.name for record in dataset.train))
+        two = ["stribeck_friction", "presliding_friction"]
+        effects = [
+            {
+                "name": n,
+                "where": "joint1/motor_friction",
+                "probability": 0.5,
+                "selected": n == two[0],
+                "tied_with": [],
+            }
+            for n in two
+        ]
+        proposed = {"name": "slow", "joint": 1, "sample_time": 0.002, "command": [0.0] * 50 + [1.0] * 200}
+        tied = len(dataset.train) < 7
+        about = {"ties": [two] if tied else [], "next_experiments": [proposed] if tied else []}
+        return {"case": "", "verdict": "effects", "unknown": False, "effects": effects, "gap": {}} | about
+
+    monkeypatch.setattr(runner, "METHODS", {"diagnose": fake})
+    wish = [
+        "--cases",
+        1,
+        "--seed",
+        7,
+        "--effect",
+        "stribeck_friction",
+        "--system",
+        "one_link",
+        "--level",
+        "strong",
+    ]
+    said = call("reproduce", "--out", tmp_path, *wish)
+    assert "1 of 1 cases scored" in said and "Ties that" not in said
+    made, runs, archive = (
+        tmp_path / "cases" / "made",
+        tmp_path / "runs" / "made",
+        tmp_path / "sealed" / "made.answers.tar",
+    )
+    told = call("ties", made, runs, "--answers", archive)
+    assert "experiment resolves: 100 %" in told and "at work: 100 %" in told
+    assert "further" in seen[-1] and len(seen) == 2
+    call("ties", made, runs, "--answers", archive)
+    assert len(seen) == 2
+    assert "experiment resolves: 100 %" in call("score", runs, "--answers", archive)

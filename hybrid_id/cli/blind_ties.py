@@ -1,0 +1,141 @@
+"""`blind ties`: the experiment that the diagnosis proposes is simulated, and the case diagnosed again with it."""
+
+import tempfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hybrid_id import __version__
+from hybrid_id.cli.blind_run import CasesArgument
+from hybrid_id.cli.blind_score import AnswersOption, RunsArgument
+from hybrid_id.cli.console import show
+from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
+from hybrid_id.cli.progress import counting
+from hybrid_id.cli.provenance import commit
+
+if TYPE_CHECKING:
+    from hybrid_id.contenders.run import Case
+
+TIES = "ties"
+
+
+def ties(
+    cases: CasesArgument,
+    runs: RunsArgument,
+    answers: AnswersOption,
+    jobs: ProcessesOption = 1,
+    backend: BackendOption = Backend.joblib,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Run the experiment that 'diagnose' proposes in each case with a tie, and see whether it parts the tied effects.
+
+    The machine is the same one as in the case, made again from its answers. Writes ties.json, which 'blind score' shows
+    on its scoreboard.
+    """
+    from hybrid_id.contenders.keep import is_done, key_of, load, read_run, save, write_json
+    from hybrid_id.contenders.run import Settings, run_cases
+
+    check_backend(backend, scheduler)
+    about = read_run(runs / "diagnose")
+    tied = tied_cases(runs / "diagnose", about["cases"]["names"])
+    sheets = _sheets(answers, about)
+    folder, settings, at = runs / TIES, Settings("diagnose", about["train_records"]), commit()
+    folder.mkdir(exist_ok=True)
+    richer = _extended(cases, tied, sheets, about["cases"]["options"], jobs)
+    keys = {case.name: key_of(case, settings, __version__, at) for case in richer}
+    left = [case for case in richer if not is_done(load(folder, case.name), keys[case.name])]
+    with counting("ties") as bar:
+        task = bar.add_task("ties", total=len(left))
+        for number, said in run_cases(settings, left, jobs=jobs, scheduler=scheduler):
+            save(folder, said | {"run": said["run"] | {"commit": at}}, keys[left[number].name])
+            bar.advance(task)
+    found = resolved({name: load(folder, name) for name in tied}, sheets) | {"commit": at}
+    write_json(runs / f"{TIES}.json", found)
+    from hybrid_id.reporting.scoreboard import ties_line
+
+    show(ties_line(found))
+
+
+def tied_cases(folder: Path, names: list[str]) -> dict[str, Mapping[str, Any]]:
+    """The proposed experiment of each case with a tie."""
+    from hybrid_id.contenders.keep import load
+
+    found = {}
+    for name in names:
+        said = load(folder, name) or {}
+        if said.get("ties") and said.get("next_experiments"):
+            found[name] = said["next_experiments"][0]
+    return found
+
+
+def resolved(again: Mapping[str, Any], sheets: Mapping[str, Any]) -> dict[str, Any]:
+    """Share of ties that the further record resolves, and of those resolved to what was at work.
+
+    Args:
+        again: the second diagnosis of each case with a tie.
+        sheets: answers by case.
+    """
+    from hybrid_id.blind.judge import judge
+    from hybrid_id.blind.score import share
+
+    rows = {}
+    for name, said in again.items():
+        one = judge(name, sheets[name], said)
+        parted = not one.broken and said is not None and not said["ties"]
+        rows[name] = {"resolved": parted, "right": parted and one.whole, "broken": one.broken}
+    if not rows:
+        return {"cases": rows, "resolved": None, "right": None}
+    return {"cases": rows} | {key: share([r[key] for r in rows.values()]) for key in ("resolved", "right")}
+
+
+def _sheets(answers: Path, about: Mapping[str, Any]) -> Mapping[str, Any]:
+    from hybrid_id.blind.seal import open_answers
+
+    return open_answers(answers, about["cases"]["answers"]["sha256"])
+
+
+def _extended(
+    cases: Path,
+    tied: Mapping[str, Mapping[str, Any]],
+    sheets: Mapping[str, Any],
+    options: Mapping[str, str | None],
+    jobs: int,
+) -> "list[Case]":
+    """The files of each case with the proposed record among them."""
+    from joblib import Parallel, delayed
+
+    made = Parallel(n_jobs=jobs)(
+        delayed(extended)(cases / name, experiment, sheets[name]["made_by"], options)
+        for name, experiment in tied.items()
+    )
+    return list(made)  # type: ignore[arg-type]
+
+
+def extended(
+    folder: Path, experiment: Mapping[str, Any], source: Mapping[str, Any], options: Mapping[str, str | None]
+) -> "Case":
+    """A case with one more record.
+
+    Args:
+        folder: of the case.
+        experiment: ``joint``, ``command`` and ``sample_time``.
+        source: ``seed`` and ``draw`` that the case was made from.
+        options: with which all cases were made.
+    """
+    from hybrid_id.blind.further import further_record
+    from hybrid_id.blind.make import same_case
+    from hybrid_id.contenders.run import read_case
+    from hybrid_id.records.dataset import Dataset
+
+    seed = source["seed"]
+    machine = same_case(seed, source["draw"], name=folder.name, **options)
+    record = further_record(
+        machine, experiment["joint"], experiment["command"], experiment["sample_time"], seed=seed
+    )
+    dataset = Dataset.load(folder)
+    with tempfile.TemporaryDirectory() as temporary:
+        richer = replace(dataset, records=(record, *dataset.records))
+        place = richer.save(Path(temporary) / folder.name)
+        (place / "model.yaml").write_bytes((folder / "model.yaml").read_bytes())
+        return read_case(place)
