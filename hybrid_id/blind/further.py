@@ -21,7 +21,7 @@ def further_record(
     Noise is new, of the case's size; the small random torques are those of its first record.
 
     Args:
-        case: by `make.same_case`.
+        case: by `draw.same_case`.
         joint: whose motor gets the voltage, from 1; the others get none.
         command: voltage (T,) [V]; the supply limits it.
         sample_time: [s]; has to be that of the case.

@@ -1,6 +1,7 @@
 """`blind`: cases whose unmodelled effect is withheld, those who take them, and the scoreboard."""
 
 import datetime
+import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -9,11 +10,15 @@ import typer
 from hybrid_id import __version__
 from hybrid_id.cli.blind_run import Method, MethodsOption, RecordsOption, run, run_methods
 from hybrid_id.cli.blind_score import AppendOption, gathered, score, write_scores
-from hybrid_id.cli.blind_ties import ties
+from hybrid_id.cli.blind_ties import run_ties, ties
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
+from hybrid_id.cli.progress import counting
 from hybrid_id.cli.provenance import UNKNOWN, commit
 from hybrid_id.errors import InputError
+
+BEGUN = ".begun.json"
+"""File in a folder of cases that is not complete: what it is to become."""
 
 blind = typer.Typer(
     help="Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses."
@@ -90,25 +95,41 @@ def make_sealed(
     from hybrid_id.blind.make import make_cases
     from hybrid_id.blind.seal import ANSWERS, seal
     from hybrid_id.cli.folder import refuse_taken
+    from hybrid_id.contenders.keep import write_json
     from hybrid_id.reporting.tables import count
 
-    refuse_taken(out, force=False)
-    if archive is not None and archive.exists():
-        raise InputError(f"{archive} exists already; remove it, or give another --answers")
-    made = make_cases(cases, seed, out, jobs=jobs, **options)
-    if not made:
-        raise InputError(f"no case of {cases} could be made; give another seed, level or effect")
-    if len(made) < cases:
-        remark(f"{cases - len(made)} of {cases} cases were left out: their effect did not show as wanted")
     about: dict[str, Any] = {
         "program": f"hybrid_id {__version__}",
         "commit": commit(),
-        "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "seed": seed,
         "asked": cases,
         "options": options,
     }
+    begun = out / BEGUN
+    if not begun.exists():
+        refuse_taken(out, force=False)
+    elif json.loads(begun.read_text(encoding="utf-8")) != about:
+        raise InputError(f"{out} holds unfinished cases of another seed, number, kind or commit; remove it")
+    if archive is not None and archive.exists():
+        raise InputError(f"{archive} exists already; remove it, or give another --answers")
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(begun, about)
+    try:
+        with counting("cases") as bar:
+            task = bar.add_task("cases", total=cases)
+            made = make_cases(cases, seed, out, jobs=jobs, done=lambda: bar.advance(task), **options)
+        if not made:
+            raise InputError(f"no case of {cases} could be made; give another seed, level or effect")
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"stopped; the same command goes on with the cases in {out}") from None
+    except InputError:
+        begun.unlink()
+        raise
+    if len(made) < cases:
+        remark(f"{cases - len(made)} of {cases} cases were left out: their effect did not show as wanted")
+    about["made"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
     sealed = seal(out, archive, about)["answers"]["sha256"]
+    begun.unlink()
     show(f"{count(len(made), 'case')} in {out}, their answers in {archive or out / ANSWERS}")
     show(f"hash of the answers: {sealed}")
 
@@ -132,7 +153,7 @@ def reproduce(
 ) -> None:
     """Make, run and score in one command: a published scoreboard again from its seed.
 
-    The same command goes on after Ctrl-C, once the cases are made.
+    The same command goes on after Ctrl-C.
     """
     check_backend(backend, scheduler)
     made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
@@ -143,6 +164,8 @@ def reproduce(
         make_sealed(made, archive, cases, _seed(seed), options, jobs)
     runs.parent.mkdir(parents=True, exist_ok=True)
     broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler)
+    if Method.diagnose in (method or [Method.diagnose]):
+        run_ties(made, runs, archive, jobs, scheduler)
     content = gathered(runs, archive)
     write_scores(runs, content, append)
     from hybrid_id.reporting.scoreboard import markdown

@@ -4,7 +4,7 @@ import datetime
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +15,9 @@ from hybrid_id.cli.progress import counting
 from hybrid_id.cli.provenance import commit
 from hybrid_id.errors import InputError
 
+if TYPE_CHECKING:
+    from hybrid_id.contenders.run import Settings
+
 
 class Method(StrEnum):
     """Who takes the cases."""
@@ -24,6 +27,7 @@ class Method(StrEnum):
     sparse = "sparse"
     network = "network"
     stribeck = "stribeck"
+    external = "external"
 
 
 CasesArgument = Annotated[
@@ -33,7 +37,7 @@ MethodsOption = Annotated[
     list[Method] | None,
     typer.Option(
         "--method",
-        help="diagnose, or a baseline: bic, sparse, network, stribeck; may be given several times.",
+        help="diagnose, or a baseline: bic, sparse, network, stribeck; or external. May be repeated.",
         show_default="diagnose",
     ),
 ]
@@ -44,12 +48,21 @@ RecordsOption = Annotated[
     ),
 ]
 
+CommandOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Program of an external contender, with {case} for its folder and {answer} for the JSON file to write.",
+        show_default=False,
+    ),
+]
+
 
 def run(
     cases: CasesArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the diagnoses.", show_default=False)],
     method: MethodsOption = None,
     train_records: RecordsOption = None,
+    command: CommandOption = None,
     jobs: ProcessesOption = 1,
     backend: BackendOption = Backend.joblib,
     scheduler: SchedulerOption = None,
@@ -60,7 +73,10 @@ def run(
     with its reason and tried again by the next run.
     """
     check_backend(backend, scheduler)
-    broken = run_methods(cases, out, method or [Method.diagnose], train_records, jobs, scheduler)
+    methods = method or [Method.diagnose]
+    if (Method.external in methods) != (command is not None):
+        raise InputError("--method external and --command belong together; give both, or neither")
+    broken = run_methods(cases, out, methods, train_records, jobs, scheduler, command)
     show(f"diagnoses are in {out}; 'hybrid-id blind score {out} --answers ARCHIVE' scores them")
     if broken:
         raise typer.Exit(1)
@@ -73,39 +89,47 @@ def run_methods(
     train_records: int | None,
     jobs: int,
     scheduler: str | None,
+    command: str | None = None,
 ) -> int:
     """Let contenders take the cases one after the other; returns how many cases broke."""
     from hybrid_id.blind.seal import case_names, read_manifest, refuse_reachable
+    from hybrid_id.contenders.external import words_of
+    from hybrid_id.contenders.run import Settings
 
+    if command is not None:
+        words_of(command)
     manifest = read_manifest(cases)
     refuse_reachable(cases, out, manifest["answers"]["sha256"])
     if missing := sorted(set(manifest["names"]) ^ set(case_names(cases))):
         raise InputError(f"{cases} and its manifest differ in {', '.join(missing[:5])}; make the cases anew")
     if out.is_dir() and any(out.iterdir()) and not any(out.glob("*/run.json")):
         raise InputError(f"{out} holds files that are no runs; give another folder")
-    return sum(_run(cases, out / m.value, m, manifest, train_records, jobs, scheduler) for m in methods)
+    return sum(
+        _run(cases, out / m.value, Settings(m.value, train_records, command), manifest, jobs, scheduler)
+        for m in methods
+    )
 
 
 def _run(
     cases: Path,
     folder: Path,
-    method: Method,
+    settings: "Settings",
     manifest: Mapping[str, Any],
-    train_records: int | None,
     jobs: int,
     scheduler: str | None,
 ) -> int:
+    """One contender's run; returns how many cases broke."""
     from hybrid_id.contenders.keep import begin, is_done, key_of, load, save
-    from hybrid_id.contenders.run import Settings, read_case, run_cases
+    from hybrid_id.contenders.run import read_case, run_cases
 
-    settings, at = Settings(method.value, train_records), commit()
+    method, at = settings.method, commit()
     begin(
         folder,
         {
             "program": f"hybrid_id {__version__}",
             "commit": at,
-            "method": method.value,
-            "train_records": train_records,
+            "method": method,
+            "train_records": settings.train_records,
             "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "cases": manifest,
         },
@@ -117,17 +141,16 @@ def _run(
     if done:
         remark(f"{method}: {done} of {len(todo)} cases are kept from before")
     try:
-        with counting(method.value) as bar:
-            task = bar.add_task(method.value, total=len(left))
+        with counting(method) as bar:
+            task = bar.add_task(method, total=len(left))
             for number, said in run_cases(settings, left, jobs=jobs, scheduler=scheduler):
                 case, about = left[number], said["run"]
                 save(folder, said | {"run": about | {"commit": at}}, keys[case.name])
                 done, broken = done + 1, broken + bool(about["message"])
                 bar.advance(task)
                 how = about["message"] or f"{said['verdict']}, {about['seconds']:.0f} s"
-                bar.console.print(
-                    f"{method} {done} of {len(todo)}: {case.name}, {how}", markup=False, style="dim"
-                )
+                line = f"{method} {done} of {len(todo)}: {case.name}, {how}"
+                bar.console.print(line, markup=False, soft_wrap=True, style="dim")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"stopped; {done} of {len(todo)} cases are kept in {folder}, and the same command goes on"

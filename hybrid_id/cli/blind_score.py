@@ -89,6 +89,8 @@ def gathered(runs: Path, archive: Path, *, partial: bool = False) -> dict[str, A
     }
     told_ties = runs / "ties.json"
     ties = json.loads(told_ties.read_text(encoding="utf-8")) if told_ties.exists() else None
+    if ties is not None and ties["commit"] != about["commit"]:
+        ties = None
     return {"about": about, "methods": methods, "ties": ties}
 
 

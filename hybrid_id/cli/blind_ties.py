@@ -33,10 +33,17 @@ def ties(
     The machine is the same one as in the case, made again from its answers. Writes ties.json, which 'blind score' shows
     on its scoreboard.
     """
+    from hybrid_id.reporting.scoreboard import ties_line
+
+    check_backend(backend, scheduler)
+    show(ties_line(run_ties(cases, runs, answers, jobs, scheduler)))
+
+
+def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str | None) -> dict[str, Any]:
+    """Simulate and diagnose; returns what `resolved` does."""
     from hybrid_id.contenders.keep import is_done, key_of, load, read_run, save, write_json
     from hybrid_id.contenders.run import Settings, run_cases
 
-    check_backend(backend, scheduler)
     about = read_run(runs / "diagnose")
     tied = tied_cases(runs / "diagnose", about["cases"]["names"])
     sheets = _sheets(answers, about)
@@ -52,9 +59,7 @@ def ties(
             bar.advance(task)
     found = resolved({name: load(folder, name) for name in tied}, sheets) | {"commit": at}
     write_json(runs / f"{TIES}.json", found)
-    from hybrid_id.reporting.scoreboard import ties_line
-
-    show(ties_line(found))
+    return found
 
 
 def tied_cases(folder: Path, names: list[str]) -> dict[str, Mapping[str, Any]]:
@@ -123,8 +128,8 @@ def extended(
         source: ``seed`` and ``draw`` that the case was made from.
         options: with which all cases were made.
     """
+    from hybrid_id.blind.draw import same_case
     from hybrid_id.blind.further import further_record
-    from hybrid_id.blind.make import same_case
     from hybrid_id.contenders.run import read_case
     from hybrid_id.records.dataset import Dataset
 

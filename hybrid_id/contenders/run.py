@@ -12,6 +12,7 @@ from typing import Any
 
 from hybrid_id.contenders.bic import bic
 from hybrid_id.contenders.diagnosis import diagnosis
+from hybrid_id.contenders.external import external
 from hybrid_id.contenders.network import network
 from hybrid_id.contenders.sparse import sparse
 from hybrid_id.contenders.stribeck import stribeck
@@ -51,12 +52,14 @@ class Settings:
     """How the cases are taken.
 
     Attributes:
-        method: one of `METHODS`.
+        method: one of `METHODS`, or ``external``.
         train_records: so many train records at most; all of them by default.
+        command: of an external contender, see :func:`.external.external`.
     """
 
     method: str
     train_records: int | None = None
+    command: str | None = None
 
 
 def read_case(folder: Path) -> Case:
@@ -92,10 +95,15 @@ def take(settings: Settings, case: Case) -> dict[str, Any]:
         folder.mkdir()
         for name, content in case.files.items():
             (folder / name).write_bytes(content)
-        dataset, system = Dataset.load(folder), load_model(folder / "model.yaml")
-    dataset = with_train_records(dataset, settings.train_records)
-    wall, processor = time.perf_counter(), time.process_time()
-    said = METHODS[settings.method](dataset, system)
+        system = load_model(folder / "model.yaml")
+        dataset = with_train_records(Dataset.load(folder), settings.train_records)
+        wall, processor = time.perf_counter(), time.process_time()
+        if settings.method == "external":
+            if settings.train_records is not None:
+                raise InputError("an external contender takes cases as they are; leave --train-records out")
+            said = external(folder, settings.command)
+        else:
+            said = METHODS[settings.method](dataset, system)
     about = {
         "method": settings.method,
         "message": "",

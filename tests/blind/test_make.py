@@ -10,8 +10,9 @@ from hybrid_id.blind import campaign as plans
 from hybrid_id.blind import levels
 from hybrid_id.blind.campaign import noise_std
 from hybrid_id.blind.case import record as measured_again
+from hybrid_id.blind.draw import same_case
 from hybrid_id.blind.further import further_record
-from hybrid_id.blind.make import make_case, make_cases, same_case
+from hybrid_id.blind.make import make_case, make_cases
 from hybrid_id.blind.physics.bench import replay
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 from hybrid_id.blind import campaign as plans
 from hybrid_id.blind import levels
+from hybrid_id.blind import make as making
 from hybrid_id.blind.seal import seal
 from hybrid_id.cli.app import app
 from hybrid_id.components import ConstantTorque
@@ -106,6 +108,60 @@ def test_wrong_input_is_refused(home: Path, tmp_path: Path) -> None:
     call("make", "--out", tmp_path / "x", "--answers", archive, fails="exists already")
 
 
+def test_another_program_takes_part(home: Path) -> None:
+    cases, runs, archive = home / "cases", home / "runs", home / "sealed" / "a.tar"
+    program = home / "theirs.py"
+    program.write_text(
+        "import json, pathlib, sys\n"
+        "case, answer = map(pathlib.Path, sys.argv[1:])\n"
+        "assert {p.name for p in case.parent.iterdir()} == {'c001'}, 'something lies beside'\n"
+        "assert (case / 'model.yaml').exists()\n"
+        "one = {'name': 'constant_torque', 'where': 'joint1/load', 'probability': 0.8, 'selected': True}\n"
+        "answer.write_text(json.dumps({'effects': [one], 'unknown': False}))\n"
+    )
+    command = f"{sys.executable} {program} {{case}} {{answer}}"
+    said = call("run", cases, "--out", runs, "--method", "external", "--command", command)
+    assert (
+        "external 1 of 3: c001, effects" in said
+        and "c002, InputError" in said
+        and "something lies beside" in said
+    )
+    told = call("score", runs, "--answers", archive)
+    assert "| first name right (single effects) | 100 % (21 to 100; 1) |" in told
+    call("run", cases, "--out", runs, "--method", "external", fails="belong together")
+    call(
+        "run",
+        cases,
+        "--out",
+        runs,
+        "--method",
+        "external",
+        "--command",
+        "theirs",
+        fails="needs --command with",
+    )
+
+
+def test_making_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
+    wish = ["--out", tmp_path / "a", "--cases", 2, "--family", "none", "--system", "one_link", "--seed", 4]
+    attempt = making._attempt
+
+    def stopped(seed: int, *more: object) -> Path | None:
+        if seed == 5:
+            raise KeyboardInterrupt
+        return attempt(seed, *more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(making, "_attempt", stopped)
+    assert "the same command goes on" in call("make", *wish)
+    monkeypatch.setattr(making, "_attempt", attempt)
+    first = (tmp_path / "a" / "c001" / "dataset.yaml").stat().st_mtime_ns
+    call("make", *wish[:-1], 9, fails="unfinished cases of another seed")
+    call("make", *wish)
+    assert (tmp_path / "a" / "c001" / "dataset.yaml").stat().st_mtime_ns == first
+    assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["c001", "c002", "manifest.json"]
+
+
 def test_one_command_makes_runs_and_scores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plans, "LENGTHS", (700, 900))
     monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
@@ -145,28 +201,12 @@ def test_proposed_experiment_is_simulated_and_parts_a_tie(
         return {"case": "", "verdict": "effects", "unknown": False, "effects": effects, "gap": {}} | about
 
     monkeypatch.setattr(runner, "METHODS", {"diagnose": fake})
-    wish = [
-        "--cases",
-        1,
-        "--seed",
-        7,
-        "--effect",
-        "stribeck_friction",
-        "--system",
-        "one_link",
-        "--level",
-        "strong",
-    ]
-    said = call("reproduce", "--out", tmp_path, *wish)
-    assert "1 of 1 cases scored" in said and "Ties that" not in said
-    made, runs, archive = (
-        tmp_path / "cases" / "made",
-        tmp_path / "runs" / "made",
-        tmp_path / "sealed" / "made.answers.tar",
-    )
-    told = call("ties", made, runs, "--answers", archive)
-    assert "experiment resolves: 100 %" in told and "at work: 100 %" in told
+    wish = ["--cases", 1, "--seed", 7, "--effect", "stribeck_friction", "--system", "one_link"]
+    said = call("reproduce", "--out", tmp_path, *wish, "--level", "strong")
+    assert "1 of 1 cases scored" in said
+    assert "experiment resolves: 100 %" in said and "at work: 100 %" in said
     assert "further" in seen[-1] and len(seen) == 2
+    made, runs, archive = (tmp_path / name for name in ("cases/made", "runs/made", "sealed/made.answers.tar"))
     call("ties", made, runs, "--answers", archive)
     assert len(seen) == 2
     assert "experiment resolves: 100 %" in call("score", runs, "--answers", archive)
