@@ -18,7 +18,6 @@ from hybrid_id.reporting.ablation import (
 from hybrid_id.reporting.html.page import Page
 from hybrid_id.reporting.tables import records_table
 from hybrid_id.study.ablation_result import Ablation
-from hybrid_id.study.ablation_verdict import verdict
 
 _HOW = (
     "Errors are the RMS of the free run over whole records, in units of the measurement's standard deviation (1: as "
@@ -38,7 +37,9 @@ def ablation_page(dataset: Dataset, result: Ablation, images: Mapping[str, np.nd
         result: the ablation.
         images: its pictures by name, (H, W, 3).
     """
-    page = Page(f"Physics only or hybrid? {dataset.name}", verdict(result)[0])
+    arms, repeats = len(result.scores), len(result.splits)
+    lead = f"{arms} models, trained and tested on the same records in {repeats} repeats."
+    page = Page(f"Physics only or hybrid? {dataset.name}", lead)
     page.section("Answer").add(verdict_text(result), *failures(result)).picture(
         images["change"],
         "Error over that of physics only on the same records: mean and interval of each arm.",
