@@ -31,9 +31,9 @@ class ResidualNetwork(Component):
     | m, s | that of the signal | shift and scale of each input, from the data |
     | h, T | 1, s | hidden states (with ``memory``) in (-1, 1), and the times over which they forget |
 
-    The weights are torch parameters that no parameter table lists. With ``lipschitz`` = c no output changes by more
-    than ``S c`` times the largest change among (z, h): the rows of each of g's L matrices are scaled to an absolute sum
-    of at most ``c^(1/L)``.
+    An input ``direction`` is tanh(z_i) instead. The weights are torch parameters that no parameter table lists. With
+    ``lipschitz`` = c no output changes by more than ``S c`` times the largest change among (z, h): the rows of each of
+    g's L matrices are scaled to an absolute sum of at most ``c^(1/L)``.
 
     Sources: Y. Yin et al., APHYNITY, ICLR 2021 (physics plus network); H.-T. D. Liu et al., Learning Smooth Neural
     Functions via Lipschitz Regularization, SIGGRAPH 2022, eq. (5)-(6) (scaled rows).
@@ -160,6 +160,9 @@ class ResidualNetwork(Component):
         z = torch.stack(torch.broadcast_tensors(*signals, *states))
         count = len(self.inputs)
         scaled = (z[:count] - self.shift[:, None]) / self.scale[:, None]
+        if "direction" in self.inputs:  # bounded, so that a neuron may weigh it against other inputs
+            signs = torch.tensor([name == "direction" for name in self.inputs], device=z.device)
+            scaled = torch.where(signs[:, None], torch.tanh(scaled), scaled)
         return torch.cat([scaled, z[count:]]) if self.memory else scaled
 
     def _weight(self, p: SimpleNamespace, name: str) -> Tensor:

@@ -15,7 +15,7 @@ from hybrid_id.systems.chain import System
 from hybrid_id.systems.networks import HARMONIC, LINK_PLACES, Networks
 
 DIRECTION = 0.02
-"""Scale of a ``direction`` as a share of the speed's RMS: where tanh makes a sign of it."""
+"""Scale of a ``direction`` as a share of the speed's RMS, beyond which it is a sign."""
 
 
 def networks_of(system: System) -> list[tuple[str, str, ResidualNetwork, Networks]]:

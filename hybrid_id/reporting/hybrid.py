@@ -154,7 +154,7 @@ def map_figure(role: NetworkRole) -> Figure:
 
 def hybrid_images(study: HybridStudy) -> dict[str, np.ndarray]:
     """Pictures by the name of their file, (H, W, 3)."""
-    figures = {"drift": drift_figure(study)}
+    figures = {"drift": drift_figure(study)} if study.result.chosen else {}
     figures |= {f"map_{role.where.replace('/', '_')}": map_figure(role) for role in study.roles}
     return {name: pixels(figure) for name, figure in figures.items()}
 
@@ -166,11 +166,16 @@ def hybrid_page(dataset: Dataset, study: HybridStudy, images: dict[str, np.ndarr
     words = study.warnings[0] if study.warnings else words
     lead = f"Physics with {len(study.roles)} residual network(s), trained on {dataset.name}: {words}."
     page = Page(f"Physics and networks on {dataset.name}", lead)
-    page.section("Parameters").add(drift_table(study), *study.warnings).picture(
-        images["drift"],
-        "How far each parameter moved when the networks came in; grey: within three standard errors.",
-    )
-    networks = page.section("Networks").add(role_table(study.roles))
+    parameters = page.section("Parameters").add(drift_table(study), *study.warnings)
+    networks = page.section("Networks")
+    if result.chosen:
+        parameters.picture(
+            images["drift"],
+            "How far each parameter moved when the networks came in; grey: within three standard errors.",
+        )
+    else:
+        networks.add("What the networks of the lowest price have learnt; they are not kept.")
+    networks.add(role_table(study.roles))
     for name, image in images.items():
         if name.startswith("map_"):
             networks.picture(image, "Output over speed and angle; black: where the records have been.")

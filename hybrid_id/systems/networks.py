@@ -38,12 +38,13 @@ class Networks:
     """Networks by place, one a place.
 
     Signals that an input may name, of the side (rotor or link) on which the place acts: ``angle`` [rad], ``speed``
-    [rad/s], ``direction`` (the speed once more, whose scale is small, so that tanh makes a sign of it), ``sin n`` and
-    ``cos n`` of n times the angle; and of the joint: ``command`` (effective, in the motor's unit), ``torque`` (the
-    motor's [N m]), ``load`` (at the link [N m], link friction excepted), ``transmitted`` (through the gear, at the link
-    [N m]: the spring's torque, or behind a rigid gear what the joint's own balance without dry friction leaves for the
-    link); with a compliant gear ``deflection`` [rad] and ``deflection_rate`` [rad/s]. With a joint's number behind it
-    (``angle2``), ``angle`` and ``speed`` are those of that joint's link. All are without what networks add.
+    [rad/s], ``direction`` (the speed once more, of which a network takes the tanh at a small scale: its sign),
+    ``sin n`` and ``cos n`` of n times the angle; and of the joint: ``command`` (effective, in the motor's unit),
+    ``torque`` (the motor's [N m]), ``load`` (at the link [N m], link friction excepted), ``transmitted`` (through the
+    gear, at the link [N m]: the spring's torque, or behind a rigid gear what the joint's own balance without dry
+    friction leaves for the link); with a compliant gear ``deflection`` [rad] and ``deflection_rate`` [rad/s]. With a
+    joint's number behind it (``angle2``), ``angle`` and ``speed`` are those of that joint's link. All are without what
+    networks add.
 
     Args:
         joint: the joint, its drive and loads in place.

@@ -117,6 +117,17 @@ def test_a_rigid_gear_transmits_what_the_link_needs() -> None:
         assert bool(torch.isclose(told, needed)) is agrees
 
 
+def test_a_direction_is_a_sign_that_one_neuron_weighs_against_another_input() -> None:
+    part = ResidualNetwork(inputs=("direction", "load"), hidden=(1,), scale=(0.5, 1.0))
+    weights = part.weights()
+    with torch.no_grad():
+        for name, value in (("layers.0.weight", 1.0), ("layers.0.bias", 0.0), ("layers.1.weight", 1.0)):
+            weights[name].fill_(value)
+    speed, load = torch.tensor([[400.0, -400.0], [0.7, 0.7]], dtype=torch.float64)
+    found = part.output(part.view(), [speed, load], [])
+    torch.testing.assert_close(found, torch.tanh(torch.tensor([1.7, -0.3], dtype=torch.float64)))
+
+
 def test_the_bound_holds_whatever_the_weights() -> None:
     part = awake(ResidualNetwork(inputs=("angle", "speed"), scale=(0.5, 10.0), lipschitz=2.0), size=50.0)
     with torch.no_grad():
