@@ -93,7 +93,7 @@ def judge(case: str, sheet: Sheet, said: Said | None) -> Judged:
         case=case,
         family=family,
         level=str(sheet["level"]),
-        system=str(run.get("system", "")),
+        system=str(run.get("system") or sheet.get("made_by", {}).get("system", "")),
         engine=str(sheet.get("made_by", {}).get("engine", "")),
         effect="+".join(t["name"] for t in truth) or "none",
         records=int(run.get("train_records", 0)),

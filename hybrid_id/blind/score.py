@@ -36,7 +36,7 @@ GROUPS: Mapping[str, Callable[[Judged], str]] = {
     "level": lambda one: one.level,
     "family and level": lambda one: f"{one.family}, {one.level}",
     "system": lambda one: one.system,
-    "train records": lambda one: str(one.records),
+    "train records": lambda one: str(one.records or ""),
     "engine": lambda one: one.engine,
     "effect": lambda one: one.effect,
 }

@@ -36,6 +36,7 @@ def answers(
         "oracle": {key: float(f"{value:.4g}") for key, value in oracle.items()},
         "made_by": {
             "engine": graded.case.engine,
+            "system": graded.case.robot.system,
             "seed": source[0],
             "draw": source[1],
             "formulas": [type(effect).__name__ for effect in graded.case.effects],

@@ -5,8 +5,10 @@ from __future__ import annotations
 import multiprocessing
 import signal
 import threading
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import torch
@@ -64,8 +66,14 @@ def _attempt(work: Work, shared: Any, number: int, piece: Any) -> tuple[int, Any
 
 
 def _failure(error: BaseException | None) -> Failure:
-    words = f"{type(error).__name__}: {error}" if error is not None else "its worker was lost"
-    return Failure(words.splitlines()[0])
+    if error is None:
+        return Failure("its worker was lost")
+    words = f"{type(error).__name__}: {error}".splitlines()[0]
+    frames = traceback.extract_tb(error.__traceback__)
+    if frames and not isinstance(error, InputError):  # a fault of the program: where to look
+        last = Path(frames[-1].filename)
+        words += f" ({last.parent.name}/{last.name}, line {frames[-1].lineno})"
+    return Failure(words)
 
 
 def _in_processes(work: Work, shared: Any, pieces: Sequence[Any], jobs: int) -> Iterator[tuple[int, Any]]:
