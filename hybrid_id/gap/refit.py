@@ -27,6 +27,8 @@ BEGINNING = 12
 """Iterations of the fit in windows that today's model starts with: its nominal values may be far."""
 TO_THE_END = 40
 """Iterations after which a fit is taken as it is."""
+POLISH = 30
+"""Iterations by exact sensitivities at the end of a fit."""
 LOOK = 3
 """Iterations up to which a fit is a first look, judged by the records that it has seen."""
 Name = tuple[str, str]
@@ -83,7 +85,7 @@ class Refit:
         """Today's model, fitted from its nominal values and from a fit in windows, whichever ends lower."""
         batch = batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
         options = Options(max_iterations=BEGINNING, closed=False)
-        near = fit(system, batch, pooled=True, options=options)[0]
+        near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
         tasks = [Task((), start) for start in (system, near.system)]
         ends = [e for e in self.run(tasks, TO_THE_END) if e is not None]
         if not ends:
@@ -116,6 +118,12 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
     try:
         batch = batch_of(dataset, task.system, dataset.train, signal_share, "cpu")
         result = secant_fit(task.system, batch, engine=engine(), iterations=iterations)
+        if iterations == TO_THE_END:  # close by, exact sensitivities see what finite steps blur
+            polish = Options(max_iterations=POLISH, tolerance=0.05)
+            exact = fit(result.system, batch, pooled=True, engine=result.engine, warm=False, options=polish)[
+                0
+            ]
+            result = min(exact, result, key=lambda one: one.cost)
     except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
         return None
     blind = result.residual if iterations <= LOOK else left_out(result, batch)

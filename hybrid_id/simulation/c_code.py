@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import functools
+import hashlib
+import os
+import platform
 import shutil
 import subprocess
 import tempfile
@@ -31,7 +35,7 @@ def compiler() -> str | None:
 
 @functools.cache
 def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
-    """The library that a C compiler makes of a source, once a process.
+    """The library that a C compiler makes of a source, kept for other processes and later runs.
 
     Raises:
         InputError: there is no compiler or it fails.
@@ -39,18 +43,53 @@ def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
     found = compiler()
     if found is None:
         raise InputError("Compiled steps need a C compiler; install gcc, or leave 'compiled' off.")
+    kept = _shelf() / f"{_key(source, found, *flags)}.so"
+    try:
+        return ctypes.CDLL(str(kept))
+    except OSError:  # not there yet, or damaged
+        pass
     with tempfile.TemporaryDirectory() as folder:
-        code, library = Path(folder) / "steps.c", Path(folder) / "steps.so"
+        code, built = Path(folder) / "steps.c", Path(folder) / "steps.so"
         code.write_text(source)
         vectors = ["-lmvec"] if "gcc" in found else []
         for extra in (vectors, []):
             done = subprocess.run(
-                [found, *flags, "-shared", str(code), "-o", str(library), *extra, "-lm"],
+                [found, *flags, "-shared", str(code), "-o", str(built), *extra, "-lm"],
                 capture_output=True, text=True,
             )  # fmt: skip
             if done.returncode == 0:
-                return ctypes.CDLL(str(library))
+                with contextlib.suppress(OSError):  # a shelf that cannot be written to is no shelf
+                    _put(built, kept)
+                return ctypes.CDLL(str(built))
         raise InputError(f"The C compiler {found} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}")
+
+
+def _shelf() -> Path:
+    """Folder of compiled steps, in the user's cache."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hybrid_id"
+
+
+@functools.cache
+def _machine() -> str:
+    """What code for this processor depends on."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    features = next((line for line in lines if line.lower().startswith(("flags", "features"))), "")
+    return f"{platform.platform()} {platform.machine()} {features or platform.node()}"
+
+
+def _key(*parts: str) -> str:
+    return hashlib.sha256("\0".join((_machine(), *parts)).encode()).hexdigest()[:32]
+
+
+def _put(built: Path, kept: Path) -> None:
+    """Copy under a name of its own, then rename: other processes see a whole library or none."""
+    kept.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    part = kept.with_suffix(f".{os.getpid()}")
+    shutil.copyfile(built, part)
+    part.replace(kept)
 
 
 def call(code: ctypes.CDLL, name: str, *arguments: Tensor | int) -> None:
