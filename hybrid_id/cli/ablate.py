@@ -194,7 +194,10 @@ def _write(home: Path, config: StudyConfig, dataset: "Dataset", outcome: "Outcom
         for name, image in images.items() if config.output.figures else ():
             save(image, new / f"{name}.png")
         if config.output.report:
-            ablation_page(dataset, outcome, images).write(new / "report.html")
+            from hybrid_id.reporting.html.made import how_made
+
+            words = (home / "config.yaml").read_text(encoding="utf-8")
+            how_made(ablation_page(dataset, outcome, images), "ablate", words).write(new / "report.html")
         for file in new.iterdir():
             file.replace(home / file.name)
         (new / RESULT).write_text(text + "\n", encoding="utf-8")

@@ -151,5 +151,9 @@ def _write(
             for name, image in images.items():
                 writer.add_image(f"figures/{name}", image, dataformats="HWC")
     if config.output.report:
-        hybrid_page(dataset, study, images).write(folder / "report.html")
+        from hybrid_id.reporting.html.made import how_made
+
+        words = (folder / "config.yaml").read_text(encoding="utf-8")
+        page = how_made(hybrid_page(dataset, study, images), "train", words)
+        page.write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")

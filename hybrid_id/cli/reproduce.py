@@ -52,6 +52,7 @@ def reproduce(
     except KeyboardInterrupt:
         remark(f"stopped; what is done is kept in {parts}, and the same command goes on from there")
         raise typer.Exit(130) from None
+    from hybrid_id.reporting.html.made import how_made
     from hybrid_id.reporting.html.paper_page import QUICK, paper_figures, paper_page
     from hybrid_id.reporting.paper_tables import claims_table
     from hybrid_id.reporting.results import as_json as to_json
@@ -63,7 +64,8 @@ def reproduce(
     for name, image in images.items():
         save(image, parts / f"{name}.png")
     page = parts / "report.html"
-    paper_page(result, found, images, quick=quick).write(page)
+    made = {"stages": "configs/reproduce.yaml of the package", "quick": quick}
+    how_made(paper_page(result, found, images, quick=quick), "reproduce", facts=made).write(page)
     page.replace(out / "report.html")
     text = to_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
     (parts / RESULT).write_text(text + "\n", encoding="utf-8")

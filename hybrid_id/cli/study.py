@@ -1,7 +1,8 @@
 """What `identify`, `train` and `demo` share: from a study to its files and its summary."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
 
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.study import Study
+    from hybrid_id.study import Replay, Study
 
 MAX_TITLE = 50  # characters that leave room for the legend
 
@@ -49,7 +50,10 @@ def write_study(
     config.save(folder / "config.yaml", home=home)
     wish = config.output
     if wish.figures or wish.tensorboard or wish.report:
-        images = study_images(dataset, study, reach)
+        from hybrid_id.study import replay
+
+        runs = replay(dataset, study.selected.system, engine=study.selected.engine)
+        images = study_images(dataset, study, reach, runs)
         if wish.figures:
             from hybrid_id.reporting.style import save
 
@@ -61,21 +65,38 @@ def write_study(
             write_study_events(folder / "tensorboard", study, images, curves=command != "train")
         if wish.report:
             from hybrid_id.records.quality import remarks
+            from hybrid_id.reporting.html.made import how_made
             from hybrid_id.reporting.html.study_page import study_page
 
-            page = study_page(dataset, study, images, reach=reach, level=level, findings=remarks(dataset))
-            page.write(folder / "report.html")
+            plots = study_plots(dataset, study, reach, runs)
+            found = remarks(dataset)
+            page = study_page(dataset, study, images, reach=reach, level=level, findings=found, plots=plots)
+            words = (folder / "config.yaml").read_text(encoding="utf-8")
+            how_made(page, command, words, {"seed": config.identification.seed}).write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")
     return text
 
 
-def study_images(dataset: "Dataset", study: "Study", reach: float) -> "dict[str, np.ndarray]":
-    """Every picture of a study by the name of its file, (H, W, 3)."""
+def study_plots(
+    dataset: "Dataset", study: "Study", reach: float, runs: "Sequence[Replay]"
+) -> "dict[str, dict[str, Any]]":
+    """Interactive twins of pictures of a study, by the names of these."""
+    from hybrid_id.reporting.html.live import cross_validation_plot, parameter_plot, record_plot
+    from hybrid_id.study import Comparison
+
+    plots = {"parameters": parameter_plot(study, reach), "cross_validation": cross_validation_plot(study)}
+    both = Comparison({"simulated": tuple(runs)})
+    return plots | {f"fit_{run.record.name}": record_plot(dataset, both, run.record.name) for run in runs}
+
+
+def study_images(
+    dataset: "Dataset", study: "Study", reach: float, runs: "Sequence[Replay]"
+) -> "dict[str, np.ndarray]":
+    """Every picture of a study by the name of its file, (H, W, 3); ``runs`` replay all records."""
     from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure
     from hybrid_id.reporting.record_plots import fit_figure
     from hybrid_id.reporting.style import pixels
     from hybrid_id.statistics.residuals import whiteness
-    from hybrid_id.study import replay
 
     chosen = study.selected
     figures = {"parameters": parameter_figure(study, reach)}
@@ -84,7 +105,7 @@ def study_images(dataset: "Dataset", study: "Study", reach: float) -> "dict[str,
     figures["residuals"] = residual_figure(
         study, whiteness(chosen.residual), dataset[chosen.records[0]].sample_time
     )
-    for run in replay(dataset, chosen.system, engine=chosen.engine):
+    for run in runs:
         title = f"{run.record.name} ({run.record.role})"
         with_set = f"{title}, parameter set {study.selection.name}"
         figures[f"fit_{run.record.name}"] = fit_figure(

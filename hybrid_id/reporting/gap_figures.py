@@ -32,13 +32,16 @@ MAX_NAME = 16
 MODELS = {"today": COLOURS[0], "re-fitted": COLOURS[1], "corrected": COLOURS[2]}
 
 
-def diagnosis_images(dataset: Dataset, nominal: System, diagnosis: Diagnosis) -> dict[str, np.ndarray]:
+def diagnosis_images(
+    dataset: Dataset, nominal: System, diagnosis: Diagnosis, worst: Comparison | None = None
+) -> dict[str, np.ndarray]:
     """Every picture of a diagnosis by the name of its file, (H, W, 3).
 
     Args:
         dataset: the records.
         nominal: today's model.
         diagnosis: the result.
+        worst: what `worst_comparison` has found, where that is known.
     """
     figures: dict[str, Figure] = {}
     if diagnosis.nominal is not None:
@@ -49,7 +52,8 @@ def diagnosis_images(dataset: Dataset, nominal: System, diagnosis: Diagnosis) ->
     if told:
         figures["where"] = share_figure(diagnosis)
     figures["suspects"] = odds_figure(diagnosis)
-    figures["worst_record"] = worst_figure(dataset, nominal, diagnosis)
+    worst = worst or worst_comparison(dataset, nominal, diagnosis)
+    figures["worst_record"] = comparison_figure(dataset, worst, worst.records[0])
     return {name: pixels(figure) for name, figure in figures.items()}
 
 
@@ -162,8 +166,8 @@ def odds_figure(diagnosis: Diagnosis) -> Figure:
         return figure
 
 
-def worst_figure(dataset: Dataset, nominal: System, diagnosis: Diagnosis) -> Figure:
-    """The test record that the last model predicts worst (a train record where there is no test): all models on it."""
+def worst_comparison(dataset: Dataset, nominal: System, diagnosis: Diagnosis) -> Comparison:
+    """All models on the test record that the last one predicts worst (a train record where there is no test)."""
     errors = diagnosis.with_effect
     name = (
         dataset.train[0].name if errors is None else max(errors.by_record, key=errors.by_record.__getitem__)
@@ -175,7 +179,7 @@ def worst_figure(dataset: Dataset, nominal: System, diagnosis: Diagnosis) -> Fig
     }
     if diagnosis.selected:
         replays["corrected"] = replay(part, diagnosis.model, engine=search.chosen.result.engine)
-    return comparison_figure(part, Comparison(replays), name)
+    return Comparison(replays)
 
 
 def _errors(diagnosis: Diagnosis) -> dict[str, Errors | None]:

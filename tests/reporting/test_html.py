@@ -1,13 +1,19 @@
 """The page: what the terminal says, complete, escaped, in one file that fetches nothing."""
 
 import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
+import pytest
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from hybrid_id import __version__
+from hybrid_id.reporting.html.made import how_made
 from hybrid_id.reporting.html.page import Page
 
 VOID = {"meta", "img", "br", "link"}
@@ -39,8 +45,16 @@ def page() -> Page:
     return made
 
 
-def test_page_is_well_formed_and_escaped() -> None:
-    text = page().html()
+def live_page() -> Page:
+    made = page()
+    curve = {"type": "scatter", "x": [0, 1], "y": [1, 0], "name": "</script>"}
+    plot = {"data": [curve], "layout": {"height": 300}}
+    made.section("Live").picture(np.zeros((4, 6, 3), dtype=np.uint8), "a line", plot)
+    return how_made(made, "identify", "seed: 0\nname: <b>", {"seed": 0})
+
+
+@pytest.mark.parametrize("text", [page().html(), live_page().html()])
+def test_page_is_well_formed_and_escaped(text: str) -> None:
     parser = Balanced()
     parser.feed(text)
     assert parser.open == []
@@ -59,6 +73,43 @@ def test_page_holds_tables_remarks_and_pictures() -> None:
 
 
 def test_page_fetches_nothing() -> None:
-    links = re.findall(r'(?:src|href)="([^"]*)"', page().html())
+    links = re.findall(r'(?:src|href)="([^"]*)"', live_page().html())
     assert links
     assert all(link.startswith(("#", "data:")) for link in links)
+
+
+def test_page_carries_plotly_only_where_it_is_used() -> None:
+    assert "DecompressionStream" not in page().html()
+    assert "DecompressionStream" in live_page().html()
+
+
+def test_page_says_how_it_was_made() -> None:
+    text = live_page().html()
+    assert f"hybrid_id {__version__}, command identify" in text
+    assert "<pre>seed: 0\nname: &lt;b&gt;</pre>" in text
+
+
+@pytest.mark.parametrize("size", ["1280,900", "390,844"])
+def test_interactive_figures_are_drawn_in_a_browser(tmp_path: Path, size: str) -> None:
+    browser = shutil.which("chromium") or shutil.which("chromium-browser")
+    if browser is None:
+        pytest.skip("needs Chromium")
+    click = (
+        "<script>(async () => { for (const b of document.querySelectorAll('button.live')) await toggle(b); "
+        "document.title = 'drawn ' + document.querySelectorAll('.plot .scatterlayer path.js-line').length "
+        "+ ' hidden ' + document.querySelectorAll('.frame[hidden]').length "
+        "+ ' wide ' + (document.documentElement.scrollWidth > window.innerWidth); })()</script></body>"
+    )
+    file = tmp_path / "page.html"
+    file.write_text(live_page().html().replace("</body>", click), encoding="utf-8")
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--enable-logging=stderr",
+        f"--window-size={size}",
+    ]
+    options += ["--virtual-time-budget=20000", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom"]
+    done = subprocess.run([browser, *options, file.as_uri()], capture_output=True, text=True, timeout=120)
+    assert "<title>drawn 1 hidden 1 wide false</title>" in done.stdout, done.stderr[-500:]
+    assert "CONSOLE" not in done.stderr, done.stderr

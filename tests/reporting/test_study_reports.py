@@ -22,7 +22,7 @@ from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, s
 from hybrid_id.reporting.tables import comparison_table, identifiability_table, study_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.statistics.residuals import whiteness
-from hybrid_id.study import Comparison, Study, check_fit, compare, identify
+from hybrid_id.study import Comparison, Study, check_fit, compare, identify, replay
 
 TRUTH = {"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.01, "F_v": 5e-5}
 
@@ -207,7 +207,7 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
 
 
 def test_pictures_of_one_set_and_names_of_records(dataset: Dataset, study: Study, pooled: Study) -> None:
-    assert set(study_images(dataset, pooled, 1.96)) == {
+    assert set(study_images(dataset, pooled, 1.96, replay(dataset, pooled.selected.system))) == {
         "parameters", "residuals", *(f"fit_run_{k}" for k in range(3)),
     }  # fmt: skip
     ticks = [text.get_text() for text in parameter_figure(study).axes[-2].get_xticklabels()]

@@ -21,6 +21,7 @@ from hybrid_id.reporting.gap_words import (
     verdict_sentence,
     where_line,
 )
+from hybrid_id.reporting.html.live import Plot
 from hybrid_id.reporting.html.page import Page, Section
 from hybrid_id.reporting.tables import findings_list, records_table
 from hybrid_id.systems.chain import System
@@ -53,6 +54,7 @@ def gap_page(
     reach: float,
     level: float,
     findings: Sequence[Finding] = (),
+    plots: Mapping[str, Plot] | None = None,
 ) -> Page:
     """The page.
 
@@ -64,12 +66,13 @@ def gap_page(
         reach: half-width of an interval in standard errors.
         level: level of the intervals.
         findings: what the check of the records remarked.
+        plots: interactive twins of some pictures, by the same names.
     """
     page = Page(f"Gap between {dataset.name} and its model", verdict_sentence(diagnosis, reach))
 
     def picture(section: Section, name: str) -> None:
         if name in images:
-            section.picture(images[name], _CAPTIONS[name])
+            section.picture(images[name], _CAPTIONS[name], (plots or {}).get(name))
 
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
     ties = (*tie_lines(diagnosis), *experiment_lines(diagnosis))

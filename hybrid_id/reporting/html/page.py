@@ -15,6 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id import __version__
+from hybrid_id.reporting.html.live import Plot, as_script, library
 from hybrid_id.reporting.style import DPI
 
 _TEMPLATES = Environment(
@@ -36,7 +37,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Block:
-    """One thing on the page: ``kind`` is text, table or picture."""
+    """One thing on the page: ``kind`` is text, table, picture or code; a picture may have an interactive ``plot``."""
 
     kind: str
     text: str = ""
@@ -44,6 +45,7 @@ class Block:
     heads: tuple[Cell, ...] = ()
     rows: tuple[tuple[Cell, ...], ...] = ()
     source: str = ""
+    plot: str = ""
 
 
 @dataclass
@@ -65,12 +67,27 @@ class Section:
                 self.blocks.append(Block("text", str(text), _style(text)))
         return self
 
-    def picture(self, image: np.ndarray, caption: str) -> Section:
-        """Append an image, (H, W, 3) uint8, with its caption, which also serves readers who cannot see it."""
+    def code(self, text: str, caption: str) -> Section:
+        """Append a text as it stands in a file, folded under its caption."""
+        self.blocks.append(Block("code", caption, source=text))
+        return self
+
+    def picture(self, image: np.ndarray, caption: str, plot: Plot | None = None) -> Section:
+        """Append an image, (H, W, 3) uint8, with its caption, which also serves readers who cannot see it.
+
+        Where there is a ``plot``, a button under the image puts its interactive twin in its place.
+        """
         file = BytesIO()
         imsave(file, image, dpi=DPI, format="png")
         data = base64.b64encode(file.getvalue()).decode("ascii")
-        self.blocks.append(Block("picture", caption, source=f"data:image/png;base64,{data}"))
+        self.blocks.append(
+            Block(
+                "picture",
+                caption,
+                source=f"data:image/png;base64,{data}",
+                plot=as_script(plot) if plot else "",
+            )
+        )
         return self
 
 
@@ -95,7 +112,9 @@ class Page:
 
     def html(self) -> str:
         """The page as text; everything that came from the user is escaped."""
-        return _TEMPLATES.get_template("page.html.j2").render(page=self, version=__version__)
+        live = any(block.plot for section in self.sections for block in section.blocks)
+        script = library() if live else ""
+        return _TEMPLATES.get_template("page.html.j2").render(page=self, version=__version__, library=script)
 
     def write(self, path: Path) -> None:
         """Write the page."""

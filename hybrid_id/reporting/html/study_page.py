@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
+from hybrid_id.reporting.html.live import Plot
 from hybrid_id.reporting.html.page import Page
 from hybrid_id.reporting.tables import (
     count,
@@ -33,6 +34,7 @@ def study_page(
     reach: float,
     level: float,
     findings: Sequence[Finding] = (),
+    plots: Mapping[str, Plot] | None = None,
 ) -> Page:
     """The page of a study.
 
@@ -43,7 +45,9 @@ def study_page(
         reach: half-width of an interval in standard errors.
         level: level of the intervals.
         findings: what the check of the records remarked.
+        plots: interactive twins of some pictures, by the same names.
     """
+    plots = plots or {}
     page = Page(f"Identification of {dataset.name}", _lead(dataset, study))
     page.section("Parameters").add(study_table(study, reach, level))
     told = page.section("What these records can tell").add(identifiability_table(study.identifiability))
@@ -53,11 +57,11 @@ def study_page(
     statistics, fits = page.section("Statistics"), page.section("Measured and simulated")
     for name, image in images.items():
         if name == "parameters":
-            told.picture(image, _CAPTIONS[name])
+            told.picture(image, _CAPTIONS[name], plots.get(name))
         elif name in _CAPTIONS:
-            statistics.picture(image, _CAPTIONS[name])
+            statistics.picture(image, _CAPTIONS[name], plots.get(name))
         else:
-            fits.picture(image, f"Record {name.removeprefix('fit_')}.")
+            fits.picture(image, f"Record {name.removeprefix('fit_')}.", plots.get(name))
     return page
 
 
