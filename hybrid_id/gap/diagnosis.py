@@ -12,7 +12,7 @@ from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import Experiment, next_experiment
 from hybrid_id.gap.probability import Suspect, suspects, tied_explanations, tied_sets
-from hybrid_id.gap.refit import Explanation, Refit
+from hybrid_id.gap.refit import Explanation, Refit, engine
 from hybrid_id.gap.shrink import Shrink, shrink
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
@@ -161,7 +161,7 @@ def diagnose(
     before = tuple(locate(refit, base))
     after = tuple(locate(refit, search.chosen)) if search.chosen is not base else before
     found = tuple(suspects(search))
-    nominal, first = errors(dataset, system), errors(dataset, base.system, base.result.engine)
+    nominal, first = errors(dataset, system, engine()), errors(dataset, base.system, base.result.engine)
     last = first
     if search.chosen is not base:
         last = errors(dataset, search.chosen.system, search.chosen.result.engine)

@@ -63,6 +63,11 @@ def scales(system: System, batch: Batch) -> list[Scales]:
         system: fitted model.
         batch: records, prepared for it.
     """
+    for joint in system.joints:
+        if (
+            f"{joint.name}/motor/electrical_lag" in system.components
+        ):  # the current that lags was not measured
+            system = system.without_component(f"{joint.name}/motor", "electrical_lag")
     return [_of_joint(system, joint, batch) for joint in system.joints]
 
 
