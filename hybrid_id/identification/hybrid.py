@@ -125,7 +125,7 @@ def train_hybrid(
         )
     physics = fit_physics(system, batch, engine, options)
     values = {name: physics.system.parameter(name).spec.value for name in physics.names}
-    system = with_scales(system.with_values(values), batch).to(batch.x.device)
+    system = with_scales(system.with_values(values), batch, engine.width).to(batch.x.device)
     for part in system.networks.values():
         part.fall_asleep()
     free = [i for i, info in enumerate(system.table) if info.spec.estimate]

@@ -14,9 +14,6 @@ from hybrid_id.simulation.prepare import Batch
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.networks import HARMONIC, LINK_PLACES, Networks
 
-DIRECTION = 0.02
-"""Scale of a ``direction`` as a share of the speed's RMS, beyond which it is a sign."""
-
 
 def networks_of(system: System) -> list[tuple[str, str, ResidualNetwork, Networks]]:
     """Name of its output (``r_motor1``), place, network and joint's networks of each."""
@@ -28,11 +25,17 @@ def networks_of(system: System) -> list[tuple[str, str, ResidualNetwork, Network
 
 
 @torch.no_grad()
-def with_scales(system: System, batch: Batch) -> System:
+def with_scales(system: System, batch: Batch, width: float = 0.5) -> System:
     """The system whose networks have input and output scales from the measured motion of a batch.
 
     Angles get their mean and standard deviation, other signals their RMS; the output scale is the RMS of the motor's
     torque (at the link where the place is there) or of the command.
+
+    Args:
+        system: holds the networks.
+        batch: rows; samples without a measurement do not count.
+        width: speed over which the engine smooths friction [rad/s], the scale of a ``direction``: a network that is
+            sharper or softer than the friction beside it would learn the difference where the joint creeps.
     """
     system = copy.deepcopy(system)
     used = (batch.weight > 0).any(2).reshape(-1)
@@ -50,7 +53,7 @@ def with_scales(system: System, batch: Batch) -> System:
             elif name.startswith(("angle", "deflection")) and name != "deflection_rate":
                 shift, scale = signal.mean(), signal.std()
             elif name == "direction":
-                scale = DIRECTION * scale
+                scale = torch.full_like(scale, width)
             part.shift[k], part.scale[k] = shift, scale if scale > 0 else torch.ones_like(scale)
         drive, ratio = networks.joint.drive, networks.joint.gear_ratio
         reference = drive.command(x, u, p, network=False)

@@ -38,7 +38,7 @@ class Networks:
     """Networks by place, one a place.
 
     Signals that an input may name, of the side (rotor or link) on which the place acts: ``angle`` [rad], ``speed``
-    [rad/s], ``direction`` (the speed once more, of which a network takes the tanh at a small scale: its sign),
+    [rad/s], ``direction`` (the speed once more, whose sign a network takes, smoothed as friction is),
     ``sin n`` and ``cos n`` of n times the angle; and of the joint: ``command`` (effective, in the motor's unit),
     ``torque`` (the motor's [N m]), ``load`` (at the link [N m], link friction excepted), ``transmitted`` (through the
     gear, at the link [N m]: the spring's torque, or behind a rigid gear what the joint's own balance without dry
