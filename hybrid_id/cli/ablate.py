@@ -9,7 +9,7 @@ import typer
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import refuse_taken, required
+from hybrid_id.cli.folder import refuse_taken, required, sole_writer
 from hybrid_id.cli.hybrid import engine_of, options_of
 from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import (
@@ -70,10 +70,11 @@ def ablate(
         (home / CELLS).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{home} cannot be made ({error.strerror}); give another folder") from None
-    config.save(home / "config.yaml")
-    results = _run(task, cells, home, jobs, scheduler)
-    outcome = _gather(config, results)
-    text = _write(home, config, dataset, outcome)
+    with sole_writer(home):
+        config.save(home / "config.yaml")
+        results = _run(task, cells, home, jobs, scheduler)
+        outcome = _gather(config, results)
+        text = _write(home, config, dataset, outcome)
     if as_json:
         stdout().print(text, markup=False, soft_wrap=True)
     else:

@@ -1,5 +1,6 @@
 """The commands by name, and the one place where errors become messages and exit codes."""
 
+import errno
 import sys
 from typing import Annotated, Any, NoReturn
 
@@ -24,6 +25,9 @@ from hybrid_id.cli.reproduce import reproduce
 from hybrid_id.cli.train import train
 from hybrid_id.errors import InputError
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+"""The disk is full, the user's share of it is, or nobody may write there."""
+
 
 class Commands(TyperGroup):
     """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
@@ -47,6 +51,13 @@ class Commands(TyperGroup):
             known = args[:1] if args[:1] and args[0] in self.commands else []
             code = _refuse(
                 f"{error.format_message().rstrip('.')}; see '{' '.join(['hybrid-id', *known])} --help'"
+            )
+        except OSError as error:
+            if error.errno not in FULL:
+                raise
+            where = f" ({error.filename})" if error.filename else ""
+            code = _refuse(
+                f"the results cannot be written: {error.strerror}{where}; make room or give another folder"
             )
         except typer.Abort:
             code = _refuse("stopped", 130)

@@ -1,5 +1,6 @@
 """The folder of results: complete under its name, or not there at all."""
 
+import fcntl
 import json
 import os
 import shutil
@@ -103,21 +104,43 @@ def live_folder(path: Path, *, force: bool, resume: bool) -> Iterator[None]:
     aside = path.with_name(f"{path.name}.old")
     replaced = path.exists() and any(path.iterdir()) and not resume
     if replaced:
+        with sole_writer(path):  # nobody's folder is put aside under his hands
+            pass
+    if replaced:
         if aside.exists():
             raise InputError(f"{aside} is in the way, the place for the results that are replaced; remove it")
         path.replace(aside)
     path.mkdir(exist_ok=True)
+    with sole_writer(path):
+        yield from _until_complete(path, aside if replaced else None, made)
+
+
+def _until_complete(path: Path, aside: Path | None, made: list[Path]) -> Iterator[None]:
+    """Bring back what was put aside when a run fails before its first checkpoint, remove it when it is complete."""
     try:
         yield
     except BaseException:
         if not (path / CHECKPOINT).exists():
             shutil.rmtree(path)
-            if replaced:
+            if aside:
                 aside.replace(path)
             _remove(made)
         raise
-    if replaced:
+    if aside:
         shutil.rmtree(aside)
+
+
+@contextmanager
+def sole_writer(path: Path) -> Iterator[None]:
+    """Let no other run write into a folder that is filled bit by bit; a lock that a killed run leaves is none."""
+    folder = os.open(path, os.O_RDONLY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise InputError(f"another run is writing into {path}; wait for it, or give another folder") from None
+    finally:
+        os.close(folder)
 
 
 @contextmanager

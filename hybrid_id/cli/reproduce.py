@@ -7,7 +7,7 @@ import typer
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import RESULT, refuse_taken
+from hybrid_id.cli.folder import RESULT, refuse_taken, sole_writer
 from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
 from hybrid_id.errors import InputError
 
@@ -45,7 +45,7 @@ def reproduce(
     from hybrid_id.reproduction.run import reproduce as walk
 
     try:
-        with FitProgress(1, Options().max_iterations, polite=False) as progress:
+        with sole_writer(parts), FitProgress(1, Options().max_iterations, polite=False) as progress:
             result = walk(
                 parts, quick=quick, seeds=seeds or (2 if quick else 20), say=remark, progress=progress
             )

@@ -12,7 +12,7 @@ import numpy as np
 from hybrid_id.errors import InputError
 
 UNIFORM_TOLERANCE = 0.01  # steps this close to the median step, relative, count as equal
-_NAME = re.compile(r"\w[\w .+@,=()-]*")  # names become file names
+_NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")  # names become file names
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ class Record:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             raise InputError(
-                f"record name {self.name!r} cannot be a file name; use letters, digits, '_' and '-'"
+                f"record name {self.name!r} cannot be a file name; use at most 100 letters, digits, '_' and '-'"
             )
         if self.role not in ("train", "test"):
             raise InputError(f"{self.title}: role {self.role!r} is unknown; it is 'train' or 'test'")

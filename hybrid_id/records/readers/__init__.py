@@ -9,6 +9,7 @@ from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.readers.mat import read_mat
 from hybrid_id.records.readers.parquet import read_parquet
 from hybrid_id.records.readers.table import Table, record_name
+from hybrid_id.records.readers.unpack import refuse_bomb
 
 READERS: dict[str, Callable[[Path, Collection[str]], Table]] = {
     "csv": read_csv,
@@ -38,6 +39,8 @@ def load_any(path: str | Path, wanted: Collection[str], *, file_format: str | No
     if file_format not in READERS:
         raise InputError(f"{path}: ending '{ending}' is unknown; give its 'format' ({', '.join(READERS)})")
     try:
+        if path.suffix == ".gz" or file_format == "mat":
+            refuse_bomb(path)
         return READERS[file_format](path, wanted)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct 'file' or bring the file") from None

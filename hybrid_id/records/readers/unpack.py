@@ -1,0 +1,66 @@
+"""Compressed files that unpack to far more than any record: refused before a parser has to hold them."""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO
+
+from hybrid_id.errors import InputError
+
+FREE = 100_000_000
+"""Bytes that any file may unpack to."""
+RATIO = 100
+"""Beyond those, bytes for one compressed byte: tables of numbers come to 20, deflate's limit is 1032."""
+_LIMIT = 1032
+_CHUNK = 1 << 20
+_MAT_HEADER = 128
+_MAT_COMPRESSED = 15
+
+
+def refuse_bomb(path: Path) -> None:
+    """Raise InputError where a gzip file, or a compressed variable of a MATLAB file, unpacks beyond the limits."""
+    if not path.is_file() or path.stat().st_size * _LIMIT <= FREE:
+        return
+    with path.open("rb") as file:
+        for start, size, window in _streams(file, path):
+            file.seek(start)
+            unpacked, left = 0, size
+            engine = zlib.decompressobj(window)
+            while left > 0 and (data := file.read(min(_CHUNK, left))):
+                left -= len(data)
+                unpacked += _length(engine, data)
+                if unpacked > FREE and unpacked > RATIO * size:
+                    raise InputError(
+                        f"{path} unpacks to more than {RATIO} times its size and over {FREE // 1_000_000} MB, which no "
+                        "record does; bring it uncompressed if it is one"
+                    )
+
+
+def _streams(file: BinaryIO, path: Path) -> Iterator[tuple[int, int, int]]:
+    """Start, size and zlib window of each compressed stream."""
+    size = path.stat().st_size
+    if path.suffix == ".gz":
+        yield 0, size, zlib.MAX_WBITS + 16
+        return
+    start = _MAT_HEADER
+    file.seek(_MAT_HEADER - 2)
+    order = "<" if file.read(2) == b"IM" else ">"
+    while start + 8 <= size:
+        file.seek(start)
+        kind, length = struct.unpack(f"{order}II", file.read(8))
+        if kind == _MAT_COMPRESSED:
+            yield start + 8, min(length, size - start - 8), zlib.MAX_WBITS
+        start += 8 + length
+
+
+def _length(engine: "zlib._Decompress", data: bytes) -> int:
+    """Bytes that a piece unpacks to, none of which is kept; a damaged stream is left to its reader."""
+    total = 0
+    try:
+        while data:
+            total += len(engine.decompress(data, _CHUNK))
+            data = engine.unconsumed_tail
+    except zlib.error:
+        pass
+    return total
