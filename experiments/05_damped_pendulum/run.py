@@ -56,7 +56,7 @@ for seed in range(int(sys.argv[1]) if len(sys.argv) > 1 else 1):
     train, validation, test = (swings(system, 10 * seed + k) for k in range(3))
     # over 20 s a pendulum without damping would turn over and over: pieces of 4 s from measured states
     pieces = train.windows(8 * EVERY + 1, 8 * EVERY, train.x0_std)[0]
-    options = HybridOptions(prices=(1e4, 1e2, 1.0, 0.0), windows=(), max_iterations=40, worth=0.0)
+    options = HybridOptions(prices=(1e4, 1e2, 1.0, 0.0), windows=(), max_iterations=120, worth=0.0)
     result = train_hybrid(system, pieces, validation, engine=OdeEngine(fine=1, width=1e-6), options=options)
     for rung in result.rungs:
         miss = (simulate(rung.system, result.engine, test).y - test.y)[:, ::EVERY]
