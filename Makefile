@@ -12,7 +12,7 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test check docs format clean
+.PHONY: help install demo test check soak docs format clean
 
 help:  ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
@@ -29,6 +29,9 @@ check: $(INSTALLED)  ## lint, format and type checks
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
+
+soak: $(INSTALLED)  ## kill a training at random moments and resume it, 50 times (half an hour)
+	$(BIN)/python tests/soak.py
 
 docs: $(INSTALLED)  ## build the documentation (site/)
 	$(BIN)/python -m mkdocs build --strict
