@@ -112,7 +112,8 @@ def paper_page(
         images: the figures by name.
         quick: whether the results are those of the short run.
     """
-    page = Page("The paper on digital twins", f"{LEAD} {QUICK}" if quick else LEAD)
+    verdict = f"{sum(claim.met for claim in claims)} of {len(claims)} claims are met."
+    page = Page("The paper on digital twins", " ".join([verdict, LEAD, *([QUICK] if quick else [])]))
     page.section("What was to be shown").add(claims_table(claims))
     motors = page.section("II: motors and preprocessing")
     motors.add("Table 1: motor constants of the data sheets.", motors_table())

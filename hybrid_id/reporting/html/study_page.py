@@ -66,9 +66,11 @@ def study_page(
 
 
 def _lead(dataset: Dataset, study: Study) -> str:
-    """The outcome in a sentence or two."""
+    """The outcome in plain words: how many parameters to rely on, then how they were found and what they predict."""
+    sound = sum(one.grade in ("A", "B") for one in study.trust)
+    verdict = f"{sound} of {count(len(study.names), 'parameter')} can be relied on (trust A or B)."
     kind = "One parameter set over all records" if study.pooled else "One parameter set for each record"
-    words = f"{kind} ({count(len(dataset.train), 'train record')})."
+    words = f"{verdict} {kind} ({count(len(dataset.train), 'train record')})."
     if not study.pooled and len(study.sets) > 1:
         words += f" Set {study.selection.name} carries over best."
     if study.test_nrmse:
