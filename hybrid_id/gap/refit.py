@@ -5,7 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from joblib import Parallel, delayed
@@ -13,10 +13,13 @@ from joblib import Parallel, delayed
 from hybrid_id.errors import InputError
 from hybrid_id.gap.evidence import Evidence, evidence
 from hybrid_id.identification.fit import fit
+from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.left_out import left_out
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.secant import left_out, secant_fit
+from hybrid_id.identification.secant import secant_fit, shaken
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.step import Engine
@@ -27,8 +30,6 @@ BEGINNING = 12
 """Iterations of the fit in windows that today's model starts with: its nominal values may be far."""
 TO_THE_END = 40
 """Iterations after which a fit is taken as it is."""
-POLISH = 30
-"""Iterations by exact sensitivities at the end of a fit."""
 LOOK = 3
 """Iterations up to which a fit is a first look, judged by the records that it has seen."""
 Name = tuple[str, str]
@@ -118,17 +119,30 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
     try:
         batch = batch_of(dataset, task.system, dataset.train, signal_share, "cpu")
         result = secant_fit(task.system, batch, engine=engine(), iterations=iterations)
-        if iterations == TO_THE_END:  # close by, exact sensitivities see what finite steps blur
-            polish = Options(max_iterations=POLISH, tolerance=0.05)
-            exact = fit(result.system, batch, pooled=True, engine=result.engine, warm=False, options=polish)[
-                0
-            ]
-            result = min(exact, result, key=lambda one: one.cost)
+        loose = hidden_links(task.system, batch)
+        if loose and iterations == TO_THE_END:
+            result = shaken(result, batch)
+        elif not loose and iterations > LOOK:
+            result = _polished(result, batch, iterations)
     except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
         return None
     blind = result.residual if iterations <= LOOK else left_out(result, batch)
     found = evidence(blind, step)
     return Explanation(task.effects, result, found) if found.error < float("inf") else None
+
+
+def _polished(result: FitResult, batch: Batch, iterations: int) -> FitResult:
+    """The fit carried on with exact sensitivities, which see close by what finite steps blur, where that helps."""
+    options = Options(max_iterations=iterations, tolerance=0.05)
+    try:
+        exact = fit(result.system, batch, pooled=True, engine=result.engine, warm=False, options=options)[0]
+    except (InputError, RuntimeError):
+        return result
+    if not exact.cost < result.cost:
+        return result
+    # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
+    there = secant_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
+    return replace(there, status=exact.status, iterations=result.iterations + exact.iterations)
 
 
 def engine() -> Engine:

@@ -10,7 +10,9 @@ from drives import batch_of, multisine, rigid_drive
 
 from hybrid_id.components import Backlash, Delay
 from hybrid_id.errors import InputError
-from hybrid_id.identification.secant import Rollouts, left_out, secant_fit
+from hybrid_id.identification.left_out import left_out
+from hybrid_id.identification.rollouts import Rollouts
+from hybrid_id.identification.secant import secant_fit, shaken
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.step import Engine
@@ -111,3 +113,28 @@ def test_priors_hold_what_the_records_do_not_tell() -> None:
     batch = replace(batch, weight=torch.full_like(batch.y, 1.0 / NOISE))
     found = secant_fit(held, batch, engine=DRY, iterations=5)
     assert found.system.parameter(name).spec.value == pytest.approx(spec.value, rel=0.01)
+
+
+def test_shaking_never_ends_higher_and_says_the_same_again() -> None:
+    truth = loose_drive(0.03)
+    batch = measured(truth, Rollouts(truth, measured(truth, QUICK), QUICK, [0]).engine)
+    early = secant_fit(loose_drive(0.02), batch, engine=QUICK, iterations=2)
+    found = shaken(early, batch, seed=1)
+    assert found.cost <= early.cost
+    assert np.array_equal(found.values, shaken(early, batch, seed=1).values)
+
+
+def test_first_states_are_found_within_what_is_known_of_them() -> None:
+    truth = rigid_drive()
+    inputs = {"u1": multisine(0, samples=300, rest=20)[None]}
+    batch = batch_of(truth, inputs, rows=1, outputs=("q_m1",))
+    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None])[..., :1]
+    batch = replace(
+        batch,
+        y=run + 0.5,
+        weight=torch.full_like(run, 1.0 / NOISE),
+        x0_std=torch.tensor([[1.0, 0.0]]).to(run),
+    )
+    found = secant_fit(truth, batch, engine=DRY)
+    assert found.x0[0, 0] == pytest.approx(float(batch.x[0, 0, 0]) + 0.5, abs=0.02)
+    assert found.x0[0, 1] == 0.0
