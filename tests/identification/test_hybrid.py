@@ -342,12 +342,10 @@ def test_a_gradient_is_clipped_to_a_length() -> None:
 def test_scales_come_from_the_data(made: list) -> None:
     system = hybrid(inputs=("angle", "speed", "direction", "sin 3"))
     batch = batches(system, made)[0]
-    (name, place, part, _), *_ = networks_of(with_scales(system, batch))
+    (name, place, part, _), *_ = networks_of(with_scales(system, batch, 0.7))
     assert (name, place) == ("r_motor1", "motor")
     speed = float(batch.x[..., 1].square().mean().sqrt())
-    assert part.scale.tolist() == pytest.approx(
-        [float(batch.x[..., 0].std()), speed, 0.02 * speed, 1.0], rel=1e-9
-    )
+    assert part.scale.tolist() == pytest.approx([float(batch.x[..., 0].std()), speed, 0.7, 1.0], rel=1e-9)
     assert part.shift.tolist() == pytest.approx([float(batch.x[..., 0].mean()), 0.0, 0.0, 0.0])
     assert 0.003 < float(part.output_scale) < 0.05
 

@@ -89,13 +89,6 @@ def test_test_records_stay_unseen_while_there_are_others() -> None:
             split(faulty, chosen)
 
 
-def test_a_direction_is_as_smooth_as_the_friction_beside_it(batch: Batch) -> None:
-    system = with_scales(
-        DRIVE.with_component(PLACE, ResidualNetwork(inputs=("speed", "direction"))), batch, 0.7
-    )
-    assert next(iter(system.networks.values())).scale[1] == 0.7
-
-
 def test_systems_are_left_as_they_are(batch: Batch) -> None:
     system: System = DRIVE.with_component(PLACE, ResidualNetwork())
     with_scales(system, batch)
