@@ -224,8 +224,10 @@ def _without(system: System, base: System, name: Name) -> System | None:
         part = part_of(system, name[1], kind)
         if part is None:
             continue
-        if not part.single:
-            return system.without_component(name[1], kind)
-        old = next(p for key, p in base.components.items() if key.startswith(f"{name[1]}/") and p.single)  # type: ignore[union-attr]
-        return system.with_component(name[1], old)  # type: ignore[arg-type]
+        family = part.family()
+        before = (
+            p for key, p in base.components.items() if key.startswith(f"{name[1]}/") and isinstance(p, family)
+        )
+        old = next(before, None)
+        return system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
     return None

@@ -8,6 +8,7 @@ from typing import Any
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute
+from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import Experiment, next_experiment
@@ -21,6 +22,8 @@ from hybrid_id.systems.chain import System
 UNEXPLAINED = 0.3
 """Share of what the chosen model leaves that a torque of no name explains on records left out: then something acts
 that the catalogue lacks."""
+COLOURED = 0.4
+"""Share of what the chosen model leaves that is no white noise, from which something acts that the catalogue lacks."""
 PARAMETRIC = 1.1
 """Ratio of nominal to re-fitted error from which the parameters were wrong."""
 TOO_SHORT = 30.0
@@ -168,7 +171,7 @@ def diagnose(
     left = max((one.share for one in after), default=0.0)
     # behind play nobody has measured where the link is, and the probe starts its windows in the wrong place
     play = any("backlash" in key for key in search.chosen.system.components)
-    unknown = left > UNEXPLAINED and not play
+    unknown = (left > UNEXPLAINED and not play) or coloured(search.chosen.result.residual) > COLOURED
     gap = None
     if first is not None and last is not None:
         # what a torque of no name still explains is no noise

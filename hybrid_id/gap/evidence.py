@@ -60,6 +60,20 @@ def evidence(residuals: Sequence[np.ndarray], sample_time: float) -> Evidence:
     return Evidence(np.concatenate(blocks), samples, effective_samples(residuals))
 
 
+def coloured(residuals: Sequence[np.ndarray]) -> float:
+    """Share of the mean square that neighbouring samples have in common: 0 for white noise, 1 for what is smooth.
+
+    One less von Neumann's ratio, ``1 - <(r_t - r_{t-1})^2> / (2 <r_t^2>)`` (J. von Neumann, Ann. Math. Stat. 12, 1941):
+    an encoder's noise is white, what a model lacks is not.
+
+    Args:
+        residuals: of each record, ``(T, n_y)``.
+    """
+    total = sum(float(np.square(r).sum()) for r in residuals)
+    steps = sum(float(np.square(np.diff(r, axis=0)).sum()) for r in residuals)
+    return max(0.0, 1.0 - 0.5 * steps / total) if total > 0 else 0.0
+
+
 def effective_samples(residuals: Sequence[np.ndarray]) -> float:
     """Number of independent samples that correlated residuals are worth.
 

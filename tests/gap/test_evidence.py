@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hybrid_id.gap.evidence import BLOCK, effective_samples, evidence
+from hybrid_id.gap.evidence import BLOCK, coloured, effective_samples, evidence
 
 STEP = 0.01
 
@@ -43,3 +43,12 @@ def test_independent_samples_of_an_autoregression(rng: np.random.Generator, memo
         records.append(x[:, None])
     expected = 80_000 * (1 - memory) / (1 + memory)
     assert effective_samples(records) == pytest.approx(expected, rel=0.15)
+
+
+def test_white_noise_has_no_colour_and_what_is_smooth_is_all_colour(rng: np.random.Generator) -> None:
+    long = [rng.standard_normal((20_000, 1)) for _ in range(3)]
+    smooth = [np.sin(np.linspace(0.0, 20.0, 20_000))[:, None]]
+    assert coloured(long) < 0.02
+    assert coloured(smooth) > 0.99
+    assert coloured([a + 1.0 * np.sqrt(2.0) * smooth[0] for a in long]) == pytest.approx(0.5, abs=0.03)
+    assert coloured([np.zeros((10, 1))]) == 0.0
