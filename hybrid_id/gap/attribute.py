@@ -29,6 +29,11 @@ SAME = 2e-3
 """Costs that differ by less than this share are of one valley."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted to the end."""
+FAR = 3.0
+"""Mean square error, in units of the noise, from which a re-fit counts as far from the records."""
+NEAR = 1.15
+"""Mean square error of a second look, relative to the model before, up to which an effect beside another may still win:
+that model has been fitted to the end."""
 LEAST_RATIO = 1.015
 """An effect must lower the RMS of the errors of prediction at least by this factor ..."""
 MORE_RATIO = 1.05
@@ -123,12 +128,13 @@ def one_round(
 def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
     """A fit to start for every effect, place and start point.
 
-    Each starts where the model before has ended, and, as long as no effect is known, from today's own values, too: the
-    re-fit may have bent its parameters to make up for what it lacks.
+    Each starts where the model before has ended. Where that is today's re-fitted model and it is far from the records, it
+    has bent its parameters to make up for what it lacks; then each starts from today's own values, too.
     """
     batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
     nominal = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
     taken, found = set(before.effects), []
+    bent = not before.effects and before.evidence.error > FAR
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
             models = effect.models(before.system, size)
@@ -141,7 +147,7 @@ def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
                 for start in starts:
                     names_of = {(info.component, info.symbol): info.name for info in start.table}
                     plain = start.with_values({names_of[k]: v for k, v in nominal.items() if k in names_of})
-                    found += [Task(names, s) for s in ((start,) if before.effects else (start, plain))]
+                    found += [Task(names, s) for s in ((start, plain) if bent else (start,))]
     return found
 
 
@@ -167,13 +173,12 @@ def _ranked(
     ):
         limit = HOPELESS * ranked[0].evidence.error if iterations == TO_THE_END and ranked else math.inf
         if before.effects:  # beside another effect, one that promises nothing is let go
-            limit = min(limit, before.evidence.error)
+            limit = min(limit, NEAR * before.evidence.error)
         rivals = [e for e in ranked[:keep] if e.evidence.error < limit and e.effects not in finished]
-        again = [e for e in rivals if not e.result.ok or iterations != TO_THE_END]
-        more = refit.run([Task(e.effects, e.system) for e in again], iterations, tick)
+        more = refit.run([Task(e.effects, e.system) for e in rivals], iterations, tick)
         finished |= {e.effects for e in rivals} if iterations == TO_THE_END else set()
         # what has been fitted further counts, be it better or worse; the rest stays as it was seen
-        kept = [e for e in ranked if e not in again]
+        kept = [e for e in ranked if e not in rivals]
         ranked = _best_of_each([*(e for e in more if e is not None), *kept])
     return tuple(ranked)
 
