@@ -128,8 +128,8 @@ def one_round(
 def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
     """A fit to start for every effect, place and start point.
 
-    Each starts where the model before has ended. Where that is today's re-fitted model and it is far from the records, it
-    has bent its parameters to make up for what it lacks; then each starts from today's own values, too.
+    Each starts where the model before has ended. Where that is today's re-fitted model and it is far from the records,
+    it has bent its parameters to make up for what it lacks; then each starts from today's own values, too.
     """
     batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
     nominal = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
