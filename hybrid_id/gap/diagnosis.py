@@ -28,8 +28,9 @@ PARAMETRIC = 1.1
 """Ratio of nominal to re-fitted error from which the parameters were wrong."""
 TOO_SHORT = 30.0
 """Independent samples below which no structure can be told."""
-BENT = math.log(1.4)
-"""Change of a parameter against its nominal value, scale apart, that physics hardly allows."""
+BENT, BENT_TORQUE = math.log(1.4), math.log(1.7)
+"""Change of a parameter against its nominal value that data sheets hardly allow; the same of a torque, whose common scale
+is known no better than the others' median."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,6 +230,6 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
         own = moved - (middle if kind[name] else 0.0)
         if own < -3.0:
             words.append(f"{name} is driven to zero")
-        elif abs(own) > BENT:
+        elif abs(own) > (BENT_TORQUE if kind[name] else BENT):
             words.append(f"{name} is {math.exp(own):.2f} times its nominal value")
     return words
