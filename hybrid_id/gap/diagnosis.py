@@ -29,8 +29,8 @@ PARAMETRIC = 1.1
 TOO_SHORT = 30.0
 """Independent samples below which no structure can be told."""
 BENT, BENT_TORQUE = math.log(1.4), math.log(1.7)
-"""Change of a parameter against its nominal value that data sheets hardly allow; the same of a torque, whose common scale
-is known no better than the others' median."""
+"""Change of a parameter against its nominal value that data sheets hardly allow; the same of a torque, whose common
+scale is known no better than the others' median."""
 
 
 @dataclass(frozen=True, eq=False)
