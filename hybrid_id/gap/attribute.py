@@ -208,9 +208,12 @@ def _challenge(
     """Drop what the others have made needless."""
     for name in chosen.effects:
         rest = tuple(e for e in chosen.effects if e != name)
-        simpler = next((e for r in rounds for e in (r.before, *r.candidates) if e.effects == rest), None)
-        if simpler is None:
-            simpler = _refitted_without(refit, base, chosen, name)
+        # the others have ended elsewhere than before they had each other: the rest may do better from there
+        known = [e for r in rounds for e in (r.before, *r.candidates) if e.effects == rest]
+        again = _refitted_without(refit, base, chosen, name)
+        simpler = min(
+            (e for e in (*known, again) if e is not None), key=lambda e: e.evidence.error, default=None
+        )
         if simpler is not None and not better(chosen, simpler):
             return simpler
     return chosen
