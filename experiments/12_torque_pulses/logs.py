@@ -44,7 +44,9 @@ def batch_of(system: System, records: Sequence[Record], noise: float) -> Batch:
     states = batch.x.clone()
     for row, record in enumerate(records):
         for name in OUTPUTS:
-            states[row, : record.n_samples, system.state_names.index(name)] = torch.tensor(record.outputs[name])
+            states[row, : record.n_samples, system.state_names.index(name)] = torch.tensor(
+                record.outputs[name]
+            )
     return replace(batch, x=states)
 
 

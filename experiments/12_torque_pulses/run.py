@@ -7,7 +7,7 @@ import torch
 from logs import Score, batch_of, planned, read_runs
 
 sys.path.insert(1, str(Path(__file__).parents[1] / "08_double_pendulum"))
-from arm import build
+from arm import build  # pyright: ignore[reportMissingImports]
 
 from hybrid_id.gap.pulses import calibrate
 from hybrid_id.records.yaml_file import read_yaml
@@ -28,7 +28,11 @@ for task in config["tasks"]:
         detector = calibrate(system, engine, batch, widths=config["widths"], rate=config["rate"])
         print(f"{task}{name}: thresholds {', '.join(f'{h:.2f}' for h in detector.threshold)} standard errors")
         claims = detector.find(batch_of(system, rest, config["noise"]))
-        print(f"  unperturbed repeats: {len(claims)} pulses claimed in {len(rest)} records", *claims, sep="\n    ")
+        print(
+            f"  unperturbed repeats: {len(claims)} pulses claimed in {len(rest)} records",
+            *claims,
+            sep="\n    ",
+        )
         claims = detector.find(batch_of(system, pushed, config["noise"]))
         for joint in ("joint1", "joint2"):
             print(f"  {joint}: {Score.of(claims, truth, joint, config['near'])}")

@@ -1,43 +1,45 @@
-"""Pulses of torque that nobody commanded: at which joint, when, how large, with a rate of false alarms fixed beforehand.
+"""Pulses of torque that nobody commanded: at which joint, when, how large, at a rate of false alarms fixed before.
 
 From a measured state the fitted model predicts the next one; what it misses is the torque that acted in between. A
 torque pulse of Gaussian shape is fitted to that series at every instant, beside a constant and a slope, so that what
 drifts slowly is no pulse; the largest fit in units of its standard error is the statistic (a bank of matched filters).
-What the model's own parameters can explain of unperturbed records is taken out first. Noise level and threshold come
+The model's parameters are first moved to where they explain most of unperturbed records. Noise level and threshold come
 from those records too: median absolute deviation, and an exponential tail of the statistic's peaks.
 
-Sources: A. S. Willsky and H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of jumps
-in linear systems", IEEE Trans. Automatic Control 21 (1976), here for pulses of unknown width; J. Pickands, "Statistical
-inference using extreme order statistics", Annals of Statistics 3 (1975), for peaks over a threshold.
+Sources: A. S. Willsky and H. L. Jones, "A generalized likelihood ratio approach to the detection and estimation of
+jumps in linear systems", IEEE Trans. Automatic Control 21 (1976), here for pulses of unknown width; J. Pickands,
+"Statistical inference using extreme order statistics", Annals of Statistics 3 (1975), for peaks over a threshold.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from scipy.ndimage import correlate1d
 from scipy.signal import find_peaks
 
-from hybrid_id.components import ConstantTorque
 from hybrid_id.errors import InputError
+from hybrid_id.gap.missing_torque import Torques, missing_torques, moved
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.lifted import linearise
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
 WIDTHS = (0.05, 0.07, 0.1)
 """Standard deviations [s] of the pulses that are looked for."""
 REACH = 4.0
-"""Half-length of a filter, in widths; pulses that are closer at one joint, or closer to a record's end, are not told."""
+"""Half-length of a filter, in widths; pulses closer than this at one joint or to a record's end are not told."""
 FADE = 2.5
 """Width of the weights within a filter, in widths of the pulse."""
 TAIL = 0.7
 """Quantile of the peaks of unperturbed records from which on they are taken for an exponential tail."""
 GAUSSIAN = 1.4826
 """Standard deviation over median absolute deviation."""
+STEPS = 4
+"""Gauss-Newton steps; most parameters enter linearly."""
+TINY = 1e-12
+"""Least noise [N m]: that of a simulation without any."""
 RANK = 1e-4
 """Directions of the model's parameters that move the torque less than this, relative to the strongest, are left."""
 
@@ -52,7 +54,8 @@ class Pulse:
         time: of its middle from the record's start [s].
         size: torque in its middle [N m] at the link, positive where it drives.
         width: standard deviation of its Gaussian shape [s].
-        std: standard error of the size [N m], from the unperturbed records.
+        std: standard error of the size [N m], typical of the unperturbed records; where a model errs more than it
+            typically does, the size does, too. The threshold allows for this, the standard error does not.
     """
 
     record: str
@@ -64,64 +67,13 @@ class Pulse:
 
 
 @dataclass(frozen=True, eq=False)
-class Torques:
-    """What a model misses of one record between samples, as torques at the links.
-
-    Attributes:
-        record: its name.
-        step: sample time [s].
-        torque: ``(T, n_joints)`` [N m]; 0 where a joint sticks, which tells nothing.
-        own: what each of the model's parameters adds per unit, ``(T, n_joints, n_p)``.
-    """
-
-    record: str
-    step: float
-    torque: np.ndarray
-    own: np.ndarray
-
-
-@torch.no_grad()
-def missing_torques(system: System, engine: Engine, batch: Batch) -> list[Torques]:
-    """Torques at the links that lead the model from each sample's state exactly to the next one's speeds.
-
-    Args:
-        system: fitted model.
-        engine: how a sample is integrated; smooth friction tells more, since a joint that sticks hides a torque.
-        batch: records with one sample time, prepared for the model; its states ``x`` are taken as measured.
-    """
-    parts = [f"{joint.name}/load" for joint in system.joints]
-    opened = system
-    for place in parts:
-        if f"{place}/{ConstantTorque.kind}" not in system.components:
-            opened = opened.with_component(place, ConstantTorque(T_0=0.0))
-    index = {(o.component, o.symbol): i for i, o in enumerate(opened.table)}
-    loads = [index[f"{place}/{ConstantTorque.kind}", "T_0"] for place in parts]
-    own = [i for i, o in enumerate(opened.table) if o.spec.estimate and i not in loads]
-    theta = opened.theta().detach()[:, None].expand(-1, batch.rows)
-    lin = linearise(opened, engine, batch.x, batch.u, batch.dt, theta, [*loads, *own], batch.outputs)
-    speeds = [joint.positions[-1] + 1 for joint in opened.joints]
-    missed = (batch.x[:, 1:] - lin.x_next[:, :-1])[:, :, speeds]
-    gains = lin.b[:, :-1][:, :, speeds]
-    # a load opposes; a joint that sticks has no gain, and the least torque is none
-    inverse = torch.linalg.pinv(-gains[..., : len(loads)], rtol=1e-6)
-    torque = (inverse @ missed[..., None])[..., 0]
-    columns = inverse @ gains[..., len(loads) :]
-    found = []
-    for row, name in enumerate(batch.names):
-        used = batch.dt[row, :-1] > 0
-        step = float(batch.dt[row, :-1][used].median())
-        found.append(Torques(name, step, torque[row, used].numpy(), columns[row, used].numpy()))
-    return found
-
-
-@dataclass(frozen=True, eq=False)
 class Detector:
     """A search for pulses, calibrated on unperturbed records.
 
     Attributes:
-        system, engine: the fitted model.
+        system: the model, its parameters where they meet the unperturbed records best.
+        engine: how a sample is integrated.
         widths: of the pulses [s], ``(K,)``.
-        change: of the model's own parameters by which unperturbed records are met best, ``(n_p,)``.
         noise: standard error of a size [N m], ``(n_joints, K)``.
         threshold: of the statistic size over standard error, ``(n_joints,)``.
     """
@@ -129,7 +81,6 @@ class Detector:
     system: System
     engine: Engine
     widths: tuple[float, ...]
-    change: np.ndarray
     noise: np.ndarray
     threshold: np.ndarray
 
@@ -137,7 +88,7 @@ class Detector:
         """Pulses in records prepared as those of the calibration were, by record, joint and time."""
         found = []
         for one in missing_torques(self.system, self.engine, batch):
-            sizes = _sizes(one, self.change, self.widths)
+            sizes = _sizes(one, self.widths)
             for j, joint in enumerate(self.system.joints):
                 ratio = np.abs(sizes[:, :, j]) / self.noise[j][:, None]
                 for k in _peaks(ratio, one.step, self.widths, self.threshold[j]):
@@ -145,9 +96,7 @@ class Detector:
                     # the torque acts between a sample and the next
                     time = (k + _margin(one.step, self.widths) + 0.5) * one.step
                     size, width, std = sizes[best, k, j], self.widths[best], self.noise[j, best]
-                    found.append(
-                        Pulse(one.record, joint.name, float(time), float(size), width, float(std))
-                    )
+                    found.append(Pulse(one.record, joint.name, float(time), float(size), width, float(std)))
         return found
 
 
@@ -166,19 +115,22 @@ def calibrate(
     Raises:
         InputError: one record only, records shorter than a filter, or a width below the sample time.
     """
-    records, widths = missing_torques(system, engine, batch), tuple(widths)
-    if len(records) < 2:
-        raise InputError("A search for pulses needs at least two unperturbed records to calibrate on; give more.")
-    plain = [_sizes(one, None, widths[len(widths) // 2 :][:1])[0] for one in records]
-    level = np.maximum(_deviation(np.concatenate(plain)), 1e-12)
-    rows = [_own(one, widths) / level[:, None] for one in records]
-    sides = [torque / level for torque in plain]
+    if batch.rows < 2:
+        raise InputError(
+            "A search for pulses needs at least two unperturbed records to calibrate on; give more."
+        )
+    widths = tuple(widths)
+    for _ in range(STEPS):
+        change = _change(*_equations(missing_torques(system, engine, batch), widths))
+        system = moved(system, change)
+    records = missing_torques(system, engine, batch)
+    rows, sides = _equations(records, widths)
     sizes = []
     for i, one in enumerate(records):
         others = [k for k in range(len(records)) if k != i]
         change = _change([rows[k] for k in others], [sides[k] for k in others])
-        sizes.append(_sizes(one, change, widths))
-    noise = np.maximum(_deviation(np.concatenate(sizes, 1).swapaxes(0, 1)), 1e-12).T
+        sizes.append(_sizes(replace(one, torque=one.torque - one.own @ change), widths))
+    noise = np.maximum(_deviation(np.concatenate(sizes, 1).swapaxes(0, 1)), TINY).T
     seconds = sum(one.shape[1] * record.step for one, record in zip(sizes, records, strict=True))
     threshold = []
     for j in range(noise.shape[0]):
@@ -188,7 +140,7 @@ def calibrate(
             for ratio, record in zip(ratios, records, strict=True)
         ]
         threshold.append(_threshold(np.concatenate(peaks), seconds, rate))
-    return Detector(system, engine, widths, _change(rows, sides), noise, np.array(threshold))
+    return Detector(system, engine, widths, noise, np.array(threshold))
 
 
 def _threshold(peaks: np.ndarray, seconds: float, rate: float) -> float:
@@ -196,8 +148,21 @@ def _threshold(peaks: np.ndarray, seconds: float, rate: float) -> float:
     start = float(np.quantile(peaks, TAIL))
     above = peaks[peaks > start]
     if len(above) == 0:
-        raise InputError("The unperturbed records are too short to fix a threshold; give more or longer ones.")
+        raise InputError(
+            "The unperturbed records are too short to fix a threshold; give more or longer ones."
+        )
     return start + float((above - start).mean()) * max(0.0, float(np.log(len(above) / seconds / rate)))
+
+
+def _equations(
+    records: Sequence[Torques], widths: Sequence[float]
+) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Filtered columns of the model's own parameters and filtered torques, each joint in units of its noise."""
+    width = sorted(widths)[len(widths) // 2]
+    sides = [_sizes(one, (width,))[0] for one in records]
+    rows = [_filtered(one.own, one.step, width, _margin(one.step, (width,))) for one in records]
+    level = np.maximum(_deviation(np.concatenate(sides)), TINY)
+    return [row / level[:, None] for row in rows], [side / level for side in sides]
 
 
 def _change(rows: Sequence[np.ndarray], sides: Sequence[np.ndarray]) -> np.ndarray:
@@ -207,21 +172,15 @@ def _change(rows: Sequence[np.ndarray], sides: Sequence[np.ndarray]) -> np.ndarr
     return np.linalg.lstsq(a / size, b, rcond=RANK)[0] / size
 
 
-def _own(one: Torques, widths: Sequence[float]) -> np.ndarray:
-    """Filtered columns of the model's own parameters, ``(T', n_joints, n_p)``."""
-    return _filtered(one.own, one.step, widths[len(widths) // 2], _margin(one.step, widths[len(widths) // 2 :][:1]))
-
-
-def _sizes(one: Torques, change: np.ndarray | None, widths: Sequence[float]) -> np.ndarray:
+def _sizes(one: Torques, widths: Sequence[float]) -> np.ndarray:
     """Least-squares size of a pulse in the middle of each stretch, ``(K, T', n_joints)`` [N m]."""
-    torque = one.torque if change is None else one.torque - one.own @ change
     margin = _margin(one.step, widths)
-    if len(torque) <= 2 * margin:
+    if len(one.torque) <= 2 * margin:
         raise InputError(
             f"Record '{one.record}' is too short to look for pulses of {max(widths):g} s in; it needs "
             f"{2 * margin * one.step:.3g} s."
         )
-    return np.stack([_filtered(torque, one.step, width, margin) for width in widths])
+    return np.stack([_filtered(one.torque, one.step, width, margin) for width in widths])
 
 
 def _filtered(series: np.ndarray, step: float, width: float, margin: int) -> np.ndarray:
