@@ -65,6 +65,11 @@ def planned(folder: Path) -> list[tuple[str, str, float, float]]:
     return found
 
 
+def told(pulse: Pulse) -> str:
+    """A claim in words."""
+    return f"{pulse.record} at {pulse.time:.3f} s, {pulse.joint}: {pulse.size:+.2f} +- {pulse.std:.2f} N m"
+
+
 @dataclass(frozen=True)
 class Score:
     """Claims against plans at one joint, each plan met by at most one claim.
@@ -96,7 +101,7 @@ class Score:
                 hits += 1
                 line += f"found at {best.time:.3f} s, {best.size:+.2f} +- {best.std:.2f} N m"
             lines.append(line if fits else f"{line}missed")
-        lines += [f"{c.record} at {c.time:.3f} s: false, {c.size:+.2f} +- {c.std:.2f} N m" for c in left]
+        lines += [f"false: {told(claim)}" for claim in left]
         return cls(tuple(lines), hits, len(wanted), count)
 
     def __str__(self) -> str:

@@ -4,7 +4,7 @@ import sys
 from pathlib import Path
 
 import torch
-from logs import Score, batch_of, planned, read_runs
+from logs import Score, batch_of, planned, read_runs, told
 
 sys.path.insert(1, str(Path(__file__).parents[1] / "08_double_pendulum"))
 from arm import build  # pyright: ignore[reportMissingImports]
@@ -29,8 +29,8 @@ for task in config["tasks"]:
         print(f"{task}{name}: thresholds {', '.join(f'{h:.2f}' for h in detector.threshold)} standard errors")
         claims = detector.find(batch_of(system, rest, config["noise"]))
         print(
-            f"  unperturbed repeats: {len(claims)} pulses claimed in {len(rest)} records",
-            *claims,
+            f"  unperturbed repeats: {len(claims)} claimed in {len(rest)} records",
+            *map(told, claims),
             sep="\n    ",
         )
         claims = detector.find(batch_of(system, pushed, config["noise"]))
