@@ -22,6 +22,7 @@ from hybrid_id.components.input import (
     DutySupply,
     PositionLoop,
     Saturation,
+    SupplySag,
     TorqueCommand,
     Voltage,
 )
@@ -101,6 +102,7 @@ __all__ = [
     "Saturation",
     "Spring",
     "Stribeck",
+    "SupplySag",
     "ThermalDerating",
     "TorqueCommand",
     "TorqueMotor",

@@ -28,6 +28,7 @@ NAMES = {
     "position_dependent_friction": "motor_friction link_friction", "backlash": "transmission",
     "joint_flexibility": "transmission", "hardening_flexibility": "transmission", "kinematic_error": "transmission",
     "gravity_load": "load", "spring_load": "load", "constant_torque": "load", "joint_coupling": "load",
+    "supply_sag": "input",
 }  # fmt: skip
 
 WAVE = (3, 1e-4, 1e-4)

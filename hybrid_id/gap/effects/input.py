@@ -1,6 +1,9 @@
 """Effects between the logged command and the motor."""
 
-from hybrid_id.gap.catalogue import Effect, free, has, register
+from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
+
+SOFTEST = 0.3
+"""Largest resistance of a supply over that of the winding: a stalled motor at full duty lets it fall by a quarter."""
 
 
 def _delay(system, s, place):
@@ -32,6 +35,21 @@ def _saturation(system, s, place):
     ]
 
 
+def _sag(system, s, place):
+    joint = f"joint{s.joint}"
+    motor = part_of(system, f"{joint}/motor", "dc_motor")
+    # where the supply is logged, its sag is known
+    if (
+        motor is None
+        or not has(system, f"{joint}/input", "voltage")
+        or has(system, f"{joint}/input", "supply_sag")
+    ):
+        return []
+    return [
+        ("supply_sag", {"rho": free(0.1, 0.0, SOFTEST), "V_0": s.command, "k_e": motor.specs["P_m2"].value})
+    ]
+
+
 register(Effect(
     "delay", ("input",), _delay, ("electrical_lag", "joint_flexibility"),
     "a fast sweep: a delay turns the phase in proportion to frequency, a lag bends and weakens the response too",
@@ -40,6 +58,11 @@ register(Effect(
     "voltage_deadband", ("input",), _deadband, ("coulomb_friction", "stribeck_friction", "presliding_friction"),
     "small voltages around zero at speed, driven by the load or by coasting: a dead band acts on the command, friction "
     "on the motion",
+))  # fmt: skip
+register(Effect(
+    "supply_sag", ("input",), _sag, ("voltage_saturation", "thermal_derating", "quadratic_drag"),
+    "steps of growing height, each from standstill up to speed: a supply sags at high voltage with the current and "
+    "recovers as the motor gathers speed; a limit cuts alike at every speed, heat stays, and drag grows with speed",
 ))  # fmt: skip
 register(Effect(
     "voltage_saturation", ("input",), _saturation, ("quadratic_drag", "thermal_derating"),

@@ -1,0 +1,33 @@
+"""Supply that gives way under load."""
+
+from hybrid_id.components.drive import CommandMap
+from hybrid_id.parameters import Parameter
+
+
+class SupplySag(CommandMap):
+    """``u' = (u + rho d^2 k_e v) / (1 + rho d^2)``, ``d = u / V_0``: a PWM amplifier behind a source with resistance.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | u, u' | V | voltage that the duty would give at the idle supply, and the one that it gives |
+    | d | 1 | duty |
+    | V_0 | V | supply voltage without load |
+    | rho = R_s / R | 1 | resistance of source and leads over that of the winding |
+    | k_e | V s/rad | the motor's back-EMF constant, as known before; v [rad/s] is the rotor's speed |
+
+    The source carries the averaged current ``d i`` and falls to ``V_0 - R_s d i``, the winding draws
+    ``i = (u' - k_e v) / R``; together, ``u' - k_e v = (u - k_e v) / (1 + rho d^2)``. Braking pumps the supply up.
+    Only rho / V_0^2 shows in the motion, so V_0 is given.
+
+    Source: averaged switch model, e.g. R. W. Erickson, D. Maksimovic, Fundamentals of Power Electronics, 2nd ed.,
+    2001, sections 3.2 and 7.4; source with internal resistance (Thevenin).
+    """
+
+    kind = "supply_sag"
+    rho = Parameter(0.05, upper=10.0, unit="1", doc="source resistance over winding resistance")
+    V_0 = Parameter(12.0, lower=1e-3, upper=1e4, unit="V", doc="supply without load", estimate=False)
+    k_e = Parameter(0.0, upper=1e3, unit="V s/rad", doc="back-EMF constant, as known before", estimate=False)
+
+    def map(self, p, command, speed):
+        drawn = p.rho * (command / p.V_0).square()
+        return (command + drawn * p.k_e * speed) / (1.0 + drawn)
