@@ -2,7 +2,6 @@
 
 import os
 import platform
-import shutil
 import tempfile
 import time
 from importlib.metadata import PackageNotFoundError, version
@@ -56,7 +55,8 @@ def machine() -> dict[str, Any]:
     """What the machine offers."""
     import torch
 
-    compiler = next((name for name in ("gcc", "clang", "cc") if shutil.which(name)), None)
+    from hybrid_id.simulation.c_code import compiler
+
     gpu = torch.cuda.get_device_name(0) if torch.cuda.is_available() else None
     return {
         "hybrid_id": __version__,
@@ -65,7 +65,7 @@ def machine() -> dict[str, Any]:
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "threads": torch.get_num_threads(),
         "gpu": gpu,
-        "compiler": compiler,
+        "compiler": compiler(),
     }
 
 

@@ -104,7 +104,7 @@ def attribute(
             continue
         before, chosen = simpler, found.best
         if before.effects:
-            chosen = _challenge(refit, base, chosen, rounds, progress)
+            chosen = _challenge(refit, base, chosen, rounds)
             if len(chosen.effects) <= len(before.effects):
                 break
     return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen)
@@ -132,7 +132,6 @@ def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
     it has bent its parameters to make up for what it lacks; then each starts from today's own values, too.
     """
     batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
-    nominal = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
     taken, found = set(before.effects), []
     bent = not before.effects and before.evidence.error > FAR
     for size in scales(before.system, batch):
@@ -145,10 +144,17 @@ def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
                     continue
                 names = tuple(sorted((*before.effects, (effect.name, where))))
                 for start in starts:
-                    names_of = {(info.component, info.symbol): info.name for info in start.table}
-                    plain = start.with_values({names_of[k]: v for k, v in nominal.items() if k in names_of})
-                    found += [Task(names, s) for s in ((start, plain) if bent else (start,))]
+                    found.append(Task(names, start))
+                    if bent:
+                        found.append(Task(names, _as_today(start, today)))
     return found
+
+
+def _as_today(system: System, today: System) -> System:
+    """The system with today's own values of all that both have."""
+    names = {(info.component, info.symbol): info.name for info in system.table}
+    values = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
+    return system.with_values({names[key]: value for key, value in values.items() if key in names})
 
 
 def _ranked(
@@ -202,9 +208,7 @@ def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer
     return again if again is not None and again.evidence.error < simpler.evidence.error else simpler
 
 
-def _challenge(
-    refit: Refit, base: Explanation, chosen: Explanation, rounds: Sequence[Round], progress: Progress | None
-) -> Explanation:
+def _challenge(refit: Refit, base: Explanation, chosen: Explanation, rounds: Sequence[Round]) -> Explanation:
     """Drop what the others have made needless."""
     for name in chosen.effects:
         rest = tuple(e for e in chosen.effects if e != name)
@@ -233,9 +237,7 @@ def _without(system: System, base: System, name: Name) -> System | None:
         if part is None:
             continue
         family = part.family()
-        before = (
-            p for key, p in base.components.items() if key.startswith(f"{name[1]}/") and isinstance(p, family)
-        )
-        old = next(before, None)
+        here = (p for key, p in base.components.items() if key.startswith(f"{name[1]}/"))
+        old = next((p for p in here if isinstance(p, family)), None)
         return system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
     return None

@@ -80,7 +80,6 @@ class Refit:
 
     def __init__(self, dataset: Dataset, *, jobs: int = 1, signal_share: float = SIGNAL_SHARE) -> None:
         self.dataset, self.jobs, self.signal_share = dataset, jobs, signal_share
-        self.sample_time = min(record.sample_time for record in dataset.train)
 
     def base(self, system: System) -> Explanation:
         """Today's model, fitted from its nominal values and from a fit in windows, whichever ends lower."""

@@ -32,9 +32,6 @@ class Scales:
         dry: level of dry friction at the motor [N m]; a tenth of ``torque`` where the model has none.
         inertia: everything that moves, at the motor [kg m^2].
         rotor: part of it on the rotor's side of the gear.
-        stiffness: of a compliant gear at the link [N m/rad], 0 for a rigid one.
-        twist: RMS deflection of the gear that the torque would cause at 10 Hz [rad].
-        noise: of the encoder, at the link [rad].
     """
 
     joint: int
@@ -51,9 +48,6 @@ class Scales:
     dry: float
     inertia: float
     rotor: float
-    stiffness: float
-    twist: float
-    noise: float
 
 
 def scales(system: System, batch: Batch) -> list[Scales]:
@@ -93,12 +87,7 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         )
         highest = float(level.max())
     moving = command[command.abs() > 0.02 * command.abs().max()]
-    spring = joint.gear.transmission
-    stiff = getattr(views[spring[0]], "k", None)
     link = q / joint.gear_ratio
-    name = next(n for n in (f"q_a{joint.number}", f"q_m{joint.number}", f"v_m{joint.number}", f"v_a{joint.number}")
-                if n in batch.outputs)  # fmt: skip
-    noise = float((1.0 / batch.weight[..., batch.outputs.index(name)].amax(1)).median())
     return Scales(
         joint=joint.number,
         ratio=joint.gear_ratio,
@@ -114,7 +103,4 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         dry=highest if highest > 1e-9 * torque else 0.1 * torque,
         inertia=total,
         rotor=rotor,
-        stiffness=0.0 if stiff is None else float(stiff.detach()),
-        twist=torque * joint.gear_ratio / (total * joint.gear_ratio**2 * (2 * torch.pi * 10.0) ** 2),
-        noise=noise if name[2] == "a" else noise / joint.gear_ratio,
     )

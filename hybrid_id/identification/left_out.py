@@ -45,12 +45,12 @@ def left_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
     first = np.tile(result.x0, (len(tried), 1, 1))
     runs = Rollouts(result.system, batch, result.engine, free).residuals(tried, first)
     runs = runs.reshape(batch.rows, len(SHARES), *runs.shape[1:])
-    found = []
+    found, stay = [], sum(float(np.square(r).sum()) for r in result.residual)
     for i, own in enumerate(result.residual):
         keep = (batch.weight[i] > 0).any(1).numpy()
         costs = np.square(runs[i]).sum((2, 3))
         others = costs.sum(1) - costs[:, i]
-        best, stay = int(others.argmin()), sum(float(np.square(r).sum()) for r in result.residual)
+        best = int(others.argmin())
         moved = others[best] < stay - float(np.square(own).sum())
         found.append(runs[i, best, i][keep] if moved else own)
     return found

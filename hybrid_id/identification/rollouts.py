@@ -74,11 +74,7 @@ class Cost:
     """
 
     def __init__(self, system: System, batch: Batch, engine: Engine, free: Sequence[int]) -> None:
-        self.rollouts, bounds, rows = (
-            Rollouts(system, batch, engine, free),
-            make_bounds(system, free),
-            batch.rows,
-        )
+        self.rollouts, bounds = Rollouts(system, batch, engine, free), make_bounds(system, free)
         self.measured = batch.x[:, 0].numpy()
         spread = batch.x0_std.numpy()
         self.loose = [k for k in range(spread.shape[1]) if (spread[:, k] > 0).any()]
@@ -88,7 +84,7 @@ class Cost:
         self.high = np.concatenate([bounds.upper.numpy(), reach])
         self.mean = np.concatenate([bounds.prior_mean.numpy(), np.zeros(len(std))])
         self.precision = np.concatenate([bounds.prior_precision.numpy(), std**-2])
-        self.scale, self.std = bounds.scale.numpy(), std.reshape(len(self.loose), rows)
+        self.scale, self.std = bounds.scale.numpy(), std.reshape(len(self.loose), batch.rows)
 
     def shifts_of(self, x0: np.ndarray) -> np.ndarray:
         """Shifts of first states ``(R, n_x)``, as a point holds them."""
@@ -115,9 +111,8 @@ class Cost:
         lanes = np.tile(point, (n_f + len(self.loose), 1))
         lanes[:n_f, :n_f] += np.diag(step)
         rows = self.std.shape[1]
-        for k in range(
-            len(self.loose)
-        ):  # what a row starts with moves that row alone: one lane moves them all
+        # what a row starts with moves that row alone: one lane moves them all
+        for k in range(len(self.loose)):
             lanes[n_f + k, n_f + k * rows : n_f + (k + 1) * rows] += self.std[k]
         moved = self.residuals(lanes)
         slopes = np.zeros((len(left), len(point)))

@@ -71,7 +71,7 @@ def secant_fit(
     while stage < len(STEPS) and len(history) <= iterations:
         jacobian = cost.slopes(point, left, STEPS[stage])
         dampings = np.clip(damping * DAMPINGS, LEAST_DAMPING, MOST_DAMPING)
-        points = np.array([_step(jacobian, left, point, cost.low, cost.high, d) for d in dampings])
+        points = _steps(jacobian, left, point, cost, dampings)
         found = cost.residuals(points)
         costs = 0.5 * np.square(found).sum(1)
         best = int(np.nanargmin(costs))
@@ -105,27 +105,22 @@ def secant_fit(
     )
 
 
-def _step(
-    jacobian: np.ndarray,
-    left: np.ndarray,
-    point: np.ndarray,
-    low: np.ndarray,
-    high: np.ndarray,
-    damping: float,
+def _steps(
+    jacobian: np.ndarray, left: np.ndarray, point: np.ndarray, cost: Cost, dampings: np.ndarray
 ) -> np.ndarray:
-    """Point that minimises the linearised residuals, damped (Marquardt's scaling), inside the box."""
+    """Points that minimise the linearised residuals inside the box, one for each damping (Marquardt's scaling)."""
     hessian, slope = jacobian.T @ jacobian, jacobian.T @ left
     size = np.sqrt(np.maximum(np.diag(hessian), 1e-12 * hessian.diagonal().max(initial=1e-300)))
-    matrix = hessian / np.outer(size, size) + damping * np.eye(len(size))
-    values, vectors = np.linalg.eigh(matrix)
-    root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    factor, target = root[:, None] * vectors.T, -(vectors.T @ (slope / size)) / root
-    width = np.maximum(high - low, 1e-300)
-    below, above = (low - point) * size, (high - point) * size
-    step = lsq_linear(
-        factor, target, (below - 1e-12 * width * size, above + 1e-12 * width * size), method="bvls"
-    ).x
-    return np.clip(point + step / size, low, high)
+    hessian, slope = hessian / np.outer(size, size), slope / size
+    margin = 1e-12 * np.maximum(cost.high - cost.low, 1e-300) * size
+    box = (cost.low - point) * size - margin, (cost.high - point) * size + margin
+    found = []
+    for damping in dampings:
+        values, vectors = np.linalg.eigh(hessian + damping * np.eye(len(size)))
+        root = np.sqrt(np.maximum(values, 1e-12 * values[-1]))
+        step = lsq_linear(root[:, None] * vectors.T, -(vectors.T @ slope) / root, box, method="bvls").x
+        found.append(np.clip(point + step / size, cost.low, cost.high))
+    return np.array(found)
 
 
 def shaken(result: FitResult, batch: Batch, *, seed: int = 0) -> FitResult:
