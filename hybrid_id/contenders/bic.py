@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.contenders.report import answer, gap_of, suspect
-from hybrid_id.gap.attribute import tasks
 from hybrid_id.gap.refit import Explanation, Refit, Task
+from hybrid_id.gap.round import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 

@@ -7,56 +7,25 @@ without it is fitted again from where the model with it has ended.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
-from hybrid_id.gap.harmonics import likely_waves
-from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
-from hybrid_id.gap.scales import scales
-from hybrid_id.study.replays import batch_of
+from hybrid_id.gap.evidence import coloured
+from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task
+from hybrid_id.gap.round import HOPELESS, SECOND_LOOK, Progress, Round, one_round
 from hybrid_id.systems.chain import System
 
 MOST = 3
 """Effects at once."""
-SECOND_LOOK = 10
-"""Iterations of a second look."""
-PROMISING, EACH, FINALISTS = 14, 3, 4
-"""Candidates that get a second look, starts of one effect among them, and candidates that are fitted to the end."""
-SAME = 2e-3
-"""Costs that differ by less than this share are of one valley."""
-HOPELESS = 2.5
-"""Mean square error beyond the best's from which a candidate is not fitted to the end."""
-FAR = 3.0
-"""Mean square error, in units of the noise, from which a re-fit counts as far from the records."""
-NEAR = 1.15
-"""Mean square error of a second look, relative to the model before, up to which an effect beside another may still win:
-that model has been fitted to the end."""
 LEAST_RATIO = 1.015
 """An effect must lower the RMS of the errors of prediction at least by this factor ..."""
-MORE_RATIO = 1.05
+MORE_RATIO = 1.15
 """... beside another effect by this one, for what the fit of that one leaves another may pick up ..."""
 LEAST_Z = 3.0
 """... and by so many standard errors, block by block."""
 LARGE_RATIO, LARGE_Z = 1.2, 1.5
 """A gain as large as this one is believed earlier: where a second effect is missing, blocks scatter."""
-
-Progress = Callable[[str, int, int], object]
-
-
-@dataclass(frozen=True, eq=False)
-class Round:
-    """One step of the search: what was there before, and every candidate that was added to it, best first."""
-
-    before: Explanation
-    candidates: tuple[Explanation, ...]
-
-    @property
-    def best(self) -> Explanation | None:
-        """The candidate that predicts best, None where there is none."""
-        return self.candidates[0] if self.candidates else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +56,7 @@ def attribute(
     """
     base = refit.base(system)
     chosen, rounds, restarted = base, [], False
-    while len(chosen.effects) < most:
+    while len(chosen.effects) < most and _leaves_something(chosen):
         found = one_round(refit, chosen, system, f"effect {len(chosen.effects) + 1}", progress)
         rounds.append(found)
         if found.best is None or not better(found.best, chosen):
@@ -118,87 +87,10 @@ def better(richer: Explanation, simpler: Explanation) -> bool:
     return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
 
 
-def one_round(
-    refit: Refit, before: Explanation, today: System, stage: str, progress: Progress | None = None
-) -> Round:
-    """Every effect of the catalogue added to a model, one at a time."""
-    return Round(before, _ranked(refit, before, tasks(refit, before, today), stage, progress))
-
-
-def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
-    """A fit to start for every effect, place and start point.
-
-    Each starts where the model before has ended. Where that is today's re-fitted model and it is far from the records,
-    it has bent its parameters to make up for what it lacks; then each starts from today's own values, too.
-    """
-    batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
-    taken, found = set(before.effects), []
-    bent = not before.effects and before.evidence.error > FAR
-    for size in scales(before.system, batch):
-        for effect in CATALOGUE.values():
-            models = effect.models(before.system, size)
-            if effect.name == "cogging":
-                models = effect.scanned(before.system, size, likely_waves(before.result, batch, size.joint))
-            for where, starts in models.items():
-                if (effect.name, where) in taken:
-                    continue
-                names = tuple(sorted((*before.effects, (effect.name, where))))
-                for start in starts:
-                    found.append(Task(names, start))
-                    if bent:
-                        found.append(Task(names, _as_today(start, today)))
-    return found
-
-
-def _as_today(system: System, today: System) -> System:
-    """The system with today's own values of all that both have."""
-    names = {(info.component, info.symbol): info.name for info in system.table}
-    values = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
-    return system.with_values({names[key]: value for key, value in values.items() if key in names})
-
-
-def _ranked(
-    refit: Refit, before: Explanation, todo: Sequence[Task], stage: str, progress: Progress | None
-) -> tuple[Explanation, ...]:
-    """Fit tasks, the promising ones to the end; the best start of each set of effects, best prediction first."""
-    total, count = len(todo) + PROMISING + FINALISTS, [0]
-
-    def tick() -> None:
-        count[0] += 1
-        if progress is not None:
-            progress(stage, count[0], total)
-
-    seen = refit.run(todo, LOOK, tick)
-    ranked = _best_of_each([e for e in seen if e is not None], EACH)
-    finished: set[tuple[Name, ...]] = set()
-    for keep, iterations in (
-        (PROMISING, SECOND_LOOK),
-        (FINALISTS, TO_THE_END),
-        (1, TO_THE_END),
-        (1, TO_THE_END),
-    ):
-        limit = HOPELESS * ranked[0].evidence.error if iterations == TO_THE_END and ranked else math.inf
-        if before.effects:  # beside another effect, one that promises nothing is let go
-            limit = min(limit, NEAR * before.evidence.error)
-        rivals = [e for e in ranked[:keep] if e.evidence.error < limit and e.effects not in finished]
-        more = refit.run([Task(e.effects, e.system) for e in rivals], iterations, tick)
-        finished |= {e.effects for e in rivals} if iterations == TO_THE_END else set()
-        # what has been fitted further counts, be it better or worse; the rest stays as it was seen
-        kept = [e for e in ranked if e not in rivals]
-        ranked = _best_of_each([*(e for e in more if e is not None), *kept])
-    return tuple(ranked)
-
-
-def _best_of_each(found: Sequence[Explanation], each: int = 1) -> list[Explanation]:
-    """The best fits of each set of effects, best first; of those that have come to the same end only one."""
-    ends: dict[tuple[Name, ...], list[float]] = {}
-    best = []
-    for one in sorted(found, key=lambda e: e.evidence.error):
-        known = ends.setdefault(one.effects, [])
-        if len(known) < each and all(one.result.cost > (1.0 + SAME) * end for end in known):
-            known.append(one.result.cost)
-            best.append(one)
-    return best
+def _leaves_something(simpler: Explanation) -> bool:
+    """Whether another effect could be believed at all beside the first: none explains white noise."""
+    reachable = (1.0 - coloured(simpler.result.residual)) ** -0.5
+    return not simpler.effects or reachable >= MORE_RATIO
 
 
 def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:
@@ -227,7 +119,10 @@ def _refitted_without(refit: Refit, base: Explanation, richer: Explanation, name
     """A model less one of its effects, fitted from where it stands; None where that cannot be fitted."""
     start = _without(richer.system, base.system, name)
     rest = tuple(effect for effect in richer.effects if effect != name)
-    return None if start is None else refit.run([Task(rest, start)], TO_THE_END)[0]
+    found = None if start is None else refit.run([Task(rest, start)], SECOND_LOOK)[0]
+    if found is None or found.evidence.error > HOPELESS * richer.evidence.error:
+        return found
+    return refit.run([Task(rest, found.system)], TO_THE_END)[0]
 
 
 def _without(system: System, base: System, name: Name) -> System | None:

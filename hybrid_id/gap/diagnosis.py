@@ -8,6 +8,7 @@ from typing import Any
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute
+from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
@@ -28,9 +29,6 @@ PARAMETRIC = 1.1
 """Ratio of nominal to re-fitted error from which the parameters were wrong."""
 TOO_SHORT = 30.0
 """Independent samples below which no structure can be told."""
-BENT, BENT_TORQUE = math.log(1.4), math.log(1.7)
-"""Change of a parameter against its nominal value that data sheets hardly allow; the same of a torque, whose common
-scale is known no better than the others' median."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,28 +206,3 @@ def _verdict(
     if nominal is None or refit is None or nominal.nrmse < PARAMETRIC * refit.nrmse:
         return "no_gap"
     return "parameters_only"
-
-
-def bent_parameters(nominal: System, fitted: System) -> list[str]:
-    """Parameters that a re-fit has moved by more than data sheets are wrong, in words.
-
-    Torques, inertias and frictions may all be multiplied by one number without a change of the motion; the median of
-    their changes is taken for it.
-    """
-    change, kind = {}, {}
-    for info in nominal.table:
-        if not info.spec.estimate or info.spec.value <= 0:
-            continue
-        value = fitted.parameter(info.name).spec.value
-        change[info.name] = math.log(max(value, 1e-12 * info.spec.value) / info.spec.value)
-        kind[info.name] = "kg" in info.spec.unit or "N" in info.spec.unit
-    scaled = sorted(change[n] for n in change if kind[n])
-    middle = scaled[len(scaled) // 2] if scaled else 0.0
-    words = []
-    for name, moved in change.items():
-        own = moved - (middle if kind[name] else 0.0)
-        if own < -3.0:
-            words.append(f"{name} is driven to zero")
-        elif abs(own) > (BENT_TORQUE if kind[name] else BENT):
-            words.append(f"{name} is {math.exp(own):.2f} times its nominal value")
-    return words

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.gap.attribute import LEAST_RATIO, LEAST_Z, Attribution, Round, better
+from hybrid_id.gap.attribute import LEAST_RATIO, LEAST_Z, Attribution, better
 from hybrid_id.gap.catalogue import effect
 from hybrid_id.gap.refit import Explanation, Name
+from hybrid_id.gap.round import Round
 
 TIE = 1.06
 """Rivals whose RMS errors differ by less than this factor are told apart by no record here."""

@@ -17,7 +17,8 @@ from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.left_out import left_out
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.secant import secant_fit, shaken
+from hybrid_id.identification.rollouts import Slopes
+from hybrid_id.identification.secant import secant_fit, shaken, slopes_at
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
@@ -30,7 +31,7 @@ BEGINNING = 12
 """Iterations of the fit in windows that today's model starts with: its nominal values may be far."""
 TO_THE_END = 40
 """Iterations after which a fit is taken as it is."""
-LOOK = 3
+LOOK = 5
 """Iterations up to which a fit is a first look, judged by the records that it has seen."""
 Name = tuple[str, str]
 """An effect's name and where it acts."""
@@ -63,10 +64,12 @@ class Task:
     Attributes:
         effects: that it has.
         system: where the fit starts.
+        near: slopes of the model that it is close to, for a first look.
     """
 
     effects: tuple[Name, ...]
     system: System
+    near: Slopes | None = None
 
 
 class Refit:
@@ -94,6 +97,11 @@ class Refit:
             )
         return min(ends, key=lambda e: e.result.cost)
 
+    def slopes(self, system: System) -> Slopes:
+        """Slopes of a model as it stands, which first looks at its neighbours begin with."""
+        batch = batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
+        return slopes_at(system, batch, engine())
+
     def run(
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
     ) -> list[Explanation | None]:
@@ -117,11 +125,11 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
     step = min(record.sample_time for record in dataset.train)
     try:
         batch = batch_of(dataset, task.system, dataset.train, signal_share, "cpu")
-        result = secant_fit(task.system, batch, engine=engine(), iterations=iterations)
+        result = secant_fit(task.system, batch, engine=engine(), iterations=iterations, near=task.near)
         loose = hidden_links(task.system, batch)
         if loose and iterations == TO_THE_END:
             result = shaken(result, batch)
-        elif not loose and iterations > LOOK:
+        elif not loose and iterations == TO_THE_END:
             result = _polished(result, batch, iterations)
     except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
         return None

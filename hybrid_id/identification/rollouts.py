@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -66,6 +67,19 @@ class Rollouts:
         return residual.reshape(count, rows, *residual.shape[1:]).numpy()
 
 
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Slopes of a batch's residuals at one model's fit, for others that have most of their parameters from it.
+
+    Attributes:
+        parameters: of each by its component and symbol, ``(R * T * n_y,)``.
+        first: of each state that is not known exactly at the start, by its name, ``(R, T * n_y)``.
+    """
+
+    parameters: Mapping[tuple[str, str], np.ndarray]
+    first: Mapping[str, np.ndarray]
+
+
 class Cost:
     """Residuals of the records and of what is known beforehand, as a function of parameters and first states.
 
@@ -85,6 +99,8 @@ class Cost:
         self.mean = np.concatenate([bounds.prior_mean.numpy(), np.zeros(len(std))])
         self.precision = np.concatenate([bounds.prior_precision.numpy(), std**-2])
         self.scale, self.std = bounds.scale.numpy(), std.reshape(len(self.loose), batch.rows)
+        self.keys = [(system.table[i].component, system.table[i].symbol) for i in free]
+        self.states = [system.state_names[k] for k in self.loose]
 
     def shifts_of(self, x0: np.ndarray) -> np.ndarray:
         """Shifts of first states ``(R, n_x)``, as a point holds them."""
@@ -103,25 +119,45 @@ class Cost:
         runs = self.rollouts.residuals(points[:, : self.n_f], self.first_states(points))
         return np.hstack([runs.reshape(len(points), -1), np.sqrt(self.precision) * (self.mean - points)])
 
-    def slopes(self, point: np.ndarray, left: np.ndarray, share: float) -> np.ndarray:
-        """Slopes of the residuals ``left`` at a point by finite steps, a share of each parameter."""
-        n_f, value = self.n_f, point[: self.n_f]
+    def slopes(
+        self, point: np.ndarray, left: np.ndarray, share: float, near: Slopes | None = None
+    ) -> np.ndarray:
+        """Slopes of the residuals ``left`` at a point by finite steps, a share of each parameter.
+
+        What ``near`` has is taken from there; the rest is simulated.
+        """
+        known = near or Slopes({}, {})
+        new = [i for i, key in enumerate(self.keys) if key not in known.parameters]
+        loose = [k for k, name in enumerate(self.states) if name not in known.first]
+        n_f, rows, value = self.n_f, self.std.shape[1], point[: self.n_f]
         step = share * np.maximum(np.abs(value), self.scale)
         step = np.where(value + step > self.high[:n_f], -np.minimum(step, value - self.low[:n_f]), step)
-        lanes = np.tile(point, (n_f + len(self.loose), 1))
-        lanes[:n_f, :n_f] += np.diag(step)
-        rows = self.std.shape[1]
+        lanes = np.tile(point, (len(new) + len(loose), 1))
+        lanes[np.arange(len(new)), new] += step[new]
         # what a row starts with moves that row alone: one lane moves them all
-        for k in range(len(self.loose)):
-            lanes[n_f + k, n_f + k * rows : n_f + (k + 1) * rows] += self.std[k]
-        moved = self.residuals(lanes)
-        slopes = np.zeros((len(left), len(point)))
-        slopes[:, :n_f] = ((moved[:n_f] - left) / step[:, None]).T
+        for lane, k in enumerate(loose, len(new)):
+            lanes[lane, n_f + k * rows : n_f + (k + 1) * rows] += self.std[k]
         data = len(left) - len(point)
-        change = (moved[n_f:, :data] - left[:data]).reshape(len(self.loose), rows, data // rows)
+        change = self.residuals(lanes)[:, :data] - left[:data] if len(lanes) else np.empty((0, data))
+        slopes = np.zeros((len(left), len(point)))
+        for i, key in enumerate(self.keys):
+            if key in known.parameters:
+                slopes[:data, i] = known.parameters[key]
+        slopes[:data, new] = (change[: len(new)] / step[new, None]).T
         blocks = slopes[:data, n_f:].reshape(rows, data // rows, len(self.loose), rows)
-        for r in range(rows):
-            blocks[r, :, :, r] = (change[:, r] / self.std[:, r, None]).T
+        moved = dict(zip(loose, change[len(new) :].reshape(len(loose), rows, data // rows), strict=True))
+        for k, name in enumerate(self.states):
+            own = moved[k] / self.std[k, :, None] if k in moved else known.first[name]
+            for r in range(rows):
+                blocks[r, :, k, r] = own[r]
         slopes[:data, n_f:] = blocks.reshape(data, -1)
-        slopes[data:, n_f:] = np.diag(-np.sqrt(self.precision))[:, n_f:]
+        slopes[data:] = np.diag(-np.sqrt(self.precision))
         return slopes
+
+    def shared(self, slopes: np.ndarray) -> Slopes:
+        """Slopes at a point, for models that have most of their parameters from this one."""
+        rows, data = self.std.shape[1], len(slopes) - slopes.shape[1]
+        blocks = slopes[:data, self.n_f :].reshape(rows, data // rows, len(self.loose), rows)
+        own = [np.stack([blocks[r, :, k, r] for r in range(rows)]) for k in range(len(self.loose))]
+        columns = {key: slopes[:data, i].copy() for i, key in enumerate(self.keys)}
+        return Slopes(columns, dict(zip(self.states, own, strict=True)))

@@ -16,7 +16,7 @@ from scipy.optimize import lsq_linear
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.rollouts import Cost
+from hybrid_id.identification.rollouts import Cost, Slopes
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -25,9 +25,13 @@ STEPS = (0.01, 0.1, 0.01)
 """Finite steps, as shares of the parameters: in between, a coarse one sees through the ripple of the cost."""
 DAMPINGS = 10.0 ** np.arange(-2, 4)
 """Dampings that are tried side by side, relative to the last that was best."""
+FEW = DAMPINGS[1:5]
+"""Those of a cheap look."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e6
 SETTLED = 1e-4
 """A finite step has done its work when the cost falls by less than this share."""
+POOR = 0.02
+"""Slopes that have been mended are simulated anew when a step lowers the cost by less than this share."""
 TRIES, LANES, BETWEEN = 6, 48, 12
 """Shakes of a fit, points of each, and iterations from the best of them."""
 SHAKE = 0.3
@@ -42,8 +46,12 @@ def secant_fit(
     iterations: int = 20,
     starts: Sequence[System] = (),
     x0: np.ndarray | None = None,
+    near: Slopes | None = None,
 ) -> FitResult:
     """Fit one parameter set and the first states of all rows of a batch.
+
+    With ``near`` the fit is a cheap look: only what the neighbouring model lacks is simulated for the first slopes, and
+    every step mends them by Broyden's rank-one update (C. G. Broyden, Math. Comp. 19, 1965) instead of new ones.
 
     Args:
         system: model with start values and bounds.
@@ -52,6 +60,7 @@ def secant_fit(
         iterations: steps at most.
         starts: the same model at other values; the fit starts at the best of them all.
         x0: where the search for the first states starts, ``(R, n_x)`` (default: as measured).
+        near: slopes of a model close to the start, to begin with.
 
     Raises:
         InputError: nothing to estimate.
@@ -68,20 +77,28 @@ def secant_fit(
     best = int(np.square(found).sum(1).argmin())
     point, left = points[best], found[best]
     damping, stage, history = 1e-2, 0, [0.5 * float(left @ left)]
+    jacobian = None if near is None else cost.slopes(point, left, STEPS[0], near)
+    fresh = False
     while stage < len(STEPS) and len(history) <= iterations:
-        jacobian = cost.slopes(point, left, STEPS[stage])
-        dampings = np.clip(damping * DAMPINGS, LEAST_DAMPING, MOST_DAMPING)
+        if jacobian is None:
+            jacobian, fresh = cost.slopes(point, left, STEPS[stage]), True
+        dampings = np.clip(damping * (DAMPINGS if near is None else FEW), LEAST_DAMPING, MOST_DAMPING)
         points = _steps(jacobian, left, point, cost, dampings)
         found = cost.residuals(points)
         costs = 0.5 * np.square(found).sum(1)
         best = int(np.nanargmin(costs))
         gained = history[-1] - costs[best]
+        if gained < SETTLED * history[-1] and (fresh or (near is not None and len(history) > 1)):
+            stage, jacobian, damping = stage + 1, None if near is None else jacobian, 1e-2
+        elif gained < POOR * history[-1] and (near is None or len(history) == 1):
+            jacobian = None
+        else:
+            jacobian, fresh = _mended(jacobian, points[best] - point, found[best] - left), False
         if gained > 0:
             point, left, damping = points[best], found[best], float(dampings[best])
-        if gained < SETTLED * history[-1]:
-            stage, damping = stage + 1, 1e-2
         history.append(min(history[-1], float(costs[best])))
-    jacobian = cost.slopes(point, left, STEPS[-1])
+    if jacobian is None or near is None:
+        jacobian = cost.slopes(point, left, STEPS[-1])
     shape, count, n_f = batch.y.shape, batch.y.numel(), len(free)
     runs, tangents = left[:count].reshape(shape), -jacobian[:count, :n_f].reshape(*shape, n_f)
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
@@ -103,6 +120,20 @@ def secant_fit(
         engine=cost.rollouts.engine,
         history=tuple(history),
     )
+
+
+def slopes_at(system: System, batch: Batch, engine: Engine) -> Slopes:
+    """Slopes at a model's own values, from measured first states, for looks at its neighbours."""
+    cost = Cost(system, batch, engine, [i for i, info in enumerate(system.table) if info.spec.estimate])
+    point = np.concatenate([cost.rollouts.theta.numpy()[cost.rollouts.free], np.zeros(cost.std.size)])
+    return cost.shared(cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]))
+
+
+def _mended(jacobian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Slopes that tell the change that a step has brought, otherwise as they were (Broyden, in scaled parameters)."""
+    along = np.square(jacobian).sum(0) * step
+    length = float(along @ step)
+    return jacobian + np.outer(change - jacobian @ step, along / length) if length > 0 else jacobian
 
 
 def _steps(

@@ -106,6 +106,8 @@ $functions
 #endif
 #endif
 #define W $width
+/* said aloud: where a function is inlined, GCC 12 takes such arrays for aligned and leaves them unaligned */
+#define ALIGNED __attribute__((aligned(64)))
 enum { NX = $n_x, NU = $n_u, HELD = $held, NF = $n_f, NP = $n_p, NC = NX + NF, ALL = NC + 1 };
 
 static void states(double x[NX][W], double u[NU][W], double step[W], const double *p)
@@ -151,7 +153,7 @@ static void hold(const double *u, const double *dt, long size, long at, long str
 void shoot(double *path, const double *u, const double *dt, const double *p, long rows, long samples, long length,
            long sub_steps)
 {
-    double x[NX][W], held[NU][W], h[W];
+    double x[NX][W] ALIGNED, held[NU][W] ALIGNED, h[W] ALIGNED;
     for (long r = 0; r < rows; r++)
         for (long first = 0; first < samples; first += W * length) {
             const long left = (samples - first + length - 1) / length, at = r * samples + first;
@@ -173,7 +175,7 @@ void shoot(double *path, const double *u, const double *dt, const double *p, lon
 
 void walk(double *path, const double *u, const double *dt, const double *p, long rows, long samples, long sub_steps)
 {
-    double x[NX][W], held[NU][W], h[W], own[NP][W];
+    double x[NX][W] ALIGNED, held[NU][W] ALIGNED, h[W] ALIGNED, own[NP][W] ALIGNED;
     for (long r = 0; r < rows; r += W) {
         const int lanes = rows - r < W ? rows - r : W;
         for (int l = 0; l < W; l++) {
@@ -193,7 +195,7 @@ void walk(double *path, const double *u, const double *dt, const double *p, long
 void condensed(double *chain, const double *nodes, const double *u, const double *dt, const double *p, long rows,
                long samples, long sub_steps)
 {
-    double x[NX][W], c[NX][NC][W], held[NU][W], h[W];
+    double x[NX][W] ALIGNED, c[NX][NC][W] ALIGNED, held[NU][W] ALIGNED, h[W] ALIGNED;
     for (long r = 0; r < rows; r++) {
         double *now = chain + r * samples * NX * ALL;
         for (int i = 0; i < NX; i++)

@@ -17,7 +17,8 @@ enum { NX = $n_x, HELD = $held, NP = $n_p, FIXED = $n_fixed, ND = $n_dry, SPEEDS
 /* columns of tangents, by the state before and by free parameters; none where they are not asked for */
 enum { NC = $n_columns, MC = NC ? NC : 1 };
 #define COLUMNS _Pragma("omp simd") for (int c = 0; c < NC; c++)
-/* state row of each dry speed; the dry speeds, NONE where there is none, that the links of an arm couple */
+#define ALIGNED __attribute__((aligned(64))) /* GCC 12 takes arrays for aligned where it inlines, but does not align */
+/* state row of each dry speed; those that the links of an arm couple, or NONE */
 static const int row[MANY] = { $rows };
 enum { NONE = MANY, FIRST = $first, SECOND = $second };
 
@@ -45,7 +46,7 @@ $pushes
 /* the states that remember, h seconds later at constant motion */
 static void remember(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h)
 {
-    double k_t[NX][MC];
+    double k_t[NX][MC] ALIGNED;
 $remember
 }
 
@@ -62,7 +63,7 @@ static void along(const double *x, double (*x_t)[MC], double step, double part, 
 static void rk4(const double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed,
                 const double *d, double h, const double *h_t, double *after, double (*after_t)[MC])
 {
-    double k[4][NX], k_t[4][NX][MC];
+    double k[4][NX], k_t[4][NX][MC] ALIGNED;
     rates(x, x_t, u, p, fixed, d, k[0], k_t[0]);
     for (int stage = 1; stage < 4; stage++) {
         const double part = stage < 3 ? 0.5 : 1.0;
@@ -91,7 +92,7 @@ static void settle(const double *x, const double *u, const double *p, const doub
     for (int a = 0; a < (first ? 3 : 1); a++)
         for (int b = 0; b < (second ? 3 : 1); b++) {
             double fault = -INFINITY;
-            for (int i = 0; i < ND; i++) trial[i] = s[i];
+            memcpy(trial, s, sizeof trial);
             if (first) trial[FIRST] = choices[a];
             if (second) trial[SECOND] = choices[b];
             pushes(x, u, p, fixed, s, trial, side, over, against);
@@ -109,8 +110,7 @@ static void directions(const double *x, const double *u, const double *p, const 
 {
     int rests = 0;
     for (int i = 0; i < ND; i++) {
-        const double v = x[row[i]];
-        d[i] = v > 0.0 ? 1.0 : v < 0.0 ? -1.0 : v;
+        d[i] = x[row[i]] > 0.0 ? 1.0 : x[row[i]] < 0.0 ? -1.0 : x[row[i]];
         rests |= d[i] == 0.0;
     }
     if (rests) settle(x, u, p, fixed, d);
@@ -123,8 +123,7 @@ static void breakaways(const double *x, const double *after, const double *u, co
     double side[MANY], short_of[MANY], over[MANY], against[MANY];
     int rests = 0;
     for (int i = 0; i < ND; i++) {
-        leaves[i] = 0.0;
-        when[i] = 1.0;
+        leaves[i] = 0.0, when[i] = 1.0;
         rests |= d[i] == 0.0;
     }
     if (SPEEDS == 1 || !rests) return;
@@ -142,7 +141,8 @@ static void breakaways(const double *x, const double *after, const double *u, co
 static void slide(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h)
 {
     double d[MANY], released[MANY] = { 0.0 }, leaves[MANY], when[MANY], after[NX], k[NX];
-    double after_t[NX][MC], k_t[NX][MC], h_t[MC] = { 0.0 }, moment_t[MC], late_t[MC];
+    double after_t[NX][MC] ALIGNED, k_t[NX][MC] ALIGNED, h_t[MC] ALIGNED = { 0.0 };
+    double moment_t[MC] ALIGNED, late_t[MC] ALIGNED;
     for (int events = 2 * SPEEDS;; events--) {
         int first = -1, event = 0, passes = 0;
         double share = INFINITY;
@@ -214,7 +214,7 @@ static void sample(double *x, double (*x_t)[MC], const double *u, const double *
 void shoot(double *path, const double *u, const double *dt, const double *p, long rows, long samples, long length,
            long sub_steps)
 {
-    double x[NX], x_t[NX][MC], held[HELD + 1], fixed[FIXED + 1];
+    double x[NX], x_t[NX][MC] ALIGNED, held[HELD + 1], fixed[FIXED + 1];
     for (long r = 0; r < rows; r++) {
         prepare(p + r * NP, fixed);
         for (long t = 0; t + 1 < samples; t++) {
@@ -232,7 +232,7 @@ void shoot(double *path, const double *u, const double *dt, const double *p, lon
 void linearise(double *next, double *tangents, const double *nodes, const double *u, const double *dt,
                const double *p, long rows, long samples, long sub_steps)
 {
-    double x_t[NX][MC], held[HELD + 1], fixed[FIXED + 1];
+    double x_t[NX][MC] ALIGNED, held[HELD + 1], fixed[FIXED + 1];
     for (long r = 0; r < rows; r++) {
         prepare(p + r * NP, fixed);
         for (long at = r * samples; at < (r + 1) * samples; at++) {

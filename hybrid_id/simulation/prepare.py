@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -186,12 +187,12 @@ def _motion(
     steps = record.sample_time if record.is_uniform else record.time
     std = noise[name]
     if name.startswith("v"):
-        speed = smooth_derivatives(record.outputs[name], steps, std)[0]
+        speed = _smooth(record.outputs[name], steps, std)[0]
         angle, first = cumulative_trapezoid(speed, record.time, initial=0.0), (0.0, std)
     else:
         offset, estimated = _encoder_offset(joint, name[:-1])
         measured = record.outputs[name] - offset
-        angle, speed, _ = smooth_derivatives(measured, steps, std)
+        angle, speed = _smooth(measured, steps, std)
         # at its end a cubic through nine samples, the smoothing's short window, has this slope's error
         first = std, std / record.sample_time
         if rest >= RESTING:
@@ -201,6 +202,19 @@ def _motion(
     if rest >= RESTING:
         speed[:rest], first = 0.0, (first[0], 0.0)
     return np.stack([angle, speed], 1), np.array(first)
+
+
+def _smooth(values: np.ndarray, steps: float | np.ndarray, std: float) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed samples and their derivative, for the caller to change."""
+    value, slope = _smooth_once(values.tobytes(), np.asarray(steps, float).tobytes(), std)
+    return value.copy(), slope.copy()
+
+
+@lru_cache(maxsize=64)
+def _smooth_once(values: bytes, steps: bytes, std: float) -> tuple[np.ndarray, np.ndarray]:
+    # a search prepares the same records for hundreds of models
+    stamps = np.frombuffer(steps)
+    return smooth_derivatives(np.frombuffer(values), stamps if len(stamps) > 1 else float(stamps[0]), std)[:2]
 
 
 def _encoder_offset(joint: Joint, channel: str) -> tuple[float, bool]:

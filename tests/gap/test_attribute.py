@@ -1,9 +1,13 @@
-"""An effect that is taken out again leaves nothing behind."""
+"""An effect that is taken out again leaves nothing behind; the search stops at noise and starts where it should."""
 
+from types import SimpleNamespace
+
+import numpy as np
 import pytest
 from gapcase import small_case
 
-from hybrid_id.gap.attribute import _without
+from hybrid_id.gap.attribute import _leaves_something, _without
+from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
@@ -19,3 +23,23 @@ def test_model_without_an_effect_is_the_one_before(name: str) -> None:
             plain = _without(richer, today, (name, where))
             assert plain is not None
             assert set(plain.components) == set(today.components)
+
+
+def test_nothing_is_looked_for_beside_an_effect_that_leaves_white_noise() -> None:
+    rng = np.random.default_rng(0)
+    noise, wave = rng.standard_normal((4000, 1)), np.sin(0.05 * np.arange(4000))[:, None]
+
+    def model(residual: np.ndarray, effects: tuple):
+        return SimpleNamespace(effects=effects, result=SimpleNamespace(residual=[residual]))
+
+    some = (("backlash", "joint1/transmission"),)
+    assert not _leaves_something(model(noise, some))
+    assert _leaves_something(model(noise + wave, some))
+    assert _leaves_something(model(noise, ()))  # the first round tells how probable each effect is
+
+
+def test_a_part_that_an_effect_has_replaced_counts_as_not_bent() -> None:
+    _, today = small_case()
+    gone = today.without_component("joint1/motor_friction", "coulomb_friction")
+    assert bent_parameters(today, gone) == []
+    assert bent_parameters(today, today.with_values({"P_m2": 2.0 * today.parameter("P_m2").spec.value}))

@@ -13,7 +13,7 @@ import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
 from hybrid_id import InputError, Record, load_model, one_link, save_model, two_link
 from hybrid_id.components import Viscous
 from hybrid_id.gap.catalogue import CATALOGUE, effect
-from hybrid_id.gap.scales import scales
+from hybrid_id.gap.scales import Scales, scales
 from hybrid_id.simulation.dry_equations import source
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.systems import System
@@ -105,6 +105,20 @@ def test_what_is_there_is_not_offered_again() -> None:
     offered = {name for name, _ in models("rigid")}
     assert not offered & {"coulomb_friction", "hardening_flexibility", "joint_coupling"}
     assert "viscous_friction" not in offered  # behind a rigid gear it is the back-EMF's
+
+
+def test_a_weight_may_hang_at_any_angle() -> None:
+    size = Scales(
+        joint=1, ratio=50.0, sample_time=STEP, duration=2.0, command=12.0, command_rms=6.0, speed=100.0, turns=80.0,
+        angle=1.6, middle=0.0, torque=0.05, dry=0.01, inertia=2e-5, rotor=1e-5,
+    )  # fmt: skip
+    for system in (one_link(50.0, vertical=True), two_link((50.0, 40.0), vertical=True), one_link(50.0)):
+        found = effect("gravity_load").models(system, size)
+        assert found
+        for start in found["joint1/load"]:
+            assert start.parameter("q_0").spec.estimate
+            again = effect("gravity_load").models(start, size)
+            assert not again, "a weight that is free already is not offered again"
 
 
 @pytest.mark.parametrize("kind", drives())

@@ -2,8 +2,9 @@
 
 from gapcase import RATIO
 
+from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.diagnosis import Diagnosis, bent_parameters
+from hybrid_id.gap.diagnosis import Diagnosis
 
 
 def test_missing_spring_is_named(diagnosed) -> None:

@@ -8,11 +8,11 @@ import pytest
 import torch
 from drives import batch_of, multisine, rigid_drive
 
-from hybrid_id.components import Backlash, Delay
+from hybrid_id.components import Backlash, Delay, Gravity
 from hybrid_id.errors import InputError
 from hybrid_id.identification.left_out import left_out
 from hybrid_id.identification.rollouts import Rollouts
-from hybrid_id.identification.secant import secant_fit, shaken
+from hybrid_id.identification.secant import secant_fit, shaken, slopes_at
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.step import Engine
@@ -51,6 +51,21 @@ def test_play_is_recovered_from_the_motors_side() -> None:
     assert gap == pytest.approx(0.03, rel=0.05)
     assert found.noise_scale < 1.5
     assert found.jacobian[0].shape == (*found.residual[0].shape, len(found.names))
+
+
+def test_a_look_with_borrowed_slopes_finds_what_its_neighbour_lacks() -> None:
+    truth = rigid_drive().with_component("joint1/load", Gravity(G_l=0.1, q_0=Bounded(0.8, -6.0, 6.0, "rad")))
+    batch, plain = measured(truth, DRY), rigid_drive()
+    today = secant_fit(plain, batch, engine=DRY, iterations=10)
+    start = today.system.with_component("joint1/load", Gravity(G_l=0.02, q_0=Bounded(1.6, -6.0, 6.0, "rad")))
+    near = slopes_at(today.system, batch, DRY)
+    look = secant_fit(start, batch, engine=DRY, iterations=5, near=near)
+    full = secant_fit(start, batch, engine=DRY, iterations=20)
+    assert full.noise_scale < 1.1
+    assert look.cost < 0.5 * today.cost
+    assert set(near.parameters) == {(i.component, i.symbol) for i in plain.table if i.spec.estimate}
+    # further steps of the look simulate no slope anew, and come to where the fit comes to
+    assert secant_fit(start, batch, engine=DRY, iterations=40, near=near).cost < 1.05 * full.cost
 
 
 def test_a_delays_channels_arrive_before_the_rollout() -> None:

@@ -22,6 +22,7 @@ from hybrid_id.components import (
     LuGre,
     PositionDependent,
     ResidualNetwork,
+    Spring,
     Stribeck,
 )
 from hybrid_id.simulation.batch import Batch
@@ -67,6 +68,10 @@ SYSTEMS = {
     "one dry link": arm().without_component("joint2/motor_friction", "coulomb_friction"),
     "loaded arm": arm(vertical=True).with_component(FRICTION, LoadDependent(mu=0.1)),
     "springs": behind_springs(),
+    # 5 states by 20 columns of tangents: a compiler that aligns them wrongly crashes here
+    "bristles on a spring": flexible_drive()
+    .with_component(FRICTION, LuGre())
+    .with_component("joint1/load", Spring(k_s=0.5)),
     "dahl": rigid_drive().with_component(FRICTION, Dahl(sigma=0.5)),
     "lugre": flexible_drive().with_component(FRICTION, LuGre(sigma_0=0.5)),
     "winding": rigid_drive().with_component("joint1/motor", ElectricalLag()),

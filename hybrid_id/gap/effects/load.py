@@ -1,23 +1,28 @@
 """Effects at the link."""
 
-from hybrid_id.gap.catalogue import Effect, free, has, register
+import math
+
+from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
 
 
 def _weight(system, s, place):
-    if has(system, f"joint{s.joint}/load", "gravity_load") or any(
-        "arm_gravity" in key for key in system.components
-    ):
+    """A weight anywhere on the link, or a plane tilted in any direction: the hanging angle is free."""
+    kind = "gravity_load" if len(system.joints) == 1 else "arm_gravity"
+    if s.joint > 1:  # a weight on either link shows at both joints
         return []
+    here = part_of(system, f"joint{s.joint}/load", kind)
+    if here is not None and here.specs["q_0"].estimate:
+        return []
+    if here is not None:
+        return [(kind, {**here.specs, "q_0": _hanging(here.specs["q_0"].value + a)}) for a in (0.3, -0.3)]
     torque = s.torque * s.ratio
-    size = free(0.05 * torque, -3.0 * torque, 3.0 * torque, "N m")
-    if len(system.joints) == 1:
-        return [("gravity_load", {"G_l": size})]
-    first = s.joint == 1  # a weight on either link shows at both joints
-    return (
-        [("arm_gravity", {"G_l1": size, "G_l2": free(0.02 * torque, -3.0 * torque, 3.0 * torque, "N m")})]
-        if first
-        else []
-    )
+    first, second = (free(share * torque, -3.0 * torque, 3.0 * torque, "N m") for share in (0.05, 0.02))
+    size = {"G_l": first} if kind == "gravity_load" else {"G_l1": first, "G_l2": second}
+    return [(kind, {**size, "q_0": _hanging(0.5 * math.pi * quarter)}) for quarter in range(4)]
+
+
+def _hanging(angle):
+    return free(angle, angle - 2.0 * math.pi, angle + 2.0 * math.pi, "rad")
 
 
 def _spring(system, s, place):

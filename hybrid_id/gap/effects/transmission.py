@@ -61,7 +61,7 @@ def _hardening(system, s, place):
 def _kinematic(system, s, place):
     if has(system, f"joint{s.joint}/transmission", "kinematic_error"):
         return []
-    small = 0.2 * min(0.01 * s.angle, 0.5 / s.ratio)
+    small = 0.02 * min(0.01 * s.angle, 0.5 / s.ratio)
     limit = min(0.1 * s.angle, 0.9 / s.ratio)
     return [
         (

@@ -1,0 +1,37 @@
+"""Absorption: what a re-fit has bent to make up for what the model lacks."""
+
+from __future__ import annotations
+
+import math
+
+from hybrid_id.systems.chain import System
+
+BENT, BENT_TORQUE = math.log(1.4), math.log(1.7)
+"""Change of a parameter against its nominal value that data sheets hardly allow; the same of a torque, whose common
+scale is known no better than the others' median."""
+
+
+def bent_parameters(nominal: System, fitted: System) -> list[str]:
+    """Parameters that a re-fit has moved by more than data sheets are wrong, in words.
+
+    Torques, inertias and frictions may all be multiplied by one number without a change of the motion; the median of
+    their changes is taken for it.
+    """
+    change, kind = {}, {}
+    now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
+    for info in nominal.table:
+        value = now.get((info.component, info.symbol))  # none where an effect has taken the component's place
+        if not info.spec.estimate or info.spec.value <= 0 or value is None:
+            continue
+        change[info.name] = math.log(max(value, 1e-12 * info.spec.value) / info.spec.value)
+        kind[info.name] = "kg" in info.spec.unit or "N" in info.spec.unit
+    scaled = sorted(change[n] for n in change if kind[n])
+    middle = scaled[len(scaled) // 2] if scaled else 0.0
+    words = []
+    for name, moved in change.items():
+        own = moved - (middle if kind[name] else 0.0)
+        if own < -3.0:
+            words.append(f"{name} is driven to zero")
+        elif abs(own) > (BENT_TORQUE if kind[name] else BENT):
+            words.append(f"{name} is {math.exp(own):.2f} times its nominal value")
+    return words

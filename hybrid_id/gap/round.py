@@ -1,0 +1,129 @@
+"""One step of the search: the catalogue's effects beside a model, all looked at, the promising fitted to the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
+from hybrid_id.gap.bent import bent_parameters
+from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.harmonics import likely_waves
+from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
+from hybrid_id.gap.scales import scales
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.chain import System
+
+SECOND_LOOK = 10
+"""Iterations of a second look."""
+PROMISING, MORE_STARTS, FINALISTS = 16, 6, 4
+"""Candidates that get a second look, further starts of the best that do, and candidates that are fitted to the end."""
+SAME = 2e-3
+"""Costs that differ by less than this share are of one valley."""
+HOPELESS = 2.5
+"""Mean square error beyond the best's from which a candidate is not fitted to the end."""
+NEAR = 1.15
+"""Mean square error of a second look, relative to the model before, up to which an effect beside another may still win:
+that model has been fitted to the end."""
+
+Progress = Callable[[str, int, int], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One step of the search: what was there before, and every candidate that was added to it, best first."""
+
+    before: Explanation
+    candidates: tuple[Explanation, ...]
+
+    @property
+    def best(self) -> Explanation | None:
+        """The candidate that predicts best, None where there is none."""
+        return self.candidates[0] if self.candidates else None
+
+
+def one_round(
+    refit: Refit, before: Explanation, today: System, stage: str, progress: Progress | None = None
+) -> Round:
+    """Every effect of the catalogue added to a model, one at a time."""
+    return Round(before, _ranked(refit, before, tasks(refit, before, today), stage, progress))
+
+
+def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
+    """A fit to start for every effect, place and start point.
+
+    Each starts where the model before has ended. Where that has bent its parameters to make up for what it lacks, each
+    starts from today's own values, too.
+    """
+    batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
+    taken, found = set(before.effects), []
+    bent = bool(bent_parameters(today, before.system))
+    here, there = refit.slopes(before.system), refit.slopes(today) if bent else None
+    for size in scales(before.system, batch):
+        for effect in CATALOGUE.values():
+            models = effect.models(before.system, size)
+            if effect.name == "cogging":
+                models = effect.scanned(before.system, size, likely_waves(before.result, batch, size.joint))
+            for where, starts in models.items():
+                if (effect.name, where) in taken:
+                    continue
+                names = tuple(sorted((*before.effects, (effect.name, where))))
+                for start in starts:
+                    found.append(Task(names, start, here))
+                    if bent:
+                        found.append(Task(names, _as_today(start, today), there))
+    return found
+
+
+def _as_today(system: System, today: System) -> System:
+    """The system with today's own values of all that both have."""
+    names = {(info.component, info.symbol): info.name for info in system.table}
+    values = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
+    return system.with_values({names[key]: value for key, value in values.items() if key in names})
+
+
+def _ranked(
+    refit: Refit, before: Explanation, todo: Sequence[Task], stage: str, progress: Progress | None
+) -> tuple[Explanation, ...]:
+    """Fit tasks, the promising ones to the end; the best start of each set of effects, best prediction first."""
+    total, count = len(todo) + PROMISING + MORE_STARTS + FINALISTS, [0]
+
+    def tick() -> None:
+        count[0] += 1
+        if progress is not None:
+            progress(stage, count[0], total)
+
+    seen = _best_of_each([e for e in refit.run(todo, LOOK, tick) if e is not None], MORE_STARTS)
+    firsts = _best_of_each(seen)
+    ranked = firsts[:PROMISING] + [e for e in seen if e not in firsts][:MORE_STARTS]
+    ranked += [e for e in firsts if e not in ranked]
+    finished: set[tuple[Name, ...]] = set()
+    for keep, iterations in (
+        (PROMISING + MORE_STARTS, SECOND_LOOK),
+        (FINALISTS, TO_THE_END),
+        (1, TO_THE_END),
+        (1, TO_THE_END),
+    ):
+        limit = HOPELESS * ranked[0].evidence.error if iterations == TO_THE_END and ranked else math.inf
+        if before.effects:  # beside another effect, one that promises nothing is let go
+            limit = min(limit, NEAR * before.evidence.error)
+        rivals = [e for e in ranked[:keep] if e.evidence.error < limit and e.effects not in finished]
+        more = refit.run([Task(e.effects, e.system) for e in rivals], iterations, tick)
+        finished |= {e.effects for e in rivals} if iterations == TO_THE_END else set()
+        # what has been fitted further counts, be it better or worse; the rest stays as it was seen
+        kept = [e for e in ranked if e not in rivals]
+        ranked = _best_of_each([*(e for e in more if e is not None), *kept])
+    return tuple(ranked)
+
+
+def _best_of_each(found: Sequence[Explanation], each: int = 1) -> list[Explanation]:
+    """The best fits of each set of effects, best first; of those that have come to the same end only one."""
+    ends: dict[tuple[Name, ...], list[float]] = {}
+    best = []
+    for one in sorted(found, key=lambda e: e.evidence.error):
+        known = ends.setdefault(one.effects, [])
+        if len(known) < each and all(one.result.cost > (1.0 + SAME) * end for end in known):
+            known.append(one.result.cost)
+            best.append(one)
+    return best
