@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hybrid_id.errors import InputError
@@ -47,6 +47,7 @@ class Diagnosis:
         before: torques that would explain what the re-fitted model leaves, best first.
         after: the same for the corrected model.
         bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
+        withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
         experiments: records that would tell tied effects apart, the best first; empty without ties.
         search: all that was tried.
     """
@@ -64,6 +65,7 @@ class Diagnosis:
     after: tuple[Location, ...]
     bent: tuple[str, ...]
     experiments: tuple[Experiment, ...]
+    withdrawn: tuple[str, ...]
     search: Attribution = field(repr=False)
 
     @property
@@ -119,6 +121,7 @@ class Diagnosis:
                 for o in self.after[:3]
             ],
             "bent_parameters": list(self.bent),
+            "withdrawn": list(self.withdrawn),
             "next_experiments": [
                 {"name": e.name, "joint": e.joint, "distance": e.distance, "distance_today": e.today}
                 for e in self.experiments[:3]
@@ -138,7 +141,8 @@ def diagnose(
 ) -> Diagnosis:
     """Find out why records and simulator disagree.
 
-    Search and fits use the train records only; the test records are opened once, to measure the gap.
+    Search and fits use the train records only; the test records are opened once, to measure the gap. Effects whose gain
+    on them may as well be none (95 % interval) are withdrawn.
 
     Args:
         dataset: train and test records.
@@ -158,24 +162,16 @@ def diagnose(
     say = progress or (lambda *_: None)
     say("today's model", 0, 1)
     search = attribute(refit, system, most=most, progress=progress)
-    base = search.base
+    base, withdrawn = search.base, ()
     say("location", 0, 1)
     before = tuple(locate(refit, base))
-    after = tuple(locate(refit, search.chosen)) if search.chosen is not base else before
-    found = tuple(suspects(search))
     nominal, first = errors(dataset, system, engine()), errors(dataset, base.system, base.result.engine)
-    last = first
-    if search.chosen is not base:
-        last = errors(dataset, search.chosen.system, search.chosen.result.engine)
-    left = max((one.share for one in after), default=0.0)
-    # behind play nobody has measured where the link is, and the probe starts its windows in the wrong place
-    play = any("backlash" in key for key in search.chosen.system.components)
-    unknown = (left > UNEXPLAINED and not play) or coloured(search.chosen.result.residual) > COLOURED
-    gap = None
-    if first is not None and last is not None:
-        # what a torque of no name still explains is no noise
-        floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(max(left, 0.0), 0.99)))
-        gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
+    after, last, gap = _left(refit, search, before, first, seed)
+    if search.chosen is not base and gap is not None and gap.interval[0] <= 0.0:
+        withdrawn, search = search.chosen.effects, replace(search, chosen=base)
+        after, last, gap = _left(refit, search, before, first, seed)
+    found = tuple(suspects(search))
+    unknown = _outside(search.chosen, after)
     return Diagnosis(
         case=dataset.name,
         verdict=_verdict(base, search, nominal, first, unknown),
@@ -190,8 +186,36 @@ def diagnose(
         after=after,
         bent=tuple(bent_parameters(system, base.system)),
         experiments=tuple(next_experiment(dataset, tied_explanations(search))),
+        withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
         search=search,
     )
+
+
+def _left(
+    refit: Refit, search: Attribution, before: tuple[Location, ...], first: Errors | None, seed: int
+) -> tuple[tuple[Location, ...], Errors | None, Shrink | None]:
+    """What the chosen model leaves: torques of no name in it, errors on the test records, how far the gap shrinks."""
+    chosen = search.chosen
+    if chosen is search.base:
+        after, last = before, first
+    else:
+        after, last = tuple(locate(refit, chosen)), errors(refit.dataset, chosen.system, chosen.result.engine)
+    if first is None or last is None:
+        return after, last, None
+    # what a torque of no name still explains is no noise
+    floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(max(_share(after), 0.0), 0.99)))
+    return after, last, shrink(first, last, min(floor, last.nrmse), seed=seed)
+
+
+def _share(places: tuple[Location, ...]) -> float:
+    return max((one.share for one in places), default=0.0)
+
+
+def _outside(chosen: Explanation, after: tuple[Location, ...]) -> bool:
+    """Whether the chosen model leaves something that the catalogue lacks."""
+    # behind play nobody has measured where the link is, and the probe starts its windows in the wrong place
+    play = any("backlash" in key for key in chosen.system.components)
+    return (_share(after) > UNEXPLAINED and not play) or coloured(chosen.result.residual) > COLOURED
 
 
 def _verdict(

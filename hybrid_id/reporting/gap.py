@@ -18,6 +18,7 @@ from hybrid_id.reporting.gap_words import (
     values_of,
     verdict_sentence,
     where_line,
+    withdrawn_lines,
     words_of,
 )
 from hybrid_id.reporting.tables import open_table
@@ -49,7 +50,12 @@ def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.
     lines = {"where": where_line(diagnosis), "how far": gap_line(diagnosis)}
     parts += [Text(f"{head}: {line}") for head, line in lines.items() if line]
     parts.append(suspects_table(diagnosis, reach, level, TOP))
-    remarks = (*tie_lines(diagnosis)[:2], *experiment_lines(diagnosis), *bent_lines(diagnosis, 4))
+    remarks = (
+        *tie_lines(diagnosis)[:2],
+        *withdrawn_lines(diagnosis),
+        *experiment_lines(diagnosis),
+        *bent_lines(diagnosis, 4),
+    )
     parts += [Text(line, style="yellow") for line in remarks]
     return Group(*parts)
 

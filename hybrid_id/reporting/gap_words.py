@@ -156,6 +156,17 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
+def withdrawn_lines(diagnosis: Diagnosis) -> list[str]:
+    """Effects that the test records have not borne out, as one line; none where there is none."""
+    if not diagnosis.withdrawn:
+        return []
+    words = _joined(list(diagnosis.withdrawn))
+    verb = "lowers" if len(diagnosis.withdrawn) == 1 else "lower"
+    return [
+        f"withdrawn: {words} {verb} the errors of the train records, but not surely those of the test records."
+    ]
+
+
 def bent_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:
     """Parameters that the re-fit has bent, as one line; none where there is none."""
     if not diagnosis.bent:

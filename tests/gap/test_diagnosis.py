@@ -1,10 +1,14 @@
 """The whole way from records to a verdict, on a drive whose truth is known."""
 
+from dataclasses import replace
+
 from gapcase import RATIO
 
+import hybrid_id.gap.diagnosis as module
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.reporting.gap import summary
 
 
 def test_missing_spring_is_named(diagnosed) -> None:
@@ -43,6 +47,25 @@ def test_nothing_is_named_where_nothing_is_missing(sound) -> None:
     assert not found.ties
     assert max(s.probability for s in found.effects) < 0.3
     assert found.as_dict()["no_gap"]
+
+
+def test_what_the_test_records_do_not_bear_out_is_withdrawn(diagnosed, monkeypatch) -> None:
+    dataset, today, found = diagnosed
+    honest = module.shrink
+
+    def unsure(refit, with_effect, floor, *, seed):
+        told = honest(refit, with_effect, floor, seed=seed)
+        return told if with_effect is refit else replace(told, interval=(-0.1, 0.9))
+
+    monkeypatch.setattr(module, "shrink", unsure)
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found.search)
+    again = module.diagnose(dataset, today, most=1)
+    assert not again.selected
+    assert again.withdrawn == ("spring_load at joint1/load",)
+    assert again.with_effect is not None and again.refit is not None
+    assert again.with_effect.nrmse == again.refit.nrmse
+    assert again.verdict != "effects"
+    assert "withdrawn: spring_load at joint1/load lowers" in summary(again)
 
 
 def test_contract_of_the_file(diagnosed) -> None:

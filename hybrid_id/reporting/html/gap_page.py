@@ -20,6 +20,7 @@ from hybrid_id.reporting.gap_words import (
     tie_lines,
     verdict_sentence,
     where_line,
+    withdrawn_lines,
 )
 from hybrid_id.reporting.html.live import Plot
 from hybrid_id.reporting.html.page import Page, Section
@@ -75,7 +76,7 @@ def gap_page(
             section.picture(images[name], _CAPTIONS[name], (plots or {}).get(name))
 
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
-    ties = (*tie_lines(diagnosis), *experiment_lines(diagnosis))
+    ties = (*tie_lines(diagnosis), *withdrawn_lines(diagnosis), *experiment_lines(diagnosis))
     which = page.section("Which").add(_HOW, suspects_table(diagnosis, reach, level), *map(_sentence, ties))
     picture(which, "suspects")
     where = page.section("Where").add(_sentence(where_line(diagnosis) or _NOWHERE))
