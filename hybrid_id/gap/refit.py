@@ -65,11 +65,13 @@ class Task:
         effects: that it has.
         system: where the fit starts.
         near: slopes of the model that it is close to, for a first look.
+        cost: where a look has ended; another method is tried where the fit ends higher.
     """
 
     effects: tuple[Name, ...]
     system: System
     near: Slopes | None = None
+    cost: float = 0.0
 
 
 class Refit:
@@ -125,12 +127,13 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
     step = min(record.sample_time for record in dataset.train)
     try:
         batch = batch_of(dataset, task.system, dataset.train, signal_share, "cpu")
-        result = secant_fit(task.system, batch, engine=engine(), iterations=iterations, near=task.near)
         loose = hidden_links(task.system, batch)
+        if loose or iterations <= LOOK:
+            result = secant_fit(task.system, batch, engine=engine(), iterations=iterations, near=task.near)
+        else:
+            result = _nearest(task, batch, iterations)
         if loose and iterations == TO_THE_END:
             result = shaken(result, batch)
-        elif not loose and iterations == TO_THE_END:
-            result = _polished(result, batch, iterations)
     except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
         return None
     blind = result.residual if iterations <= LOOK else left_out(result, batch)
@@ -138,18 +141,23 @@ def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> 
     return Explanation(task.effects, result, found) if found.error < float("inf") else None
 
 
-def _polished(result: FitResult, batch: Batch, iterations: int) -> FitResult:
-    """The fit carried on with exact sensitivities, which see close by what finite steps blur, where that helps."""
-    options = Options(max_iterations=iterations, tolerance=0.05)
+def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:
+    """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower.
+
+    The first walks through valleys in which whole rollouts are stuck; the second sees through events and from afar.
+    """
+    options, ends = Options(max_iterations=iterations, tolerance=0.05), []
+    last = iterations == TO_THE_END
     try:
-        exact = fit(result.system, batch, pooled=True, engine=result.engine, warm=False, options=options)[0]
+        exact = fit(task.system, batch, pooled=True, engine=engine(), options=options, warm=last)[0]
+        # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
+        there = secant_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
+        ends.append(replace(there, status=exact.status, iterations=exact.iterations))
     except (InputError, RuntimeError):
-        return result
-    if not exact.cost < result.cost:
-        return result
-    # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
-    there = secant_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
-    return replace(there, status=exact.status, iterations=result.iterations + exact.iterations)
+        pass
+    if last or not ends or ends[0].cost > task.cost:
+        ends.append(secant_fit(task.system, batch, engine=engine(), iterations=iterations))
+    return min(ends, key=lambda end: end.cost)
 
 
 def engine() -> Engine:

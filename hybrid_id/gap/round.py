@@ -22,7 +22,7 @@ PROMISING, MORE_STARTS, FINALISTS = 16, 6, 4
 SAME = 2e-3
 """Costs that differ by less than this share are of one valley."""
 HOPELESS = 2.5
-"""Mean square error beyond the best's from which a candidate is not fitted to the end."""
+"""Mean square error beyond the best's from which a candidate is not fitted to the end, or further beside another."""
 NEAR = 1.15
 """Mean square error of a second look, relative to the model before, up to which an effect beside another may still win:
 that model has been fitted to the end."""
@@ -105,11 +105,12 @@ def _ranked(
         (1, TO_THE_END),
         (1, TO_THE_END),
     ):
-        limit = HOPELESS * ranked[0].evidence.error if iterations == TO_THE_END and ranked else math.inf
+        strict = iterations == TO_THE_END or before.effects
+        limit = HOPELESS * ranked[0].evidence.error if strict and ranked else math.inf
         if before.effects:  # beside another effect, one that promises nothing is let go
             limit = min(limit, NEAR * before.evidence.error)
         rivals = [e for e in ranked[:keep] if e.evidence.error < limit and e.effects not in finished]
-        more = refit.run([Task(e.effects, e.system) for e in rivals], iterations, tick)
+        more = refit.run([Task(e.effects, e.system, cost=e.result.cost) for e in rivals], iterations, tick)
         finished |= {e.effects for e in rivals} if iterations == TO_THE_END else set()
         # what has been fitted further counts, be it better or worse; the rest stays as it was seen
         kept = [e for e in ranked if e not in rivals]
