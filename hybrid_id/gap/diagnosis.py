@@ -18,6 +18,7 @@ from hybrid_id.gap.refit import Explanation, Refit, engine
 from hybrid_id.gap.shrink import Shrink, shrink
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.study.identifiable import preflight
 from hybrid_id.systems.chain import System
 
 UNEXPLAINED = 0.3
@@ -48,6 +49,7 @@ class Diagnosis:
         after: the same for the corrected model.
         bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
+        untold: changes of the chosen model's parameters that these records do not see, in words.
         experiments: records that would tell tied effects apart, the best first; empty without ties.
         search: all that was tried.
     """
@@ -66,6 +68,7 @@ class Diagnosis:
     bent: tuple[str, ...]
     experiments: tuple[Experiment, ...]
     withdrawn: tuple[str, ...]
+    untold: tuple[str, ...]
     search: Attribution = field(repr=False)
 
     @property
@@ -122,6 +125,7 @@ class Diagnosis:
             ],
             "bent_parameters": list(self.bent),
             "withdrawn": list(self.withdrawn),
+            "cannot_be_told": list(self.untold),
             "next_experiments": [
                 {"name": e.name, "joint": e.joint, "distance": e.distance, "distance_today": e.today}
                 for e in self.experiments[:3]
@@ -187,6 +191,7 @@ def diagnose(
         bent=tuple(bent_parameters(system, base.system)),
         experiments=tuple(next_experiment(dataset, tied_explanations(search))),
         withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
+        untold=tuple(one.text for one in preflight(dataset, search.chosen.system).directions),
         search=search,
     )
 

@@ -15,6 +15,7 @@ from hybrid_id.reporting.gap_words import (
     joint_words,
     place_words,
     tie_lines,
+    untold_lines,
     values_of,
     verdict_sentence,
     where_line,
@@ -24,7 +25,7 @@ from hybrid_id.reporting.gap_words import (
 from hybrid_id.reporting.tables import open_table
 from hybrid_id.systems.chain import System
 
-TOP = 5
+TOP = 4
 """Suspects that the terminal shows."""
 UNLIKELY = 0.01
 """Probability below which an effect's parameters are noise and no news."""
@@ -55,6 +56,7 @@ def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.
         *withdrawn_lines(diagnosis),
         *experiment_lines(diagnosis),
         *bent_lines(diagnosis, 4),
+        *untold_lines(diagnosis, 1),
     )
     parts += [Text(line, style="yellow") for line in remarks]
     return Group(*parts)

@@ -167,6 +167,11 @@ def withdrawn_lines(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
+def untold_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:
+    """Changes of parameters that these records do not see, a line each."""
+    return [f"not told: {words}." for words in diagnosis.untold[:most]]
+
+
 def bent_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:
     """Parameters that the re-fit has bent, as one line; none where there is none."""
     if not diagnosis.bent:

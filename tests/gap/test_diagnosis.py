@@ -68,6 +68,12 @@ def test_what_the_test_records_do_not_bear_out_is_withdrawn(diagnosed, monkeypat
     assert "withdrawn: spring_load at joint1/load lowers" in summary(again)
 
 
+def test_the_common_scale_of_torques_is_said_to_be_unknown(diagnosed) -> None:
+    found = diagnosed[2]
+    assert any("P_m1" in words and "one number" in words for words in found.untold), found.untold
+    assert f"not told: {found.untold[0]}." in summary(found)
+
+
 def test_contract_of_the_file(diagnosed) -> None:
     values = diagnosed[2].as_dict()
     assert {"case", "effects", "verdict", "unknown", "no_gap", "gap", "location"} <= set(values)

@@ -18,6 +18,7 @@ from hybrid_id.reporting.gap_words import (
     gap_line,
     percent,
     tie_lines,
+    untold_lines,
     verdict_sentence,
     where_line,
     withdrawn_lines,
@@ -84,7 +85,8 @@ def gap_page(
     picture(where, "where")
     picture(page.section("Measured and simulated"), "worst_record")
     page.section("Parameters").add(
-        *map(_sentence, bent_lines(diagnosis)), parameters_table(nominal, diagnosis)
+        *map(_sentence, [*bent_lines(diagnosis), *untold_lines(diagnosis)]),
+        parameters_table(nominal, diagnosis),
     )
     records = page.section("Records").add(records_table(dataset))
     if findings:
