@@ -82,15 +82,19 @@ def attribute(
 def better(richer: Explanation, simpler: Explanation) -> bool:
     """Whether a richer model predicts records that it has not seen clearly better."""
     ratio = (simpler.evidence.error / richer.evidence.error) ** 0.5
-    least = MORE_RATIO if simpler.effects else LEAST_RATIO
     z = richer.evidence.z(simpler.evidence)
-    return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
+    return (ratio >= least_ratio(simpler) and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
+
+
+def least_ratio(simpler: Explanation) -> float:
+    """By which factor an effect beside a model's has to lower the RMS of the errors of prediction."""
+    return MORE_RATIO if simpler.effects else LEAST_RATIO
 
 
 def _leaves_something(simpler: Explanation) -> bool:
     """Whether another effect could be believed at all beside the first: none explains white noise."""
     reachable = (1.0 - coloured(simpler.result.residual)) ** -0.5
-    return not simpler.effects or reachable >= MORE_RATIO
+    return not simpler.effects or reachable >= least_ratio(simpler)
 
 
 def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.gap.attribute import LEAST_RATIO, LEAST_Z, Attribution, better
+from hybrid_id.gap.attribute import LEAST_Z, Attribution, better, least_ratio
 from hybrid_id.gap.catalogue import effect
 from hybrid_id.gap.refit import Explanation, Name
 from hybrid_id.gap.round import Round
@@ -77,7 +77,8 @@ def _present(one: Round) -> float:
     if one.best is None:
         return 0.0
     z = one.best.evidence.z(one.before.evidence)
-    gain = np.log(one.before.evidence.error / one.best.evidence.error) / (2.0 * np.log(LEAST_RATIO))
+    least = 2.0 * np.log(least_ratio(one.before))
+    gain = np.log(one.before.evidence.error / one.best.evidence.error) / least
     return float(1.0 / (1.0 + np.exp(-2.0 * (min(z - LEAST_Z, 3.0 * (gain - 1.0))))))
 
 
