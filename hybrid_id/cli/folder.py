@@ -39,7 +39,12 @@ def refuse_taken(path: Path, *, force: bool) -> None:
         return
     if not force and (path / CHECKPOINT).exists() and not (path / RESULT).exists():
         raise InputError(
-            f"{path} holds an unfinished training; {_go_on(path)}, or give another folder, or --force to replace it"
+            f"{path} holds an unfinished training; {go_on(path)}, or give another folder, or --force to replace it"
+        )
+    if not force and (path / CHECKPOINT).exists():
+        raise InputError(
+            f"{path} is not empty; {go_on(path)} where a training was stopped, or give another folder, or --force to "
+            "replace the results in it"
         )
     if not force:
         raise InputError(f"{path} is not empty; give another folder, or --force to replace the results in it")
@@ -84,12 +89,20 @@ def resumable(path: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if (path / CHECKPOINT).exists():
-            raise KeyboardInterrupt(f"stopped; {_go_on(path)} from its last checkpoint") from None
+            raise KeyboardInterrupt(f"stopped; {go_on(path)} from its last checkpoint") from None
         raise
 
 
-def _go_on(path: Path) -> str:
+def go_on(path: Path) -> str:
+    """How a stopped training goes on, as words for the user: with the settings that stand beside its checkpoint."""
     return f"'hybrid-id train {path / 'config.yaml'} --out {path} --resume' goes on"
+
+
+def stopped(path: Path) -> str:
+    """What to say of a training that Ctrl-C has ended with results."""
+    if (path / CHECKPOINT).exists():
+        return f"stopped by Ctrl-C; {go_on(path)} from here"
+    return "stopped by Ctrl-C before the first checkpoint; the same command with --force starts anew"
 
 
 @contextmanager

@@ -8,7 +8,7 @@ import typer
 
 from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, refuse_taken
+from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, refuse_taken, stopped
 from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import use_device, use_threads
 from hybrid_id.config import Hybrid, StudyConfig
@@ -38,7 +38,8 @@ def train_with_networks(
     from hybrid_id.reporting.results import as_json as to_json
 
     with live_folder(home, force=force, resume=resume):
-        config.save(home / "config.yaml")
+        if not resume:  # what the checkpoint belongs to stays until it is known to fit
+            config.save(home / "config.yaml")
         study = _train(dataset, system, config, home, resume=resume)
         text = to_json("train", {"dataset": dataset.name} | hybrid_result(study))
         with added_results(home) as folder:
@@ -51,7 +52,7 @@ def train_with_networks(
             f"results are in {home}: report.html, result.json, model.yaml, physics.yaml, pictures, config.yaml"
         )
     if study.result.interrupted:
-        remark(f"stopped by Ctrl-C; 'hybrid-id train {source} --out {home} --resume' goes on from here")
+        remark(stopped(home))
         raise typer.Exit(130)
 
 

@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hybrid_id.cli.console import remark
-from hybrid_id.cli.folder import CHECKPOINT, added_results, live_folder, refuse_taken, required, resumable
+from hybrid_id.cli.folder import (
+    CHECKPOINT,
+    added_results,
+    live_folder,
+    refuse_taken,
+    required,
+    resumable,
+    stopped,
+)
 from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import (
     DeviceOption,
@@ -82,7 +90,8 @@ def train(
 
         wish = config.identification
         with live_folder(home, force=force, resume=resume):
-            config.save(home / "config.yaml")
+            if not resume:  # what the checkpoint belongs to stays until it is known to fit
+                config.save(home / "config.yaml")
             sets = _run(dataset, system, config, home, resume=resume)
             share = config.preprocessing.signal_share
             study = assess(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
@@ -94,7 +103,7 @@ def train(
             "it as it is, so small differences between their estimates are the smoothing's"
         )
         if any(result.status == "interrupted" for result in sets):
-            remark(f"stopped by Ctrl-C; 'hybrid-id train {source} --out {home} --resume' goes on from here")
+            remark(stopped(home))
             raise typer.Exit(130)
 
 

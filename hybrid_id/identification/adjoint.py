@@ -22,7 +22,7 @@ from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification import least_squares
-from hybrid_id.identification.checkpoint import read_state, write_state
+from hybrid_id.identification.checkpoint import fingerprint, read_state, write_state
 from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.fit import Progress, make_bounds, measured_windows
 from hybrid_id.identification.objective import Loss, evaluate
@@ -142,6 +142,7 @@ def train(
         *batch.names,
         *(info.name for info in system.table),
         *map(str, (pooled, len(options.windows))),
+        fingerprint(system, [batch], engine, options.windows, options.loss),
     ]
     state = read_state(resume, identity) if resume else None
     interrupted, told = False, 0

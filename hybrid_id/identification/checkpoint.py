@@ -2,17 +2,36 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.first_order import Descent
 from hybrid_id.identification.quasi_newton import State
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.systems.chain import System
+
+Course = TypeVar("Course")
+
+
+def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> str:
+    """What the numbers of a training depend on, as one hash: model, start values, networks, records, settings."""
+    known = hashlib.sha256(repr(settings).encode())
+    for info in system.table:
+        known.update(repr((info.name, info.spec)).encode())
+    for key, part in system.networks.items():
+        known.update(repr((key, sorted(part.options().items()))).encode())
+    for batch in batches:
+        known.update(repr((batch.names, batch.outputs)).encode())
+        for channel in (batch.dt, batch.y, *batch.u.values()):
+            known.update(channel.detach().cpu().contiguous().numpy().tobytes())
+    return known.hexdigest()
 
 
 def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]) -> None:
@@ -28,22 +47,29 @@ def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]
     os.replace(temporary, path)
 
 
-def read_checkpoint(path: Path, identity: list[str]) -> dict[str, Any]:
-    """Read a checkpoint of the training of these records and parameters."""
+def read_checkpoint(path: Path, identity: list[str], make: Callable[[dict[str, Any]], Course]) -> Course:
+    """Read the checkpoint of a training of these records, model and settings.
+
+    Args:
+        path: the file.
+        identity: see :func:`write_checkpoint`.
+        make: makes of its content what stands in it.
+    """
     if not path.is_file():
         raise InputError(f"There is no checkpoint {path}; start without resuming.")
     try:
         content = torch.load(path, weights_only=True)
-        found, state = content["identity"], dict(content["state"])
+        found, course = content["identity"], make(dict(content["state"]))
     except Exception as error:
         raise InputError(
             f"{path} is no checkpoint of a training ({type(error).__name__}); start without resuming."
         ) from None
     if found != identity:
         raise InputError(
-            f"{path} belongs to other records or another model; resume with those, or start anew."
+            f"{path} belongs to other records, another model or other settings; resume with those (config.yaml beside "
+            "it holds them), or start anew."
         )
-    return state
+    return course
 
 
 def as_content(state: State | Descent) -> dict[str, Any]:
@@ -58,4 +84,4 @@ def write_state(path: Path, state: State, identity: list[str]) -> None:
 
 def read_state(path: Path, identity: list[str]) -> State:
     """Read where a training of parameters stands."""
-    return State(**read_checkpoint(path, identity))
+    return read_checkpoint(path, identity, lambda content: State(**content))

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Writer
-from hybrid_id.identification.checkpoint import read_checkpoint
+from hybrid_id.identification.checkpoint import fingerprint, read_checkpoint
 from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.hybrid_course import Progress, Trainer
@@ -123,6 +123,8 @@ def train_hybrid(
         raise InputError(
             f"The prices {list(prices)} are no ladder; give falling numbers that are not negative."
         )
+    settings = (engine, options.windows, options.prices, options.loss, options.worth)
+    known = fingerprint(system, [batch, validation], *settings)
     physics = fit_physics(system, batch, engine, options)
     values = {name: physics.system.parameter(name).spec.value for name in physics.names}
     system = with_scales(system.with_values(values), batch, engine.width).to(batch.x.device)
@@ -134,7 +136,7 @@ def train_hybrid(
     sets = torch.zeros(batch.rows, dtype=torch.long, device=batch.x.device)
     bounds, extra = make_bounds(system, free, batch.x.device), extra_parameters(system)
     identity = ["hybrid", options.augmentation, options.optimizer, options.precision, *batch.names]
-    identity += [*system.components, *(stage.label for stage in options.stages)]
+    identity += [*system.components, *(stage.label for stage in options.stages), known]
     problem = Problem(system, engine, batch, sets, theta, free, bounds, extra, options.loss)
     trainer = Trainer(
         problem.to(options.dtype), validation.to(batch.x.device, options.dtype), options, identity,
@@ -144,7 +146,7 @@ def train_hybrid(
     alone = trainer.found(theta, fresh, 0, physics.status)
     course = Course(0, theta, fresh)
     if resume is not None:
-        course = Course.of(read_checkpoint(resume, trainer.identity))
+        course = read_checkpoint(resume, trainer.identity, Course.of)
     try:
         interrupted = trainer.run(course)
     except KeyboardInterrupt:

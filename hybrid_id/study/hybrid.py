@@ -190,6 +190,15 @@ def _warnings(study: HybridStudy) -> list[str]:
             f"for all to {study.pooled:.2g}: the parameters differ from record to record, which no network that all "
             "share can say, and what one learns here may be a makeshift; 'hybrid-id identify' tells how far they differ"
         )
+    if study.result.interrupted:
+        done = len(study.result.rungs) - 1
+        found.append(
+            "stopped by Ctrl-C before the first price was done: whether a network helps has not been told"
+            if done == 0
+            else f"stopped by Ctrl-C after {done} of the prices: the others have not been tried"
+        )
+    if len(study.result.rungs) == 1:
+        return found
     if study.result.chosen == 0:
         return [
             "the validation records ask for no network: physics alone is as good, so it is what is kept",

@@ -85,6 +85,13 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
 
     again = run("train", out / "config.yaml", "--out", out, "--resume", "--json")
     assert again.code == 0 and json.loads(again.out)["networks"] == result["networks"]
+    kept = (out / "config.yaml").read_text()
+    wider = out / "wider.yaml"
+    wider.write_text(kept.replace("- 4\n", "- 5\n").replace("hidden: [4]", "hidden: [5]"))
+    assert wider.read_text() != kept
+    refused = run("train", wider, "--out", out, "--resume")
+    assert refused.code == 2 and "another model or other settings" in refused.err
+    assert (out / "config.yaml").read_text() == kept, "what the checkpoint belongs to is still there"
     assert (
         run(
             "simulate", study.parent / "data", "--model", out / "model.yaml", "--out", tmp_path / "replay"

@@ -187,6 +187,15 @@ def test_checkpoint_of_another_training_is_refused(tmp_path: Path, batch: Batch)
     train(START, batch, options=QUICK, checkpoint=saved, progress=lambda _, k, cost, run: k >= 2)
     with pytest.raises(InputError, match="other records"):
         train(START, batch.take(torch.tensor([1])), options=QUICK, resume=saved)
+    J = START.parameter("J").spec
+    with pytest.raises(InputError, match="another model"):
+        prior = START.with_specs({"J": replace(J, prior_mean=J.value, prior_std=0.1 * J.value)})
+        train(prior, batch, options=QUICK, resume=saved)
+    content = torch.load(saved, weights_only=True)
+    del content["state"]["metric"]
+    torch.save(content, saved)
+    with pytest.raises(InputError, match=r"checkpoint\.pt is no checkpoint of a training \(TypeError\)"):
+        train(START, batch, options=QUICK, resume=saved)
 
 
 def test_a_start_that_diverges_is_a_status() -> None:

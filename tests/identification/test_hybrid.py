@@ -140,8 +140,13 @@ def test_resume_goes_on_to_the_same_numbers(tmp_path: Path, made: list, brief: H
         assert stopped.interrupted
     same(train_hybrid(hybrid(), *data, engine=ENGINE, options=BRIEF, resume=saved), brief)
     for other in (replace(BRIEF, augmentation="projection"), replace(BRIEF, optimizer="adam")):
-        with pytest.raises(InputError, match="other records or another model"):
+        with pytest.raises(InputError, match="other records, another model or other settings"):
             train_hybrid(hybrid(), *data, engine=ENGINE, options=other, resume=saved)
+    moved = data[0].take(torch.arange(data[0].rows))
+    moved.y[0, 5] += 0.1
+    for wrong, records in ((hybrid(hidden=(3,)), data), (hybrid(), (moved, data[1]))):
+        with pytest.raises(InputError, match="other records, another model or other settings"):
+            train_hybrid(wrong, *records, engine=ENGINE, options=BRIEF, resume=saved)
 
 
 @pytest.mark.parametrize("moment", ["between two steps", "half-way through a checkpoint"])
