@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from hybrid_id import __version__
 from hybrid_id.records.yaml_file import write_yaml
@@ -58,7 +59,9 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
     with tempfile.TemporaryDirectory(dir=folder, prefix=".") as temporary:
         new, place = Path(temporary) / "new", folder / result.cell.name
         new.mkdir()
-        (new / CELL).write_text(json.dumps({"key": key, "result": as_plain(result)}), encoding="utf-8")
+        plain = as_plain(result)
+        content = {"key": key, "seal": _seal(plain), "result": plain}
+        (new / CELL).write_text(json.dumps(content), encoding="utf-8")
         write_yaml(new / MODEL, result.model)
         if place.exists():
             place.replace(Path(temporary) / "old")
@@ -66,9 +69,15 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
 
 
 def load_cell(folder: Path, cell: Cell, key: str) -> CellResult | None:
-    """The cell that an earlier run has kept; None where there is none, or where it was made from something else."""
+    """The cell that an earlier run has kept; None where there is none, or one of other settings or edited."""
     try:
         content = json.loads((folder / cell.name / CELL).read_text(encoding="utf-8"))
-        return from_plain(content["result"]) if content["key"] == key else None
+        whole = content["key"] == key and content["seal"] == _seal(content["result"])
+        return from_plain(content["result"]) if whole else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
+
+
+def _seal(plain: dict[str, Any]) -> str:
+    """Digest of a result as JSON holds it."""
+    return hashlib.sha256(json.dumps(plain).encode()).hexdigest()

@@ -109,6 +109,11 @@ def test_what_is_kept_is_found_again_and_nothing_else(
     assert [path.name for path in tmp_path.iterdir()] == [cell.name]
     assert load_cell(tmp_path, cell, key) == result
     assert {path.name for path in (tmp_path / cell.name).iterdir()} == {"cell.json", "model.yaml"}
+    content = json.loads((tmp_path / cell.name / "cell.json").read_text())
+    for change in ({"split": "x"}, {"rungs": []}, {"chosen": 3}, {"seconds": 0.5}):  # somebody has edited it
+        edited = content | {"result": content["result"] | change}
+        (tmp_path / cell.name / "cell.json").write_text(json.dumps(edited))
+        assert load_cell(tmp_path, cell, key) is None
     (tmp_path / cell.name / "cell.json").write_text("{half a ")
     assert load_cell(tmp_path, cell, key) is None
 
