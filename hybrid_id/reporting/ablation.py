@@ -103,7 +103,7 @@ def parameters_table(result: Ablation) -> Table:
     arms = list(result.parameters.items())
     table = open_table("parameter", *(f"{words}>" for arm, _ in arms for words in (arm.label, "std/mean")))
     for k, parameter in enumerate(arms[0][1].names if arms else ()):
-        cells = [text for _, v in arms for text in (f"{v.mean[k]:.5g}", f"{v.percent[k]:.2f} %")]
+        cells = [text for _, v in arms for text in (f"{v.mean[k]:.5g}", _spread(v.percent[k]))]
         table.add_row(parameter, *cells)
     return table
 
@@ -128,6 +128,11 @@ def _error(scores: Scores, records: str) -> str:
     finite, diverged = errors[np.isfinite(errors)], scores.diverged(records)
     words = f"{np.exp(np.log(finite).mean()):.3g}" if finite.size else ""
     return f"{words} ({diverged} diverged)".strip() if diverged else words
+
+
+def _spread(percent: float) -> str:
+    """std/mean; nothing where one repeat has none."""
+    return f"{percent:.2f} %" if math.isfinite(percent) else ""
 
 
 def _change(result: Ablation, scores: Scores, records: str) -> str:

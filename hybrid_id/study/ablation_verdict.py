@@ -41,15 +41,13 @@ def verdict(result: Ablation) -> list[str]:
             f"{len(best.seeds)} repeats."
         ]
     words = f"{best.arm.name} against physics only: test error {_percent(best, 'test', result)}"
-    n = best.change["test"].n_pairs
-    repeats = f"over {n} repeat{'s' * (n != 1)}"
     if found == HYBRID:
-        lines = [f"Hybrid: {words}, {repeats}."]
+        lines = [f"Hybrid: {words}."]
     elif found == PHYSICS:
-        lines = [f"Physics only: {words}, {repeats}; a network is not worth its freedom here."]
+        lines = [f"Physics only: {words}; a network is not worth its freedom here."]
     else:
         lines = [
-            f"Open: {words}, {repeats}; these records cannot tell whether a network helps. "
+            f"Open: {words}; these records cannot tell whether a network helps. "
             "Keep physics only until more records or repeats say otherwise."
         ]
     return [*lines, *_beyond(result, best), *_caution(result, best), *_missing(result), *_alone(result)]
@@ -124,5 +122,9 @@ def _times(scores: Scores, records: str = "test") -> str:
 
 
 def _percent(scores: Scores, records: str, result: Ablation) -> str:
-    mid, low, high = scores.percent(records)
-    return f"{mid:+.1f} % ({100 * result.level:g} % interval {low:+.1f} to {high:+.1f} %)"
+    n, (mid, low, high) = scores.change[records].n_pairs, scores.percent(records)
+    if n == 0:
+        return "of no finite ratio in any repeat"
+    if n == 1:
+        return f"{mid:+.1f} % (one repeat, no interval)"
+    return f"{mid:+.1f} % ({100 * result.level:g} % interval {low:+.1f} to {high:+.1f} %), over {n} repeats"

@@ -118,6 +118,13 @@ def test_a_broken_cell_takes_only_itself_out() -> None:
 def test_one_repeat_has_no_interval_and_no_answer() -> None:
     result = gather([cell(Arm(), 0, 4.0), cell(NETWORK, 0, 1.0)])
     assert answer(result) == OPEN and math.isnan(result.scores[1].change["test"].upper)
+    words = " ".join(verdict(result))
+    assert "test error -75.0 % (one repeat, no interval);" in words and "nan" not in words
+
+
+def test_no_repeat_in_common_has_no_number() -> None:
+    words = " ".join(verdict(gather([cell(Arm(), 0, math.inf), cell(NETWORK, 0, 1.0)])))
+    assert "no finite ratio in any repeat" in words and "nan" not in words
 
 
 def test_physics_only_alone_answers_nothing() -> None:
