@@ -1,5 +1,6 @@
 """`ablate`: physics only against hybrid on the same records and seeds."""
 
+import shutil
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -60,8 +61,15 @@ def ablate(
         "output.folder": None if out is None else str(out),
     }
     config = study_config(source, changes)
+    if config.identification.device != "cpu":
+        raise InputError(
+            f"key 'identification.device' is '{config.identification.device}', but cells are computed on the cpu; "
+            "set it to cpu"
+        )
     home = required(config.output.folder)
     if not (home / CELLS).is_dir():
+        if home.is_dir() and any(home.iterdir()):
+            raise InputError(f"{home} is not empty and holds no ablation; give another folder")
         refuse_taken(home, force=False)
     dataset = checked_records(config.dataset, config.preprocessing)
     use_threads(1)
@@ -72,7 +80,7 @@ def ablate(
         raise InputError(f"{home} cannot be made ({error.strerror}); give another folder") from None
     with sole_writer(home):
         config.save(home / "config.yaml")
-        results = _run(task, cells, home, jobs, scheduler)
+        results = _run(task, cells, home, jobs, scheduler, events=config.output.tensorboard)
         outcome = _gather(config, results)
         text = _write(home, config, dataset, outcome)
     if as_json:
@@ -81,7 +89,10 @@ def ablate(
         from hybrid_id.reporting.ablation import ablation_tables
 
         show(ablation_tables(outcome))
-        show(f"results are in {home}: report.html, {RESULT}, {CELLS}, {EVENTS}, pictures, config.yaml")
+        wish = config.output
+        kinds = {"report.html": wish.report, EVENTS: wish.tensorboard, "pictures": wish.figures}
+        names = [RESULT, CELLS, *(name for name, wanted in kinds.items() if wanted), "config.yaml"]
+        show(f"results are in {home}: {', '.join(names)}")
     if broken := [r for r in results if r.status != "done"]:
         remark(f"{len(broken)} of {len(results)} cells broke; the same command tries them again")
         raise typer.Exit(1)
@@ -130,19 +141,29 @@ def _factors(wish: Ablation, place: str, hidden: Sequence[int]) -> "Factors":
 
 
 def _run(
-    task: "Task", cells: "Sequence[Cell]", home: Path, jobs: int, scheduler: str | None
+    task: "Task", cells: "Sequence[Cell]", home: Path, jobs: int, scheduler: str | None, *, events: bool
 ) -> "list[CellResult]":
-    """Compute the cells that no earlier run has kept, keep each as it is done, and return all in their order."""
+    """Compute the cells that no earlier run has kept, keep each as it is done, and return all in their order.
+
+    TensorBoard shows what these cells came to: runs of an earlier plan go, and come back with it from the kept cells.
+    """
     from hybrid_id.reporting.ablation_events import write_cell_events
-    from hybrid_id.study.ablation_run import key_of, load_cell, run_cells, save_cell
+    from hybrid_id.study.ablation_run import CELL, key_of, load_cell, run_cells, save_cell
 
     keys = {cell: key_of(task, cell) for cell in cells}
     found = {cell: kept for cell in cells if (kept := load_cell(home / CELLS, cell, keys[cell])) is not None}
     left = [cell for cell in cells if cell not in found]
     if found:
         remark(f"{len(found)} of {len(cells)} cells are kept from before")
+    kept = {path.parent.name for path in (home / CELLS).glob(f"[!.]*/{CELL}")}
+    earlier = sorted(kept - {cell.name for cell in cells})
+    if earlier:
+        names = ", ".join(earlier[:3]) + (" ..." if len(earlier) > 3 else "")
+        remark(f"{len(earlier)} cells of an earlier plan stay in {home / CELLS} and count nowhere: {names}")
+    for name in (*earlier, *(cell.name for cell in left)):
+        shutil.rmtree(home / EVENTS / name, ignore_errors=True)
     for cell, result in found.items():
-        if not (home / EVENTS / cell.name).is_dir():
+        if events and not (home / EVENTS / cell.name).is_dir():
             write_cell_events(home / EVENTS, result)
     try:
         with counting("cells") as bar:
@@ -151,7 +172,8 @@ def _run(
                 found[result.cell] = result
                 if result.status == "done":
                     save_cell(home / CELLS, result, keys[result.cell])
-                    write_cell_events(home / EVENTS, result)
+                    if events:
+                        write_cell_events(home / EVENTS, result)
                 bar.advance(bar_id)
                 line = f"{len(found)} of {len(cells)}: {result.cell.name}, {_in_short(result)}"
                 bar.console.print(line, markup=False, soft_wrap=True, style="dim")
@@ -199,6 +221,9 @@ def _write(home: Path, config: StudyConfig, dataset: "Dataset", outcome: "Outcom
 
             words = (home / "config.yaml").read_text(encoding="utf-8")
             how_made(ablation_page(dataset, outcome, images), "ablate", words).write(new / "report.html")
+        for name in ("errors.png", "change.png", "prices.png", "report.html"):
+            if not (new / name).exists():  # an earlier run's, which this one has left out
+                (home / name).unlink(missing_ok=True)
         for file in new.iterdir():
             file.replace(home / file.name)
         (new / RESULT).write_text(text + "\n", encoding="utf-8")

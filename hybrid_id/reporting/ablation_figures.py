@@ -17,8 +17,12 @@ _TITLES = {"test": "test", "beyond": "out of range", "short": "short horizon"}
 
 
 def ablation_images(result: Ablation) -> dict[str, np.ndarray]:
-    """Pictures by the name of their file, (H, W, 3)."""
-    figures = {"errors": errors_figure(result), "change": change_figure(result)}
+    """Pictures by the name of their file, (H, W, 3); those that would be empty are left out."""
+    figures = {}
+    if any(np.isfinite(result.physics.errors[name]).any() for name in _TITLES):
+        figures["errors"] = errors_figure(result)
+    if any(math.isfinite(s.change[name].mean) for s in result.scores[1:] for name in ("test", "beyond")):
+        figures["change"] = change_figure(result)
     if result.ladder:
         figures["prices"] = prices_figure(result)
     return {name: pixels(figure) for name, figure in figures.items()}
@@ -47,9 +51,7 @@ def errors_figure(result: Ablation) -> Figure:
 def change_figure(result: Ablation) -> Figure:
     """Paired change of the test error against physics only, with its interval."""
     others = result.scores[1:]
-    shown = [n for n in ("test", "beyond") if any(math.isfinite(s.change[n].mean) for s in others)] or [
-        "test"
-    ]
+    shown = [n for n in ("test", "beyond") if any(math.isfinite(s.change[n].mean) for s in others)]
     with journal():
         figure = new_figure(0.33 * len(others) + 0.9)
         panels = np.atleast_1d(figure.subplots(1, len(shown), sharey=True))

@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Callable, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -187,3 +188,46 @@ def test_options_and_folders_that_do_not_fit(run, study: Path, cells: Cells, tmp
     (out / "thesis.txt").write_text("mine")
     shown = run("ablate", study, "--out", out)
     assert shown.code == 2 and "not empty" in shown.err and not cells.seen
+    assert "--force" not in shown.err  # which this command does not have
+
+
+def test_one_repeat_is_said_without_nan(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    study.write_text(study.read_text().replace("seeds: 3", "seeds: 1"))
+    shown = run("ablate", study, "--out", tmp_path / "out")
+    text = (tmp_path / "out" / "ablation.json").read_text()
+    assert shown.code == 0 and "(one repeat, no interval)" in shown.out
+    assert not {"nan", "NaN"} & set(re.findall(r"\w+", shown.out + text))
+    assert json.loads(text)["arms"][1]["log_ratio_to_physics"]["test"]["upper"] is None
+
+
+def test_no_tensorboard_where_none_is_wanted(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    study.write_text(study.read_text() + "output: {tensorboard: false}\n")
+    for _ in range(2):  # the second from kept cells
+        shown = run("ablate", study, "--out", tmp_path / "out")
+        assert shown.code == 0 and "cells, report.html" in shown.out
+    assert not (tmp_path / "out" / "tensorboard").exists()
+
+
+def test_tensorboard_shows_the_plan_of_today(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    out, text = tmp_path / "out", study.read_text().replace("seeds: 3", "seeds: 3, width: [8]")
+    study.write_text(text)
+    run("ablate", study, "--out", out)
+    (out / "tensorboard" / "mine").mkdir()
+    study.write_text(text.replace("[8]", "[4]"))
+    shown = run("ablate", study, "--out", out)
+    assert shown.code == 0 and "6 cells of an earlier plan stay in" in shown.err
+    runs = {path.name for path in (out / "tensorboard").iterdir()}
+    assert "mine" in runs and len(runs) == ARMS * SEEDS + 1 and not any("8-wide" in name for name in runs)
+    cells.again()
+    study.write_text(text)
+    assert run("ablate", study, "--out", out).code == 0 and cells.again() == []
+    assert len([p for p in (out / "tensorboard").iterdir() if "8-wide" in p.name]) == 6
+
+
+def test_a_picture_of_nothing_is_left_out(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run("ablate", study, "--out", out).code == 0 and (out / "change.png").exists()
+    study.write_text(study.read_text().replace("[static, black_box], physics: [[F_v]]", "[]"))
+    shown = run("ablate", study, "--out", out)
+    assert shown.code == 0 and "UserWarning" not in shown.err
+    assert (out / "errors.png").exists() and not (out / "change.png").exists()

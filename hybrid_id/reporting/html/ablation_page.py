@@ -40,13 +40,14 @@ def ablation_page(dataset: Dataset, result: Ablation, images: Mapping[str, np.nd
     arms, repeats = len(result.scores), len(result.splits)
     lead = f"{arms} models, trained and tested on the same records in {repeats} repeats."
     page = Page(f"Physics only or hybrid? {dataset.name}", lead)
-    page.section("Answer").add(verdict_text(result), *failures(result)).picture(
-        images["change"],
-        "Error over that of physics only on the same records: mean and interval of each arm.",
-    )
-    page.section("Arms").add(arms_table(result), _HOW).picture(
-        images["errors"], "Every repeat of every arm; the bar is the mean, the dashed line the noise."
-    )
+    section = page.section("Answer").add(verdict_text(result), *failures(result))
+    if "change" in images:
+        words = "Error over that of physics only on the same records: mean and interval of each arm."
+        section.picture(images["change"], words)
+    section = page.section("Arms").add(arms_table(result), _HOW)
+    if "errors" in images:
+        words = "Every repeat of every arm; the bar is the mean, the dashed line the noise."
+        section.picture(images["errors"], words)
     if result.ladder:
         page.section("Price of the network's output").add(
             "A dear network adds only what the physics cannot say; a free one may take the physics' work, and the "
