@@ -156,41 +156,6 @@ class Hybrid(Section):
     validation: list[str] | None = Field(default=None, min_length=1)
 
 
-class Ablation(Section):
-    """What `ablate` compares; solver and stages are those of `training` and `hybrid`.
-
-    What the networks read, and their bound, are those of the first network of `hybrid`, as are `place`, `width` and
-    `price` where they are left out. Every combination is an arm, each with the same records and seeds.
-
-    Attributes:
-        residual: kinds of networks beside the physics; `none` is always there, `black_box` is a network alone.
-        place: where they act; a list in the list puts one network in each of its places.
-        width: neurons of the hidden layer.
-        price: of the networks' output, falling; the validation records choose, and each one is reported.
-        physics: what is taken out on purpose, one list an arm: components by place and kind, parameters by name.
-        memory: hidden states of a network with memory.
-        black_box_width: neurons of the network that stands alone.
-        seeds: repeats, or their seeds; each draws its records and the networks' first weights.
-        validation, test: shares of the train records that are drawn to validate and to test; where there are records of
-            role test, these test in every repeat instead.
-        out_of_range: patterns of names or notes of records that no arm trains on, tested apart.
-        horizon: length of the short free runs beside the whole records [s].
-    """
-
-    residual: list[Literal["none", "static", "memory", "black_box"]] = ["static", "memory", "black_box"]
-    place: list[str | list[str]] | None = Field(default=None, min_length=1)
-    width: list[PositiveInt] | None = Field(default=None, min_length=1)
-    price: list[NonNegativeFloat] | None = Field(default=None, min_length=1)
-    physics: list[list[str]] = []
-    memory: PositiveInt = 2
-    black_box_width: PositiveInt = 16
-    seeds: PositiveInt | list[NonNegativeInt] = 5
-    validation: float = Field(default=0.2, gt=0, lt=1)
-    test: float = Field(default=0.2, gt=0, lt=1)
-    out_of_range: list[str] = []
-    horizon: PositiveFloat = 0.2
-
-
 class Gap(Section):
     """How `diagnose` searches; the seed is that of the identification.
 

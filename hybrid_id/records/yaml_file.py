@@ -5,7 +5,7 @@ import os
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import yaml
 from pydantic import BaseModel, ValidationError
@@ -127,10 +127,9 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
     if fault["type"] == "missing":
         return f"key '{key}' is missing; add it"
     if fault["type"] == "extra_forbidden":
-        others = [
-            known for known in _all_keys(schema) if known != fault["loc"][-1]
-        ]  # right in another section
-        close = difflib.get_close_matches(str(fault["loc"][-1]), others, n=1)
+        name, beside = str(fault["loc"][-1]), _keys_beside(schema, fault["loc"])
+        others = [known for known in _all_keys(schema) if known != name]  # right in another section
+        close = difflib.get_close_matches(name, beside, n=1) or difflib.get_close_matches(name, others, n=1)
         hint = f"did you mean '{close[0]}'?" if close else "remove it"
         return f"key '{key}' is unknown; {hint}"
     found = repr(fault["input"])
@@ -143,6 +142,22 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
     if words.startswith("Input should "):
         return f"key '{key}' must {words.removeprefix('Input should ')}{found}"
     return f"key '{key}': {words[0].lower()}{words[1:]}{'' if isinstance(fault['input'], Mapping) else found}"
+
+
+def _keys_beside(schema: type[BaseModel], place: Sequence[str | int]) -> list[str]:
+    """List the keys of the model that holds an unknown one, by way of the keys above it."""
+    models: list[type[BaseModel]] = [schema]
+    for name in (part for part in place[:-1] if isinstance(part, str)):
+        fields = [model.model_fields[name] for model in models if name in model.model_fields]
+        models = [model for field in fields for model in _models(field.annotation)]
+    return [key for model in models for key in model.model_fields]
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """The models in a type, those of its arguments too."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
 
 
 def _all_keys(schema: type[BaseModel]) -> list[str]:

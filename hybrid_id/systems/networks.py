@@ -85,6 +85,11 @@ class Networks:
                     f"{part.kind} at '{where}' has no input '{name}'; it knows {', '.join(known)}, sin n, cos n, "
                     "and angle and speed with a joint's number."
                 )
+            if (match := HARMONIC.fullmatch(name)) and not float(match[2]):
+                raise InputError(
+                    f"{part.kind} at '{where}' has the input '{name}', which is the same at every angle; "
+                    "give a number above 0."
+                )
 
     def signals(
         self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views

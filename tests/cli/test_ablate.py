@@ -155,7 +155,28 @@ def test_no_fit_of_physics_is_an_error(run, study: Path, cells: Cells, tmp_path:
 FAULTS = {
     "misspelt key": ("seeds: 3", "seed: 3", ("ablation.seed", "'seeds'")),
     "unknown residual": ("[static, black_box]", "[statik]", ("ablation.residual", "statik")),
-    "no repeat": ("seeds: 3", "seeds: 0", ("ablation.seeds", "0")),
+    "no repeat": ("seeds: 3", "seeds: 0", ("key 'ablation.seeds': give from 1", "found 0")),
+    "no seed": ("seeds: 3", "seeds: []", ("key 'ablation.seeds':", "at least one seed")),
+    "seed too large": (
+        "seeds: 3",
+        "seeds: [1180591620717411303424]",
+        ("'ablation.seeds'", "at most 4294967295"),
+    ),
+    "negative seed": ("seeds: 3", "seeds: [-1]", ("key 'ablation.seeds': seeds are not negative",)),
+    "seed twice": ("seeds: 3", "seeds: [0, 0]", ("'ablation.seeds'", "0 is given twice")),
+    "seeds of no number": ("seeds: 3", "seeds: true", ("'ablation.seeds'", "whole number", "True")),
+    "misspelt seeds": ("seeds: 3", "seedz: 3", ("ablation.seedz", "did you mean 'seeds'?")),
+    "too many repeats": ("seeds: 3", "seeds: 100000000000", ("'ablation.seeds'", "from 1 to 1000")),
+    "no place": ("seeds: 3", "place: [[]]", ("key 'ablation.place':", "at least one name")),
+    "place twice in an arm": (
+        "seeds: 3",
+        "place: [[joint1/motor, joint1/motor]]",
+        ("ablation.place", "twice"),
+    ),
+    "place twice": ("seeds: 3", "place: [joint1/motor, [joint1/motor]]", ("ablation.place", "twice")),
+    "width twice": ("seeds: 3", "width: [4, 4]", ("ablation.width", "4 is given twice")),
+    "constant input": ("inputs: [speed]", "inputs: [sin 0]", ("'sin 0'", "same at every angle")),
+    "device": ("[run_2]}", "[run_2]}\nidentification: {device: gpu}", ("'identification.device'", "'gpu'")),
     "share above one": ("seeds: 3", "test: 1.5", ("ablation.test", "1.5")),
     "pattern of nothing": ("[run_2]", "[run_7]", ("'run_7'", "out_of_range", "run_0")),
     "physics that is not there": ("[[F_v]]", "[[F_x]]", ("'F_x'",)),
@@ -178,6 +199,7 @@ def test_faults_are_told_before_any_training(
     assert shown.code == 2 and not cells.seen and not (tmp_path / "out").exists()
     lines = [line for line in shown.err.splitlines() if not line.startswith("warning: ")]
     assert len(lines) == 1 and lines[0].startswith("Error: ") and all(word in lines[0] for word in words)
+    assert "more)" not in lines[0]
 
 
 def test_options_and_folders_that_do_not_fit(run, study: Path, cells: Cells, tmp_path: Path) -> None:
