@@ -87,9 +87,16 @@ def drift_table(study: HybridStudy) -> Table:
     return table
 
 
+_LADDER = (
+    "1 is as the weights say. Train errors are those of fitted first states; the typical validation error is the "
+    "geometric mean over ten parts of each record, for a run that has lost its record says little from there on. The "
+    "errors further down are the RMS of whole free runs from measured first states."
+)
+
+
 def ladder_table(study: HybridStudy) -> Table:
     """The prices, what was lost at each, and which one the validation records chose."""
-    table = open_table("price", "train error>", "validation error>", "gradients>", "ended", "")
+    table = open_table("price", "train error>", "typical validation error>", "gradients>", "ended", "")
     for k, rung in enumerate(study.result.rungs):
         price = "physics alone" if math.isinf(rung.price) else f"{rung.price:g}"
         errors = (f"{math.sqrt(2.0 * loss):.3f}" for loss in (rung.train, rung.validation))
@@ -179,7 +186,7 @@ def hybrid_page(dataset: Dataset, study: HybridStudy, images: dict[str, np.ndarr
     for name, image in images.items():
         if name.startswith("map_"):
             networks.picture(image, "Output over speed and angle; black: where the records have been.")
-    page.section("Ladder of prices").add(ladder_table(study))
+    page.section("Ladder of prices").add(_LADDER, ladder_table(study))
     page.section("Errors").add(error_table(study, dataset))
     page.section("Records").add(records_table(dataset))
     return page
