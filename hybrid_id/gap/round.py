@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
+from hybrid_id.errors import InputError
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.harmonics import likely_waves
@@ -71,16 +73,18 @@ def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
                 names = tuple(sorted((*before.effects, (effect.name, where))))
                 for start in starts:
                     found.append(Task(names, start, here))
-                    if bent:
-                        found.append(Task(names, _as_today(start, today), there))
+                    if bent and (again := _as_today(start, today)) is not None:
+                        found.append(Task(names, again, there))
     return found
 
 
-def _as_today(system: System, today: System) -> System:
-    """The system with today's own values of all that both have."""
+def _as_today(system: System, today: System) -> System | None:
+    """The system with today's own values of all that both have; None where they cannot stand beside the effect."""
     names = {(info.component, info.symbol): info.name for info in system.table}
     values = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
-    return system.with_values({names[key]: value for key, value in values.items() if key in names})
+    with suppress(InputError):  # no mass matrix, say, of inertias that a gear with play has divided
+        return system.with_values({names[key]: value for key, value in values.items() if key in names})
+    return None
 
 
 def _ranked(

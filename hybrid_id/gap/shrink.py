@@ -17,7 +17,8 @@ class Shrink:
 
     Attributes:
         share: ``(refit - with_effect) / (refit - floor)``; 0 where nothing is left to close.
-        interval: 95 % interval from blocks drawn with replacement.
+        interval: 95 % interval from blocks drawn with replacement; its lower end takes the floor for the measurements'
+            noise alone, its upper end for ``floor``: more is not known of it.
         refit, with_effect, floor: normalised RMSE.
     """
 
@@ -38,15 +39,18 @@ def shrink(refit: Errors, with_effect: Errors, floor: float, *, seed: int = 0) -
         seed: of the draws.
     """
     generator = np.random.default_rng(seed)
-    found = []
+    lows, highs = [], []
+    least = min(with_effect.noise, floor) / max(with_effect.nrmse, 1e-300)
     for _ in range(DRAWS):
         draw = [[generator.integers(0, len(b), len(b)) for b in row] for row in refit.blocks]
         before, after = refit.resampled(draw), with_effect.resampled(draw)
         # the floor moves with the error that is drawn: the same blocks hold the same noise
-        found.append(_share(before, after, floor * after / max(with_effect.nrmse, 1e-300)))
-    low, high = np.quantile(found, [0.025, 0.975])
-    share = _share(refit.nrmse, with_effect.nrmse, floor)
-    return Shrink(share, (float(low), float(high)), refit.nrmse, with_effect.nrmse, floor)
+        lows.append(_share(before, after, least * after))
+        highs.append(_share(before, after, floor * after / max(with_effect.nrmse, 1e-300)))
+    low, high = float(np.quantile(lows, 0.025)), float(np.quantile(highs, 0.975))
+    return Shrink(
+        _share(refit.nrmse, with_effect.nrmse, floor), (low, high), refit.nrmse, with_effect.nrmse, floor
+    )
 
 
 def _share(before: float, after: float, floor: float) -> float:

@@ -1,5 +1,6 @@
 """An effect that is taken out again leaves nothing behind; the search stops at noise and starts where it should."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +10,7 @@ from gapcase import small_case
 from hybrid_id.gap.attribute import _leaves_something, _without
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.round import _as_today
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
 
@@ -36,6 +38,13 @@ def test_nothing_is_looked_for_beside_an_effect_that_leaves_white_noise() -> Non
     assert not _leaves_something(model(noise, some))
     assert _leaves_something(model(noise + wave, some))
     assert _leaves_something(model(noise, ()))  # the first round tells how probable each effect is
+
+
+def test_values_of_today_that_cannot_stand_beside_an_effect_are_left_out() -> None:
+    _, today = small_case()
+    assert _as_today(today, today) is not None
+    F_c = replace(today.parameter("F_c").spec, value=1e-9, upper=1e-8)
+    assert _as_today(today.with_specs({"F_c": F_c}), today) is None  # out of its bounds
 
 
 def test_a_part_that_an_effect_has_replaced_counts_as_not_bent() -> None:

@@ -7,11 +7,11 @@ from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.shrink import shrink
 
 
-def errors(rng: np.random.Generator, size: float, blocks: int) -> Errors:
+def errors(rng: np.random.Generator, size: float, blocks: int, noise: float = 0.0) -> Errors:
     """Errors of one record whose blocks scatter by a fifth about a size."""
     squares = size**2 * (1 + 0.2 * rng.standard_normal(blocks))
     nrmse = float(np.sqrt(squares.mean()))
-    return Errors(nrmse, {"run": nrmse}, ((squares,),), 0.0)
+    return Errors(nrmse, {"run": nrmse}, ((squares,),), noise)
 
 
 def test_share_lies_in_its_interval(rng: np.random.Generator) -> None:
@@ -24,8 +24,17 @@ def test_share_lies_in_its_interval(rng: np.random.Generator) -> None:
 
 
 def test_more_blocks_tell_more(rng: np.random.Generator) -> None:
-    few, many = (shrink(errors(rng, 0.1, n), errors(rng, 0.05, n), 0.01) for n in (6, 600))
+    few, many = (shrink(errors(rng, 0.1, n), errors(rng, 0.05, n, 0.049), 0.049) for n in (6, 600))
     assert np.ptp(many.interval) < 0.5 * np.ptp(few.interval)
+
+
+def test_the_floor_is_known_to_lie_above_the_noise_only(rng: np.random.Generator) -> None:
+    before = errors(rng, 0.1, 600)
+    sure = shrink(before, errors(rng, 0.05, 600, noise=0.049), 0.049)
+    unsure = shrink(before, errors(rng, 0.05, 600, noise=0.01), 0.049)
+    assert sure.interval[0] > 0.9
+    assert unsure.interval[0] == pytest.approx(0.05 / 0.09, abs=0.08)
+    assert unsure.interval[1] >= unsure.share > 0.95
 
 
 def test_same_seed_same_interval(rng: np.random.Generator) -> None:
