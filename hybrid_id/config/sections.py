@@ -11,6 +11,7 @@ from pydantic import (
     NonNegativeInt,
     PositiveFloat,
     PositiveInt,
+    field_validator,
 )
 
 from hybrid_id.records.schema import ResampleEntry
@@ -154,6 +155,20 @@ class Hybrid(Section):
     clip: PositiveFloat = 1.0
     precision: Literal["float64", "float32"] = "float64"
     validation: list[str] | None = Field(default=None, min_length=1)
+
+    @field_validator("prices")
+    @classmethod
+    def _ladder(cls, prices: list[float]) -> list[float]:
+        if sorted(set(prices), reverse=True) != prices:
+            raise ValueError("these prices are no ladder; give falling numbers")
+        return prices
+
+    @field_validator("validation")
+    @classmethod
+    def _once(cls, names: list[str] | None) -> list[str] | None:
+        if names is not None and len(set(names)) < len(names):
+            raise ValueError("a record stands here twice; name each one once")
+        return names
 
 
 class Gap(Section):
