@@ -123,7 +123,11 @@ def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> Non
         ("inputs: [speed, sin 3, cos 3]", "inputs: [colour]", "no input 'colour'"),
         ("joint1/motor", "joint1/sensor", "joint1/sensor"),
         ("prices: [1.0]", "prices: [0.1, 1.0]", "'hybrid.prices': these prices are no ladder"),
-        ("max_iterations: 5", "validation: [run_1, run_1]", "'hybrid.validation': a record stands here twice"),
+        (
+            "max_iterations: 5",
+            "validation: [run_1, run_1]",
+            "'hybrid.validation': a record stands here twice",
+        ),
         ("max_iterations: 5", "validation: [run_9]", "run_9"),
     ):
         assert old in text
