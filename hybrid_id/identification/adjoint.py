@@ -138,12 +138,7 @@ def train(
     bounds = make_bounds(system, free, device)
     base = system.theta().detach().to(device)[:, None].repeat(1, count)
     whole = Problem(system, engine, batch, sets, base, free, bounds, extra, options.loss)
-    identity = [
-        *batch.names,
-        *(info.name for info in system.table),
-        *map(str, (pooled, len(options.windows))),
-        fingerprint(system, [batch], engine, options.windows, options.loss),
-    ]
+    identity = ["adjoint", fingerprint(system, [batch], pooled, engine, options.windows, options.loss)]
     state = read_state(resume, identity) if resume else None
     interrupted, told = False, 0
     try:

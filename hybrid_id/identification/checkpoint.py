@@ -40,7 +40,7 @@ def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]
     Args:
         path: the file.
         content: where the training stands.
-        identity: names of its records and parameters.
+        identity: kind and fingerprint of the training.
     """
     temporary = path.with_name(path.name + ".tmp")
     torch.save({"identity": identity, "state": dict(content)}, temporary)

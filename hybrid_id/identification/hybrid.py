@@ -123,8 +123,9 @@ def train_hybrid(
         raise InputError(
             f"The prices {list(prices)} are no ladder; give falling numbers that are not negative."
         )
-    settings = (engine, options.windows, options.prices, options.loss, options.worth)
-    known = fingerprint(system, [batch, validation], *settings)
+    settings = (engine, options.augmentation, options.optimizer, options.precision, options.windows)
+    settings += (options.prices, options.loss, options.worth)
+    identity = ["hybrid", fingerprint(system, [batch, validation], *settings)]
     physics = fit_physics(system, batch, engine, options)
     values = {name: physics.system.parameter(name).spec.value for name in physics.names}
     system = with_scales(system.with_values(values), batch, engine.width).to(batch.x.device)
@@ -135,8 +136,6 @@ def train_hybrid(
     engine = engine.stable(system, batch, theta.expand(-1, batch.rows))
     sets = torch.zeros(batch.rows, dtype=torch.long, device=batch.x.device)
     bounds, extra = make_bounds(system, free, batch.x.device), extra_parameters(system)
-    identity = ["hybrid", options.augmentation, options.optimizer, options.precision, *batch.names]
-    identity += [*system.components, *(stage.label for stage in options.stages), known]
     problem = Problem(system, engine, batch, sets, theta, free, bounds, extra, options.loss)
     trainer = Trainer(
         problem.to(options.dtype), validation.to(batch.x.device, options.dtype), options, identity,

@@ -37,7 +37,7 @@ class Trainer:
         whole: output error over whole records, without a price.
         validation: records that tell when a stage ends.
         options: settings.
-        identity: names of records, components and stages, for the checkpoint.
+        identity: of the training, for the checkpoint.
         writer, checkpoint, progress: see :func:`hybrid_id.identification.hybrid.train_hybrid`.
     """
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import shoot
@@ -85,9 +86,15 @@ class Cost:
 
     A point holds the free parameters, then for every state that is not known exactly at the start its shift from the
     measured one in each row.
+
+    Raises:
+        InputError: nothing to estimate.
     """
 
-    def __init__(self, system: System, batch: Batch, engine: Engine, free: Sequence[int]) -> None:
+    def __init__(self, system: System, batch: Batch, engine: Engine) -> None:
+        free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+        if not free:
+            raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
         self.rollouts, bounds = Rollouts(system, batch, engine, free), make_bounds(system, free)
         self.measured = batch.x[:, 0].numpy()
         spread = batch.x0_std.numpy()

@@ -14,7 +14,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from hybrid_id.errors import InputError
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.rollouts import Cost, Slopes
 from hybrid_id.simulation.batch import Batch
@@ -65,10 +64,8 @@ def secant_fit(
     Raises:
         InputError: nothing to estimate.
     """
-    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
-    if not free:
-        raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
-    cost = Cost(system, batch, engine, free)
+    cost = Cost(system, batch, engine)
+    free = cost.rollouts.free
     low, high = cost.low[: len(free)], cost.high[: len(free)]
     shifts = cost.shifts_of(batch.x[:, 0].numpy() if x0 is None else x0)
     values = np.array([s.theta().detach().numpy()[free] for s in (system, *starts)])
@@ -124,7 +121,7 @@ def secant_fit(
 
 def slopes_at(system: System, batch: Batch, engine: Engine) -> Slopes:
     """Slopes at a model's own values, from measured first states, for looks at its neighbours."""
-    cost = Cost(system, batch, engine, [i for i, info in enumerate(system.table) if info.spec.estimate])
+    cost = Cost(system, batch, engine)
     point = np.concatenate([cost.rollouts.theta.numpy()[cost.rollouts.free], np.zeros(cost.std.size)])
     return cost.shared(cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]))
 
@@ -163,9 +160,9 @@ def shaken(result: FitResult, batch: Batch, *, seed: int = 0) -> FitResult:
         seed: of the points.
     """
     generator, share = np.random.default_rng(seed), SHAKE
-    free = [i for i, info in enumerate(result.system.table) if info.spec.estimate]
     for _ in range(TRIES):
-        cost = Cost(result.system, batch, result.engine, free)
+        cost = Cost(result.system, batch, result.engine)
+        free = cost.rollouts.free
         shifts = cost.shifts_of(result.x0)
         tangents = np.concatenate([j.reshape(-1, len(free)) for j in result.jacobian])
         size = np.sqrt(np.maximum(np.square(tangents).sum(0), 1e-300))
