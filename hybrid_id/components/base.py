@@ -158,6 +158,10 @@ class Friction(Component):
         """Dry friction per unit of torque through the gear [1]."""
         return None
 
+    def effort_factor(self, p: SimpleNamespace) -> Tensor | None:
+        """Dry friction per unit of the motor's torque [1]."""
+        return None
+
 
 class Transmission(Component):
     """Place ``transmission``: rotor and link motion to the torque in the gear."""

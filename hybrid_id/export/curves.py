@@ -98,7 +98,8 @@ def resistance(joint: Joint, place: str, p: Views, top_speed: float) -> Resistan
         )
     for key, law in laws:
         kind = key.split("/")[2]
-        if law.load_factor(p[key]) is not None or law.dry_over(p[key], zero) is not None:
+        terms = law.load_factor(p[key]), law.effort_factor(p[key]), law.dry_over(p[key], zero)
+        if any(term is not None for term in terms):
             notes.append(f"{where}: {kind} is left out, MuJoCo's dry friction knows neither load nor angle")
     bristle = None
     for key, law in laws:

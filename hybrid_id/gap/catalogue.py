@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 from hybrid_id.components.base import REGISTRY, Component
 from hybrid_id.errors import InputError
 from hybrid_id.gap.scales import Scales
+from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import Bounded
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
 
 Values = Mapping[str, float | Bounded]
@@ -27,9 +29,11 @@ class Effect:
         starts: start points of its fit for one joint, each a component's kind and values; none where it cannot act.
         mistaken_for: effects that records easily confuse with it.
         separated_by: the excitation that tells them apart.
-        splits: whether it needs the split of inertia between rotor and link, which is then estimated.
+        splits: components of it that need the split of inertia between rotor and link, which is then estimated.
         on_link: whether a joint with a compliant gear can tell its second place from its first.
         kinds: components that model it, where they are not called as it is.
+        scan: looks in what a fit leaves for start points, by (fit, records, joint, place); ``starts`` takes what it
+            returns as a further argument.
     """
 
     name: str
@@ -37,38 +41,40 @@ class Effect:
     starts: Callable[..., Sequence[Start]]
     mistaken_for: tuple[str, ...]
     separated_by: str
-    splits: bool = False
+    splits: tuple[str, ...] = ()
     on_link: bool = True
     kinds: tuple[str, ...] = ()
+    scan: Callable[[FitResult, Batch, int, str], Sequence[object]] | None = None
 
     def __post_init__(self) -> None:
         if not self.kinds:
             object.__setattr__(self, "kinds", (self.name,))
 
-    def models(self, system: System, scales: Scales) -> dict[str, list[System]]:
-        """The system with this effect at each place of a joint where it may act, one model for each start point."""
+    def models(
+        self, system: System, scales: Scales, left: tuple[FitResult, Batch] | None = None
+    ) -> dict[str, list[System]]:
+        """The system with this effect at each place of a joint where it may act, one model for each start point.
+
+        Args:
+            system: a model.
+            scales: of the joint.
+            left: the model's fit and its records, for an effect that looks for its start points there.
+        """
         joint = system.joints[scales.joint - 1]
         places = self.places if not joint.rigid and self.on_link else self.places[:1]
         found: dict[str, list[System]] = {}
         for place in places:
             where = f"{joint.name}/{place}"
-            models = [self._model(system, where, *start) for start in self.starts(system, scales, place)]
-            if models:
-                found[where] = models
+            starts = self.starts(system, scales, place)
+            if starts and self.scan is not None and left is not None:
+                starts = self.starts(system, scales, place, self.scan(*left, scales.joint, place))
+            if starts:
+                found[where] = [self._model(system, where, *start) for start in starts]
         return found
-
-    def scanned(self, system: System, scales: Scales, found: Sequence[object]) -> dict[str, list[System]]:
-        """The same with start points from what a scan has found."""
-        where = f"joint{scales.joint}/{self.places[0]}"
-        return {
-            where: [
-                self._model(system, where, *s) for s in self.starts(system, scales, self.places[0], found)
-            ]
-        }
 
     def _model(self, system: System, where: str, kind: str, values: Values) -> System:
         richer = system.with_component(where, REGISTRY[kind](**_inside(kind, values)))
-        if not self.splits:
+        if kind not in self.splits:
             return richer
         share = next(
             (i for i in richer.table if i.symbol == "rotor_share" and i.component.startswith(where[:6])), None

@@ -208,19 +208,22 @@ def _left(
     if first is None or last is None:
         return after, last, None
     # what a torque of no name still explains is no noise
-    floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(max(_share(after), 0.0), 0.99)))
+    floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(_unexplained(chosen, after), 0.99)))
     return after, last, shrink(first, last, min(floor, last.nrmse), seed=seed)
 
 
-def _share(places: tuple[Location, ...]) -> float:
-    return max((one.share for one in places), default=0.0)
+def _unexplained(chosen: Explanation, after: tuple[Location, ...]) -> float:
+    """Share of what a model leaves that a torque of no name explains, at most what is no white noise in it."""
+    share = max((one.share for one in after), default=0.0)
+    return min(max(share, 0.0), coloured(chosen.result.residual))
 
 
 def _outside(chosen: Explanation, after: tuple[Location, ...]) -> bool:
     """Whether the chosen model leaves something that the catalogue lacks."""
     # behind play nobody has measured where the link is, and the probe starts its windows in the wrong place
     play = any("backlash" in key for key in chosen.system.components)
-    return (_share(after) > UNEXPLAINED and not play) or coloured(chosen.result.residual) > COLOURED
+    unexplained = 0.0 if play else _unexplained(chosen, after)
+    return unexplained > UNEXPLAINED or coloured(chosen.result.residual) > COLOURED
 
 
 def _verdict(

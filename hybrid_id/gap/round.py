@@ -11,7 +11,6 @@ import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.errors import InputError
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.harmonics import likely_waves
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
@@ -64,10 +63,7 @@ def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
     here, there = refit.slopes(before.system), refit.slopes(today) if bent else None
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
-            models = effect.models(before.system, size)
-            if effect.name == "cogging":
-                models = effect.scanned(before.system, size, likely_waves(before.result, batch, size.joint))
-            for where, starts in models.items():
+            for where, starts in effect.models(before.system, size, (before.result, batch)).items():
                 if (effect.name, where) in taken:
                     continue
                 names = tuple(sorted((*before.effects, (effect.name, where))))

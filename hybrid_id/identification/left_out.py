@@ -1,4 +1,4 @@
-"""What the others predict of a record that a fit has seen, without fitting it again."""
+"""What the rest of the records predicts of a part that a fit has seen, without fitting it again."""
 
 from __future__ import annotations
 
@@ -10,13 +10,18 @@ from hybrid_id.identification.rollouts import Rollouts
 from hybrid_id.simulation.batch import Batch
 
 SHARES = (1.0, 0.3, 0.1)
-"""Shares of the step that leaving a record out asks for."""
+"""Shares of the step that leaving a part out asks for."""
+PARTS = 6
+"""Parts that are left out, one at a time."""
+BLOCK = 0.5
+"""Length [s] of the blocks that go to the parts in turn: every part has a share of every motion, so that none is alone
+to tell a parameter, as a whole record may be that reaches the supply's limit."""
 
 
 def left_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
-    """Weighted residuals of each record, ``(T, n_y)``, at what the other records alone would ask for.
+    """Weighted residuals of each record, ``(T, n_y)``, each block at what the other parts alone would ask for.
 
-    Without record i the estimate moves by one Gauss-Newton step, ``(H - H_i) delta = -J_i' r_i``, for the sum of all
+    Without part i the estimate moves by one Gauss-Newton step, ``(H - H_i) delta = -J_i' r_i``, for the sum of all
     ``J_j' r_j`` is nothing at the end of a fit (A. C. Davison and D. V. Hinkley, Bootstrap Methods and their
     Application, 1997, section 6.4). The step is taken as far as it lowers the cost of the others, and simulated.
 
@@ -26,16 +31,22 @@ def left_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
     """
     free = [i for i, info in enumerate(result.system.table) if info.spec.estimate]
     inside = [k for k, name in enumerate(result.names) if name not in result.at_bound]
-    if batch.rows == 1 or not inside:
+    if not inside:
         return list(result.residual)
-    jacobians = [j.reshape(-1, j.shape[-1])[:, inside] for j in result.jacobian]
-    size = np.sqrt(np.maximum(sum(np.square(j).sum(0) for j in jacobians), 1e-300))
-    hessians = [(j / size).T @ (j / size) for j in jacobians]
+    kept = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
+    parts = _parts(batch)
+    part = np.concatenate([p[keep] for p, keep in zip(parts, kept, strict=True)])
+    jacobian = np.concatenate([j[..., inside] for j in result.jacobian])
+    residual = np.concatenate(list(result.residual))
+    size = np.sqrt(np.maximum(np.square(jacobian).sum((0, 1)), 1e-300))
+    scaled = [(jacobian[part == i] / size).reshape(-1, len(inside)) for i in range(PARTS)]
+    hessians = [j.T @ j for j in scaled]
     points = []
-    for j, r, h in zip(jacobians, result.residual, hessians, strict=True):
+    for i, (j, h) in enumerate(zip(scaled, hessians, strict=True)):
         values, vectors = np.linalg.eigh(np.sum(hessians, 0) - h)
         told = values > 1e-8 * max(values[-1], 1e-300)
-        along = vectors[:, told] @ ((vectors[:, told].T @ (-(j / size).T @ r.reshape(-1))) / values[told])
+        pull = -j.T @ residual[part == i].reshape(-1)
+        along = vectors[:, told] @ ((vectors[:, told].T @ pull) / values[told])
         for share in SHARES:
             point = result.values.copy()
             point[inside] += share * along / size
@@ -44,13 +55,22 @@ def left_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
     tried = np.clip(np.array(points), bounds.lower.numpy(), bounds.upper.numpy())
     first = np.tile(result.x0, (len(tried), 1, 1))
     runs = Rollouts(result.system, batch, result.engine, free).residuals(tried, first)
-    runs = runs.reshape(batch.rows, len(SHARES), *runs.shape[1:])
-    found, stay = [], sum(float(np.square(r).sum()) for r in result.residual)
-    for i, own in enumerate(result.residual):
-        keep = (batch.weight[i] > 0).any(1).numpy()
-        costs = np.square(runs[i]).sum((2, 3))
-        others = costs.sum(1) - costs[:, i]
+    runs = runs.reshape(PARTS, len(SHARES), *runs.shape[1:])
+    found = [own.copy() for own in result.residual]
+    squares, stay = np.square(residual).sum(1), float(np.square(residual).sum())
+    for i in range(PARTS):
+        costs = np.square(runs[i]).sum(3)
+        others = (costs * (parts != i)).sum((1, 2))
         best = int(others.argmin())
-        moved = others[best] < stay - float(np.square(own).sum())
-        found.append(runs[i, best, i][keep] if moved else own)
+        if others[best] >= stay - float(squares[part == i].sum()):
+            continue
+        for own, run, mine, keep in zip(found, runs[i, best], parts == i, kept, strict=True):
+            own[mine[keep]] = run[mine & keep]
     return found
+
+
+def _parts(batch: Batch) -> np.ndarray:
+    """Number of the part that each sample belongs to, ``(R, T)``."""
+    time = np.cumsum(batch.dt.numpy(), 1) - batch.dt.numpy()
+    blocks = np.floor(time / BLOCK + 1e-9).astype(int)
+    return (blocks + np.arange(batch.rows)[:, None]) % PARTS

@@ -22,6 +22,7 @@ from hybrid_id.systems.balance import SpeedBalance
 from hybrid_id.systems.drive import Drive, only
 from hybrid_id.systems.gear import Gear
 from hybrid_id.systems.networks import LINK_PLACES, Networks
+from hybrid_id.systems.terms import sum_if_any, sum_of
 
 Views = Mapping[str, SimpleNamespace]
 
@@ -87,21 +88,24 @@ class Joint:
     def _is_dry(self, place: str) -> bool:
         """Whether set-valued friction acts in a place; a bristle takes it over, that of the load excepted."""
         laws = [type(law) for _, law in self.frictions[place]]
+
+        def has(*terms: str) -> bool:
+            return any(getattr(law, term) is not getattr(Friction, term) for law in laws for term in terms)
+
         free = place not in self.bristles
-        levels = any(law.dry is not Friction.dry or law.dry_over is not Friction.dry_over for law in laws)
-        return (free and levels) or any(law.load_factor is not Friction.load_factor for law in laws)
+        return (free and has("dry", "dry_over")) or has("load_factor", "effort_factor")
 
     def dry_level(
         self, place: str, p: Views, magnitude: Tensor, forward: Tensor, x: Sequence[Tensor]
     ) -> Tensor:
         """Sum of the dry levels of a place, ``(B,)``, >= 0; under a bristle a trace more, which it divides by."""
         laws = self.frictions[place]
-        level = _sum([law.dry(p[key], magnitude, forward) for key, law in laws], magnitude)
+        level = sum_of([law.dry(p[key], magnitude, forward) for key, law in laws], magnitude)
         if any(type(law).dry_over is not Friction.dry_over for _, law in laws):
             motor = place == "motor_friction" or self.rigid
             angle = self.gear.map(x[self.positions[0]], p)[0] if motor else x[self.positions[1]]
             extra = [law.dry_over(p[key], angle) for key, law in laws]
-            level = _sum([level, *extra], magnitude).clamp_min(0.0)
+            level = sum_of([level, *extra], magnitude).clamp_min(0.0)
         return level + 1e-12 if place in self.bristles else level
 
     def friction(
@@ -123,7 +127,7 @@ class Joint:
             key, law, row = self.bristles[place]
             terms.append(law.torque(p[key], x[row], speed, level))
             level = speed.new_zeros(1)
-        return _sum(terms, speed), level
+        return sum_of(terms, speed), level
 
     def balances(
         self,
@@ -145,10 +149,12 @@ class Joint:
         r = self.gear_ratio
         q, v = x[self.positions[0]], x[self.positions[0] + 1]
         motor_smooth, motor_level = self.friction("motor_friction", x, u, p, v, magnitudes[0], forwards[0])
-        drive = self.drive.torque(x, u, p) - motor_smooth
-        factors = [law.load_factor(p[key]) for key, law in self.frictions["motor_friction"]]
-        factors = [f for f in factors if f is not None]
-        factor = sum(factors[1:], factors[0]) if factors else None
+        drive = self.drive.torque(x, u, p)
+        laws = self.frictions["motor_friction"]
+        if (effort := sum_if_any([law.effort_factor(p[key]) for key, law in laws])) is not None:
+            motor_level = motor_level + effort * drive.abs()
+        drive = drive - motor_smooth
+        factor = sum_if_any([law.load_factor(p[key]) for key, law in laws])
         key, inertia = self.inertia
         if self.rigid:
             angle, slope, bend = self.gear.map(q, p)
@@ -218,7 +224,7 @@ class Joint:
         """Torque of the load at the link, ``(B,)``."""
         logged = {name: u[f"{name}{self.number}"] for name in self.channels}
         torques = [part.torque(p[key], angle, speed) for key, part in self.loads]
-        return _sum([*torques, *(part.torque(p[key], logged) for key, part in self.logged)], angle)
+        return sum_of([*torques, *(part.torque(p[key], logged) for key, part in self.logged)], angle)
 
     def output(self, channel: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """A measured output by channel name (``q_m``, ``v_m``, ``q_a``, ``v_a``, ``i``, ``tau``), ``(B,)``."""
@@ -242,9 +248,3 @@ class Joint:
             if sensor.channel == channel:
                 value = sensor.read(p[key], value)
         return value
-
-
-def _sum(terms: Sequence[Tensor | None], like: Tensor) -> Tensor:
-    """Sum of the terms that are there; a single zero, which costs nothing to add, where there is none."""
-    found = [t for t in terms if t is not None]
-    return sum(found[1:], found[0]) if found else like.new_zeros(1)

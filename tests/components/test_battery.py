@@ -69,6 +69,7 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["dry forward"] = part.dry(p, v.abs(), one)
         found["dry backward"] = part.dry(p, v.abs(), zero)
         found["load_factor"] = part.load_factor(p)
+        found["effort_factor"] = part.effort_factor(p)
         found["over the angle"] = part.dry_over(p, q)
     if isinstance(part, Bristle):
         state, level = 0.01 * torch.cos(q), 0.02 + 0.01 * torch.sin(q)
@@ -208,8 +209,8 @@ def test_friction_is_odd_and_dissipates(kind: str) -> None:
         assert (dry >= 0).all()
         if kind not in DIRECTED:
             torch.testing.assert_close(part.dry(p, SPEED.abs(), 1.0 - forward), dry)
-    factor = part.load_factor(p)
-    assert factor is None or bool((factor >= 0).all())
+    for factor in (part.load_factor(p), part.effort_factor(p)):
+        assert factor is None or bool((factor >= 0).all())
     if isinstance(part, Bristle):
         state, level = 0.01 * torch.cos(ANGLE), 0.02 + 0.01 * torch.sin(ANGLE)
         torch.testing.assert_close(

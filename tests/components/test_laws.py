@@ -24,9 +24,13 @@ from hybrid_id.components import (
     LuGre,
     MotorEncoder,
     OneLink,
+    PositionDependent,
     PositionLoop,
+    Saturation,
+    SoftSaturation,
     Spring,
     Stribeck,
+    TightSpot,
     TorqueCommand,
     TorqueMotor,
     TwoInertias,
@@ -169,6 +173,28 @@ def test_loads_springs_and_sensors() -> None:
     assert bias.torque(view(bias), tensor([0.7, 0.8]), tensor([9.0, 1.0])).tolist() == [-0.2, -0.2]
     assert MotorEncoder().read(view(MotorEncoder(offset=0.3)), tensor([1.0])).item() == pytest.approx(1.3)
     assert LoadDependent(mu=0.2).load_factor(view(LoadDependent(mu=0.2))).item() == 0.2
+
+
+def test_friction_over_the_angle() -> None:
+    angle = tensor([0.0, 0.3, np.pi / 2])
+    waves = PositionDependent(A_0=0.02, A_c=0.01, A_s=-0.005, n=2.0)
+    expected = 0.02 + 0.01 * np.cos(2 * angle.numpy()) - 0.005 * np.sin(2 * angle.numpy())
+    np.testing.assert_allclose(waves.dry_over(view(waves), angle), expected, rtol=1e-14)
+    spot = TightSpot(A=0.03, q_0=0.3, w=0.1)
+    level = spot.dry_over(view(spot), tensor([0.3, 0.4, 0.2, 2.0])).numpy()
+    np.testing.assert_allclose(level, [0.03, 0.03 / np.e, 0.03 / np.e, 0.0], atol=1e-12)
+
+
+def test_a_soft_limit_is_hard_at_large_sharpness_and_transparent_below() -> None:
+    u = tensor([-30.0, -10.0, -1.0, 0.0, 1.0, 10.0, 30.0, 1e6])
+    soft, speed = SoftSaturation(V_max=10.0, n=8.0), torch.zeros_like(u)
+    found = soft.map(view(soft), u, speed)
+    np.testing.assert_allclose(found, u / (1 + (u / 10.0).abs() ** 8) ** (1 / 8), rtol=1e-12, atol=1e-12)
+    assert found[5].item() == pytest.approx(10.0 * 2 ** (-1 / 8))
+    sharp, hard = SoftSaturation(V_max=10.0, n=50.0), Saturation(V_max=10.0)
+    np.testing.assert_allclose(
+        sharp.map(view(sharp), u, speed), hard.map(view(hard), u, speed), rtol=0.015, atol=1e-12
+    )
 
 
 def test_kinds_name_the_effects_of_the_gap_catalogue() -> None:

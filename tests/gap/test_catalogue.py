@@ -31,9 +31,6 @@ NAMES = {
     "supply_sag": "input",
 }  # fmt: skip
 
-WAVE = (3, 1e-4, 1e-4)
-"""What a scan for cogging tells: periods a turn, and torques in both phases [N m]."""
-
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_name_is_there_with_its_places(name: str) -> None:
@@ -80,8 +77,7 @@ def models(kind: str) -> Iterator[tuple[str, System]]:
     batch = make_batch(system, [record], noise_std={"q_m1": 0.01, "q_m2": 0.01})
     for size in scales(system, batch):
         for one in CATALOGUE.values():
-            built = one.scanned(system, size, [WAVE]) if one.name == "cogging" else one.models(system, size)
-            for starts in built.values():
+            for starts in one.models(system, size).values():
                 yield from ((one.name, start) for start in starts)
 
 

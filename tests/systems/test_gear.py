@@ -5,7 +5,13 @@ import torch
 from drives import STEP
 from scipy.integrate import solve_ivp
 
-from hybrid_id.components import AsymmetricFriction, Coulomb, KinematicError, PositionDependent
+from hybrid_id.components import (
+    AsymmetricFriction,
+    Coulomb,
+    EffortDependent,
+    KinematicError,
+    PositionDependent,
+)
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
@@ -54,6 +60,20 @@ def test_without_amplitude_the_gear_is_the_ideal_one() -> None:
     for system in (FREE, one_link_flexible(RATIO)):
         same = run(system.with_component("joint1/transmission", none), volts)
         np.testing.assert_allclose(same, run(system, volts), rtol=1e-9, atol=1e-12)
+
+
+def test_a_gear_of_constant_efficiency_passes_on_its_share_of_the_torque() -> None:
+    # J a = (1 - mu) tau while the motor drives, (1 + mu) tau while it brakes; at rest mu < 1 holds nothing
+    mu, volts = 0.3, 1.5
+    lossy = FREE.with_component("joint1/motor_friction", EffortDependent(mu=mu))
+    pull = 0.02 * volts / J
+    time = STEP * np.arange(60)
+    driven = run(lossy, np.full(60, volts))[:, 0]
+    np.testing.assert_allclose(driven, 0.5 * (1 - mu) * pull * time**2, rtol=1e-6, atol=1e-9)
+    both = run(lossy, np.where(time < time[20], volts, -volts))[:, 0]
+    speed, braked = (1 - mu) * pull * time[20], time[20:26] - time[20]
+    expected = driven[20] + speed * braked - 0.5 * (1 + mu) * pull * braked**2
+    np.testing.assert_allclose(both[20:26], expected, rtol=1e-6)
 
 
 def test_friction_over_the_angle_holds_in_one_place_only() -> None:

@@ -6,6 +6,7 @@ from hybrid_id.components.input.delay import Delay
 from hybrid_id.components.input.duty import DutySupply
 from hybrid_id.components.input.position_loop import PositionLoop
 from hybrid_id.components.input.saturation import Saturation
+from hybrid_id.components.input.soft_saturation import SoftSaturation
 from hybrid_id.components.input.supply_sag import SupplySag
 from hybrid_id.components.input.torque_command import TorqueCommand
 from hybrid_id.components.input.voltage import Voltage
@@ -17,6 +18,7 @@ __all__ = [
     "DutySupply",
     "PositionLoop",
     "Saturation",
+    "SoftSaturation",
     "SupplySag",
     "TorqueCommand",
     "Voltage",

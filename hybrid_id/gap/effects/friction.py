@@ -1,6 +1,9 @@
 """Effects of friction, on either side of the gear."""
 
+import math
+
 from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
+from hybrid_id.gap.scan import friction_spots, friction_waves
 
 DRY = (
     "coulomb_friction",
@@ -90,19 +93,38 @@ def _drag(system, s, place):
 
 
 def _load_dependent(system, s, place):
-    if has(system, f"joint{s.joint}/motor_friction", "load_dependent_friction"):
+    kinds = ("load_dependent_friction", "effort_dependent_friction")
+    if has(system, f"joint{s.joint}/motor_friction", *kinds):
         return []
-    return [("load_dependent_friction", {"mu": free(0.1, 0.0, 0.9)})]
+    return [(kind, {"mu": free(0.1, 0.0, 0.9)}) for kind in kinds]
 
 
-def _position(system, s, place):
+def _over_angle(result, batch, joint, place):
+    """What friction over the angle would explain most of what a fit leaves: waves and spots."""
+    return friction_waves(result, batch, joint, place), friction_spots(result, batch, joint, place)
+
+
+def _position(system, s, place, found=(((1.0, 1e-6, 0.0),), ((0.0, 0.1, 1e-6),))):
     where = f"joint{s.joint}/{place}"
-    if has(system, where, "position_dependent_friction") or not has(system, where, *DRY):
+    if has(system, where, "position_dependent_friction", "tight_spot"):
         return []
-    small = 0.1 * s.dry * _side(s, place)
+    waves, spots = found
+    most, near = 3.0 * s.dry * _side(s, place), math.pi / s.angle
+
+    def level(size):
+        return free(size, -most, most, "N m")
+
+    # a place without dry friction has no mean that the waves could be added to
+    dry = has(system, where, *DRY, *BRISTLES)
+    mean = {} if dry else {"A_0": free(0.1 * most, 0.0, most, "N m")}
     return [
-        ("position_dependent_friction", {"A_c": small, "A_s": small, "n": n})
-        for n in (0.5, 1.0, 2.0, 3.0, 4.0, 6.0) if n * s.angle > 1.0
+        ("position_dependent_friction",
+         {**mean, "A_c": level(c), "A_s": level(d), "n": free(n, n - near, n + near)})
+        for n, c, d in waves
+    ] + [
+        ("tight_spot", {"A": level(height), "q_0": free(q, q - 0.2 * s.angle, q + 0.2 * s.angle, "rad"),
+                        "w": free(w, 0.01 * s.angle, s.angle, "rad")})
+        for q, w, height in spots
     ]  # fmt: skip
 
 
@@ -135,9 +157,12 @@ register(Effect(
 register(Effect(
     "load_dependent_friction", ("motor_friction",), _load_dependent, ("coulomb_friction", "asymmetric_friction"),
     "the same move with two payloads, or lifting against lowering",
-    splits=True,
+    kinds=("load_dependent_friction", "effort_dependent_friction"),
+    splits=("load_dependent_friction",),
 ))  # fmt: skip
 register(Effect(
     "position_dependent_friction", BOTH, _position, ("cogging", "gravity_load", "spring_load"),
     "slow motion both ways over the whole range: friction changes sign with the direction, a load torque does not",
+    kinds=("position_dependent_friction", "tight_spot"),
+    scan=_over_angle,
 ))  # fmt: skip

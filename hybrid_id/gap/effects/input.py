@@ -27,12 +27,15 @@ def _deadband(system, s, place):
 
 
 def _saturation(system, s, place):
-    if has(system, f"joint{s.joint}/input", "voltage_saturation"):
+    if has(system, f"joint{s.joint}/input", "voltage_saturation", "soft_saturation"):
         return []
-    return [
-        ("voltage_saturation", {"V_max": free(share * s.command, 0.2 * s.command, s.command, "V")})
-        for share in (0.95, 0.75, 0.55)
+    low, high = 0.2 * s.command, s.command
+    hard = [("voltage_saturation", {"V_max": free(x * high, low, high, "V")}) for x in (0.95, 0.75, 0.55)]
+    soft = [
+        ("soft_saturation", {"V_max": free(x * high, low, 2.0 * high, "V"), "n": free(6.0, 1.0, 30.0)})
+        for x in (0.95, 0.65)
     ]
+    return [*hard, *soft]
 
 
 def _sag(system, s, place):
@@ -67,4 +70,5 @@ register(Effect(
 register(Effect(
     "voltage_saturation", ("input",), _saturation, ("quadratic_drag", "thermal_derating"),
     "steps of growing height: a supply's limit cuts every command above one level",
+    kinds=("voltage_saturation", "soft_saturation"),
 ))  # fmt: skip

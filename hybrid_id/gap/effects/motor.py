@@ -1,6 +1,7 @@
 """Effects in the motor."""
 
 from hybrid_id.gap.catalogue import Effect, free, has, register
+from hybrid_id.gap.scan import rotor_waves
 
 
 def _lag(system, s, place):
@@ -10,14 +11,14 @@ def _lag(system, s, place):
     return [("electrical_lag", {"T_e": free(start * s.sample_time, low, high, "s")}) for start in (1.0, 5.0)]
 
 
-def _cogging(system, s, place, waves=()):
+def _cogging(system, s, place, waves=((1.0, 1e-6, 0.0),)):
     if has(system, f"joint{s.joint}/motor", "cogging"):
         return []
     limit = 3.0 * s.torque
     return [
         (
             "cogging",
-            {"T_c": free(c, -limit, limit, "N m"), "T_s": free(d, -limit, limit, "N m"), "n": float(n)},
+            {"T_c": free(c, -limit, limit, "N m"), "T_s": free(d, -limit, limit, "N m"), "n": n},
         )
         for n, c, d in waves
     ]
@@ -43,6 +44,7 @@ register(Effect(
 register(Effect(
     "cogging", ("motor",), _cogging, ("position_dependent_friction", "kinematic_error"),
     "slow motion both ways over several turns: cogging pushes alike in both directions, friction opposes both",
+    scan=rotor_waves,
 ))  # fmt: skip
 register(Effect(
     "thermal_derating", ("motor",), _thermal, ("voltage_saturation", "quadratic_drag"),

@@ -75,12 +75,12 @@ def _kinematic(system, s, place):
 register(Effect(
     "backlash", ("transmission",), _backlash, ("presliding_friction", "joint_flexibility", "hardening_flexibility"),
     "reversals under little load, with an encoder on the link",
-    splits=True,
+    splits=("backlash",),
 ))  # fmt: skip
 register(Effect(
     "joint_flexibility", ("transmission",), _flexibility, ("delay", "electrical_lag", "backlash"),
     "a sweep through the resonance, with an encoder on the link",
-    splits=True,
+    splits=("joint_flexibility",),
 ))  # fmt: skip
 register(Effect(
     "hardening_flexibility", ("transmission",), _hardening, ("backlash", "joint_flexibility"),
@@ -89,5 +89,5 @@ register(Effect(
 register(Effect(
     "kinematic_error", ("transmission",), _kinematic, ("cogging", "position_dependent_friction"),
     "slow and fast motion over the same turns: an error of the ratio grows with speed, cogging does not",
-    splits=True,
+    splits=("kinematic_error",),
 ))  # fmt: skip

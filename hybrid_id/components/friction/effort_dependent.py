@@ -1,0 +1,24 @@
+"""Friction that grows with the torque that goes into the gear."""
+
+from hybrid_id.components.base import Friction
+from hybrid_id.parameters import Parameter
+
+
+class EffortDependent(Friction):
+    """Dry level ``mu |tau_m|`` with tau_m the torque of the motor: of what goes in, the share 1 - mu comes out.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | mu | 1 | friction per torque of the motor, one less the gear's efficiency |
+
+    Where ``load_dependent_friction`` takes the torque that leaves the gear, this law takes the one that enters it; a
+    rotor that accelerates tells them apart. Source: efficiency of a gear, e.g. VDI 2158 and G. Niemann, H. Winter,
+    Maschinenelemente 2, Springer 2003, section 21.5.
+    """
+
+    kind = "effort_dependent_friction"
+    places = ("motor_friction",)
+    mu = Parameter(0.05, upper=0.95, unit="1", doc="friction per torque of the motor")
+
+    def effort_factor(self, p):
+        return p.mu

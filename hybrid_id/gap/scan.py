@@ -1,0 +1,103 @@
+"""Where fits of effects over an angle begin: torques that would explain most of what a fit leaves.
+
+A sine that starts with the wrong period, or a spot at the wrong angle, is in another valley than the right one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybrid_id.gap.probe import Probe, probe
+from hybrid_id.identification.result import FitResult
+from hybrid_id.simulation.batch import Batch
+
+PERIODS = range(1, 49)
+"""Periods a turn of the rotor that a motor's poles and slots may have."""
+MOST_WAVES = 12.0
+"""Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
+SPOTS = 24
+"""Places of a tight spot over the joint's range."""
+WIDTHS = (0.03, 0.07, 0.15)
+"""Its half widths, as shares of the range."""
+
+
+def rotor_waves(result: FitResult, batch: Batch, joint: int, place: str) -> list[tuple[float, ...]]:
+    """Torques ``T_c cos(n q) + T_s sin(n q)`` over the rotor's angle, best first: (n, T_c, T_s).
+
+    The phase is that of the measured angle: a simulation that is off by a fraction of a period has lost it.
+
+    Args:
+        result: pooled fit.
+        batch: its records.
+        joint: number, from 1.
+        place: where the torque acts.
+    """
+    opened = probe(result.system, result.engine, batch, joint, "motor")
+    phase = batch.x[..., opened.row]
+    found = _strongest(opened, [_waves(n * phase) for n in PERIODS])
+    return [(float(PERIODS[i]), *size) for i, size in found[:2]]
+
+
+def friction_waves(result: FitResult, batch: Batch, joint: int, place: str) -> list[tuple[float, ...]]:
+    """Dry friction ``A_c cos(n q) + A_s sin(n q)`` over the joint's angle, best first: (n, A_c, A_s).
+
+    Args:
+        result: pooled fit.
+        batch: its records.
+        joint: number, from 1.
+        place: where the friction acts.
+    """
+    opened, angle, rub = _rubbing(result, batch, joint, place)
+    reach = float(angle.max() - angle.min())
+    # half a wave over the range is told from its neighbours, and a slope over the range is a quarter of one
+    steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
+    found = _strongest(opened, [rub[..., None] * _waves(n * angle) for n in steps])
+    return [(float(steps[i]), *size) for i, size in found[:2]]
+
+
+def friction_spots(result: FitResult, batch: Batch, joint: int, place: str) -> list[tuple[float, ...]]:
+    """Dry friction ``A exp(-((q - q_0) / w)^2)`` over the joint's angle, best first: (q_0, w, A).
+
+    Args:
+        result: pooled fit.
+        batch: its records.
+        joint: number, from 1.
+        place: where the friction acts.
+    """
+    opened, angle, rub = _rubbing(result, batch, joint, place)
+    low, high = float(angle.min()), float(angle.max())
+    spots = [(q, share * (high - low)) for share in WIDTHS for q in np.linspace(low, high, SPOTS)]
+    found = _strongest(opened, [(rub * torch.exp(-(((angle - q) / w) ** 2)))[..., None] for q, w in spots])
+    return [(*spots[i], *size) for i, size in found[:2]]
+
+
+def _rubbing(result: FitResult, batch: Batch, joint: int, place: str) -> tuple[Probe, Tensor, Tensor]:
+    """A probe where friction acts, the joint's angle there, and the direction against the motion."""
+    side = "load" if place == "link_friction" else "motor"
+    opened = probe(result.system, result.engine, batch, joint, side)
+    ratio = 1.0 if side == "load" else result.system.joints[joint - 1].gear_ratio
+    return opened, batch.x[..., opened.row] / ratio, -torch.sign(batch.x[..., opened.row + 1])
+
+
+def _waves(phase: Tensor) -> Tensor:
+    return torch.stack([phase.cos(), phase.sin()], -1)
+
+
+def _strongest(opened: Probe, shapes: Sequence[Tensor]) -> list[tuple[int, tuple[float, ...]]]:
+    """Number and coefficients of the shapes ``(R, T, m)`` that leave least beside the model's own parameters."""
+    own, left = opened.own.flatten(0, 1).numpy(), opened.left.flatten().numpy()
+    response = opened.response(torch.cat(list(shapes), -1)).flatten(0, 1).numpy()
+    basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
+    response, left = response - basis @ (basis.T @ response), left - basis @ (basis.T @ left)
+    found, first = [], 0
+    for i, shape in enumerate(shapes):
+        columns = response[:, first : first + shape.shape[-1]]
+        first += shape.shape[-1]
+        size = np.linalg.lstsq(columns, left, rcond=1e-8)[0]
+        found.append((float(np.square(left - columns @ size).sum()), i, tuple(size.tolist())))
+    return [(i, size) for _, i, size in sorted(found)]

@@ -1,0 +1,46 @@
+"""Where a fit over an angle begins is found in what a model without it leaves."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from gapcase import small_case
+
+from hybrid_id.components import Cogging, PositionDependent, TightSpot
+from hybrid_id.components.base import Component
+from hybrid_id.gap.refit import engine
+from hybrid_id.gap.scan import friction_spots, friction_waves, rotor_waves
+from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.secant import secant_fit
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.study.replays import batch_of
+
+
+def left_by(missing: Component, monkeypatch: pytest.MonkeyPatch) -> tuple[FitResult, Batch]:
+    """Today's model fitted to records of a drive with something beside its motor."""
+    place = "joint1/motor" if isinstance(missing, Cogging) else "joint1/motor_friction"
+    monkeypatch.setattr("gapcase.WHERE", place)
+    dataset, today = small_case(missing)
+    batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
+    return secant_fit(today, batch, engine=replace(engine(), compiled=False), iterations=8), batch
+
+
+def test_periods_of_cogging(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = left_by(Cogging(T_c=0.004, T_s=-0.003, n=1.0), monkeypatch)
+    n, first, second = rotor_waves(*fit, 1, "motor")[0]
+    assert n == 1.0
+    assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
+
+
+def test_waves_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = left_by(PositionDependent(A_c=0.004, A_s=0.003, n=7.0), monkeypatch)
+    found = friction_waves(*fit, 1, "motor_friction")
+    assert min(abs(n - 7.0) for n, _, _ in found) < 1.5
+
+
+def test_a_tight_spot_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = left_by(TightSpot(A=0.008, q_0=0.2, w=0.1), monkeypatch)
+    angle = fit[1].x[..., 0].numpy() / 50.0
+    found = friction_spots(*fit, 1, "motor_friction")
+    assert min(abs(q - 0.2) for q, _, _ in found) < 0.1 * float(np.ptp(angle))
+    assert all(height > 0 for _, _, height in found)
