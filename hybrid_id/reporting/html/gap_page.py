@@ -31,7 +31,8 @@ from hybrid_id.systems.chain import System
 _HOW = (
     "Search and fits use the train records only; the test records are opened once, to measure the gap. Each effect is "
     "added to today's model and fitted with its parameters; the error of prediction is that on parts of the train "
-    "records left out, each in turn. A probability is that of the effect being at work at this place, so they need not sum to one."
+    "records left out, each in turn. A probability is that of the effect being at work at this place, so they "
+    "need not sum to one."
 )
 _NOWHERE = f"No torque over one signal explains {percent(LEAST_SHARE)} of what the re-fitted model leaves."
 _CAPTIONS = {
