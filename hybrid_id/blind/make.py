@@ -83,6 +83,7 @@ def make_cases(
     seed: int,
     folder: str | Path,
     *,
+    first: int = 1,
     jobs: int = 1,
     done: Callable[[], object] | None = None,
     **options: Any,
@@ -91,15 +92,17 @@ def make_cases(
 
     Args:
         n: how many.
-        seed: of the first.
+        seed: of the case with number 1.
         folder: see `make_case`.
+        first: number of the first of them.
         jobs: processes.
         done: called after each case.
         **options: see `make_case`.
     """
     known = ("family", "system", "effect", "level", "engine")
     _check(**{option: options.get(option) for option in known})
-    calls = (delayed(_attempt)(seed + i, folder, f"c{i + 1:03d}", options) for i in range(n))
+    numbers = range(first, first + n)
+    calls = (delayed(_attempt)(seed + i - 1, folder, f"c{i:03d}", options) for i in numbers)
     made = []
     for path in Parallel(n_jobs=jobs, return_as="generator")(calls):
         made.append(path)

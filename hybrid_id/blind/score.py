@@ -160,3 +160,13 @@ def _row(one: Judged) -> str:
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
+
+
+def of_ties(rows: Mapping[str, Mapping[str, bool]]) -> dict[str, Any]:
+    """Share of the ties that a further record resolves, and of those that it resolves to what was at work.
+
+    Args:
+        rows: for each case with a tie whether it was ``resolved`` and ``right``.
+    """
+    shares = {key: share([r[key] for r in rows.values()]) if rows else None for key in ("resolved", "right")}
+    return {"cases": dict(rows)} | shares

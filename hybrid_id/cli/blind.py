@@ -33,9 +33,7 @@ def _blind() -> None:
 CountOption = Annotated[int, typer.Option("--cases", help="Number of cases.", min=1)]
 SeedOption = Annotated[
     str,
-    typer.Option(
-        help="Seed of the first case, the others count up; 'commit' takes it from the hash of this commit."
-    ),
+    typer.Option(help="Seed of case 1, the others count up; 'commit' takes it from the hash of this commit."),
 ]
 SystemOption = Annotated[
     str | None, typer.Option(help="one_link, one_link_flexible or two_link.", show_default="drawn")
@@ -67,6 +65,10 @@ def make(
         bool, typer.Option("--open-answers", help="Leave the answers in answers/, for development.")
     ] = False,
     cases: CountOption = 24,
+    first: Annotated[
+        int,
+        typer.Option(help="Number of the first case: a large set may be made and run in parts.", min=1),
+    ] = 1,
     seed: SeedOption = "0",
     system: SystemOption = None,
     family: FamilyOption = None,
@@ -85,11 +87,17 @@ def make(
         raise InputError("--answers and --open-answers contradict each other; give one of them")
     options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
     archive = None if open_answers else answers or out.parent / "sealed" / f"{out.name}.answers.tar"
-    make_sealed(out, archive, cases, _seed(seed), options, jobs)
+    make_sealed(out, archive, cases, _seed(seed), options, jobs, first)
 
 
 def make_sealed(
-    out: Path, archive: Path | None, cases: int, seed: int, options: dict[str, str | None], jobs: int
+    out: Path,
+    archive: Path | None,
+    cases: int,
+    seed: int,
+    options: dict[str, str | None],
+    jobs: int,
+    first: int = 1,
 ) -> None:
     """Make cases, move their answers into the archive, and say how it went."""
     from hybrid_id.blind.make import make_cases
@@ -102,6 +110,7 @@ def make_sealed(
         "program": f"hybrid_id {__version__}",
         "commit": commit(),
         "seed": seed,
+        "first": first,
         "asked": cases,
         "options": options,
     }
@@ -117,7 +126,9 @@ def make_sealed(
     try:
         with counting("cases") as bar:
             task = bar.add_task("cases", total=cases)
-            made = make_cases(cases, seed, out, jobs=jobs, done=lambda: bar.advance(task), **options)
+            made = make_cases(
+                cases, seed, out, first=first, jobs=jobs, done=lambda: bar.advance(task), **options
+            )
         if not made:
             raise InputError(f"no case of {cases} could be made; give another seed, level or effect")
     except KeyboardInterrupt:
@@ -166,7 +177,7 @@ def reproduce(
     broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler)
     if Method.diagnose in (method or [Method.diagnose]):
         run_ties(made, runs, archive, jobs, scheduler)
-    content = gathered(runs, archive)
+    content = gathered([runs], [archive])
     write_scores(runs, content, append)
     from hybrid_id.reporting.scoreboard import markdown
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,8 +22,22 @@ SCORES, BOARD, PAGE = "scores.json", "scoreboard.md", "report.html"
 RunsArgument = Annotated[
     Path, typer.Argument(metavar="RUNS", help="Folder that 'blind run' has filled.", show_default=False)
 ]
+PartsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RUNS...",
+        help="Folder that 'blind run' has filled, or those of all parts.",
+        show_default=False,
+    ),
+]
 AnswersOption = Annotated[
     Path, typer.Option("--answers", help="Archive of the answers, as it was sealed.", show_default=False)
+]
+ArchivesOption = Annotated[
+    list[Path],
+    typer.Option(
+        "--answers", help="Archive of the answers, as it was sealed; one a part.", show_default=False
+    ),
 ]
 AppendOption = Annotated[
     Path | None,
@@ -31,67 +46,110 @@ AppendOption = Annotated[
 
 
 def score(
-    runs: RunsArgument,
-    answers: AnswersOption,
+    runs: PartsArgument,
+    answers: ArchivesOption,
     partial: Annotated[bool, typer.Option("--partial", help="Score an unfinished run.")] = False,
     append: AppendOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Score diagnoses; refuses answers that are not those that were sealed before the run.
 
-    All contenders in the folder are scored side by side. Writes scores.json, scoreboard.md, report.html and pictures.
+    All contenders in the folder are scored side by side. Cases that were made and run in parts are scored together.
+    Writes scores.json, scoreboard.md, report.html and pictures into the (first) folder.
     """
     content = gathered(runs, answers, partial=partial)
-    text = write_scores(runs, content, append)
+    text = write_scores(runs[0], content, append)
     if as_json:
         stdout().print(text, markup=False, soft_wrap=True)
         return
     from hybrid_id.reporting.scoreboard import markdown
 
     show(markdown(content))
-    show(f"results are in {runs}: {SCORES}, {BOARD}, {PAGE}, pictures")
+    show(f"results are in {runs[0]}: {SCORES}, {BOARD}, {PAGE}, pictures")
 
 
-def gathered(runs: Path, archive: Path, *, partial: bool = False) -> dict[str, Any]:
-    """Scores of all contenders in a folder, and what they are about.
+def gathered(runs: Sequence[Path], archives: Sequence[Path], *, partial: bool = False) -> dict[str, Any]:
+    """Scores of all contenders in the folders of all parts, and what they are about.
 
     Raises:
-        InputError: no run, runs of different cases, other answers, or cases that were not run.
+        InputError: no run, runs of different cases, parts that do not belong together, other answers, or cases that
+            were not run.
     """
     from hybrid_id.blind.score import scores
     from hybrid_id.blind.targets import against_targets
-    from hybrid_id.contenders.keep import read_run
 
-    folders = [runs / method for method in _order() if (runs / method).is_dir()]
-    if not folders:
-        raise InputError(f"{runs} holds no run; 'hybrid-id blind run CASES --out {runs}' makes one")
-    told = {folder.name: read_run(folder) for folder in folders}
-    manifest = next(iter(told.values()))["cases"]
-    if any(about["cases"] != manifest for about in told.values()):
-        raise InputError(f"the runs in {runs} are of different cases; give each a folder of its own")
-    judged = {folder.name: judge_run(folder, archive, partial=partial) for folder in folders}
+    if len(runs) != len(archives):
+        raise InputError(f"{len(runs)} folders of runs but {len(archives)} archives; give --answers for each")
+    parts = [_runs_in(folder) for folder in runs]
+    told, manifests = parts[0], [next(iter(part.values()))["cases"] for part in parts]
+    _check_parts(runs, parts, manifests)
+    judged: dict[str, list[Judged]] = {method: [] for method in told}
+    for folder, archive in zip(runs, archives, strict=True):
+        for method, cases in judged.items():
+            cases += judge_run(folder / method, archive, partial=partial)
     methods = {}
     for method, cases in judged.items():
         found = scores(cases)
         plain = [dataclasses.asdict(one) for one in cases]
         methods[method] = {"scores": found, "targets": against_targets(found), "judged": plain}
-    first = next(iter(told))
+    first, manifest = next(iter(told)), manifests[0]
+    asked = sum(one["asked"] for one in manifests)
     about = {
         "date": told[first]["started"][:10],
         "commit": told[first]["commit"],
         "commits": {method: run["commit"] for method, run in told.items()},
         "seed": manifest["seed"],
-        "cases": len(manifest["names"]),
+        "cases": sum(len(one["names"]) for one in manifests),
         "scored": len(judged[first]),
         "made_at": manifest["commit"],
-        "sha256": manifest["answers"]["sha256"],
-        "commands": [_command(manifest, told[first]["train_records"], list(told))],
+        "sha256": [one["answers"]["sha256"] for one in manifests],
+        "commands": [_command(manifest | {"asked": asked}, told[first]["train_records"], list(told))],
     }
-    told_ties = runs / "ties.json"
-    ties = json.loads(told_ties.read_text(encoding="utf-8")) if told_ties.exists() else None
-    if ties is not None and ties["commit"] != about["commit"]:
-        ties = None
-    return {"about": about, "methods": methods, "ties": ties}
+    return {"about": about, "methods": methods, "ties": _ties(runs, about["commit"])}
+
+
+def _runs_in(folder: Path) -> dict[str, dict[str, Any]]:
+    """What each contender's run in a folder is about."""
+    from hybrid_id.contenders.keep import read_run
+
+    told = {method: read_run(folder / method) for method in _order() if (folder / method).is_dir()}
+    if not told:
+        raise InputError(f"{folder} holds no run; 'hybrid-id blind run CASES --out {folder}' makes one")
+    manifest = next(iter(told.values()))["cases"]
+    if any(about["cases"] != manifest for about in told.values()):
+        raise InputError(f"the runs in {folder} are of different cases; give each a folder of its own")
+    return told
+
+
+def _check_parts(
+    runs: Sequence[Path], parts: Sequence[dict[str, Any]], manifests: Sequence[dict[str, Any]]
+) -> None:
+    """Refuse parts that are not one set of cases, taken by the same programs."""
+
+    def same(part: dict[str, Any], manifest: dict[str, Any]) -> Any:
+        programs = {method: (run["commit"], run["train_records"]) for method, run in part.items()}
+        return programs, manifest["seed"], manifest["options"]
+
+    number = 1
+    for folder, part, manifest in zip(runs, parts, manifests, strict=True):
+        if same(part, manifest) != same(parts[0], manifests[0]):
+            raise InputError(
+                f"{folder} and {runs[0]} differ in seed, kind of cases, method or commit; score them apart"
+            )
+        if len(runs) > 1 and manifest.get("first", 1) != number:
+            raise InputError(f"{folder} does not begin with case {number}; give all parts, in their order")
+        number += manifest["asked"]
+
+
+def _ties(runs: Sequence[Path], commit: str) -> dict[str, Any] | None:
+    """What became of ties, of all parts together; None where not all have been tried at this commit."""
+    from hybrid_id.blind.score import of_ties
+
+    files = [folder / "ties.json" for folder in runs]
+    found = [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
+    if len(found) < len(files) or any(one["commit"] != commit for one in found):
+        return None
+    return of_ties({name: one for part in found for name, one in part["cases"].items()}) | {"commit": commit}
 
 
 def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Judged]":

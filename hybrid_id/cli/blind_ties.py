@@ -82,16 +82,14 @@ def resolved(again: Mapping[str, Any], sheets: Mapping[str, Any]) -> dict[str, A
         sheets: answers by case.
     """
     from hybrid_id.blind.judge import judge
-    from hybrid_id.blind.score import share
+    from hybrid_id.blind.score import of_ties
 
     rows = {}
     for name, said in again.items():
         one = judge(name, sheets[name], said)
         parted = not one.broken and said is not None and not said["ties"]
         rows[name] = {"resolved": parted, "right": parted and one.whole, "broken": one.broken}
-    if not rows:
-        return {"cases": rows, "resolved": None, "right": None}
-    return {"cases": rows} | {key: share([r[key] for r in rows.values()]) for key in ("resolved", "right")}
+    return of_ties(rows)
 
 
 def _sheets(answers: Path, about: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -96,10 +96,11 @@ def markdown(content: Scores) -> str:
         content: what is kept in ``scores.json``.
     """
     about, first = content["about"], next(iter(content["methods"]))
+    hashes = ", ".join(one[:16] for one in about["sha256"])
     parts = [
         f"## {about['date']}, commit {about['commit'][:7]}, seed {about['seed']}",
         f"{about['scored']} of {about['cases']} cases scored; made at commit {about['made_at'][:7]}, hash of the "
-        f"answers {about['sha256'][:16]}. Shares with Wilson's 95 % interval and the number of cases behind them.",
+        f"answers {hashes}. Shares with Wilson's 95 % interval and the number of cases behind them.",
         "\n".join(f"    {line}" for line in about["commands"]),
         table(*score_rows(content)),
         f"Targets, for `{first}`:",

@@ -97,6 +97,22 @@ def test_unfinished_run_is_scored_on_demand_only(home: Path) -> None:
     assert "2 of 3 cases scored" in call("score", runs, "--answers", archive, "--partial")
 
 
+def test_parts_are_scored_together(home: Path) -> None:
+    wish = ["--cases", 1, "--family", "none", "--system", "one_link", "--seed", 4]
+    parts, archives = [], []
+    for first in (1, 2):
+        made, sealed = home / f"part{first}" / "cases", home / f"sealed{first}" / "a.tar"
+        call("make", "--out", made, "--answers", sealed, "--first", first, *wish)
+        assert [p.name for p in made.glob("c*")] == [f"c{first:03d}"]
+        call("run", made, "--out", home / f"runs{first}", "--method", "sparse")
+        parts, archives = [*parts, home / f"runs{first}"], [*archives, "--answers", sealed]
+    told = call("score", *parts, *archives)
+    assert "2 of 2 cases scored" in told
+    assert "--seed 4 --cases 2" in told
+    call("score", *reversed(parts), *archives[2:], *archives[:2], fails="does not begin with case 1")
+    call("score", *parts, *archives[:2], fails="2 folders of runs but 1 archives")
+
+
 def test_wrong_input_is_refused(home: Path, tmp_path: Path) -> None:
     cases, archive = home / "cases", home / "sealed" / "a.tar"
     call("run", home / "nothing", "--out", home / "runs", fails=r"has no manifest\.json")
