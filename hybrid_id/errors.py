@@ -1,4 +1,9 @@
-"""The error that is meant for the user."""
+"""The error that is meant for the user, and words that such errors share."""
+
+import difflib
+from collections.abc import Iterable
+
+MOST_NAMES = 30
 
 
 class InputError(Exception):
@@ -14,3 +19,15 @@ class InputError(Exception):
         ...
         hybrid_id.errors.InputError: my_robot/rec_00.csv, row 17: column u1 is empty; fill it or drop the row
     """
+
+
+def close_match(name: str, known: Iterable[str]) -> str:
+    """``" (did you mean 'speed'?)"``, or nothing where no known name is near."""
+    close = difflib.get_close_matches(name, list(known), n=1)
+    return f" (did you mean '{close[0]}'?)" if close else ""
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names one after the other, the first thirty of many."""
+    names = list(names)
+    return ", ".join(names[:MOST_NAMES]) + (", ..." if len(names) > MOST_NAMES else "") or "none"

@@ -19,7 +19,7 @@ import torch
 from scipy.io import savemat
 
 from hybrid_id.cli import folder as folders
-from hybrid_id.config import load_config
+from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
 from hybrid_id.identification.checkpoint import read_checkpoint
 from hybrid_id.records.dataset import Dataset
@@ -214,14 +214,14 @@ def test_results_folder_of_two_runs_at_once(tmp_path: Path) -> None:
 
 
 def test_training_folder_has_one_writer(tmp_path: Path) -> None:
-    home = tmp_path / "out"
-    with folders.live_folder(home, force=False, resume=False):
+    home, config = tmp_path / "out", StudyConfig(dataset=tmp_path, model=tmp_path / "model.yaml")
+    with folders.live_folder(home, config, force=False, resume=False):
         with pytest.raises(InputError, match="another run is writing"), folders.sole_writer(home):
             pass
         (home / "checkpoint.pt").write_text("half")
         with (
             pytest.raises(InputError, match="another run is writing"),
-            folders.live_folder(home, force=True, resume=False),
+            folders.live_folder(home, config, force=True, resume=False),
         ):
             pass
     assert (home / "checkpoint.pt").read_text() == "half"

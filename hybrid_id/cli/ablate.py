@@ -11,8 +11,8 @@ import typer
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import refuse_taken, required, sole_writer
-from hybrid_id.cli.hybrid import engine_of, options_of
-from hybrid_id.cli.inputs import checked_records, load_system
+from hybrid_id.cli.hybrid import check_network, engine_of, options_of
+from hybrid_id.cli.inputs import check_windows, checked_records, load_system
 from hybrid_id.cli.options import (
     Backend,
     BackendOption,
@@ -68,10 +68,8 @@ def ablate(
         )
     home = required(config.output.folder)
     if not (home / CELLS).is_dir():
-        if home.is_dir() and any(home.iterdir()):
-            raise InputError(f"{home} is not empty and holds no ablation; give another folder")
-        refuse_taken(home, force=False)
-    dataset = checked_records(config.dataset, config.preprocessing)
+        refuse_taken(home)
+    dataset = checked_records(config)
     use_threads(1)
     task, cells = planned(config, dataset, load_system(config))
     try:
@@ -101,7 +99,7 @@ def ablate(
 def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple[Task, list[Cell]]":
     """What all cells share, and the cells; every arm is built once, so that faults are told before any training."""
     from hybrid_id.study.ablation import Task
-    from hybrid_id.study.ablation_plan import plan
+    from hybrid_id.study.ablation_plan import plan, records_beyond
 
     wish, how = config.ablation or Ablation(), config.hybrid or Hybrid()
     prices = wish.price or how.prices
@@ -119,12 +117,30 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
     )  # fmt: skip
     seeds = list(range(wish.seeds)) if isinstance(wish.seeds, int) else wish.seeds
     cells = plan(_factors(wish, first.place, first.hidden), seeds)
-    for seed in seeds:
-        task.split(seed)
-    for cell in cells:
-        if cell.seed == seeds[0]:
-            task.model(cell)
+    with config.at("ablation.out_of_range"):
+        records_beyond(dataset, wish.out_of_range)
+    splits = [task.split(seed) for seed in seeds]
+    _check_arms(task, config, [cell for cell in cells if cell.seed == seeds[0]])
+    for key, names in (("hybrid.windows", splits[0].train), ("ablation.horizon", [r.name for r in dataset])):
+        check_windows(config, key, [record for record in dataset if record.name in names])
     return task, cells
+
+
+def _check_arms(task: "Task", config: StudyConfig, cells: "Sequence[Cell]") -> None:
+    """Build every arm once; what the model refuses is told with the key that asks for it."""
+    from hybrid_id.study.ablation_plan import without_parts
+
+    wish, first = config.ablation or Ablation(), "hybrid.networks[0]"
+    places = {f"ablation.place[{k}]": where for k, where in enumerate(wish.place or [])}
+    for key, where in (places or {f"{first}.place": [p for cell in cells for p in cell.arm.places]}).items():
+        for place in [where] if isinstance(where, str) else where:
+            check_network(task.system, config, {key: place}, {f"{first}.inputs": task.inputs})
+    for k, taken in enumerate(wish.physics):
+        with config.at(f"ablation.physics[{k}]"):
+            without_parts(task.system, taken)
+    with config.at("ablation"):  # what does not go together
+        for cell in cells:
+            task.model(cell)
 
 
 def _factors(wish: Ablation, place: str, hidden: Sequence[int]) -> "Factors":

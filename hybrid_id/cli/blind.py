@@ -116,7 +116,7 @@ def make_sealed(
     }
     begun = out / BEGUN
     if not begun.exists():
-        refuse_taken(out, force=False)
+        refuse_taken(out)
     elif json.loads(begun.read_text(encoding="utf-8")) != about:
         raise InputError(f"{out} holds unfinished cases of another seed, number, kind or commit; remove it")
     if archive is not None and archive.exists():

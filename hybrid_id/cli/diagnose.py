@@ -57,7 +57,7 @@ def diagnose(
     )
     home = required(config.output.folder)
     refuse_taken(home, force=force)
-    dataset = checked_records(config.dataset, config.preprocessing)
+    dataset = checked_records(config)
     use_threads(1)
     system = load_system(config)
     diagnosis = run(dataset, system, config)

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
 
 RESULT = "result.json"
@@ -25,29 +26,27 @@ def required(path: Path | None) -> Path:
     return path
 
 
-def refuse_taken(path: Path, *, force: bool) -> None:
+def refuse_taken(path: Path, *, force: bool | None = None) -> None:
     """Raise InputError where results cannot go, before anything is computed.
 
     Args:
         path: Folder of the results.
-        force: Whether results of an earlier run may be replaced; other files never are.
+        force: Whether results of an earlier run may be replaced; other files never are. None for a command that never
+            replaces any, and so has no --force to advise.
     """
     _remove(_make_parents(path))  # a trial: rights and names are known only by it
     if path.is_symlink() or (path.exists() and not path.is_dir()):
         raise InputError(f"{path} is no folder; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
         return
-    if not force and (path / CHECKPOINT).exists() and not (path / RESULT).exists():
-        raise InputError(
-            f"{path} holds an unfinished training; {go_on(path)}, or give another folder, or --force to replace it"
-        )
-    if not force and (path / CHECKPOINT).exists():
-        raise InputError(
-            f"{path} is not empty; {go_on(path)} where a training was stopped, or give another folder, or --force to "
-            "replace the results in it"
-        )
     if not force:
-        raise InputError(f"{path} is not empty; give another folder, or --force to replace the results in it")
+        unfinished = (path / CHECKPOINT).exists() and not (path / RESULT).exists()
+        advice = "give another folder" + ("" if force is None else ", or --force to replace what is in it")
+        if (path / CHECKPOINT).exists():
+            advice = f"{go_on(path)}{'' if unfinished else ' where it was stopped'}, or {advice}"
+        raise InputError(
+            f"{path} {'holds an unfinished training' if unfinished else 'is not empty'}; {advice}"
+        )
     if not any(_is_ours(path / name) for name in (RESULT, DIAGNOSIS)) and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds files that are no results of hybrid-id; give another folder")
 
@@ -105,14 +104,22 @@ def stopped(path: Path) -> str:
     return "stopped by Ctrl-C before the first checkpoint; the same command with --force starts anew"
 
 
+def refuse_training(path: Path, *, force: bool, resume: bool) -> None:
+    """Raise InputError where a training can neither begin nor go on, before anything is computed."""
+    if resume and not (path / CHECKPOINT).exists():
+        raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
+    refuse_taken(path, force=force or resume)
+
+
 @contextmanager
-def live_folder(path: Path, *, force: bool, resume: bool) -> Iterator[None]:
+def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> Iterator[None]:
     """Make the folder itself for a long run, so that others can look on; `result.json` comes in last.
 
     What an earlier run left is put aside as `path.old` (unless this one resumes it), comes back when the new run fails
-    before its first checkpoint, and goes when it is complete.
+    before its first checkpoint, and goes when it is complete. A new run saves its settings first; those that the
+    checkpoint of a resumed one belongs to stay until this one is known to fit it.
     """
-    refuse_taken(path, force=force or resume)
+    refuse_training(path, force=force, resume=resume)
     made = _make_parents(path)
     aside = path.with_name(f"{path.name}.old")
     replaced = path.exists() and any(path.iterdir()) and not resume
@@ -124,10 +131,13 @@ def live_folder(path: Path, *, force: bool, resume: bool) -> Iterator[None]:
             raise InputError(f"{aside} is in the way, the place for the results that are replaced; remove it")
         path.replace(aside)
     path.mkdir(exist_ok=True)
-    with sole_writer(path):
-        yield from _until_complete(path, aside if replaced else None, made)
+    with sole_writer(path), _until_complete(path, aside if replaced else None, made):
+        if not resume:
+            config.save(path / "config.yaml")
+        yield
 
 
+@contextmanager
 def _until_complete(path: Path, aside: Path | None, made: list[Path]) -> Iterator[None]:
     """Bring back what was put aside when a run fails before its first checkpoint, remove it when it is complete."""
     try:

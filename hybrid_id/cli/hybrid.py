@@ -1,5 +1,6 @@
 """`train` with a `hybrid` section: physics with residual networks."""
 
+from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,11 +9,9 @@ import typer
 
 from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, refuse_taken, stopped
-from hybrid_id.cli.inputs import checked_records, load_system
-from hybrid_id.cli.options import use_device, use_threads
+from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, stopped
+from hybrid_id.cli.inputs import check_windows
 from hybrid_id.config import Hybrid, StudyConfig
-from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.identification.hybrid import HybridOptions
@@ -23,23 +22,26 @@ if TYPE_CHECKING:
 
 
 def train_with_networks(
-    source: Path, config: StudyConfig, home: Path, *, resume: bool, force: bool, as_json: bool, threads: int
+    config: StudyConfig,
+    dataset: "Dataset",
+    system: "System",
+    home: Path,
+    *,
+    resume: bool,
+    force: bool,
+    as_json: bool,
 ) -> None:
     """Train, write the folder of results and print them."""
     assert config.hybrid is not None  # the caller's condition
-    if resume and not (home / CHECKPOINT).exists():
-        raise InputError(f"{home} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
-    refuse_taken(home, force=force or resume)
-    dataset = checked_records(config.dataset, config.preprocessing)
-    use_threads(threads)
-    system = with_networks(load_system(config), config.hybrid, config.identification.seed)
-    use_device(config.identification.device)
     from hybrid_id.reporting.hybrid import hybrid_result, hybrid_tables
     from hybrid_id.reporting.results import as_json as to_json
+    from hybrid_id.study.hybrid import split
 
-    with live_folder(home, force=force, resume=resume):
-        if not resume:  # what the checkpoint belongs to stays until it is known to fit
-            config.save(home / "config.yaml")
+    system = with_networks(system, config)
+    with config.at("hybrid.validation"):
+        trained, _ = split(dataset, config.hybrid.validation)
+    check_windows(config, "hybrid.windows", trained)
+    with live_folder(home, config, force=force, resume=resume):
         study = _train(dataset, system, config, home, resume=resume)
         text = to_json("train", {"dataset": dataset.name} | hybrid_result(study))
         with added_results(home) as folder:
@@ -56,20 +58,36 @@ def train_with_networks(
         raise typer.Exit(130)
 
 
-def with_networks(system: "System", wish: Hybrid, seed: int) -> "System":
+def with_networks(system: "System", config: StudyConfig) -> "System":
     """The model with the networks that the config asks for."""
     from hybrid_id.components import ResidualNetwork
 
-    for network in [] if system.networks else wish.networks:
+    assert config.hybrid is not None
+    for k, network in enumerate([] if system.networks else config.hybrid.networks):
+        key = f"hybrid.networks[{k}]"
+        check_network(system, config, {f"{key}.place": network.place}, {f"{key}.inputs": network.inputs})
         part = ResidualNetwork(
             inputs=network.inputs,
             hidden=network.hidden,
             memory=network.memory,
             lipschitz=network.lipschitz,
-            seed=seed,
+            seed=config.identification.seed,
         )
         system = system.with_component(network.place, part)
     return system
+
+
+def check_network(
+    system: "System", config: StudyConfig, place: Mapping[str, str], inputs: Mapping[str, Sequence[str]]
+) -> None:
+    """Refuse a place where the system can have no network, and inputs unknown there, each by the key that names it."""
+    from hybrid_id.components import ResidualNetwork
+
+    ((place_key, where),), ((inputs_key, names),) = place.items(), inputs.items()
+    with config.at(place_key):
+        system.with_component(where, ResidualNetwork(inputs=["speed"]))  # which is known everywhere
+    with config.at(inputs_key):
+        system.with_component(where, ResidualNetwork(inputs=names))
 
 
 def engine_of(config: StudyConfig) -> "OdeEngine":
@@ -77,9 +95,10 @@ def engine_of(config: StudyConfig) -> "OdeEngine":
     from hybrid_id.simulation.solvers import OdeEngine
 
     how = config.training
-    return OdeEngine(
-        substeps=how.substeps, width=how.width, fine=how.fine, method=how.method, gradient=how.gradient
-    )
+    with config.at("training"):
+        return OdeEngine(
+            substeps=how.substeps, width=how.width, fine=how.fine, method=how.method, gradient=how.gradient
+        )
 
 
 def options_of(config: StudyConfig, wish: Hybrid) -> "HybridOptions":

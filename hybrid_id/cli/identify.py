@@ -78,7 +78,7 @@ def identify(
         raise InputError(
             "--jobs shares records between processes, but --pooled needs all in one; leave one of them out"
         )
-    dataset = checked_records(config.dataset, config.preprocessing)
+    dataset = checked_records(config)
     use_threads(threads)
     system = load_system(config)
     use_device(config.identification.device)

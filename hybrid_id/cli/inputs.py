@@ -1,15 +1,17 @@
 """Loading what a study config names: records as they shall be used, and the model."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import remark
-from hybrid_id.config import Preprocessing, StudyConfig
+from hybrid_id.config import Ablation, Hybrid, Preprocessing, StudyConfig, Training
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.finding import Finding
+    from hybrid_id.records.record import Record
     from hybrid_id.systems.chain import System
 
 MAX_WARNINGS = 5  # said before a fit; `check` says them all
@@ -55,18 +57,18 @@ def refuse_errors(findings: "list[Finding]") -> None:
         raise InputError(errors[0].message + more)
 
 
-def checked_records(path: Path, preprocessing: Preprocessing) -> "Dataset":
+def checked_records(config: StudyConfig) -> "Dataset":
     """Load records for a fit; errors end the command, the worst warnings are said."""
     from hybrid_id.records.quality import check_dataset
 
-    dataset = load_records(path, preprocessing)
+    dataset = load_records(config.dataset, config.preprocessing)
     findings = check_dataset(dataset)
     refuse_errors(findings)
     warnings = [finding for finding in findings if finding.severity == "warning"]
     for finding in warnings[:MAX_WARNINGS]:
         remark(f"warning: {finding.message}")
     if len(warnings) - MAX_WARNINGS > 0:
-        remark(f"({len(warnings) - MAX_WARNINGS} more: 'hybrid-id check {path}')")
+        remark(f"({len(warnings) - MAX_WARNINGS} more: 'hybrid-id check {config.dataset}')")
     return dataset
 
 
@@ -87,3 +89,40 @@ def load_system(config: StudyConfig) -> "System":
         return carry_over(system, previous, stage.hold)
     except InputError as error:
         raise InputError(f"previous ({stage.model}): {error}") from None
+
+
+def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") -> None:
+    """Say which windows are longer than the records allow; refuse them where it is all of those that were asked for.
+
+    Args:
+        config: the study.
+        key: of the windows: `training.windows`, `hybrid.windows`, or `ablation.horizon`.
+        records: out of which they are cut.
+    """
+    import numpy as np
+
+    from hybrid_id.identification.fit import window_samples
+
+    if not records:
+        return
+    wish = {
+        "training.windows": (config.training.windows, Training().windows),
+        "hybrid.windows": ((config.hybrid or Hybrid()).windows, Hybrid().windows),
+        "ablation.horizon": ([((config.ablation or Ablation()).horizon, 1)],) * 2,
+    }
+    windows, default = wish[key]
+    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
+    samples = max(record.n_samples for record in records)
+    long = [f"{s:g} s" for s, _ in windows if window_samples(samples, step, s) is None]
+    if not long:
+        return
+    size = f"{samples * step:.3g} s ({samples} samples)"
+    why = f"the longest record has {size}; four windows must fit, of 25 samples or more"
+    if len(long) == len(windows) and windows != default:
+        with config.at(key):
+            raise InputError(
+                f"windows of {', '.join(long)} are too long, for {why}; give shorter ones, or [] to begin with whole "
+                "records"
+            )
+    lost = "no short free runs of" if key == "ablation.horizon" else "left out: the stage with windows of"
+    remark(f"{lost} {', '.join(long)} ('{key}'), for {why}")

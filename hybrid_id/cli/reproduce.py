@@ -34,7 +34,7 @@ def reproduce(
     """
     parts = out / PARTS
     if not parts.is_dir():
-        refuse_taken(out, force=False)
+        refuse_taken(out)
     try:
         parts.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -11,12 +11,12 @@ from hybrid_id.cli.folder import (
     CHECKPOINT,
     added_results,
     live_folder,
-    refuse_taken,
+    refuse_training,
     required,
     resumable,
     stopped,
 )
-from hybrid_id.cli.inputs import checked_records, load_system
+from hybrid_id.cli.inputs import check_windows, checked_records, load_system
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
@@ -72,26 +72,23 @@ def train(
     )
     home = required(config.output.folder)
     with resumable(home):
+        refuse_training(home, force=force, resume=resume)
+        dataset = checked_records(config)
+        use_threads(threads)
+        system = load_system(config)
+        use_device(config.identification.device)
         if config.hybrid is not None:
             from hybrid_id.cli.hybrid import train_with_networks
 
             return train_with_networks(
-                source, config, home, resume=resume, force=force, as_json=as_json, threads=threads
+                config, dataset, system, home, resume=resume, force=force, as_json=as_json
             )
-        if resume and not (home / CHECKPOINT).exists():
-            raise InputError(f"{home} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
-        refuse_taken(home, force=force or resume)
-        dataset = checked_records(config.dataset, config.preprocessing)
-        use_threads(threads)
-        system = load_system(config)
-        use_device(config.identification.device)
+        check_windows(config, "training.windows", dataset.train)
         from hybrid_id.cli.study import show_study, write_study
         from hybrid_id.study import assess
 
         wish = config.identification
-        with live_folder(home, force=force, resume=resume):
-            if not resume:  # what the checkpoint belongs to stays until it is known to fit
-                config.save(home / "config.yaml")
+        with live_folder(home, config, force=force, resume=resume):
             sets = _run(dataset, system, config, home, resume=resume)
             share = config.preprocessing.signal_share
             study = assess(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
@@ -111,13 +108,13 @@ def _run(
     dataset: "Dataset", system: "System", config: StudyConfig, folder: Path, *, resume: bool
 ) -> "list[FitResult]":
     """Train as the config says, with checkpoints and TensorBoard events in the folder."""
+    from hybrid_id.cli.hybrid import engine_of
     from hybrid_id.cli.progress import FitProgress
     from hybrid_id.identification.adjoint import TrainOptions
     from hybrid_id.identification.adjoint import train as train_all
     from hybrid_id.identification.objective import Loss
     from hybrid_id.reporting.tensorboard import TrainingLog
     from hybrid_id.simulation.prepare import make_batch
-    from hybrid_id.simulation.solvers import OdeEngine
 
     wish, how = config.identification, config.training
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
@@ -129,9 +126,7 @@ def _run(
         else None
         for records in (dataset.train, dataset.test)
     )
-    engine = OdeEngine(
-        substeps=how.substeps, width=how.width, fine=how.fine, method=how.method, gradient=how.gradient
-    )
+    engine = engine_of(config)
     options = TrainOptions(
         windows=tuple(how.windows),
         max_iterations=how.max_iterations,

@@ -9,11 +9,12 @@ output: {folder: ../runs/my_robot}
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pydantic import model_validator
+from pydantic import PrivateAttr, model_validator
 
 from hybrid_id.config.ablation import Ablation
 from hybrid_id.config.sections import (
@@ -65,6 +66,7 @@ class StudyConfig(Section):
     gap: Gap = Gap()
     statistics: Statistics = Statistics()
     output: Output = Output()
+    _file: Path | None = PrivateAttr(None)
 
     @model_validator(mode="before")
     @classmethod
@@ -72,6 +74,16 @@ class StudyConfig(Section):
         if isinstance(values, dict) and "model" not in values and isinstance(values.get("dataset"), str):
             return values | {"model": str(beside(Path(values["dataset"])))}
         return values
+
+    @contextmanager
+    def at(self, key: str) -> Iterator[None]:
+        """Let an InputError begin with the file and the key, for what only the dataset or the model can refuse."""
+        try:
+            yield
+        except InputError as error:
+            raise InputError(
+                f"{'' if self._file is None else f'{self._file}: '}key '{key}': {error}"
+            ) from None
 
     def save(self, path: Path, *, home: Path | None = None) -> None:
         """Write the whole config, defaults included.
@@ -97,7 +109,9 @@ def load_config(path: Path, changes: Mapping[str, Any] | None = None) -> StudyCo
     values = read_yaml(path)
     validate(StudyConfig, values, path)  # the file's own faults first, under its own name
     moved = _with_paths(values, lambda p: str(path.parent / p))
-    return validate(StudyConfig, _changed(moved, changes or {}), "options")
+    config = validate(StudyConfig, _changed(moved, changes or {}), "options")
+    config._file = path
+    return config
 
 
 def study_config(source: Path, changes: Mapping[str, Any] | None = None) -> StudyConfig:

@@ -156,6 +156,14 @@ class Hybrid(Section):
     precision: Literal["float64", "float32"] = "float64"
     validation: list[str] | None = Field(default=None, min_length=1)
 
+    @field_validator("networks")
+    @classmethod
+    def _one_a_place(cls, networks: list[Network]) -> list[Network]:
+        places = [network.place for network in networks]
+        if len(set(places)) < len(places):
+            raise ValueError("a place takes one network, and two are given for the same; leave one out")
+        return networks
+
     @field_validator("prices")
     @classmethod
     def _ladder(cls, prices: list[float]) -> list[float]:

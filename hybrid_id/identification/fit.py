@@ -184,6 +184,18 @@ def start_points(
     return torch.cat(points, 1)
 
 
+def window_samples(samples: int, step: float, seconds: float) -> int | None:
+    """Samples of a window of so many seconds, 25 at least; None where four do not fit into a record.
+
+    Args:
+        samples: of the longest record.
+        step: sample time [s].
+        seconds: length of the window.
+    """
+    length = max(25, round(seconds / step))
+    return length if 4 * length <= samples else None
+
+
 def measured_windows(
     system: System, batch: Batch, seconds: float, every: int = 1
 ) -> tuple[Batch, Tensor] | None:
@@ -199,8 +211,8 @@ def measured_windows(
         None where the records are shorter than four windows.
     """
     step = float(batch.dt[batch.dt > 0].median())
-    length = max(25, round(seconds / step))
-    if batch.x.shape[1] < 4 * length:
+    length = window_samples(batch.x.shape[1], step, seconds)
+    if length is None:
         return None
     noise = dict(zip(batch.outputs, (1.0 / batch.weight.amax(1)).unbind(1), strict=True))
     x0_std = 0.1 * batch.x.std(1)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, close_match, listed
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import ResampleReport
 from hybrid_id.records.units import to_si
@@ -137,7 +137,10 @@ class Dataset:
         names = list(names)
         for name in names:
             if name not in by_name:
-                raise InputError(f"dataset '{self.name}' has no record '{name}'; it has {', '.join(by_name)}")
+                near = close_match(name, by_name)
+                raise InputError(
+                    f"dataset '{self.name}' has no record '{name}'{near}; it has {listed(by_name)}"
+                )
         kept = tuple(report for report in self.resampling if report.record in names)
         return replace(self, records=tuple(by_name[name] for name in names), resampling=kept)
 

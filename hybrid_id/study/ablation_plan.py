@@ -9,7 +9,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from hybrid_id.components import ResidualNetwork
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, listed
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 
@@ -149,13 +149,7 @@ def split_records(
     Raises:
         InputError: a pattern that fits no record, or too few records.
     """
-    apart = [r.name for r in dataset if any(fnmatchcase(t, p) for p in beyond for t in (r.name, r.note))]
-    for pattern in beyond:
-        if not any(fnmatchcase(text, pattern) for r in dataset for text in (r.name, r.note)):
-            raise InputError(
-                f"Pattern '{pattern}' of out_of_range fits no name or note of dataset '{dataset.name}', which has "
-                f"{', '.join(r.name for r in dataset)}; correct or remove it."
-            )
+    apart = records_beyond(dataset, beyond)
     tests = [r.name for r in dataset.test if r.name not in apart]
     drawn = [r.name for r in dataset.train if r.name not in apart]
     drawn = [drawn[k] for k in np.random.default_rng(seed).permutation(len(drawn))]
@@ -169,6 +163,17 @@ def split_records(
             f"{len(held)} and test on {len(tests)}; an ablation needs at least one of each."
         )
     return Split(*(tuple(sorted(names)) for names in (train, held, tests, apart)))
+
+
+def records_beyond(dataset: Dataset, patterns: Sequence[str]) -> list[str]:
+    """Names of the records whose name or note fits one of the patterns; an InputError where one fits none."""
+    for pattern in patterns:
+        if not any(fnmatchcase(text, pattern) for r in dataset for text in (r.name, r.note)):
+            raise InputError(
+                f"Pattern '{pattern}' fits no name or note of dataset '{dataset.name}', which has "
+                f"{listed(r.name for r in dataset)}; correct or remove it."
+            )
+    return [r.name for r in dataset if any(fnmatchcase(t, p) for p in patterns for t in (r.name, r.note))]
 
 
 def without_parts(system: System, taken: Sequence[str]) -> System:

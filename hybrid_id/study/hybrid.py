@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, close_match, listed
 from hybrid_id.identification.adjoint import Writer
 from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_each, train_hybrid
 from hybrid_id.identification.hybrid_course import Progress
@@ -158,9 +158,11 @@ def split(
     """
     train = list(dataset.train)
     if names is not None:
-        if unknown := [name for name in names if name not in {r.name for r in dataset}]:
+        known = [record.name for record in dataset]
+        if unknown := [name for name in names if name not in known]:
             raise InputError(
-                f"Validation record '{unknown[0]}' is not in dataset '{dataset.name}'; name one that is."
+                f"Record '{unknown[0]}' is not in dataset '{dataset.name}'{close_match(unknown[0], known)}; it has "
+                f"{listed(known)}."
             )
         held = [dataset[name] for name in names]
         train = [record for record in train if record.name not in names]

@@ -12,28 +12,17 @@ from torch import Tensor, nn
 
 from hybrid_id.components.base import PLACES, Component
 from hybrid_id.components.residual import ResidualNetwork
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.systems.arm import Arm
 from hybrid_id.systems.balance import Balances, Directions, Rest, SpeedBalance
 from hybrid_id.systems.joint import Joint
+from hybrid_id.systems.places import check_place
 from hybrid_id.systems.table import parameter_table
 
 Rows = Sequence[Tensor]
 Channels = Mapping[str, Tensor]
 Views = Mapping[str, SimpleNamespace]
-
-
-def check_place(where: str, kind: type[Component], n_joints: int) -> None:
-    """Raise InputError where a system of so many joints has no such place, or the place takes no such component."""
-    joint, _, place = where.partition("/")
-    joints = [f"joint{i + 1}" for i in range(n_joints)]
-    if joint not in joints or place not in PLACES:
-        raise InputError(
-            f"Place '{where}' is not known; use one of {', '.join(joints)} with one of {', '.join(PLACES)}."
-        )
-    if place not in kind.places:
-        raise InputError(f"{kind.kind} cannot sit in '{where}'; it belongs in {' or '.join(kind.places)}.")
 
 
 class System(nn.Module):
@@ -100,8 +89,9 @@ class System(nn.Module):
             }
             joint = Joint(i + 1, ratio, parts, len(self.state_names))
             self.joints.append(joint)
-            joint.networks.joints = self.joints
             self.state_names += joint.state_names
+        for joint in self.joints:
+            joint.networks.connect(self.joints)
         self.networks = {k: c for k, c in self.components.items() if isinstance(c, ResidualNetwork)}
         self.speed_rows = [row + 1 for joint in self.joints for row in joint.positions]
         self.dry = [is_dry for joint in self.joints for is_dry in joint.dry]
@@ -125,7 +115,10 @@ class System(nn.Module):
     def without_component(self, where: str, kind: str) -> System:
         """A new system that lacks the component of ``kind`` at ``where``."""
         if f"{where}/{kind}" not in self.components:
-            raise InputError(f"There is no {kind} at '{where}'; the system has {', '.join(self.components)}.")
+            near = close_match(f"{where}/{kind}", self.components)
+            raise InputError(
+                f"There is no {kind} at '{where}'{near}; the system has {', '.join(self.components)}."
+            )
         system = copy.deepcopy(self)
         del system.components[f"{where}/{kind}"]
         system._wire()
@@ -152,8 +145,9 @@ class System(nn.Module):
         for info in self.table:
             if info.name == name:
                 return info
+        known = [info.name for info in self.table]
         raise InputError(
-            f"The system has no parameter '{name}'; it has {', '.join(i.name for i in self.table)}."
+            f"The system has no parameter '{name}'{close_match(name, known)}; it has {', '.join(known)}."
         )
 
     def theta(self) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -11,12 +10,13 @@ from typing import Any, cast
 
 from hybrid_id.components import REGISTRY, ArmGravity, Gravity, ResidualNetwork
 from hybrid_id.components.base import Component
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 from hybrid_id.systems.arms import FLAT_NAMES
-from hybrid_id.systems.chain import System, check_place
+from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_schema import FLAT, SKELETON, ModelFile, ParameterEntry
+from hybrid_id.systems.places import check_place
 
 WEIGHTS = (Gravity.kind, ArmGravity.kind)
 
@@ -140,9 +140,8 @@ def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
 
 def _kind(name: str, path: str) -> type[Component]:
     if name not in REGISTRY:
-        close = difflib.get_close_matches(name, REGISTRY, n=1)
-        hint = f"did you mean '{close[0]}'?" if close else f"use one of {', '.join(sorted(REGISTRY))}."
-        raise InputError(f"{path}: component kind '{name}' is not known; {hint}")
+        near = close_match(name, REGISTRY) or f"; use one of {', '.join(sorted(REGISTRY))}."
+        raise InputError(f"{path}: component kind '{name}' is not known{near}")
     return REGISTRY[name]
 
 

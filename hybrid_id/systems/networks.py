@@ -12,7 +12,7 @@ from torch import Tensor
 
 from hybrid_id.components.base import Component
 from hybrid_id.components.residual import ResidualNetwork
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, close_match
 
 if TYPE_CHECKING:
     from hybrid_id.systems.joint import Joint
@@ -56,7 +56,7 @@ class Networks:
     """
 
     def __init__(self, joint: Joint, parts: Mapping[str, Component], first_row: int) -> None:
-        self.joint, self.joints = joint, [joint]
+        self.joint, self.joints = joint, [joint]  # all of them once the chain is wired
         self.state_names: list[str] = []
         self.by_place: dict[str, tuple[str, ResidualNetwork, range]] = {}
         for key, part in parts.items():
@@ -82,7 +82,8 @@ class Networks:
                 and not re.fullmatch(r"(angle|speed)\d", name)
             ):
                 raise InputError(
-                    f"{part.kind} at '{where}' has no input '{name}'; it knows {', '.join(known)}, sin n, cos n, "
+                    f"{part.kind} at '{where}' has no input '{name}'{close_match(name, known)}; it knows "
+                    f"{', '.join(known)}, sin n, cos n, "
                     "and angle and speed with a joint's number."
                 )
             if (match := HARMONIC.fullmatch(name)) and not float(match[2]):
@@ -90,6 +91,17 @@ class Networks:
                     f"{part.kind} at '{where}' has the input '{name}', which is the same at every angle; "
                     "give a number above 0."
                 )
+
+    def connect(self, joints: Sequence[Joint]) -> None:
+        """Let the networks read the motion of all joints; an InputError where one reads a joint that is not there."""
+        self.joints = list(joints)
+        for place, (_, part, _) in self.by_place.items():
+            for name in part.inputs:
+                if name[:-1] in ("angle", "speed") and not 1 <= int(name[-1]) <= len(joints):
+                    raise InputError(
+                        f"{part.kind} at '{self.joint.name}/{place}' has the input '{name}', a joint that is not "
+                        f"there; the last one is {joints[-1].name}."
+                    )
 
     def signals(
         self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
@@ -108,11 +120,7 @@ class Networks:
             function = torch.sin if match[1] == "sin" else torch.cos
             return function(float(match[2]) * self._motion(joint, x, p, at_link, 0))
         if name[-1].isdigit():
-            other = next((j for j in self.joints if j.number == int(name[-1])), None)
-            if other is None:
-                raise InputError(
-                    f"A network's input '{name}' names a joint that is not there; name another one."
-                )
+            other = self.joints[int(name[-1]) - 1]
             return self._motion(other, x, p, True, int(name.startswith("speed")))
         if name in ("angle", "speed", "direction"):
             return self._motion(joint, x, p, at_link, int(name != "angle"))

@@ -178,11 +178,43 @@ FAULTS = {
     "constant input": ("inputs: [speed]", "inputs: [sin 0]", ("'sin 0'", "same at every angle")),
     "device": ("[run_2]}", "[run_2]}\nidentification: {device: gpu}", ("'identification.device'", "'gpu'")),
     "share above one": ("seeds: 3", "test: 1.5", ("ablation.test", "1.5")),
-    "pattern of nothing": ("[run_2]", "[run_7]", ("'run_7'", "out_of_range", "run_0")),
-    "physics that is not there": ("[[F_v]]", "[[F_x]]", ("'F_x'",)),
-    "component that is not there": ("[[F_v]]", "[[joint1/motor/dahl]]", ("dahl", "joint1/motor")),
-    "place that is not there": ("seeds: 3", "place: [joint2/motor]", ("joint2/motor",)),
-    "input that is not there": ("inputs: [speed]", "inputs: [colour]", ("'colour'",)),
+    "pattern of nothing": ("[run_2]", "[run_7]", ("'run_7'", "key 'ablation.out_of_range'", "run_0")),
+    "physics that is not there": (
+        "[[F_v]]",
+        "[[F_v], [F_x]]",
+        ("key 'ablation.physics[1]'", "'F_x' (did you mean 'F_", "it has P_m1, "),
+    ),
+    "component that is not there": (
+        "[[F_v]]",
+        "[[joint1/motor/dahl]]",
+        ("study.yaml: key 'ablation.physics[0]'", "dahl", "joint1/motor"),
+    ),
+    "place that is not there": (
+        "seeds: 3",
+        "place: [joint1/motor, [joint1/load, joint1/frictoin]]",
+        ("study.yaml: key 'ablation.place[1]': Place 'joint1/frictoin'", "did you mean 'joint1/"),
+    ),
+    "place of the first network": (
+        "place: joint1/motor",
+        "place: joint2/motor",
+        ("study.yaml: key 'hybrid.networks[0].place'", "did you mean 'joint1/motor'?", "use one of joint1"),
+    ),
+    "input that is not there": (
+        "inputs: [speed]",
+        "inputs: [sped]",
+        ("study.yaml: key 'hybrid.networks[0].inputs'", "'sped' (did you mean 'speed'?)", "angle, speed,"),
+    ),
+    "joint that is not there": (
+        "inputs: [speed]",
+        "inputs: [angle2]",
+        ("key 'hybrid.networks[0].inputs'", "'angle2'", "the last one is joint1"),
+    ),
+    "windows longer than the records": (
+        "prices: [1.0, 0.0]",
+        "prices: [1.0, 0.0], windows: [[2.0, 1], [3.0, 1]]",
+        ("key 'hybrid.windows': windows of 2 s, 3 s are too long", "1.2 s (600 samples)", "or [] to begin"),
+    ),
+    "unknown solver": ("hybrid:", "training: {method: rk5}\nhybrid:", ("key 'training'", "'rk5'")),
     "rising prices": ("[1.0, 0.0]", "[0.1, 1.0]", ("0.1, 1.0", "falling")),
     "too few records": ("[run_2]", "[run_2, run_1, run_0]", ("too few records",)),
 }
@@ -211,6 +243,16 @@ def test_options_and_folders_that_do_not_fit(run, study: Path, cells: Cells, tmp
     shown = run("ablate", study, "--out", out)
     assert shown.code == 2 and "not empty" in shown.err and not cells.seen
     assert "--force" not in shown.err  # which this command does not have
+
+
+def test_what_the_records_are_too_short_for_is_said(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+    text = study.read_text().replace(
+        "prices: [1.0, 0.0]", "prices: [1.0, 0.0], windows: [[0.1, 4], [0.4, 2]]"
+    )
+    study.write_text(text.replace("seeds: 3", "seeds: 3, horizon: 0.5"))
+    shown = run("ablate", study, "--out", tmp_path / "out")
+    assert shown.code == 0 and shown.err.count("windows of 0.4 s ('hybrid.windows')") == 1
+    assert "no short free runs of 0.5 s ('ablation.horizon')" in shown.err
 
 
 def test_one_repeat_is_said_without_nan(run, study: Path, cells: Cells, tmp_path: Path) -> None:

@@ -269,14 +269,14 @@ def test_nothing_is_left_of_a_failure(tmp_path: Path) -> None:
 
 
 def test_live_folder_brings_the_old_results_back(tmp_path: Path) -> None:
-    out = tmp_path / "out"
+    out, config = tmp_path / "out", StudyConfig(dataset=tmp_path, model=tmp_path / "model.yaml")
     with results_folder(out, force=False) as folder:
         (folder / "result.json").write_text('{"program": "hybrid_id 0"}')
-    with pytest.raises(ZeroDivisionError), live_folder(out, force=True, resume=False):
+    with pytest.raises(ZeroDivisionError), live_folder(out, config, force=True, resume=False):
         (out / "events").write_text("new")
         raise ZeroDivisionError
     assert [path.name for path in out.iterdir()] == ["result.json"]
-    with live_folder(out, force=True, resume=False), added_results(out) as folder:
+    with live_folder(out, config, force=True, resume=False), added_results(out) as folder:
         (folder / "result.json").write_text("new")
         (folder / "models").mkdir()
     assert (out / "result.json").read_text() == "new"

@@ -120,17 +120,70 @@ def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> Non
     text = study.read_text()
     for old, new, words in (
         ("hidden: [4]", "hiden: [4]", "hiden"),
-        ("inputs: [speed, sin 3, cos 3]", "inputs: [colour]", "no input 'colour'"),
-        ("joint1/motor", "joint1/sensor", "joint1/sensor"),
+        (
+            "inputs: [speed, sin 3, cos 3]",
+            "inputs: [speeed]",
+            "study.yaml: key 'hybrid.networks[0].inputs': residual_network at 'joint1/motor' has no input 'speeed' "
+            "(did you mean 'speed'?); it knows angle, speed,",
+        ),
+        (
+            "sin 3",
+            "speed2",
+            "key 'hybrid.networks[0].inputs': residual_network at 'joint1/motor' has the input",
+        ),
+        ("joint1/motor", "joint1/sensor", "key 'hybrid.networks[0].place': residual_network cannot sit in"),
+        ("joint1/motor", "joint1/motr", "'joint1/motr' is not known (did you mean 'joint1/motor'?)"),
+        ("joint1/motor", "joint1/transmission", "key 'hybrid.networks[0].place': A rigid gear"),
+        (
+            "networks: [",
+            "networks: [{place: joint1/motor}, ",
+            "key 'hybrid.networks': a place takes one network",
+        ),
         ("prices: [1.0]", "prices: [0.1, 1.0]", "'hybrid.prices': these prices are no ladder"),
         (
             "max_iterations: 5",
             "validation: [run_1, run_1]",
             "'hybrid.validation': a record stands here twice",
         ),
-        ("max_iterations: 5", "validation: [run_9]", "run_9"),
+        (
+            "max_iterations: 5",
+            "validation: [run_9]",
+            "study.yaml: key 'hybrid.validation': Record 'run_9' is not in dataset 'cogging drive' (did you mean 'run_",
+        ),
+        (
+            "windows: []",
+            "windows: [[0.2, 2], [0.5, 1]]",
+            "study.yaml: key 'hybrid.windows': windows of 0.2 s, 0.5 s are too long, for the longest record has 0.64 s "
+            "(160 samples); four windows must fit",
+        ),
     ):
         assert old in text
         (tmp_path / "study.yaml").write_text(text.replace(old, new))
         told = run("train", tmp_path / "study.yaml", "--out", tmp_path / "out")
         assert told.code == 2 and words in told.err and not (tmp_path / "out").exists()
+
+
+def test_stages_that_the_records_are_too_short_for_are_said(run, study: Path, tmp_path: Path) -> None:
+    text = study.read_text().replace("max_iterations: 5", "max_iterations: 1")
+    for windows, words in (
+        (
+            "[[0.1, 1], [0.2, 2]]",
+            "left out: the stage with windows of 0.2 s ('hybrid.windows'), for the longest",
+        ),
+        (
+            "[[0.1, 4], [0.4, 2], [1.6, 1]]",
+            "left out: the stage with windows of 0.4 s, 1.6 s",
+        ),  # the defaults
+    ):
+        (tmp_path / "study.yaml").write_text(text.replace("windows: []", f"windows: {windows}"))
+        told = run("train", tmp_path / "study.yaml", "--out", tmp_path / "out", "--force")
+        assert told.code == 0 and told.err.count("left out") == 1 and words in told.err
+    assert "left out" not in run("train", study, "--out", tmp_path / "whole").err
+
+
+def test_windows_of_a_training_without_networks_are_checked_too(run, drive: Path, tmp_path: Path) -> None:
+    text = f"dataset: {drive}\ntraining: {{windows: [[0.9, 1]]}}\n"
+    (tmp_path / "study.yaml").write_text(text)
+    told = run("train", tmp_path / "study.yaml", "--out", tmp_path / "out")
+    assert told.code == 2 and "study.yaml: key 'training.windows': windows of 0.9 s are too long" in told.err
+    assert not (tmp_path / "out").exists()

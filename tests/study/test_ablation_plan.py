@@ -62,7 +62,7 @@ def test_what_is_out_of_range_is_never_trained_on() -> None:
 
 
 def test_faults_of_a_split_are_told() -> None:
-    with pytest.raises(InputError, match="'run_9' of out_of_range"):
+    with pytest.raises(InputError, match="Pattern 'run_9' fits no name"):
         split_records(dataset(5), 0, beyond=["run_9"])
     with pytest.raises(InputError, match="too few records"):
         split_records(dataset(2), 0)
