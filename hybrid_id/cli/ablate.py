@@ -222,21 +222,21 @@ def _in_short(result: "CellResult") -> str:
 def _write(home: Path, config: StudyConfig, dataset: "Dataset", outcome: "Outcome") -> str:
     """Pictures, page and `ablation.json` into the folder, under a temporary name first; returns the last as text."""
     from hybrid_id.reporting.ablation import ablation_result
-    from hybrid_id.reporting.ablation_figures import ablation_images
+    from hybrid_id.reporting.ablation_figures import ablation_pictures
     from hybrid_id.reporting.html.ablation_page import ablation_page
     from hybrid_id.reporting.results import as_json
     from hybrid_id.reporting.style import save
 
     text = as_json("ablate", {"dataset": dataset.name} | ablation_result(outcome))
     with tempfile.TemporaryDirectory(dir=home, prefix=".") as temporary:
-        new, images = Path(temporary), ablation_images(outcome)
-        for name, image in images.items() if config.output.figures else ():
-            save(image, new / f"{name}.png")
+        new, pictures = Path(temporary), ablation_pictures(outcome)
+        for name, picture in pictures.items() if config.output.figures else ():
+            save(picture.image, new / f"{name}.png")
         if config.output.report:
             from hybrid_id.reporting.html.made import how_made
 
             words = (home / "config.yaml").read_text(encoding="utf-8")
-            how_made(ablation_page(dataset, outcome, images), "ablate", words).write(new / "report.html")
+            how_made(ablation_page(dataset, outcome, pictures), "ablate", words).write(new / "report.html")
         for name in ("errors.png", "change.png", "prices.png", "report.html"):
             if not (new / name).exists():  # an earlier run's, which this one has left out
                 (home / name).unlink(missing_ok=True)

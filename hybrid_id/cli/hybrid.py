@@ -153,27 +153,28 @@ def _write(
     folder: Path, home: Path, config: StudyConfig, dataset: "Dataset", study: "HybridStudy", text: str
 ) -> None:
     """Write all files of a hybrid study into `folder`, which will be `home`."""
-    from hybrid_id.reporting.hybrid import hybrid_images, hybrid_page
+    from hybrid_id.reporting.html.hybrid_page import hybrid_page
+    from hybrid_id.reporting.hybrid import hybrid_pictures
     from hybrid_id.reporting.style import save
     from hybrid_id.systems.model_file import save_model
 
     save_model(study.result.system, folder / "model.yaml")
     save_model(study.result.physics.system, folder / "physics.yaml")
     config.save(folder / "config.yaml", home=home)
-    images = hybrid_images(study)
+    pictures = hybrid_pictures(study)
     if config.output.figures:
-        for name, image in images.items():
-            save(image, folder / f"{name}.png")
+        for name, picture in pictures.items():
+            save(picture.image, folder / f"{name}.png")
     if config.output.tensorboard:
         from torch.utils.tensorboard.writer import SummaryWriter
 
         with SummaryWriter(str(folder / "tensorboard" / "figures")) as writer:
-            for name, image in images.items():
-                writer.add_image(f"figures/{name}", image, dataformats="HWC")
+            for name, picture in pictures.items():
+                writer.add_image(f"figures/{name}", picture.image, dataformats="HWC")
     if config.output.report:
         from hybrid_id.reporting.html.made import how_made
 
         words = (folder / "config.yaml").read_text(encoding="utf-8")
-        page = how_made(hybrid_page(dataset, study, images), "train", words)
+        page = how_made(hybrid_page(dataset, study, pictures), "train", words)
         page.write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")

@@ -60,12 +60,12 @@ def reproduce(
     from hybrid_id.reproduction.claims import claims
 
     found = claims(result.stages, result.truths, result.tracking)
-    images = paper_figures(result)
-    for name, image in images.items():
-        save(image, parts / f"{name}.png")
+    figures = paper_figures(result)
+    for name, figure in figures.items():
+        save(figure.image, parts / f"{name}.png")
     page = parts / "report.html"
     made = {"stages": "configs/reproduce.yaml of the package", "quick": quick}
-    how_made(paper_page(result, found, images, quick=quick), "reproduce", facts=made).write(page)
+    how_made(paper_page(result, found, figures, quick=quick), "reproduce", facts=made).write(page)
     page.replace(out / "report.html")
     text = to_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
     (parts / RESULT).write_text(text + "\n", encoding="utf-8")

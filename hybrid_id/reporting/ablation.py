@@ -12,7 +12,7 @@ from rich.text import Text
 
 from hybrid_id.reporting.tables import open_table
 from hybrid_id.study.ablation_result import SETS, Ablation, Scores
-from hybrid_id.study.ablation_verdict import HYBRID, OPEN, answer, verdict
+from hybrid_id.study.ablation_verdict import HYBRID, OPEN, answer, signed, verdict
 
 _STYLE = {HYBRID: "green", OPEN: "yellow"}
 
@@ -62,7 +62,7 @@ def ablation_tables(result: Ablation) -> RenderableType:
 def verdict_text(result: Ablation) -> Group:
     """The answer in words, and one paragraph for each thing that goes with it."""
     first, *others = verdict(result)
-    return Group(Text(first, style=_STYLE.get(answer(result), "")), *(Text(words) for words in others))
+    return Group(Text(first, style=_STYLE.get(answer(result), "")), *map(Text, others))
 
 
 def arms_table(result: Ablation) -> Table:
@@ -139,5 +139,5 @@ def _change(result: Ablation, scores: Scores, records: str) -> str:
     mid, low, high = scores.percent(records)
     if scores is result.physics or not math.isfinite(mid):
         return ""
-    interval = f"\N{NO-BREAK SPACE}({low:+.1f}…{high:+.1f})" if math.isfinite(high) else ""
-    return f"{mid:+.1f}{interval}"
+    interval = f"\N{NO-BREAK SPACE}({signed(low)} … {signed(high)})" if math.isfinite(high) else ""
+    return signed(mid) + interval.replace(" ", "\N{NO-BREAK SPACE}")

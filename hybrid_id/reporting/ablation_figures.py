@@ -10,14 +10,15 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels
+from hybrid_id.reporting.html.twin import Drawn, drawn
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure
 from hybrid_id.study.ablation_result import Ablation, Scores
 
 _TITLES = {"test": "test", "beyond": "out of range", "short": "short horizon"}
 
 
-def ablation_images(result: Ablation) -> dict[str, np.ndarray]:
-    """Pictures by the name of their file, (H, W, 3); those that would be empty are left out."""
+def ablation_pictures(result: Ablation) -> dict[str, Drawn]:
+    """Figures by the name of their file; those that would be empty are left out."""
     figures = {}
     if any(np.isfinite(result.physics.errors[name]).any() for name in _TITLES):
         figures["errors"] = errors_figure(result)
@@ -25,7 +26,7 @@ def ablation_images(result: Ablation) -> dict[str, np.ndarray]:
         figures["change"] = change_figure(result)
     if result.ladder:
         figures["prices"] = prices_figure(result)
-    return {name: pixels(figure) for name, figure in figures.items()}
+    return {name: drawn(figure) for name, figure in figures.items()}
 
 
 def errors_figure(result: Ablation) -> Figure:

@@ -1,4 +1,4 @@
-"""A hybrid training as plain data, tables, pictures and a page."""
+"""A hybrid training as plain data, tables and pictures."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.html.page import Page
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels, symbol
-from hybrid_id.reporting.tables import open_table, records_table
+from hybrid_id.reporting.html.twin import Drawn, drawn
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol
+from hybrid_id.reporting.tables import open_table
 from hybrid_id.study.hybrid import HybridStudy
 from hybrid_id.study.network_role import NetworkRole
 
@@ -87,13 +87,6 @@ def drift_table(study: HybridStudy) -> Table:
     return table
 
 
-_LADDER = (
-    "1 is as the weights say. Train errors are those of fitted first states; the typical validation error is the "
-    "geometric mean over ten parts of each record, for a run that has lost its record says little from there on. The "
-    "errors further down are the RMS of whole free runs from measured first states."
-)
-
-
 def ladder_table(study: HybridStudy) -> Table:
     """The prices, what was lost at each, and which one the validation records chose."""
     table = open_table("price", "train error>", "typical validation error>", "gradients>", "ended", "")
@@ -101,7 +94,11 @@ def ladder_table(study: HybridStudy) -> Table:
         price = "physics alone" if math.isinf(rung.price) else f"{rung.price:g}"
         errors = (f"{math.sqrt(2.0 * loss):.3f}" for loss in (rung.train, rung.validation))
         table.add_row(
-            price, *errors, str(rung.iterations), rung.status, "chosen" if k == study.result.chosen else ""
+            price,
+            *errors,
+            str(rung.iterations),
+            rung.status.replace("_", " "),
+            "chosen" if k == study.result.chosen else "",
         )
     return table
 
@@ -159,34 +156,8 @@ def map_figure(role: NetworkRole) -> Figure:
     return figure
 
 
-def hybrid_images(study: HybridStudy) -> dict[str, np.ndarray]:
-    """Pictures by the name of their file, (H, W, 3)."""
+def hybrid_pictures(study: HybridStudy) -> dict[str, Drawn]:
+    """Figures by the name of their file."""
     figures = {"drift": drift_figure(study)} if study.result.chosen else {}
     figures |= {f"map_{role.where.replace('/', '_')}": map_figure(role) for role in study.roles}
-    return {name: pixels(figure) for name, figure in figures.items()}
-
-
-def hybrid_page(dataset: Dataset, study: HybridStudy, images: dict[str, np.ndarray]) -> Page:
-    """The page of a hybrid training."""
-    result = study.result
-    words = f"the price {result.rungs[result.chosen].price:g} was chosen; no network does the physics' work"
-    words = study.warnings[0] if study.warnings else words
-    lead = f"Physics with {len(study.roles)} residual network(s), trained on {dataset.name}: {words}."
-    page = Page(f"Physics and networks on {dataset.name}", lead)
-    parameters = page.section("Parameters").add(drift_table(study), *study.warnings)
-    networks = page.section("Networks")
-    if result.chosen:
-        parameters.picture(
-            images["drift"],
-            "How far each parameter moved when the networks came in; grey: within three standard errors.",
-        )
-    else:
-        networks.add("What the networks of the lowest price have learnt; they are not kept.")
-    networks.add(role_table(study.roles))
-    for name, image in images.items():
-        if name.startswith("map_"):
-            networks.picture(image, "Output over speed and angle; black: where the records have been.")
-    page.section("Ladder of prices").add(_LADDER, ladder_table(study))
-    page.section("Errors").add(error_table(study, dataset))
-    page.section("Records").add(records_table(dataset))
-    return page
+    return {name: drawn(figure) for name, figure in figures.items()}

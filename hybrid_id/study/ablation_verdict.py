@@ -60,7 +60,7 @@ def _beyond(result: Ablation, best: Scores) -> list[str]:
         return []
     words = f"error {_percent(best, 'beyond', result)}"
     if change.upper < 0.0:
-        return [f"Out of range it helps as well: {words}."]
+        return [f"Out of range it helps{' as well' * (answer(result) == HYBRID)}: {words}."]
     if change.lower > 0.0:
         return [f"Out of range it harms: {words}. Do not use it beyond the records that it was trained on."]
     return [f"Out of range no difference can be told: {words}."]
@@ -126,5 +126,10 @@ def _percent(scores: Scores, records: str, result: Ablation) -> str:
     if n == 0:
         return "of no finite ratio in any repeat"
     if n == 1:
-        return f"{mid:+.1f} % (one repeat, no interval)"
-    return f"{mid:+.1f} % ({100 * result.level:g} % interval {low:+.1f} to {high:+.1f} %), over {n} repeats"
+        return f"{signed(mid)} % (one repeat, no interval)"
+    return f"{signed(mid)} % ({100 * result.level:g} % interval {signed(low)} to {signed(high)} %), over {n} repeats"
+
+
+def signed(percent: float) -> str:
+    """A change in per cent, with a digit after the point where it means something."""
+    return f"{percent:+.1f}" if abs(percent) < 100.0 else f"{percent:+.0f}"

@@ -92,7 +92,9 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
     assert len(result["ladder"]) == 2 * 2 and result["failed"] == {}
     assert result["arms"][1]["weighted_error"]["test"] == pytest.approx([1.5, 1.53, 1.56])
     page = (out / "report.html").read_text()
-    assert page.count("data:image/png") == 3 and "Physics only or hybrid?" in page
+    assert (
+        page.count("data:image/png") == 3 == page.count('class="live"') and "Physics only or hybrid?" in page
+    )
     assert len(list((out / "cells").iterdir())) == ARMS * SEEDS == len(list((out / "tensorboard").iterdir()))
     again = run("ablate", out / "config.yaml", "--out", out, "--json")
     assert again.code == 0 and json.loads(again.out) == result

@@ -74,7 +74,7 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
         and not load_model(out / "physics.yaml").networks
     )
     page = (out / "report.html").read_text()
-    assert page.count("data:image/png") == 2 and "Ladder of prices" in page
+    assert page.count("data:image/png") == 2 == page.count('class="live"') and "Ladder of prices" in page
     assert (out / "map_joint1_motor.png").stat().st_size > 1000
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

@@ -15,6 +15,8 @@ from rich.text import Text
 from hybrid_id import __version__
 from hybrid_id.reporting.html.made import how_made
 from hybrid_id.reporting.html.page import Page
+from hybrid_id.reporting.html.twin import drawn
+from hybrid_id.reporting.style import new_figure
 
 VOID = {"meta", "img", "br", "link"}
 
@@ -50,6 +52,11 @@ def live_page() -> Page:
     curve = {"type": "scatter", "x": [0, 1], "y": [1, 0], "name": "</script>"}
     plot = {"data": [curve], "layout": {"height": 300}}
     made.section("Live").picture(np.zeros((4, 6, 3), dtype=np.uint8), "a line", plot)
+    figure = new_figure(2.0)
+    axes = figure.subplots()
+    axes.plot([1.0, 2.0], [0, 1], label="drawn")
+    axes.set_yticks([0, 1], ["a name that is long enough to leave a phone no room", "another"])
+    made.section("Twin").figure(drawn(figure), "rows with names")
     return how_made(made, "identify", "seed: 0\nname: <b>", {"seed": 0})
 
 
@@ -111,5 +118,5 @@ def test_interactive_figures_are_drawn_in_a_browser(tmp_path: Path, size: str) -
     ]
     options += ["--virtual-time-budget=20000", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom"]
     done = subprocess.run([browser, *options, file.as_uri()], capture_output=True, text=True, timeout=120)
-    assert "<title>drawn 1 hidden 1 wide false</title>" in done.stdout, done.stderr[-500:]
+    assert "<title>drawn 2 hidden 2 wide false</title>" in done.stdout, done.stderr[-500:]
     assert "CONSOLE" not in done.stderr, done.stderr

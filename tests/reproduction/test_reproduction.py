@@ -130,6 +130,7 @@ def page_has_every_table_and_figure(quick: Reproduction, folder: Path) -> None:
         assert f"Table {number}:" in page
     for number in (3, 4, 5, 8, 9, 13, 14):
         assert f"Fig. {number}." in page
+    assert page.count("data:image/png") == 8 == page.count('class="live"')
     found = json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert found["quick"] and found["claims"]
     assert "all tables and figures" in ended.stdout

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
+from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.ablation import (
@@ -13,11 +13,12 @@ from hybrid_id.reporting.ablation import (
     ladder_table,
     parameters_table,
     splits_table,
-    verdict_text,
 )
 from hybrid_id.reporting.html.page import Page
-from hybrid_id.reporting.tables import records_table
+from hybrid_id.reporting.html.twin import Drawn
+from hybrid_id.reporting.tables import count, records_table
 from hybrid_id.study.ablation_result import Ablation
+from hybrid_id.study.ablation_verdict import verdict
 
 _HOW = (
     "Errors are the RMS of the free run over whole records, in units of the measurement's standard deviation (1: as "
@@ -29,31 +30,33 @@ _HOW = (
 )
 
 
-def ablation_page(dataset: Dataset, result: Ablation, images: Mapping[str, np.ndarray]) -> Page:
+def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, Drawn]) -> Page:
     """The page.
 
     Args:
         dataset: the records.
         result: the ablation.
-        images: its pictures by name, (H, W, 3).
+        pictures: its figures by name.
     """
-    arms, repeats = len(result.scores), len(result.splits)
-    lead = f"{arms} models, trained and tested on the same records in {repeats} repeats."
+    (lead, *others), repeats = verdict(result), len(result.splits)
     page = Page(f"Physics only or hybrid? {dataset.name}", lead)
-    section = page.section("Answer").add(verdict_text(result), *failures(result))
-    if "change" in images:
+    what = (
+        f"{len(result.scores)} models, trained and tested on the same records in {count(repeats, 'repeat')}."
+    )
+    section = page.section("Answer").add(*map(Text, others), what, *failures(result))
+    if "change" in pictures:
         words = "Error over that of physics only on the same records: mean and interval of each arm."
-        section.picture(images["change"], words)
+        section.figure(pictures["change"], words)
     section = page.section("Arms").add(arms_table(result), _HOW)
-    if "errors" in images:
+    if "errors" in pictures:
         words = "Every repeat of every arm; the bar is the mean, the dashed line the noise."
-        section.picture(images["errors"], words)
+        section.figure(pictures["errors"], words)
     if result.ladder:
         page.section("Price of the network's output").add(
             "A dear network adds only what the physics cannot say; a free one may take the physics' work, and the "
             "parameters drift. Each price starts from the dearer one above it.",
             ladder_table(result),
-        ).picture(images["prices"], "Test error and drift of the parameters by price.")
+        ).figure(pictures["prices"], "Test error and drift of the parameters by price.")
     page.section("Parameters over the repeats").add(parameters_table(result))
     page.section("Records").add(splits_table(result), records_table(dataset))
     return page

@@ -54,8 +54,8 @@ def record_plot(dataset: Dataset, comparison: Comparison, record: str) -> Plot:
         for label, values, panel, colour, dash in shown:
             curve = {"type": "scattergl" if measured.n_samples > POINTS else "scatter", "mode": "lines"}
             curve |= {
-                "x": _short(measured.time[::step]),
-                "y": _short(values[::step]),
+                "x": short(measured.time[::step]),
+                "y": short(values[::step]),
                 "name": f"{signal} {label}",
             }
             data.append(
@@ -79,8 +79,8 @@ def parameter_plot(study: Study, reach: float) -> Plot:
             continue
         known = np.isfinite(errors[:, k])
         curve: Plot = {"type": "scatter", "mode": "markers", "x": names, "name": name, "visible": True}
-        curve["y"] = _short(100 * (study.values[:, k] / base - 1.0))
-        curve["error_y"] = {"array": _short(np.where(known, 100 * reach * errors[:, k] / abs(base), 0.0))}
+        curve["y"] = short(100 * (study.values[:, k] / base - 1.0))
+        curve["error_y"] = {"array": short(np.where(known, 100 * reach * errors[:, k] / abs(base), 0.0))}
         curve["marker"] = {"color": COLOURS[k % len(COLOURS)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 8}
         curve["text"] = [f"{value:.4g}" for value in study.values[:, k]]
         data.append(curve | {"hovertemplate": f"{name} = %{{text}}, set %{{x}}<extra></extra>"})
@@ -111,6 +111,6 @@ def _axis(letter: str, number: int) -> str:
     return letter if number == 1 else f"{letter}{number}"
 
 
-def _short(values: np.ndarray) -> list[float | None]:
+def short(values: np.ndarray) -> list[float | None]:
     """Numbers of five digits; what is not finite is left out of the curve."""
     return [float(f"{v:.5g}") if np.isfinite(v) else None for v in np.asarray(values, float)]

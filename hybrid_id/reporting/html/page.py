@@ -16,6 +16,7 @@ from rich.text import Text
 
 from hybrid_id import __version__
 from hybrid_id.reporting.html.live import Plot, as_script, library
+from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.style import DPI
 
 _TEMPLATES = Environment(
@@ -89,6 +90,10 @@ class Section:
             )
         )
         return self
+
+    def figure(self, figure: Drawn, caption: str) -> Section:
+        """Append a figure with its interactive twin."""
+        return self.picture(figure.image, caption, figure.plot)
 
 
 @dataclass

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from hybrid_id.reporting.html.page import Page, Section
+from hybrid_id.reporting.html.twin import Drawn, drawn
 from hybrid_id.reporting.paper_figures import (
     friction_figure,
     preprocessing_figure,
@@ -23,7 +22,6 @@ from hybrid_id.reporting.paper_tables import (
     parameters_table,
     tracking_table,
 )
-from hybrid_id.reporting.style import pixels
 from hybrid_id.reproduction.claims import Claim
 from hybrid_id.reproduction.comparison import PRINTED, fit_rows, inertia_rows, parameter_rows
 from hybrid_id.reproduction.curves import friction_curve, link_friction_curve
@@ -63,8 +61,8 @@ SCALE = (
 )
 
 
-def paper_figures(result: Reproduction) -> dict[str, np.ndarray]:
-    """Every figure by the name of its file, (H, W, 3)."""
+def paper_figures(result: Reproduction) -> dict[str, Drawn]:
+    """Every figure by the name of its file."""
     stages, truths, tracking = result.stages, result.truths, result.tracking
     one, both = tracking["one_link"], tracking["both_links"]
     rigid, flexible = (
@@ -98,18 +96,18 @@ def paper_figures(result: Reproduction) -> dict[str, np.ndarray]:
         "figure_14": friction_figure(second),
         "tracking_spread": spread_figure(spread),
     }
-    return {name: pixels(figure) for name, figure in figures.items()}
+    return {name: drawn(figure) for name, figure in figures.items()}
 
 
 def paper_page(
-    result: Reproduction, claims: Sequence[Claim], images: Mapping[str, np.ndarray], *, quick: bool = False
+    result: Reproduction, claims: Sequence[Claim], figures: Mapping[str, Drawn], *, quick: bool = False
 ) -> Page:
     """The page.
 
     Args:
         result: all results.
         claims: what was to be shown, and what was seen.
-        images: the figures by name.
+        figures: those of the paper by name.
         quick: whether the results are those of the short run.
     """
     verdict = f"{sum(claim.met for claim in claims)} of {len(claims)} claims are met."
@@ -117,21 +115,21 @@ def paper_page(
     page.section("What was to be shown").add(claims_table(claims))
     motors = page.section("II: motors and preprocessing")
     motors.add("Table 1: motor constants of the data sheets.", motors_table())
-    motors.picture(
-        images["figure_03"], "Fig. 3. Preprocessing of one experiment: the Fourier transform of the encoder's angle, "
+    motors.figure(
+        figures["figure_03"], "Fig. 3. Preprocessing of one experiment: the Fourier transform of the encoder's angle, "
         "unwanted frequencies dropped, differentiated by jω.",
     )  # fmt: skip
     for stage, title in _SECTIONS.items():
         section = page.section(title)
         _stage(section, stage, result)
-        _pictures(section, stage, images)
+        _pictures(section, stage, figures)
     comparison = page.section("VI-VII: friction and inertia compared")
-    comparison.picture(
-        images["figure_13"],
+    comparison.figure(
+        figures["figure_13"],
         "Fig. 13. Friction torque over velocity of the first link: solid body and flexible model. " + SCALE,
     )
-    comparison.picture(
-        images["figure_14"], "Fig. 14. Friction torque over velocity of the second link in three stages."
+    comparison.figure(
+        figures["figure_14"], "Fig. 14. Friction torque over velocity of the second link in three stages."
     )
     comparison.add(
         "Table 12: inertia of the second link. On the right the standard error that one record leaves.",
@@ -147,7 +145,7 @@ def paper_page(
         "A mathematical model with too much inertia also closes a stiffer loop, since the gains act through it, and "
         "friction moves that less: seed by seed such a model may beat IFLRM, on average it does not.",
     )
-    tracking.picture(images["tracking_spread"], "RMS error of every seed; the bar is their mean.")
+    tracking.figure(figures["tracking_spread"], "RMS error of every seed; the bar is their mean.")
     return page
 
 
@@ -171,23 +169,23 @@ def _stage(section: Section, stage: str, result: Reproduction) -> None:
         section.add(DRIFT)
 
 
-def _pictures(section: Section, stage: str, images: Mapping[str, np.ndarray]) -> None:
+def _pictures(section: Section, stage: str, figures: Mapping[str, Drawn]) -> None:
     if stage == "link1":
-        section.picture(
-            images["figure_04"],
+        section.figure(
+            figures["figure_04"],
             "Fig. 4. Three models follow a sine (left), and their tracking errors (right). " + _first_seed(1),
         )
     elif stage == "link1_flexible":
-        section.picture(
-            images["figure_05"], "Fig. 5. The link behind a gear with play follows a sine: rigid model and "
+        section.figure(
+            figures["figure_05"], "Fig. 5. The link behind a gear with play follows a sine: rigid model and "
             "backlash-flexible model of the same machine (left), and their tracking errors (right).",
         )  # fmt: skip
     elif stage == "both_links":
-        section.picture(
-            images["figure_08"], "Fig. 8. Three models follow a trajectory: joint 1 (left), joint 2 (right)."
+        section.figure(
+            figures["figure_08"], "Fig. 8. Three models follow a trajectory: joint 1 (left), joint 2 (right)."
         )
-        section.picture(
-            images["figure_09"],
+        section.figure(
+            figures["figure_09"],
             "Fig. 9. Tracking errors of joint 1 (left) and joint 2 (right). " + _first_seed(2),
         )
 
