@@ -13,17 +13,15 @@ from dataclasses import dataclass
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task
-from hybrid_id.gap.round import HOPELESS, SECOND_LOOK, Progress, Round, one_round
+from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Progress, Round, one_round
 from hybrid_id.systems.chain import System
 
 MOST = 3
 """Effects at once."""
-LEAST_RATIO = 1.015
-"""An effect must lower the RMS of the errors of prediction at least by this factor ..."""
 MORE_RATIO = 1.15
-"""... beside another effect by this one, for what the fit of that one leaves another may pick up ..."""
+"""Least fall of the RMS of the errors beside another effect, whose fit may leave what another can pick up."""
 LEAST_Z = 3.0
-"""... and by so many standard errors, block by block."""
+"""An effect must also lower the errors of prediction by so many standard errors, block by block."""
 LARGE_RATIO, LARGE_Z = 1.2, 1.5
 """A gain as large as this one is believed earlier: where a second effect is missing, blocks scatter."""
 

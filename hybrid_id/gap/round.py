@@ -24,6 +24,8 @@ SAME = 2e-3
 """Costs that differ by less than this share are of one valley."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted to the end, or further beside another."""
+LEAST_RATIO = 1.015
+"""An effect, or a further parameter of one, must lower the RMS of the errors of prediction at least by this factor."""
 NEAR = 1.15
 """Mean square error of a second look, relative to the model before, up to which an effect beside another may still win:
 that model has been fitted to the end."""
@@ -115,7 +117,18 @@ def _ranked(
         # what has been fitted further counts, be it better or worse; the rest stays as it was seen
         kept = [e for e in ranked if e not in rivals]
         ranked = _best_of_each([*(e for e in more if e is not None), *kept])
-    return tuple(ranked)
+    return tuple(_simplest_first(ranked, finished))
+
+
+def _simplest_first(ranked: list[Explanation], finished: set[tuple[Name, ...]]) -> list[Explanation]:
+    """Of the candidates that predict as well as the best, the one with the fewest parameters leads (Occam)."""
+    equals = [
+        e
+        for e in ranked
+        if e.effects in finished and e.evidence.error < LEAST_RATIO**2 * ranked[0].evidence.error
+    ]
+    first = min(equals, key=lambda e: len(e.result.names), default=None)
+    return ranked if first is None else [first, *(e for e in ranked if e is not first)]
 
 
 def _best_of_each(found: Sequence[Explanation], each: int = 1) -> list[Explanation]:

@@ -10,7 +10,7 @@ from gapcase import small_case
 from hybrid_id.gap.attribute import _leaves_something, _without
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.round import _as_today
+from hybrid_id.gap.round import _as_today, _simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
 
@@ -38,6 +38,21 @@ def test_nothing_is_looked_for_beside_an_effect_that_leaves_white_noise() -> Non
     assert not _leaves_something(model(noise, some))
     assert _leaves_something(model(noise + wave, some))
     assert _leaves_something(model(noise, ()))  # the first round tells how probable each effect is
+
+
+def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
+    def fitted(name: str, error: float, parameters: int):
+        effects = ((name, "joint1/load"),)
+        result = SimpleNamespace(names=("x",) * parameters)
+        return SimpleNamespace(effects=effects, evidence=SimpleNamespace(error=error), result=result)
+
+    spring, bias, weight = (
+        fitted("spring_load", 1.0, 7), fitted("constant_torque", 1.02, 6), fitted("gravity_load", 1.2, 5)
+    )  # fmt: skip
+    ranked, everyone = [spring, bias, weight], {e.effects for e in (spring, bias, weight)}
+    assert _simplest_first(ranked, everyone) == [bias, spring, weight]  # the weight predicts worse
+    assert _simplest_first(ranked, {spring.effects}) == ranked  # what was not fitted to the end does not lead
+    assert _simplest_first([], everyone) == []
 
 
 def test_values_of_today_that_cannot_stand_beside_an_effect_are_left_out() -> None:
