@@ -33,7 +33,7 @@ def excite(
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Design a multisine of least crest factor and write it as CSV."""
+    """Design a multisine of least crest factor and write it as CSV, and beside it as JSON how it was made."""
     from contextlib import ExitStack
 
     import numpy as np
@@ -41,6 +41,7 @@ def excite(
     from hybrid_id.errors import InputError
     from hybrid_id.records.crest import usual_crest_factors
     from hybrid_id.records.excitation import design_multisine
+    from hybrid_id.reporting.results import as_json as as_json_text
 
     if not 0 <= rest < np.inf:
         raise InputError(f"--rest is {rest:g} s; give 0 or more")
@@ -56,8 +57,12 @@ def excite(
         )
     if not 0 < amplitude < np.inf:
         raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")
+    beside = file.with_suffix(".json")
+    if beside == file:
+        raise InputError(f"{file} would also be the name of the description beside it; take another ending")
     with ExitStack() as files:
         table = files.enter_context(result_file(file, force=force))
+        words = files.enter_context(result_file(beside, force=force))
         picture = files.enter_context(result_file(plot, force=force)) if plot else None
         design = design_multisine(
             band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones,
@@ -72,18 +77,17 @@ def excite(
             from hybrid_id.reporting.style import save
 
             save(excitation_figure(design), picture)
-    usual = usual_crest_factors(design, seed)
-    if as_json:
-        from hybrid_id.reporting.results import as_json as to_json
-
-        told = {"crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal)}
-        told |= {
-            "sample_time": sample_time,
-            "rest": sample_time * quiet,
-            "file": str(file),
+        usual = usual_crest_factors(design, seed)
+        told = {
+            "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
+            "sample_time": sample_time, "rest": sample_time * quiet, "band": band, "duration": duration,
+            "amplitude": amplitude, "tones": tones, "starts": starts, "seed": seed, "file": str(file),
             "plot": plot and str(plot),
-        }
-        out().print(to_json("excite", told), markup=False, soft_wrap=True)
+        }  # fmt: skip
+        text = as_json_text("excite", told)
+        words.write_text(text + "\n", encoding="utf-8")
+    if as_json:
+        out().print(text, markup=False, soft_wrap=True)
         return
     gain = usual["random"] / design.crest_factor
     show(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hybrid_id.components import PositionLoop
+from hybrid_id.components import DCMotor, PositionLoop
 from hybrid_id.errors import InputError
 from hybrid_id.export.mjcf import Mjcf
 from hybrid_id.records.dataset import Dataset
@@ -61,16 +61,15 @@ def agreement(system: System, exported: Mjcf, dataset: Dataset) -> list[Agreemen
 
 
 def mujoco_replay(system: System, exported: Mjcf, record: Record) -> Mapping[str, np.ndarray]:
-    """Outputs of the exported model under a record's commands, ``(T,)`` each, from the package's own start state."""
+    """Outputs of the exported model under a record's commands, ``(T,)`` each, from the package's own start state.
+
+    MuJoCo's motors have no switch. One that is off is given the voltage that it induces itself, beyond its limits if
+    need be, so that no current flows: an open circuit.
+    """
     try:
         import mujoco
     except ImportError:
         raise InputError("MuJoCo is not installed; pip install 'hybrid-id[blind]' brings it") from None
-    off = [n for n in record.inputs if n.startswith("enable") and np.any(record.inputs[n] != 1.0)]
-    if off:
-        raise InputError(
-            f"{record.title} switches a motor off ({off[0]}), which MuJoCo's cannot; leave it out"
-        )
     model = mujoco.MjModel.from_xml_string(exported.text)  # type: ignore[attr-defined]
     data = mujoco.MjData(model)  # type: ignore[attr-defined]
     start = make_batch(system, [record], noise_std={n: 1e-6 for n in record.outputs}).x[0, 0].tolist()
@@ -85,13 +84,18 @@ def mujoco_replay(system: System, exported: Mjcf, record: Record) -> Mapping[str
     commands = [_Command(system, joint, record) for joint in system.joints]
     for command, joint in zip(commands, system.joints, strict=True):
         _fill_delay(mujoco, model, data, joint, command(0, data))
+    limited = model.actuator_ctrllimited[: len(commands)].copy()
     found: dict[str, list[float]] = {n: [] for n in record.outputs if n[:-1] in ("q_m", "v_m", "q_a", "v_a")}
     ticks = np.rint((record.time - record.time[0]) / model.opt.timestep).astype(int)
     for k in range(record.n_samples):
         for name, values in found.items():
             values.append(_output(system, data, name))
         for tick in range(ticks[k + 1] - ticks[k] if k + 1 < record.n_samples else 0):
-            if tick == 0 or any(command.closed for command in commands):
+            if tick == 0:
+                model.actuator_ctrllimited[: len(commands)] = limited * [
+                    command.on[k] == 1.0 for command in commands
+                ]
+            if tick == 0 or any(command.follows(k) for command in commands):
                 data.ctrl[: len(commands)] = [command(k, data) for command in commands]
             mujoco.mj_step(model, data)  # type: ignore[attr-defined]
     return {name: np.array(values) for name, values in found.items()}
@@ -116,25 +120,41 @@ def _output(system: System, data: Any, name: str) -> float:
 
 
 class _Command:
-    """What a joint's input stage gives at a sample: duty times supply, say; a position loop needs the angle, too."""
+    """What a joint's input stage gives at a sample: duty times supply, say; a position loop needs the angle, too.
+
+    Attributes:
+        on: whether the motor is switched on at each sample, ``(T,)``.
+    """
 
     def __init__(self, system: System, joint: Joint, record: Record) -> None:
         key, self._source = joint.drive.input
         self._joint, self._view = joint, system.components[key].view()  # type: ignore[operator]
+        self.on = record.inputs.get(f"enable{joint.number}", np.ones(record.n_samples))
+        key, motor = joint.drive.motor
+        self._induced = motor.specs["P_m2"].value if isinstance(motor, DCMotor) else 0.0
         self._channels = {
             c: torch.tensor(record.signal(f"{c}{joint.number}"), dtype=torch.float64)
             for c in self._source.channels
         }
-        self.closed = isinstance(self._source, PositionLoop)
+        self._closed = isinstance(self._source, PositionLoop)
         zero = torch.zeros(1, dtype=torch.float64)
-        self._held = None if self.closed else self._at(self._channels, zero).expand(record.n_samples)
+        self._held = None if self._closed else self._at(self._channels, zero).expand(record.n_samples)
 
     @torch.no_grad()
     def _at(self, channels: Mapping[str, torch.Tensor], angle: torch.Tensor) -> torch.Tensor:
         return self._source.command(self._view, channels, angle, torch.zeros_like(angle))
 
+    def follows(self, sample: int) -> bool:
+        """Whether the command follows the motion within a sample."""
+        return self._closed or self.on[sample] != 1.0
+
     def __call__(self, sample: int, data: Any) -> float:
         """The command at a sample."""
+        speed = self._joint.gear_ratio * data.joint(f"joint{self._joint.number}").qvel[0]
+        on = float(self.on[sample])
+        return on * self._given(sample, data) + (1.0 - on) * self._induced * speed
+
+    def _given(self, sample: int, data: Any) -> float:
         if self._held is not None:
             return float(self._held[sample])
         turned = self._joint.gear_ratio * data.joint(f"joint{self._joint.number}").qpos[0]

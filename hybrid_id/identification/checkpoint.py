@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 import torch
 
+from hybrid_id import __version__
 from hybrid_id.errors import InputError
 from hybrid_id.identification.first_order import Descent
 from hybrid_id.identification.quasi_newton import State
@@ -43,7 +44,8 @@ def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]
         identity: kind and fingerprint of the training.
     """
     temporary = path.with_name(path.name + ".tmp")
-    torch.save({"identity": identity, "state": dict(content)}, temporary)
+    program = f"hybrid_id {__version__}"
+    torch.save({"program": program, "identity": identity, "state": dict(content)}, temporary)
     os.replace(temporary, path)
 
 

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from hybrid_id import __version__
+
 
 @dataclass(frozen=True, eq=False)
 class StageResult:
@@ -97,7 +99,7 @@ def save(result: StageResult | TrackingResult, path: Path, key: dict[str, Any]) 
     values = {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in asdict(result).items()}
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump({"key": key, "result": values}, file)
+        json.dump({"program": f"hybrid_id {__version__}", "key": key, "result": values}, file)
     os.chmod(temporary, 0o644)
     os.replace(temporary, path)
 

@@ -60,7 +60,7 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
         new, place = Path(temporary) / "new", folder / result.cell.name
         new.mkdir()
         plain = as_plain(result)
-        content = {"key": key, "seal": _seal(plain), "result": plain}
+        content = {"program": f"hybrid_id {__version__}", "key": key, "seal": _seal(plain), "result": plain}
         (new / CELL).write_text(json.dumps(content), encoding="utf-8")
         write_yaml(new / MODEL, result.model)
         if place.exists():

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from hybrid_id import __version__
 from hybrid_id.config import load_config
 from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.study.ablation import Task
@@ -96,6 +97,8 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
         page.count("data:image/png") == 3 == page.count('class="live"') and "Physics only or hybrid?" in page
     )
     assert len(list((out / "cells").iterdir())) == ARMS * SEEDS == len(list((out / "tensorboard").iterdir()))
+    for kept in (out / "cells").glob("*/cell.json"):
+        assert json.loads(kept.read_text())["program"] == f"hybrid_id {__version__}"
     again = run("ablate", out / "config.yaml", "--out", out, "--json")
     assert again.code == 0 and json.loads(again.out) == result
     assert len(cells.seen) == ARMS * SEEDS

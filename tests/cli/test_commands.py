@@ -296,6 +296,8 @@ def test_excite_writes_a_signal_within_its_limits(run, tmp_path: Path) -> None:
     assert np.all(table["u1"][:10] == 0)
     assert 5.5 < table["u1"].abs().max() <= 6
     assert "crest factor 1." in outcome.out
+    told = json.loads(file.with_suffix(".json").read_text())
+    assert told["program"] == f"hybrid_id {__version__}" and told["tones"] == 8 and told["seed"] == 0
     assert "random phases" in outcome.out
     assert picture.read_bytes().startswith(b"\x89PNG")
 

@@ -11,6 +11,7 @@ import torch
 from drives import make_record, multisine, rigid_drive
 from torch import nn
 
+from hybrid_id import __version__
 from hybrid_id.components.base import LoadTorque
 from hybrid_id.errors import InputError
 from hybrid_id.identification import adjoint
@@ -160,6 +161,7 @@ def test_resume_goes_on_to_the_same_numbers(
     )
     assert {r.status for r in stopped} & {"interrupted"}
     assert [p.name for p in tmp_path.iterdir()] == ["checkpoint.pt"]
+    assert torch.load(saved, weights_only=True)["program"] == f"hybrid_id {__version__}"
     resumed = train(START, batch, options=QUICK, resume=saved)
     for a, b in zip(resumed, trained, strict=True):
         assert (a.status, a.iterations, a.cost) == (b.status, b.iterations, b.cost)
