@@ -18,7 +18,8 @@ class Shrink:
     Attributes:
         share: ``(refit - with_effect) / (refit - floor)``; 0 where nothing is left to close.
         interval: 95 % interval from blocks drawn with replacement; its lower end takes the floor for the measurements'
-            noise alone, its upper end for ``floor``: more is not known of it.
+            noise alone, its upper end for ``floor``, either with the scatter of the error itself: more is not known of it.
+            A model may do better on these records than the right one would, so that it may reach beyond 1.
         refit, with_effect, floor: normalised RMSE.
     """
 
@@ -39,14 +40,16 @@ def shrink(refit: Errors, with_effect: Errors, floor: float, *, seed: int = 0) -
         seed: of the draws.
     """
     generator = np.random.default_rng(seed)
-    lows, highs = [], []
-    least = min(with_effect.noise, floor) / max(with_effect.nrmse, 1e-300)
+    pairs = []
     for _ in range(DRAWS):
         draw = [[generator.integers(0, len(b), len(b)) for b in row] for row in refit.blocks]
-        before, after = refit.resampled(draw), with_effect.resampled(draw)
-        # the floor moves with the error that is drawn: the same blocks hold the same noise
-        lows.append(_share(before, after, least * after))
-        highs.append(_share(before, after, floor * after / max(with_effect.nrmse, 1e-300)))
+        pairs.append((refit.resampled(draw), with_effect.resampled(draw)))
+    scale = max(with_effect.nrmse, 1e-300)
+    scatter = min(float(np.std([after for _, after in pairs])) / scale, 0.5)
+    least, most = min(with_effect.noise, floor) / scale * (1.0 - scatter), floor / scale * (1.0 + scatter)
+    # the floor moves with the error that is drawn: the same blocks hold the same noise
+    lows = [_share(before, after, least * after) for before, after in pairs]
+    highs = [_share(before, after, min(most * after, 0.5 * (before + after))) for before, after in pairs]
     low, high = float(np.quantile(lows, 0.025)), float(np.quantile(highs, 0.975))
     return Shrink(
         _share(refit.nrmse, with_effect.nrmse, floor), (low, high), refit.nrmse, with_effect.nrmse, floor

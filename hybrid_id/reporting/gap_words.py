@@ -90,7 +90,7 @@ def _falls(diagnosis: Diagnosis) -> str:
     gap = diagnosis.shrink
     if gap is None:
         return " (no test record says how far)"
-    low, high = (f"{100 * end:.0f}" for end in gap.interval)
+    low, high = (f"{100 * min(end, 1.0):.0f}" for end in gap.interval)
     return (
         f": normalised error on unseen records falls from {_error(gap.refit)} to {_error(gap.with_effect)}, "
         f"{100 * gap.share:.0f} % ({low}-{high} %) of what can be closed"

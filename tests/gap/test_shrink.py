@@ -46,3 +46,11 @@ def test_nothing_is_closed_where_nothing_changes(rng: np.random.Generator) -> No
     same = errors(rng, 0.1, 16)
     assert shrink(same, same, 0.05).share == 0.0
     assert shrink(same, same, same.nrmse).share == 0.0
+
+
+def test_a_model_may_do_better_by_chance_than_the_right_one(rng: np.random.Generator) -> None:
+    before, after = errors(rng, 0.1, 30), errors(rng, 0.05, 30, noise=0.06)
+    found = shrink(before, after, after.nrmse)
+    right = 1.01 * after.nrmse  # the floor is a hundredth higher on these records
+    assert found.interval[0] < (before.nrmse - after.nrmse) / (before.nrmse - right) < found.interval[1]
+    assert found.interval[1] < 1.3
