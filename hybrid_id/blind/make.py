@@ -64,12 +64,13 @@ def make_case(
         if graded is None:
             continue
         case, records, rivals, alone = graded.case, graded.records, [], {}
-        if grading and len(case.effects) == 1:
-            rivals = find_rivals(case, records, seed)
         if grading and len(case.effects) > 1:
             alone = with_only(case, records)
-        named_after_all = family == "unknown" and any(rival.counts for rival in rivals)
-        if named_after_all or any(ratio < NEEDED for ratio in alone.values()):
+        if any(ratio < NEEDED for ratio in alone.values()):
+            continue
+        if grading:
+            rivals = [find_rivals(case, records, seed, number) for number in range(len(case.effects))]
+        if family == "unknown" and any(rival.counts for of_one in rivals for rival in of_one):
             continue
         sheet = answers(graded, family, (seed, draw), rivals=rivals, alone=alone)
         return _write(sheet, graded, Path(folder))

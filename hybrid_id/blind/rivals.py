@@ -5,15 +5,17 @@ records. A rival counts when it predicts the test records within 6 % of the true
 tenth of the gap (mean square). Those that could close little of it even in the linear prediction are not re-fitted.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hybrid_id.blind.case import Case, Records, build
 from hybrid_id.blind.effects import CATALOGUE, Effect
 from hybrid_id.blind.physics.bench import Plant
+from hybrid_id.blind.physics.integrator import Machine
 from hybrid_id.blind.refit import STEP, Bench, Refit, free_parameters, refit, refit_model
+from hybrid_id.blind.robots import Robot
 
 CLOSE, REST = 1.06, 0.1
 """Largest error relative to the true effect's, and largest share of the gap left, of a rival that counts."""
@@ -39,16 +41,33 @@ class Rival:
     counts: bool
 
 
-def find_rivals(case: Case, records: Records, seed: int) -> list[Rival]:
-    """All rivals of the only effect of a case, the best first."""
+def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> list[Rival]:
+    """All rivals of one effect of a case, the best first; the case's other effect stays beside them.
+
+    Args:
+        case: what was at work.
+        records: of the case.
+        seed: of the rivals' starts.
+        number: of the effect.
+    """
+    floor, truth = records.noise_floor, case.effects[number]
+    beside = tuple(effect for effect in case.effects if effect is not truth)
+    if any(type(effect).alter is not Effect.alter for effect in beside):
+        return []  # it is a parameter of the simulator, which knows no rival without it
     model = refit_model(case, records)
-    floor, truth = records.noise_floor, case.effects[0]
+    if beside:
+        model, values = fit_with(case, records, beside, model)
+        beside = tuple(type(e)(e.joint, {**e.values, **v}) for e, v in zip(beside, values, strict=True))
+        own = case.truth().values
+        model = replace(model, values={name: value for name, value in model.values.items() if name in own})
     rng = np.random.default_rng([seed, 2])
-    screen = _Screen(case, records, model)
+    screen = _Screen(case, records, model, beside)
     found = []
     for kind in _candidates(case):
         for joint in range(case.robot.joints):
             if kind.name == truth.name and (joint == truth.joint or case.robot.joints == 1):
+                continue
+            if any((kind.name, joint) == (effect.name, effect.joint) for effect in beside):
                 continue
             if joint and kind.place == "transmission" and "P_4" in screen.robot.lacks:
                 continue  # uncoupled, the second link has no inertia of its own that a gear could part from its rotor
@@ -56,7 +75,7 @@ def find_rivals(case: Case, records: Records, seed: int) -> list[Rival]:
             if left > WORTH:
                 found.append(Rival(start, left, False))
                 continue
-            fitted, values = fit_with(case, records, (start,), model)
+            fitted, values = fit_with(case, records, (start, *beside), model)
             rest = (fitted.test**2 - floor**2) / (model.test**2 - floor**2)
             counts = fitted.test <= CLOSE * floor and rest < REST
             found.append(Rival(type(start)(joint, {**start.values, **values[0]}), float(rest), bool(counts)))
@@ -124,11 +143,11 @@ def _candidates(case: Case) -> list[type[Effect]]:
 class _Screen:
     """Linear prediction of what an effect would leave of the gap on the train records."""
 
-    def __init__(self, case: Case, records: Records, model: Refit) -> None:
-        self.case, robot = case, case.truth()
+    def __init__(self, case: Case, records: Records, model: Refit, beside: Sequence[Effect] = ()) -> None:
+        self.case, self.beside, robot = case, beside, case.truth()
         robot = robot.with_values(dict.fromkeys(robot.lacks, 0.0)).with_values(model.values)
         self.robot, names = robot, free_parameters(case.truth())
-        bench = Bench(case, records, lambda v: robot.with_values(v).assemble(substeps=1))
+        bench = Bench(case, records, lambda v: self._machine(robot.with_values(v)))
         sets = np.ones((len(names) + 1, len(names))) + STEP * np.eye(len(names) + 1)[:, 1:]
         moved = bench.residuals({n: robot.values[n] * sets[:, i] for i, n in enumerate(names)})
         self.base = moved[0]
@@ -145,7 +164,7 @@ class _Screen:
         values = {key: np.array([float(s.values[key]) for s in starts]) for key in starts[0].values}
 
         def alone(given: Mapping[str, np.ndarray]) -> Plant:
-            machine = self.robot.assemble(substeps=1)
+            machine = self._machine(self.robot)
             kind(joint, given).install(machine, self.robot)
             return machine
 
@@ -160,6 +179,13 @@ class _Screen:
         rest = (left[i] - self.noise) / (np.mean(self.gap**2) - self.noise)
         size = np.clip(along[i], -10.0, 10.0)
         return starts[i].scaled(float(size) if abs(size) > 1e-3 else 1e-3), float(rest)
+
+    def _machine(self, robot: Robot) -> Machine:
+        """The machine of a robot with the effects that stay."""
+        machine = robot.assemble(substeps=1)
+        for effect in self.beside:
+            effect.install(machine, robot)
+        return machine
 
     def _beside_parameters(self, residuals: np.ndarray) -> np.ndarray:
         """Residuals without what the simulator's own parameters can do."""

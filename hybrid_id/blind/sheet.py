@@ -1,6 +1,6 @@
 """The answer sheet of a case: what is at work in it, and all that counts as right."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hybrid_id.blind.effects import Effect
@@ -11,7 +11,12 @@ from hybrid_id.blind.robots import Robot
 
 
 def answers(
-    graded: Graded, family: str, source: tuple[int, int], *, rivals: list[Rival], alone: Mapping[str, float]
+    graded: Graded,
+    family: str,
+    source: tuple[int, int],
+    *,
+    rivals: Sequence[list[Rival]],
+    alone: Mapping[str, float],
 ) -> dict[str, Any]:
     """The answer sheet of a case.
 
@@ -19,7 +24,7 @@ def answers(
         graded: the case with its records.
         family: single, pair, none or unknown.
         source: the seed that it was made from, and which of the machines that were drawn.
-        rivals: other effects that were tried, the best first.
+        rivals: for each effect others that were tried in its place, the best first; none where they were not tried.
         alone: what each effect of a pair leaves without the other, over the noise floor.
     """
     floor = graded.records.noise_floor
@@ -31,7 +36,10 @@ def answers(
     }
     sheet: dict[str, Any] = {
         "family": family,
-        "effects": [_answer(effect, rivals, graded.case.robot) for effect in graded.case.effects],
+        "effects": [
+            _answer(effect, rivals[i] if rivals else [], graded.case.robot)
+            for i, effect in enumerate(graded.case.effects)
+        ],
         "level": graded.level,
         "oracle": {key: float(f"{value:.4g}") for key, value in oracle.items()},
         "made_by": {
@@ -42,8 +50,8 @@ def answers(
             "formulas": [type(effect).__name__ for effect in graded.case.effects],
         },
     }
-    if rivals:
-        rest = {f"{r.effect.name}@{r.effect.joint + 1}": round(r.rest, 3) for r in reversed(rivals[:6])}
+    if len(rivals) == 1 and rivals[0]:
+        rest = {f"{r.effect.name}@{r.effect.joint + 1}": round(r.rest, 3) for r in reversed(rivals[0][:6])}
         sheet["notes"] = {"rest_of_gap_with_rival": dict(reversed(rest.items()))}
     if alone:
         sheet["notes"] = {"refit_over_floor_with_only": {k: round(v, 2) for k, v in alone.items()}}

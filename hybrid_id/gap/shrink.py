@@ -18,8 +18,8 @@ class Shrink:
     Attributes:
         share: ``(refit - with_effect) / (refit - floor)``; 0 where nothing is left to close.
         interval: 95 % interval from blocks drawn with replacement; its lower end takes the floor for the measurements'
-            noise alone, its upper end for ``floor``, either with the scatter of the error itself: more is not known of it.
-            A model may do better on these records than the right one would, so that it may reach beyond 1.
+            noise alone, its upper end for ``floor``, either with the scatter of the error itself: more is not known of
+            it. A model may do better on these records than the right one would, so that it may reach beyond 1.
         refit, with_effect, floor: normalised RMSE.
     """
 
