@@ -26,7 +26,7 @@ def bic(dataset: Dataset, system: System) -> dict[str, Any]:
     """Name the effect with the least criterion, if any is below that of today's model."""
     refit = Refit(dataset)
     base = refit.base(system)
-    looks = _best_of_each(refit.run(tasks(refit, base, system), FIRST_LOOK))
+    looks = _best_of_each(refit.run([t for part in tasks(refit, base, system) for t in part], FIRST_LOOK))
     finals = refit.run([Task(one.effects, one.system) for one in looks[:FINALISTS]], TO_THE_END)
     ranked = _best_of_each([*looks, *finals])
     criteria = np.array([criterion(base), *(criterion(one) for one in ranked)])

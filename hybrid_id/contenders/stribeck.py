@@ -18,7 +18,7 @@ def stribeck(dataset: Dataset, system: System) -> dict[str, Any]:
     """Name Stribeck friction, whatever the records say."""
     refit = Refit(dataset)
     base = refit.base(system)
-    todo = [task for task in tasks(refit, base, system) if task.effects[0][0] == NAME]
+    todo = [task for part in tasks(refit, base, system) for task in part if task.effects[0][0] == NAME]
     fits = sorted(
         (one for one in refit.run(todo, ITERATIONS) if one is not None), key=lambda one: one.evidence.error
     )

@@ -11,6 +11,7 @@ import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.errors import InputError
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
@@ -23,7 +24,13 @@ PROMISING, MORE_STARTS, FINALISTS = 16, 6, 4
 SAME = 2e-3
 """Costs that differ by less than this share are of one valley."""
 HOPELESS = 2.5
-"""Mean square error beyond the best's from which a candidate is not fitted to the end, or further beside another."""
+"""Mean square error beyond the best's from which a candidate is not fitted to the end, nor any further where the best
+leaves white noise or stands beside another effect."""
+WHITE = 0.1
+"""Share of what a candidate leaves that is no white noise, below which no other can do much better."""
+IDLE, IDLERS = 0.99, 6
+"""Cost relative to the model before from which a candidate has brought nothing yet, and how many of these get a second
+look; the best of them is fitted to the end."""
 LEAST_RATIO = 1.015
 """An effect, or a further parameter of one, must lower the RMS of the errors of prediction at least by this factor."""
 NEAR = 1.15
@@ -50,17 +57,17 @@ def one_round(
     refit: Refit, before: Explanation, today: System, stage: str, progress: Progress | None = None
 ) -> Round:
     """Every effect of the catalogue added to a model, one at a time."""
-    return Round(before, _ranked(refit, before, tasks(refit, before, today), stage, progress))
+    return Round(before, _ranked(refit, before, *tasks(refit, before, today), stage, progress))
 
 
-def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
+def tasks(refit: Refit, before: Explanation, today: System) -> tuple[list[Task], list[Task]]:
     """A fit to start for every effect, place and start point.
 
     Each starts where the model before has ended. Where that has bent its parameters to make up for what it lacks, each
-    starts from today's own values, too.
+    may start from today's own values, too: the second list.
     """
     batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
-    taken, found = set(before.effects), []
+    taken, found, others = set(before.effects), [], []
     bent = bool(bent_parameters(today, before.system))
     here, there = refit.slopes(before.system), refit.slopes(today) if bent else None
     for size in scales(before.system, batch):
@@ -72,8 +79,8 @@ def tasks(refit: Refit, before: Explanation, today: System) -> list[Task]:
                 for start in starts:
                     found.append(Task(names, start, here))
                     if bent and (again := _as_today(start, today)) is not None:
-                        found.append(Task(names, again, there))
-    return found
+                        others.append(Task(names, again, there))
+    return found, others
 
 
 def _as_today(system: System, today: System) -> System | None:
@@ -86,17 +93,28 @@ def _as_today(system: System, today: System) -> System | None:
 
 
 def _ranked(
-    refit: Refit, before: Explanation, todo: Sequence[Task], stage: str, progress: Progress | None
+    refit: Refit,
+    before: Explanation,
+    todo: Sequence[Task],
+    more_todo: Sequence[Task],
+    stage: str,
+    progress: Progress | None,
 ) -> tuple[Explanation, ...]:
-    """Fit tasks, the promising ones to the end; the best start of each set of effects, best prediction first."""
-    total, count = len(todo) + PROMISING + MORE_STARTS + FINALISTS, [0]
+    """Fit tasks, the promising ones to the end; the best start of each set of effects, best prediction first.
+
+    The second tasks are tried where the best of the first still leaves more than white noise.
+    """
+    total, count = len(todo) + len(more_todo) + PROMISING + MORE_STARTS + FINALISTS, [0]
 
     def tick() -> None:
         count[0] += 1
         if progress is not None:
             progress(stage, count[0], total)
 
-    seen = _best_of_each([e for e in refit.run(todo, LOOK, tick) if e is not None], MORE_STARTS)
+    looked = [e for e in refit.run(todo, LOOK, tick) if e is not None]
+    if not looked or not _is_white(min(looked, key=lambda e: e.evidence.error)):
+        looked += [e for e in refit.run(more_todo, LOOK, tick) if e is not None]
+    seen = _best_of_each(looked, MORE_STARTS)
     firsts = _best_of_each(seen)
     ranked = firsts[:PROMISING] + [e for e in seen if e not in firsts][:MORE_STARTS]
     ranked += [e for e in firsts if e not in ranked]
@@ -107,17 +125,24 @@ def _ranked(
         (1, TO_THE_END),
         (1, TO_THE_END),
     ):
-        strict = iterations == TO_THE_END or before.effects
+        last = iterations == TO_THE_END
+        strict = last or before.effects or (ranked and _is_white(ranked[0]))
         limit = HOPELESS * ranked[0].evidence.error if strict and ranked else math.inf
         if before.effects:  # beside another effect, one that promises nothing is let go
             limit = min(limit, NEAR * before.evidence.error)
         rivals = [e for e in ranked[:keep] if e.evidence.error < limit and e.effects not in finished]
+        idle = [e for e in rivals if e.result.cost > IDLE * before.result.cost]
+        rivals = [e for e in rivals if e not in idle[1 if last else IDLERS :]]
         more = refit.run([Task(e.effects, e.system, cost=e.result.cost) for e in rivals], iterations, tick)
         finished |= {e.effects for e in rivals} if iterations == TO_THE_END else set()
         # what has been fitted further counts, be it better or worse; the rest stays as it was seen
         kept = [e for e in ranked if e not in rivals]
         ranked = _best_of_each([*(e for e in more if e is not None), *kept])
     return tuple(_simplest_first(ranked, finished))
+
+
+def _is_white(one: Explanation) -> bool:
+    return coloured(one.result.residual) < WHITE
 
 
 def _simplest_first(ranked: list[Explanation], finished: set[tuple[Name, ...]]) -> list[Explanation]:
