@@ -30,7 +30,7 @@ check: $(INSTALLED)  ## lint, format and type checks
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-soak: $(INSTALLED)  ## kill a training at random moments and resume it, 50 times (half an hour)
+soak: $(INSTALLED)  ## kill trainings, ablations and blind runs at random moments and go on, 50 times each (two hours)
 	$(BIN)/python tests/soak.py
 
 docs: $(INSTALLED)  ## build the documentation (site/)

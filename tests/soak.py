@@ -1,19 +1,21 @@
-"""`make soak`: a training killed (SIGKILL) at random moments and resumed ends as if nobody had touched it.
+"""`make soak`: what is killed (SIGKILL) at random moments and run again ends as if nobody had touched it.
 
-The processes are killed between their start and well beyond the first checkpoints; a run that is done before its kill
-counts as a pass that met none. Prints one line a trial and a summary; exit code 1 where a result differs.
+Trainings are resumed from their checkpoint, ablations and blind runs from the cells and cases that they have kept. The
+processes are killed between their start and the time that a whole run takes; a run that is done before its kill counts
+as a trial that met none. Prints one line a trial and a summary for each kind; exit code 1 where a result differs.
 """
 
 import argparse
 import json
 import random
-import signal
 import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import yaml
 
@@ -23,48 +25,130 @@ from drives import make_record, multisine, rigid_drive
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems.model_file import save_model
 
+MOST_KILLS = 3
+"""After so many a trial's run is left alone."""
+QUIET = {"report": False, "figures": False, "tensorboard": False}
+"""Pages and pictures take longer than the runs."""
 
-def make_drive(folder: Path) -> None:
-    """Two short records of a rigid drive and a model whose values are off."""
+
+@dataclass(frozen=True)
+class Job:
+    """A command that goes on where it was killed.
+
+    Attributes:
+        command: its words after the program, for a folder of results.
+        result: what has to be the same however often it was killed.
+    """
+
+    command: Callable[[Path], list[str]]
+    result: Callable[[Path], Any]
+
+
+def make_drive(folder: Path, records: int) -> None:
+    """Short records of a rigid drive and a model whose values are off."""
     truth = rigid_drive()
-    records = tuple(
+    made = tuple(
         make_record(
             truth, multisine(k, samples=300, amplitude=7.0), seed=k, noise={"q_m1": 0.01}, name=f"run_{k}"
         )
-        for k in range(2)
+        for k in range(records)
     )
-    Dataset("soak", (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),), records, 0.002).save(folder)
+    Dataset("soak", (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),), made, 0.002).save(folder)
     start = truth.with_values({"J": 2.4e-5, "F_c": 0.008})
     held = {n: replace(start.parameter(n).spec, estimate=False) for n in ("P_m1", "P_m2")}
     save_model(start.with_specs(held), folder / "model.yaml")
 
 
-def command(data: Path, out: Path, *more: str) -> list[str]:
-    """The training's command line; a study without pages, for these take longer than the training."""
-    return [sys.executable, "-m", "hybrid_id", "train", str(data / "study.yaml"), "--out", str(out), *more]
+def training(folder: Path) -> Job:
+    """A training by the adjoint; the result is every identified value."""
+    make_drive(folder, 2)
+    study = {"dataset": ".", "model": "model.yaml", "output": QUIET}
+    (folder / "study.yaml").write_text(yaml.safe_dump(study))
 
-
-def values(out: Path) -> dict[str, float]:
-    """Identified values of a finished run."""
-    return json.loads((out / "result.json").read_text())["selected"]["values"]
-
-
-def trial(data: Path, out: Path, longest: float, draw: random.Random) -> int:
-    """Run with kills until the result is there; returns how many kills it took."""
-    kills = 0
-    while not (out / "result.json").exists():
+    def command(out: Path) -> list[str]:
         more = ["--resume"] if (out / "checkpoint.pt").exists() else ["--force"] if out.exists() else []
-        run = subprocess.Popen(command(data, out, *more), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        return ["train", str(folder / "study.yaml"), "--out", str(out), *more]
+
+    return Job(command, lambda out: json.loads((out / "result.json").read_text())["selected"]["values"])
+
+
+def ablation(folder: Path) -> Job:
+    """Two arms in two repeats; the result is all that `ablation.json` says, and every cell's model."""
+    make_drive(folder, 4)
+    study = {
+        "dataset": ".", "model": "model.yaml", "output": QUIET, "training": {"width": 2.0, "fine": 4},
+        "hybrid": {"networks": [{"inputs": ["speed"], "hidden": [3]}], "prices": [1.0], "windows": [],
+                   "max_iterations": 1},
+        "ablation": {"residual": ["static"], "seeds": 2},
+    }  # fmt: skip
+    (folder / "study.yaml").write_text(yaml.safe_dump(study))
+
+    def result(out: Path) -> Any:
+        models = {path.parent.name: path.read_text() for path in sorted(out.glob("cells/*/model.yaml"))}
+        return json.loads((out / "ablation.json").read_text()), models
+
+    return Job(lambda out: ["ablate", str(folder / "study.yaml"), "--out", str(out)], result)
+
+
+def blind(folder: Path) -> Job:
+    """Five cases taken by sparse regression; the result is every answer, the time that it took apart."""
+    cases, sealed = folder / "cases", folder / "elsewhere" / "answers.tar"
+    words = ["blind", "make", "--out", str(cases), "--answers", str(sealed), "--cases", "5", "--seed", "3"]
+    words += ["--system", "one_link", "--engine", "in_house", "--level", "strong"]
+    subprocess.run([sys.executable, "-m", "hybrid_id", *words], check=True, capture_output=True)
+
+    def result(out: Path) -> Any:
+        found = {}
+        for path in sorted(out.glob("sparse/*/diagnosis.json")):
+            said = json.loads(path.read_text())
+            found[path.parent.name] = said | {
+                "run": said["run"] | {"seconds": None, "processor_seconds": None}
+            }
+        return found
+
+    return Job(lambda out: ["blind", "run", str(cases), "--out", str(out), "--method", "sparse"], result)
+
+
+JOBS = {"train": training, "ablate": ablation, "blind": blind}
+
+
+def run(job: Job, out: Path, longest: float, draw: random.Random) -> int:
+    """Run with kills until it ends by itself; returns how many kills it took."""
+    kills = 0
+    while True:
+        words = [sys.executable, "-m", "hybrid_id", *job.command(out)]
+        process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         try:
-            _, said = run.communicate(timeout=draw.uniform(0.2, longest) if kills < 3 else None)
+            _, said = process.communicate(timeout=draw.uniform(0.2, longest) if kills < MOST_KILLS else None)
         except subprocess.TimeoutExpired:
-            run.send_signal(signal.SIGKILL)
-            run.communicate()
+            process.kill()
+            process.communicate()
             kills += 1
             continue
-        if run.returncode:
-            raise SystemExit(f"exit code {run.returncode} after {kills} kills: {said.decode()[-400:]}")
-    return kills
+        if process.returncode:
+            raise SystemExit(f"exit code {process.returncode} after {kills} kills: {said.decode()[-400:]}")
+        return kills
+
+
+def soak(name: str, trials: int, seed: int) -> int:
+    """Trials of one kind; returns how many results differ from that of a run which nobody has touched."""
+    draw, kills, failures = random.Random(seed), 0, 0
+    with tempfile.TemporaryDirectory() as folder:
+        home = Path(folder)
+        job = JOBS[name](home / "data")
+        start = time.monotonic()
+        run(job, home / "whole", 1e6, draw)
+        longest, whole = time.monotonic() - start, job.result(home / "whole")
+        for k in range(trials):
+            out = home / f"trial_{k}"
+            met = run(job, out, longest, draw)
+            same = job.result(out) == whole
+            left = [path.name for path in home.iterdir() if path.name.startswith(".")]
+            kills, failures = kills + met, failures + (not same)
+            words = f"{met} kills, {'the same' if same else 'ANOTHER'} result, left over: {left}"
+            print(f"{name} {k}: {words}", flush=True)
+    print(f"{name}: {trials} trials, {kills} kills, {failures} results differ; one run takes {longest:.1f} s")
+    return failures
 
 
 def main() -> None:
@@ -72,29 +156,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", choices=list(JOBS), action="append", help="kinds; all by default")
     wish = parser.parse_args()
-    draw, failures, kills = random.Random(wish.seed), 0, 0
-    with tempfile.TemporaryDirectory() as folder:
-        data = Path(folder) / "data"
-        make_drive(data)
-        output = {"report": False, "figures": False, "tensorboard": False}
-        study = {"dataset": ".", "model": "model.yaml", "output": output}
-        (data / "study.yaml").write_text(yaml.safe_dump(study))
-        start = time.monotonic()
-        subprocess.run(command(data, Path(folder) / "whole"), check=True, capture_output=True)
-        longest, whole = time.monotonic() - start, values(Path(folder) / "whole")
-        for k in range(wish.trials):
-            out = Path(folder) / f"trial_{k}"
-            met = trial(data, out, longest, draw)
-            same = values(out) == whole
-            left = [path.name for path in Path(folder).iterdir() if path.name.startswith(".")]
-            kills, failures = kills + met, failures + (not same)
-            print(
-                f"trial {k}: {met} kills, {'the same' if same else 'ANOTHER'} result, left over: {left}",
-                flush=True,
-            )
-    print(f"{wish.trials} trials, {kills} kills, {failures} results differ; one run takes {longest:.1f} s")
-    sys.exit(bool(failures))
+    sys.exit(bool(sum(soak(name, wish.trials, wish.seed) for name in wish.only or JOBS)))
 
 
 if __name__ == "__main__":
