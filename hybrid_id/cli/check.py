@@ -57,10 +57,14 @@ def check(
     show(records_table(data), "", findings_list(shown))
     hidden = len(findings) - len(shown)
     if hidden:
-        show(f"({count(hidden, 'more remark')}: --full)")
+        show(f"({count(hidden, 'remark')} for information: --full)")
     if told is not None:
         show("", f"What these records tell about {path}, at its start values and before any fit:")
         show(identifiability_table(told))
+    else:
+        show(
+            f"no {beside(dataset)}: with a model (docs/formats.md) it is said what these records can tell about it"
+        )
     refuse_errors(findings)
     _refuse_nothing(told, path)
 

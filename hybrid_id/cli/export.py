@@ -2,6 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
+from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -145,9 +146,20 @@ def _say(to: Format, told: dict[str, Any], out: Path, beside: Path) -> None:
         for row in told["check"]:
             cells = (f"{row[name]:.5f}" for name in ("apart", "here", "there"))
             table.add_row(row["record"], row["role"], row["output"], *cells)
-        worst = max(row["apart"] for row in told["check"])
+        worst, judges = max(row["apart"] for row in told["check"]), _judges(told["check"])
         show("normalised RMSE, over the same records:", table)
-        show(f"MuJoCo replays these records within {worst:.2g} of ours (normalised RMSE)")
+        show(f"MuJoCo replays these records within {worst:.2g} of ours (normalised RMSE)", judges)
     elif to is Format.mjcf:
         show("give --check DATASET to see how closely MuJoCo replays your records")
-    show(f"the model is in {out}, what it leaves out in {beside}")
+    show(
+        f"the model is in {out}, "
+        + (f"what it leaves out in {beside}" if told["left_out"] else "nothing is left out")
+    )
+
+
+def _judges(rows: list[dict[str, Any]]) -> str:
+    """The gap to what was measured, over the test records where there are any."""
+    test = [row for row in rows if row["role"] == "test"]
+    means = (fmean(row[name] for row in test or rows) for name in ("there", "here"))
+    what = "test records, which no fit has seen" if test else "records"
+    return "measured against MuJoCo {:.3g}, against ours {:.3g} (mean over the {})".format(*means, what)

@@ -61,6 +61,10 @@ def checked_records(config: StudyConfig) -> "Dataset":
     """Load records for a fit; errors end the command, the worst warnings are said."""
     from hybrid_id.records.quality import check_dataset
 
+    if not config.model.exists():  # before minutes of reading
+        raise InputError(
+            f"{config.model} does not exist; write it (docs/formats.md shows one), or name another one with --model"
+        )
     dataset = load_records(config.dataset, config.preprocessing)
     findings = check_dataset(dataset)
     refuse_errors(findings)

@@ -37,7 +37,7 @@ def records_table(dataset: Dataset) -> Table:
 def findings_list(findings: Sequence[Finding]) -> RenderableType:
     """One line a finding, worst first."""
     if not findings:
-        return Text("nothing to remark", style="green")
+        return Text("nothing to warn of", style="green")
     lines = [
         Text.assemble((f"{f.severity:<7}", _SEVERITY[f.severity]), "  ", _sentence(f.message))
         for f in findings

@@ -65,6 +65,17 @@ def test_check_says_what_can_be_told(run, drive: Path) -> None:
     assert "identified" not in run("check", drive, "--model", drive / "model.yaml").err
 
 
+def test_a_dataset_without_a_model_says_where_one_is_described(run, drive: Path, tmp_path: Path) -> None:
+    shutil.copytree(drive, tmp_path / "bare")
+    (tmp_path / "bare" / "model.yaml").unlink()
+    said = run("check", tmp_path / "bare")
+    assert said.code == 0 and "nothing to warn of" in said.out and "docs/formats.md" in said.out
+    for command in ("identify", "train", "diagnose"):
+        told = run(command, tmp_path / "bare", "--out", tmp_path / "out")
+        assert told.code == 2 and "model.yaml does not exist; write it (docs/formats.md" in told.err
+        assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize("options", [[], ["--json"]])
 def test_check_refuses_records_that_tell_nothing(
     run, drive: Path, tmp_path: Path, options: list[str]

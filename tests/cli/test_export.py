@@ -18,6 +18,9 @@ def test_mjcf_with_check(run, drive: Path, tmp_path: Path) -> None:
     assert told["program"].startswith("hybrid_id ") and told["left_out"] == []
     assert max(row["apart"] for row in told["check"]) < 2e-3
     assert len(told["check"]) == 4
+    (test,) = (row for row in told["check"] if row["role"] == "test")
+    gap = f"measured against MuJoCo {test['there']:.3g}, against ours {test['here']:.3g} (mean over the test records"
+    assert gap in " ".join(done.out.split()) and "nothing is left out" in done.out
 
 
 def test_ranges_as_json(run, drive: Path, tmp_path: Path) -> None:
