@@ -13,13 +13,15 @@ from dataclasses import dataclass
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task
-from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Progress, Round, one_round
+from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Progress, Round, is_white, one_round
 from hybrid_id.systems.chain import System
 
 MOST = 3
 """Effects at once."""
 MORE_RATIO = 1.15
 """Least fall of the RMS of the errors beside another effect, whose fit may leave what another can pick up."""
+COMPLETE_RATIO = 1.05
+"""The same for an effect that leaves white noise: what a wrong formula leaves, no other effect explains to the end."""
 LEAST_Z = 3.0
 """An effect must also lower the errors of prediction by so many standard errors, block by block."""
 LARGE_RATIO, LARGE_Z = 1.2, 1.5
@@ -80,8 +82,10 @@ def attribute(
 def better(richer: Explanation, simpler: Explanation) -> bool:
     """Whether a richer model predicts records that it has not seen clearly better."""
     ratio = (simpler.evidence.error / richer.evidence.error) ** 0.5
-    z = richer.evidence.z(simpler.evidence)
-    return (ratio >= least_ratio(simpler) and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
+    z, least = richer.evidence.z(simpler.evidence), least_ratio(simpler)
+    if is_white(richer):
+        least = min(least, COMPLETE_RATIO)
+    return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
 
 
 def least_ratio(simpler: Explanation) -> float:
@@ -92,7 +96,7 @@ def least_ratio(simpler: Explanation) -> float:
 def _leaves_something(simpler: Explanation) -> bool:
     """Whether another effect could be believed at all beside the first: none explains white noise."""
     reachable = (1.0 - coloured(simpler.result.residual)) ** -0.5
-    return not simpler.effects or reachable >= least_ratio(simpler)
+    return not simpler.effects or reachable >= COMPLETE_RATIO
 
 
 def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:

@@ -111,37 +111,53 @@ def _ranked(
         if progress is not None:
             progress(stage, count[0], total)
 
-    looked = [e for e in refit.run(todo, LOOK, tick) if e is not None]
-    if not looked or not _is_white(min(looked, key=lambda e: e.evidence.error)):
-        looked += [e for e in refit.run(more_todo, LOOK, tick) if e is not None]
-    seen = _best_of_each(looked, MORE_STARTS)
-    firsts = _best_of_each(seen)
-    ranked = firsts[:PROMISING] + [e for e in seen if e not in firsts][:MORE_STARTS]
-    ranked += [e for e in firsts if e not in ranked]
+    ranked: list[Explanation] = []
+    for part in (todo, more_todo):
+        if ranked and is_white(ranked[0]):
+            break
+        known = {e.effects: e.evidence.error for e in ranked}
+        looked = [e for e in refit.run(part, LOOK, tick) if e is not None]
+        # a start that is behind where another of the same effects has come to is let go
+        looked = [e for e in looked if e.evidence.error < known.get(e.effects, math.inf)]
+        seen = _best_of_each(looked, MORE_STARTS)
+        firsts = _best_of_each(seen)
+        promising = firsts[:PROMISING] + [e for e in seen if e not in firsts][:MORE_STARTS]
+        ranked = _further(refit, before, promising, [*ranked, *firsts], SECOND_LOOK, tick)
     finished: set[tuple[Name, ...]] = set()
-    for keep, iterations in (
-        (PROMISING + MORE_STARTS, SECOND_LOOK),
-        (FINALISTS, TO_THE_END),
-        (1, TO_THE_END),
-        (1, TO_THE_END),
-    ):
-        last = iterations == TO_THE_END
-        strict = last or before.effects or (ranked and _is_white(ranked[0]))
-        limit = HOPELESS * ranked[0].evidence.error if strict and ranked else math.inf
-        if before.effects:  # beside another effect, one that promises nothing is let go
-            limit = min(limit, NEAR * before.evidence.error)
-        rivals = [e for e in ranked[:keep] if e.evidence.error < limit and e.effects not in finished]
-        idle = [e for e in rivals if e.result.cost > IDLE * before.result.cost]
-        rivals = [e for e in rivals if e not in idle[1 if last else IDLERS :]]
-        more = refit.run([Task(e.effects, e.system, cost=e.result.cost) for e in rivals], iterations, tick)
-        finished |= {e.effects for e in rivals} if iterations == TO_THE_END else set()
-        # what has been fitted further counts, be it better or worse; the rest stays as it was seen
-        kept = [e for e in ranked if e not in rivals]
-        ranked = _best_of_each([*(e for e in more if e is not None), *kept])
+    for keep in (FINALISTS, 1, 1):
+        left = [e for e in ranked[:keep] if e.effects not in finished]
+        finished |= {e.effects for e in left}
+        ranked = _further(refit, before, left, ranked, TO_THE_END, tick)
     return tuple(_simplest_first(ranked, finished))
 
 
-def _is_white(one: Explanation) -> bool:
+def _further(
+    refit: Refit,
+    before: Explanation,
+    some: Sequence[Explanation],
+    everyone: Sequence[Explanation],
+    iterations: int,
+    tick: Callable[[], object],
+) -> list[Explanation]:
+    """Some of the candidates fitted further, as far as they promise anything, among everyone again, best first."""
+    if not some:
+        return list(everyone)
+    last, best = iterations == TO_THE_END, min((*some, *everyone), key=lambda e: e.evidence.error)
+    strict = last or before.effects or is_white(best)
+    limit = HOPELESS * best.evidence.error if strict else math.inf
+    if before.effects:  # beside another effect, one that promises nothing is let go
+        limit = min(limit, NEAR * before.evidence.error)
+    rivals = [e for e in some if e.evidence.error < limit]
+    idle = [e for e in rivals if e.result.cost > IDLE * before.result.cost]
+    rivals = [e for e in rivals if e not in idle[1 if last else IDLERS :]]
+    more = refit.run([Task(e.effects, e.system, cost=e.result.cost) for e in rivals], iterations, tick)
+    # what has been fitted further counts, be it better or worse; the rest stays as it was seen
+    kept = [e for e in (*everyone, *some) if e not in rivals]
+    return _best_of_each([*(e for e in more if e is not None), *kept])
+
+
+def is_white(one: Explanation) -> bool:
+    """Whether a candidate leaves next to nothing but white noise."""
     return coloured(one.result.residual) < WHITE
 
 
