@@ -30,10 +30,6 @@ class Evidence:
         """Mean square of the weighted errors of prediction."""
         return float(self.blocks.sum() / self.samples)
 
-    def gain(self, other: Evidence) -> float:
-        """Log-likelihood by which this one predicts better than another, in nats, at this one's correlation."""
-        return 0.5 * self.effective * float(np.log(other.error / self.error))
-
     def z(self, other: Evidence) -> float:
         """How surely this one predicts better than another: the mean relative surplus of the other's error in a block.
 

@@ -8,7 +8,6 @@ rollout, and so is every trial step: Levenberg-Marquardt with many dampings at o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -43,7 +42,6 @@ def secant_fit(
     *,
     engine: Engine,
     iterations: int = 20,
-    starts: Sequence[System] = (),
     x0: np.ndarray | None = None,
     near: Slopes | None = None,
 ) -> FitResult:
@@ -57,7 +55,6 @@ def secant_fit(
         batch: prepared records.
         engine: how a sample is integrated; compiled rollouts make this affordable.
         iterations: steps at most.
-        starts: the same model at other values; the fit starts at the best of them all.
         x0: where the search for the first states starts, ``(R, n_x)`` (default: as measured).
         near: slopes of a model close to the start, to begin with.
 
@@ -68,11 +65,8 @@ def secant_fit(
     free = cost.rollouts.free
     low, high = cost.low[: len(free)], cost.high[: len(free)]
     shifts = cost.shifts_of(batch.x[:, 0].numpy() if x0 is None else x0)
-    values = np.array([s.theta().detach().numpy()[free] for s in (system, *starts)])
-    points = np.hstack([np.clip(values, low, high), np.tile(shifts, (len(values), 1))])
-    found = cost.residuals(points)
-    best = int(np.square(found).sum(1).argmin())
-    point, left = points[best], found[best]
+    point = np.concatenate([np.clip(system.theta().detach().numpy()[free], low, high), shifts])
+    left = cost.residuals(point[None])[0]
     damping, stage, history = 1e-2, 0, [0.5 * float(left @ left)]
     jacobian = None if near is None else cost.slopes(point, left, STEPS[0], near)
     fresh = False

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from gapcase import small_case
 
-from hybrid_id.gap.attribute import _leaves_something, _without
+from hybrid_id.gap.attribute import _leaves_something, _without, better
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.evidence import evidence
 from hybrid_id.gap.round import _as_today, _simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
@@ -38,6 +39,27 @@ def test_nothing_is_looked_for_beside_an_effect_that_leaves_white_noise() -> Non
     assert not _leaves_something(model(noise, some))
     assert _leaves_something(model(noise + wave, some))
     assert _leaves_something(model(noise, ()))  # the first round tells how probable each effect is
+
+
+def test_a_second_effect_is_believed_at_a_small_gain_where_it_completes_the_explanation() -> None:
+    rng = np.random.default_rng(0)
+    noise, wave = rng.standard_normal((8000, 1)), np.sin(0.01 * np.arange(8000))[:, None]
+
+    def model(residual: np.ndarray, effects: tuple):
+        return SimpleNamespace(
+            effects=effects, result=SimpleNamespace(residual=[residual]), evidence=evidence([residual], 0.002)
+        )
+
+    one, two = (
+        (("backlash", "joint1/transmission"),),
+        (("backlash", "joint1/transmission"), ("delay", "joint1/input")),
+    )
+    first = model(noise + 0.6 * wave, one)
+    assert better(model(noise, two), first)  # 1.09 times smaller, and white
+    assert not better(
+        model(0.92 * (noise + 0.6 * wave), two), first
+    )  # as much smaller, and the same waves are left
+    assert not better(model(0.98 * noise, two), model(noise, one))
 
 
 def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:

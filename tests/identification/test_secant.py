@@ -44,9 +44,7 @@ def test_play_is_recovered_from_the_motors_side() -> None:
     truth = loose_drive(0.03)
     batch = measured(truth, Rollouts(truth, measured(truth, QUICK), QUICK, [0]).engine)
     start = loose_drive(0.027)
-    found = secant_fit(
-        start, batch, engine=QUICK, iterations=30, starts=[loose_drive(0.1), loose_drive(0.002)]
-    )
+    found = secant_fit(start, batch, engine=QUICK, iterations=30)
     gap = found.system.parameter("gap").spec.value
     assert gap == pytest.approx(0.03, rel=0.05)
     assert found.noise_scale < 1.5
