@@ -18,7 +18,6 @@ from hybrid_id.records.readers.bam import read_bam
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import resample_record
 from hybrid_id.records.yaml_file import read_yaml
-from hybrid_id.study.identifiable import preflight
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import ModelFile, build_model
 
@@ -56,36 +55,44 @@ def today(case: dict[str, Any]) -> System:
 
 def facts(folder: Path, records: list[Record]) -> None:
     """What the logs say without a model: gain against temperature, and what the measured supply follows."""
-    gains, heat, drawn, measured = [], [], [], []
-    for file, record in zip(sorted(folder.glob("*.json*")), records, strict=True):
+    gains, heat = [], []
+    for file in sorted(folder.glob("*.json*")):
         columns = read_bam(file, ["gain1", "temperature1"]).columns
         gains.append(columns["gain1"][0])
         heat.append(columns["temperature1"].mean())
-        on, duty, supply = (record.signal(name) for name in ("enable1", "duty1", "supply1"))
-        speed = np.gradient(record.signal("q_m1"), record.time)
-        columns = np.stack([np.ones_like(duty), duty**2 * supply, duty * speed], 1)
-        drawn.append(columns[on > 0.5])
-        measured.append(supply[on > 0.5])
     print(f"gain and temperature of {len(gains)} records: correlation {np.corrcoef(gains, heat)[0, 1]:.2f}")
     for gain in sorted(set(gains)):
         some = [h for g, h in zip(gains, heat, strict=True) if g == gain]
         print(f"  gain {gain:.0f}: {min(some):.1f} to {max(some):.1f} degC")
-    x, y = np.concatenate(drawn), np.concatenate(measured)
-    law = np.linalg.lstsq(x, y, rcond=None)[0]
-    explained = 1.0 - np.var(y - x @ law) / np.var(y)
-    print(
-        f"measured supply: {y.min():.1f} to {y.max():.1f} V, mean {y.mean():.2f}, std {y.std():.2f}; "
-        f"the current drawn explains {100 * explained:.1f} % of its variance (rho {-law[1]:.3f})"
+    duty, supply, speed = (
+        np.concatenate(part)
+        for part in zip(
+            *(
+                (r.signal("duty1"), r.signal("supply1"), np.gradient(r.signal("q_m1"), r.time))
+                for r in records
+            ),
+            strict=True,
+        )
     )
+    since = np.concatenate([time_at_full(r) for r in records])
+    for low, high in ((0.0, 0.1), (0.3, 0.9), (0.995, 1.1)):
+        some = supply[(np.abs(duty) >= low) & (np.abs(duty) < high)]
+        print(f"supply at |duty| {low:g} to {high:g}: mean {some.mean():.2f} V, std {some.std():.2f} V")
+    idle = supply[np.abs(duty) < 0.1].mean()
+    for low, high in ((0.0, 0.1), (0.1, 0.5), (0.5, 3.0)):
+        some = supply[(since >= low) & (since < high) & (np.abs(speed) < 0.3)]
+        error = some.std() / len(some) ** 0.5
+        print(
+            f"stalled at full duty for {low:g} to {high:g} s: supply {idle - some.mean():.3f} +- {error:.3f} V lower"
+        )
 
 
-def told(records: list[Record], case: dict[str, Any]) -> None:
-    """What the records of a case could tell of a mass that nobody claims to know."""
-    system = today(case)
-    weight = replace(system.parameter("G_l").spec, estimate=True, lower=0.01, upper=5.0)
-    print(
-        f"  with G_l free: {preflight(dataset(records, case), system.with_specs({'G_l': weight})).summary()}"
-    )
+def time_at_full(record: Record) -> np.ndarray:
+    """Time [s] since the duty has come to its limit, ``(T,)``; -1 where it is not there."""
+    full = np.abs(record.signal("duty1")) >= 0.995
+    first = np.flatnonzero(full & ~np.append(False, full[:-1]))
+    last = np.searchsorted(first, np.arange(len(full)), side="right") - 1
+    return np.where(full, record.time - record.time[first[np.maximum(last, 0)]] if len(first) else 0.0, -1.0)
 
 
 def report(name: str, found: Diagnosis, seconds: float) -> None:
@@ -112,7 +119,12 @@ def report(name: str, found: Diagnosis, seconds: float) -> None:
         print(f"  round {number}, RMS error before over after: {', '.join(shown)}")
     values = {i.name: i.spec.value for i in found.model.table if i.spec.estimate}
     print(f"  model: {', '.join(f'{n} {v:.4g}' for n, v in values.items())}")
-    print(f"  bent: {'; '.join(found.bent) or 'nothing'}", flush=True)
+    print(f"  bent: {'; '.join(found.bent) or 'nothing'}")
+    print(
+        f"  compared over {'whole records' if found.search.window is None else f'{found.search.window:g} s'}"
+    )
+    print(f"  withdrawn: {'; '.join(found.withdrawn) or 'nothing'}")
+    print(f"  cannot be told: {'; '.join([*found.untold, *found.together])}", flush=True)
     out = Path(CONFIG["out"])
     out.mkdir(parents=True, exist_ok=True)
     partial = out / f".{name}.json"
@@ -129,8 +141,6 @@ def main() -> None:
         case, begin = CONFIG["cases"][name], time.process_time()
         found = diagnose(dataset(records, case), today(case), most=CONFIG["most"], seed=CONFIG["seed"])
         report(name, found, time.process_time() - begin)
-        if "mass" in case:
-            told(records, case)
 
 
 main()

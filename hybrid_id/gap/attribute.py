@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.evidence import coloured
-from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task
+from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Name, Refit, Task
 from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Progress, Round, is_white, one_round
 from hybrid_id.systems.chain import System
 
@@ -36,11 +36,13 @@ class Attribution:
         base: today's model, re-fitted.
         rounds: the steps; the first tells the effects one by one.
         chosen: the set that the search stands by; ``base`` where no effect has earned its place.
+        window: length [s] of the windows over which the rounds' models have been compared; None for whole records.
     """
 
     base: Explanation
     rounds: tuple[Round, ...]
     chosen: Explanation
+    window: float | None = None
 
 
 def attribute(
@@ -48,12 +50,30 @@ def attribute(
 ) -> Attribution:
     """Search the catalogue for the effects that the records call for.
 
+    Where even the best model's free runs lose the records, the search is held again over windows from measured states,
+    and the set that it ends with is fitted to whole records.
+
     Args:
         refit: fits models to the train records.
         system: today's model.
         most: effects at most.
         progress: called with (stage, done, total).
     """
+    found = _search(refit, system, most, progress)
+    best = min(
+        (e for r in found.rounds for e in r.candidates), key=lambda e: e.evidence.error, default=found.base
+    )
+    long = all(record.duration > 4 * WINDOW for record in refit.dataset.train)
+    if not long or not refit.strays(min(best, found.chosen, key=lambda e: e.evidence.error)):
+        return found
+    within = _search(refit.within(WINDOW), system, most, progress)
+    tasks = [Task(within.chosen.effects, within.chosen.system)] if within.chosen.effects else []
+    ends = [e for e in refit.run(tasks, TO_THE_END) if e is not None]
+    return Attribution(found.base, within.rounds, ends[0] if ends else found.base, WINDOW)
+
+
+def _search(refit: Refit, system: System, most: int, progress: Progress | None) -> Attribution:
+    """Forward selection with backward deletion."""
     base = refit.base(system)
     chosen, rounds, restarted = base, [], False
     while len(chosen.effects) < most and _leaves_something(chosen):

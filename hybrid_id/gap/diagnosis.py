@@ -16,9 +16,10 @@ from hybrid_id.gap.next_experiment import Experiment, next_experiment
 from hybrid_id.gap.probability import Suspect, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.refit import Explanation, Refit, engine
 from hybrid_id.gap.shrink import Shrink, shrink
+from hybrid_id.gap.untold import untold
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.facts import inseparable
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.study.identifiable import preflight
 from hybrid_id.systems.chain import System
 
 UNEXPLAINED = 0.3
@@ -50,6 +51,7 @@ class Diagnosis:
         bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
         untold: changes of the chosen model's parameters that these records do not see, in words.
+        together: facts of the records (a controller's gain, the temperature) that change together, in words.
         experiments: records that would tell tied effects apart, the best first; empty without ties.
         search: all that was tried.
     """
@@ -69,6 +71,7 @@ class Diagnosis:
     experiments: tuple[Experiment, ...]
     withdrawn: tuple[str, ...]
     untold: tuple[str, ...]
+    together: tuple[str, ...]
     search: Attribution = field(repr=False)
 
     @property
@@ -125,7 +128,8 @@ class Diagnosis:
             ],
             "bent_parameters": list(self.bent),
             "withdrawn": list(self.withdrawn),
-            "cannot_be_told": list(self.untold),
+            "cannot_be_told": [*self.untold, *self.together],
+            "window": self.search.window,
             "next_experiments": [
                 {"name": e.name, "joint": e.joint, "distance": e.distance, "distance_today": e.today}
                 for e in self.experiments[:3]
@@ -191,7 +195,8 @@ def diagnose(
         bent=tuple(bent_parameters(system, base.system)),
         experiments=tuple(next_experiment(dataset, tied_explanations(search))),
         withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
-        untold=tuple(one.text for one in preflight(dataset, search.chosen.system).directions),
+        untold=untold(dataset, search.chosen.system),
+        together=tuple(inseparable(dataset.records)),
         search=search,
     )
 

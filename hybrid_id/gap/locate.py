@@ -12,7 +12,6 @@ from torch import Tensor
 
 from hybrid_id.gap.probe import Probe, bumps, probe
 from hybrid_id.gap.refit import Explanation, Refit
-from hybrid_id.study.replays import batch_of
 
 SPEEDS, ANGLES, COMMANDS = 9, 10, 9
 MEMORY = (0.02, 0.2)
@@ -47,7 +46,7 @@ def locate(refit: Refit, explanation: Explanation) -> list[Location]:
         refit: holds the train records.
         explanation: the fitted model.
     """
-    batch = batch_of(refit.dataset, explanation.system, refit.dataset.train, refit.signal_share, "cpu")
+    batch = refit.records(explanation.system)
     found = []
     for joint in explanation.system.joints:
         for side in ("motor",) if joint.rigid else ("motor", "load"):

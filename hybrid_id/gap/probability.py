@@ -53,7 +53,7 @@ def suspects(found: Attribution) -> list[Suspect]:
             name = _new(explanation, one.before)
             suspect = Suspect(
                 name[0], name[1], float(present * weight), name in chosen, _ties(explanation, one, name),
-                _parameters(explanation, name),
+                _parameters(found.chosen if name in chosen else explanation, name),
             )  # fmt: skip
             if name not in best or suspect.probability > best[name].probability:
                 best[name] = suspect

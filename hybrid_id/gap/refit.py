@@ -7,11 +7,13 @@ import signal
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.evidence import Evidence, evidence
+from hybrid_id.gap.windows import windows
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.identification.least_squares import Options
@@ -33,6 +35,13 @@ TO_THE_END = 40
 """Iterations after which a fit is taken as it is."""
 LOOK = 5
 """Iterations up to which a fit is a first look, judged by the records that it has seen."""
+STRAYED = 0.1
+"""Normalised RMSE of the best model's free runs from which they have lost the records: what acts at one angle or speed
+is then simulated at another, and an error at one instant lasts to the end."""
+WINDOW = 0.5
+"""Length [s] of the windows, each from a measured state, over which models are compared instead."""
+WINDOW_LOOK = 12
+"""Iterations of a first look over windows."""
 Name = tuple[str, str]
 """An effect's name and where it acts."""
 
@@ -81,14 +90,42 @@ class Refit:
         dataset: only its train records are used.
         jobs: processes.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        window: length [s] of the windows that models are fitted to; None for whole records.
     """
 
-    def __init__(self, dataset: Dataset, *, jobs: int = 1, signal_share: float = SIGNAL_SHARE) -> None:
-        self.dataset, self.jobs, self.signal_share = dataset, jobs, signal_share
+    def __init__(
+        self,
+        dataset: Dataset,
+        *,
+        jobs: int = 1,
+        signal_share: float = SIGNAL_SHARE,
+        window: float | None = None,
+    ) -> None:
+        self.dataset, self.jobs, self.signal_share, self.window = dataset, jobs, signal_share, window
+
+    def within(self, window: float) -> Refit:
+        """The same over windows."""
+        return Refit(self.dataset, jobs=self.jobs, signal_share=self.signal_share, window=window)
+
+    def records(self, system: System) -> Batch:
+        """The train records, whole."""
+        return batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
+
+    def batch(self, system: System) -> Batch:
+        """What models are fitted to: the train records, or windows of them from measured states."""
+        batch = self.records(system)
+        return batch if self.window is None else windows(system, engine(), batch, self.window)
+
+    def strays(self, explanation: Explanation) -> bool:
+        """Whether a model's free runs lose the records."""
+        batch = self.records(explanation.system)
+        scale = batch.y.std(1) * batch.weight.amax(1)
+        square = [np.square(r).mean(0) for r in explanation.result.residual]
+        return float(np.sqrt(square / np.square(scale.numpy())).mean()) > STRAYED
 
     def base(self, system: System) -> Explanation:
         """Today's model, fitted from its nominal values and from a fit in windows, whichever ends lower."""
-        batch = batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
+        batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
         tasks = [Task((), start) for start in (system, near.system)]
@@ -99,10 +136,9 @@ class Refit:
             )
         return min(ends, key=lambda e: e.result.cost)
 
-    def slopes(self, system: System) -> Slopes:
-        """Slopes of a model as it stands, which first looks at its neighbours begin with."""
-        batch = batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
-        return slopes_at(system, batch, engine())
+    def slopes(self, system: System) -> Slopes | None:
+        """Slopes of a model as it stands, which first looks at its neighbours begin with; windows need none."""
+        return slopes_at(system, self.records(system), engine()) if self.window is None else None
 
     def run(
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
@@ -112,7 +148,7 @@ class Refit:
             return []
         found: list[Explanation | None] = []
         jobs = min(self.jobs, len(tasks))
-        calls = (delayed(_fit)(self.dataset, self.signal_share, task, iterations) for task in tasks)
+        calls = (delayed(_fit)(self, task, iterations) for task in tasks)
         for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
             found.append(outcome)
             if done is not None:
@@ -120,15 +156,17 @@ class Refit:
         return found
 
 
-def _fit(dataset: Dataset, signal_share: float, task: Task, iterations: int) -> Explanation | None:
+def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
     torch.set_num_threads(1)
     if multiprocessing.parent_process() is not None:  # Ctrl-C is for the first process to answer
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    step = min(record.sample_time for record in dataset.train)
+    step = min(record.sample_time for record in refit.dataset.train)
     try:
-        batch = batch_of(dataset, task.system, dataset.train, signal_share, "cpu")
-        loose = hidden_links(task.system, batch)
-        if loose or iterations <= LOOK:
+        batch = refit.batch(task.system)
+        loose = refit.window is None and hidden_links(task.system, batch)
+        if refit.window is not None:
+            result = _within(task, batch, iterations)
+        elif loose or iterations <= LOOK:
             result = secant_fit(task.system, batch, engine=engine(), iterations=iterations, near=task.near)
         else:
             result = _nearest(task, batch, iterations)
@@ -158,6 +196,18 @@ def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:
     if last or not ends or ends[0].cost > task.cost:
         ends.append(secant_fit(task.system, batch, engine=engine(), iterations=iterations))
     return min(ends, key=lambda end: end.cost)
+
+
+def _within(task: Task, batch: Batch, iterations: int) -> FitResult:
+    """The fit to windows by exact sensitivities: a model is nearly linear over so short a time.
+
+    Standard errors are those of the encoders' noise, of which the errors are many times here: half of one is little.
+    """
+    options = Options(max_iterations=max(iterations, WINDOW_LOOK), tolerance=0.5)
+    result = fit(task.system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
+    if not np.isfinite(result.cost):
+        raise RuntimeError("the start values diverge")
+    return result
 
 
 def engine() -> Engine:

@@ -14,7 +14,6 @@ from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
-from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
 SECOND_LOOK = 10
@@ -66,7 +65,7 @@ def tasks(refit: Refit, before: Explanation, today: System) -> tuple[list[Task],
     Each starts where the model before has ended. Where that has bent its parameters to make up for what it lacks, each
     may start from today's own values, too: the second list.
     """
-    batch = batch_of(refit.dataset, before.system, refit.dataset.train, refit.signal_share, "cpu")
+    batch = refit.records(before.system)
     taken, found, others = set(before.effects), [], []
     bent = bool(bent_parameters(today, before.system))
     here, there = refit.slopes(before.system), refit.slopes(today) if bent else None

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.facts import inseparable
 from hybrid_id.records.finding import Finding, Severity, worst_first
 from hybrid_id.records.measures import (
     DRIVES,
@@ -47,6 +48,10 @@ def check_record(record: Record) -> list[Finding]:
 def check_dataset(dataset: Dataset) -> list[Finding]:
     """Check a dataset as a whole and every record in it; worst first, what records share said once."""
     findings = [*_roles(dataset), *_repeats(dataset), *check_steps(dataset), *_dead_inputs(dataset)]
+    findings += [
+        Finding("warning", "together", f"these records cannot tell {words}; vary one without the other")
+        for words in inseparable(dataset.records)
+    ]
     findings += [Finding("info", "resampled", report.message, report.record) for report in dataset.resampling]
     for channel in dataset.outputs:
         findings += _across_records(dataset, channel)

@@ -32,7 +32,7 @@ UNLIKELY = 0.01
 
 
 def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> str:
-    """The diagnosis as plain text of at most 24 lines of 120 characters.
+    """The diagnosis as plain text of at most 25 lines of 120 characters.
 
     Args:
         diagnosis: the result.

@@ -127,9 +127,11 @@ def gap_line(diagnosis: Diagnosis) -> str:
         return "there is no test record, so no unseen record says."
     gap, records = diagnosis.shrink, count(len(diagnosis.nominal.by_record), "test record")
     corrected = f", corrected {_error(gap.with_effect)}" if diagnosis.selected else ""
+    window = diagnosis.search.window
+    lost = f" Free runs lose these records: effects were compared over {window:g} s." if window else ""
     return (
         f"normalised error on {records}: today's model {_error(diagnosis.nominal.nrmse)}, re-fitted "
-        f"{_error(gap.refit)}{corrected}; the right model would leave {_error(gap.floor)}."
+        f"{_error(gap.refit)}{corrected}; the right model would leave {_error(gap.floor)}.{lost}"
     )
 
 
@@ -147,12 +149,10 @@ def tie_lines(diagnosis: Diagnosis) -> list[str]:
 
 def experiment_lines(diagnosis: Diagnosis) -> list[str]:
     """The record that would part the tied models most, as one line; none where nothing is tied."""
-    if not diagnosis.experiments:
-        return []
-    best = diagnosis.experiments[0]
     return [
         f"next experiment: {best.name} at joint {best.joint}: the outputs of the tied models would differ by "
         f"{best.distance:.2g} times the encoders' noise (RMS; {best.today:.2g} in these records)."
+        for best in diagnosis.experiments[:1]
     ]
 
 
@@ -168,8 +168,8 @@ def withdrawn_lines(diagnosis: Diagnosis) -> list[str]:
 
 
 def untold_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:
-    """Changes of parameters that these records do not see, a line each."""
-    return [f"not told: {words}." for words in diagnosis.untold[:most]]
+    """Changes of parameters that these records do not see, then facts that change together, a line each."""
+    return [f"not told: {words}." for words in (*diagnosis.untold[:most], *diagnosis.together[:most])]
 
 
 def bent_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:

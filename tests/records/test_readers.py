@@ -108,6 +108,7 @@ def test_bam_log(tmp_path) -> None:
         raw = json.dumps(bam_log([0, 885, 65536 - 885, 65535])).encode()
         (tmp_path / name).write_bytes(gzip.compress(raw) if name.endswith("gz") else raw)
     data = Dataset.from_bam(tmp_path, test=["two"], name="servo")
+    assert all(record.meta["temperature1"] == 28.0 for record in data)
     assert [record.role for record in data] == ["train", "test"]
     record = data["one"]
     np.testing.assert_allclose(record.inputs["duty1"], [0, 1, -1, -1 / 885])

@@ -8,6 +8,8 @@ RESONANCES = (8.0, 25.0)
 """Where rotor and link may swing against each other [Hz]."""
 GAPS = (0.0007, 0.0015, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
 """Play as a share of the link's range: every size has a valley of its own."""
+WORST_GEAR = 0.03
+"""Largest error of a gear [rad at the link]: harmonic drives have 1e-3 and less, the moulded gears of toys 0.02."""
 
 
 def _series(s):
@@ -62,7 +64,7 @@ def _kinematic(system, s, place):
     if has(system, f"joint{s.joint}/transmission", "kinematic_error"):
         return []
     small = 0.02 * min(0.01 * s.angle, 0.5 / s.ratio)
-    limit = min(0.1 * s.angle, 0.9 / s.ratio)
+    limit = min(0.1 * s.angle, 0.9 / s.ratio, WORST_GEAR)
     return [
         (
             "kinematic_error",

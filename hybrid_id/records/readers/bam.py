@@ -43,7 +43,7 @@ _KEYS = {
 
 
 def read_bam(path: Path, wanted: Collection[str]) -> Table:
-    """Read the wanted columns of a BAM log; its header becomes `meta`.
+    """Read the wanted columns of a BAM log; `meta` holds its header and the mean of a logged temperature [degC].
 
     Raises:
         InputError: for a damaged file, another layout, or an entry that lacks a number.
@@ -51,6 +51,9 @@ def read_bam(path: Path, wanted: Collection[str]) -> Table:
     header = _load(path)
     entries = header.pop("entries")
     meta = {key: value for key, value in header.items() if isinstance(value, str | int | float)}
+    heat = [e["temp"] for e in entries if isinstance(e, dict) and isinstance(e.get("temp"), int | float)]
+    if len(heat) == len(entries):
+        meta["temperature1"] = float(np.mean(heat))
     names = [name for name, key in _KEYS.items() if key in entries[0]]
     require_columns(path, wanted, [*names, "gain1"] if "kp" in meta else names)
     columns = {}
