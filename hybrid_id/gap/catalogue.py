@@ -124,7 +124,8 @@ def part_of(system: System, where: str, kind: str) -> Component | None:
 
 def free(value: float, lower: float, upper: float, unit: str = "1") -> Bounded:
     """An estimated parameter inside its bounds."""
-    return Bounded(min(max(value, lower), upper), lower, upper, unit)
+    lower, upper = float(lower), float(upper)
+    return Bounded(min(max(float(value), lower), upper), lower, upper, unit)
 
 
 def _inside(kind: str, values: Values) -> dict[str, float | Bounded]:

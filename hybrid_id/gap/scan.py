@@ -71,7 +71,7 @@ def friction_spots(result: FitResult, batch: Batch, joint: int, place: str) -> l
     """
     opened, angle, rub = _rubbing(result, batch, joint, place)
     low, high = float(angle.min()), float(angle.max())
-    spots = [(q, share * (high - low)) for share in WIDTHS for q in np.linspace(low, high, SPOTS)]
+    spots = [(q, share * (high - low)) for share in WIDTHS for q in np.linspace(low, high, SPOTS).tolist()]
     found = _strongest(opened, [(rub * torch.exp(-(((angle - q) / w) ** 2)))[..., None] for q, w in spots])
     return [(*spots[i], *size) for i, size in found[:2]]
 

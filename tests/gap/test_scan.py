@@ -1,14 +1,19 @@
 """Where a fit over an angle begins is found in what a model without it leaves."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from gapcase import small_case
 
+import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
+from hybrid_id import load_model, save_model
 from hybrid_id.components import Cogging, PositionDependent, TightSpot
 from hybrid_id.components.base import Component
+from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.refit import engine
+from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import friction_spots, friction_waves, rotor_waves
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.secant import secant_fit
@@ -44,3 +49,13 @@ def test_a_tight_spot_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
     found = friction_spots(*fit, 1, "motor_friction")
     assert min(abs(q - 0.2) for q, _, _ in found) < 0.1 * float(np.ptp(angle))
     assert all(height > 0 for _, _, height in found)
+
+
+def test_models_from_a_scan_go_through_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    fit, batch = left_by(TightSpot(A=0.008, q_0=0.2, w=0.1), monkeypatch)
+    size = scales(fit.system, batch)[0]
+    for name in ("position_dependent_friction", "cogging"):
+        for starts in CATALOGUE[name].models(fit.system, size, (fit, batch)).values():
+            for start in starts:
+                save_model(start, tmp_path / "model.yaml")
+                assert list(load_model(tmp_path / "model.yaml").components) == list(start.components)
