@@ -10,7 +10,7 @@ from rich.text import Text
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
-from hybrid_id.reporting.gap import parameters_table, suspects_table
+from hybrid_id.reporting.gap import UNLIKELY, parameters_table, suspects_table
 from hybrid_id.reporting.gap_words import (
     LEAST_SHARE,
     bent_lines,
@@ -22,12 +22,15 @@ from hybrid_id.reporting.gap_words import (
     verdict_sentence,
     where_line,
     withdrawn_lines,
+    words_of,
 )
 from hybrid_id.reporting.html.live import Plot
 from hybrid_id.reporting.html.page import Page, Section
 from hybrid_id.reporting.tables import findings_list, records_table
 from hybrid_id.systems.chain import System
 
+SHOWN = 6
+"""Effects that the table shows at least."""
 _HOW = (
     "Search and fits use the train records only; the test records are opened once, to measure the gap. Each effect is "
     "added to today's model and fitted with its parameters; the error of prediction is that on parts of the train "
@@ -79,7 +82,14 @@ def gap_page(
 
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
     ties = (*tie_lines(diagnosis), *withdrawn_lines(diagnosis), *experiment_lines(diagnosis))
-    which = page.section("Which").add(_HOW, suspects_table(diagnosis, reach, level), *map(_sentence, ties))
+    likely = sum(one.selected or one.probability >= UNLIKELY for one in diagnosis.effects)
+    shown = max(likely, SHOWN)
+    which = page.section("Which").add(
+        _HOW, suspects_table(diagnosis, reach, level, shown), *map(_sentence, ties)
+    )
+    others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
+    if others:
+        which.add(_sentence(f"tried as well, each place below {percent(UNLIKELY)}: {', '.join(others)}."))
     picture(which, "suspects")
     where = page.section("Where").add(_sentence(where_line(diagnosis) or _NOWHERE))
     picture(where, "missing_torque")
