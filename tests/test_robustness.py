@@ -163,8 +163,15 @@ def mat_bomb(file: Path) -> None:
     file.write_bytes(head + struct.pack("<II", 15, len(packed)) + packed)
 
 
+def parquet_bomb(file: Path) -> None:
+    """A page that repeats one number needs no more than the number and how often."""
+    pd.DataFrame(dict.fromkeys(("t", "u1", "q_m1"), np.zeros(FREE // 20))).to_parquet(file)
+    assert file.stat().st_size < FREE // 1000
+
+
 @pytest.mark.parametrize(
-    ("name", "make"), [("b.csv.gz", gzip_bomb), ("b.json.gz", gzip_bomb), ("b.mat", mat_bomb)]
+    ("name", "make"),
+    [("b.csv.gz", gzip_bomb), ("b.json.gz", gzip_bomb), ("b.mat", mat_bomb), ("b.parquet", parquet_bomb)],
 )
 def test_bombs_are_refused_before_they_unpack(
     tmp_path: Path, name: str, make: Callable[[Path], None]
@@ -173,6 +180,14 @@ def test_bombs_are_refused_before_they_unpack(
     describe(tmp_path, name)
     with pytest.raises(InputError, match="unpacks to more than 100 times its size"):
         Dataset.load(tmp_path)
+
+
+def test_a_long_record_is_no_bomb(tmp_path: Path) -> None:
+    count = FREE // 20
+    still = {"t": 0.002 * np.arange(count), "u1": np.zeros(count), "q_m1": np.arange(count) % 7.0}
+    pd.DataFrame(still).to_parquet(tmp_path / "a.parquet")
+    describe(tmp_path, "a.parquet")
+    assert Dataset.load(tmp_path).records[0].n_samples == count
 
 
 @pytest.mark.parametrize("file", ["../a.csv", "/etc/passwd", "x/../../a.csv", "..\\\\a.csv"])

@@ -7,19 +7,21 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.readers.table import Table, require_columns
+from hybrid_id.records.readers.unpack import refuse_growth
 
 
 def read_parquet(path: Path, wanted: Collection[str]) -> Table:
     """Read the wanted columns of a Parquet file.
 
     Raises:
-        InputError: for a damaged file, a missing column, or one that holds no numbers.
+        InputError: for a damaged file, one that unpacks beyond any record, a missing column, or one without numbers.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
         require_columns(path, wanted, pq.read_schema(path).names)
+        refuse_growth(path, path.stat().st_size, 8 * len(wanted) * pq.read_metadata(path).num_rows)
         table = pq.read_table(path, columns=list(wanted))
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0].rstrip(".")

@@ -30,11 +30,16 @@ def refuse_bomb(path: Path) -> None:
             while left > 0 and (data := file.read(min(_CHUNK, left))):
                 left -= len(data)
                 unpacked += _length(engine, data)
-                if unpacked > FREE and unpacked > RATIO * size:
-                    raise InputError(
-                        f"{path} unpacks to more than {RATIO} times its size and over {FREE // 1_000_000} MB, which no "
-                        "record does; bring it uncompressed if it is one"
-                    )
+                refuse_growth(path, size, unpacked)
+
+
+def refuse_growth(path: Path, size: int, unpacked: int) -> None:
+    """Raise InputError where so many bytes unpack to so many more than any record's do."""
+    if unpacked > FREE and unpacked > RATIO * size:
+        raise InputError(
+            f"{path} unpacks to more than {RATIO} times its size and over {FREE // 1_000_000} MB, which no record "
+            "does; bring it uncompressed if it is one"
+        )
 
 
 def _streams(file: BinaryIO, path: Path) -> Iterator[tuple[int, int, int]]:
