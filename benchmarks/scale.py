@@ -94,7 +94,11 @@ def job(kind: str, size: int, folder: Path) -> Callable[[], object]:
         table = pd.DataFrame({"t": time_, **records[0].inputs, **records[0].outputs})
         ending = kind.removeprefix("read ")
         if ending == "csv":
-            table.round(6).to_csv(folder / "run.csv", index=False)
+            import pyarrow as pa
+            from pyarrow import csv
+
+            # ten times as fast as pandas
+            csv.write_csv(pa.Table.from_pandas(table.round(6)), folder / "run.csv")
         else:
             table.to_parquet(folder / "run.parquet")
         text = "name: scale\ninputs: [{name: u1, unit: V}]\noutputs: [{name: q_m1, unit: rad}]\n"

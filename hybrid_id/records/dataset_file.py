@@ -27,7 +27,7 @@ def load_dataset(path: Path, folder: Path | None) -> Dataset:
         shown = (
             f"only {', '.join(found[:3])}{', ...' if len(found) > 3 else ''}" if found else "no files at all"
         )
-        raise InputError(f"{path} holds no {FILE_NAME} ({shown}); write one that lists channels and records")
+        raise InputError(f"{path} holds no {FILE_NAME} ({shown}); write one, as docs/records.md shows")
     spec = validate(DatasetFile, read_yaml(file), file)
     return _build(spec, file, folder or file.parent, path)
 
