@@ -45,7 +45,7 @@ def shrink(refit: Errors, with_effect: Errors, floor: float, *, seed: int = 0) -
         draw = [[generator.integers(0, len(b), len(b)) for b in row] for row in refit.blocks]
         pairs.append((refit.resampled(draw), with_effect.resampled(draw)))
     scale = max(with_effect.nrmse, 1e-300)
-    scatter = min(float(np.std([after for _, after in pairs])) / scale, 0.5)
+    scatter = min(1.96 * float(np.std([after for _, after in pairs])) / scale, 0.5)
     least, most = min(with_effect.noise, floor) / scale * (1.0 - scatter), floor / scale * (1.0 + scatter)
     # the floor moves with the error that is drawn: the same blocks hold the same noise
     lows = [_share(before, after, least * after) for before, after in pairs]
