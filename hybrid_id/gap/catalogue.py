@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from hybrid_id.components.base import REGISTRY, Component
@@ -14,6 +15,8 @@ from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
 
+ROTOR_SHARES = (0.1, 0.02)
+"""Shares of the rotor in a joint's inertia that are tried where the model's own does not go with an effect."""
 Values = Mapping[str, float | Bounded]
 Start = tuple[str, Values]
 """A component's kind and its parameter values."""
@@ -68,23 +71,26 @@ class Effect:
             starts = self.starts(system, scales, place)
             if starts and self.scan is not None and left is not None:
                 starts = self.starts(system, scales, place, self.scan(*left, scales.joint, place))
-            if starts:
-                found[where] = [self._model(system, where, *start) for start in starts]
+            models = [self._model(system, where, *start) for start in starts]
+            if any(model is not None for model in models):
+                found[where] = [model for model in models if model is not None]
         return found
 
-    def _model(self, system: System, where: str, kind: str, values: Values) -> System:
-        richer = system.with_component(where, REGISTRY[kind](**_inside(kind, values)))
-        if kind not in self.splits:
-            return richer
+    def _model(self, system: System, where: str, kind: str, values: Values) -> System | None:
+        """The model at one start point; None where it cannot be built."""
         share = next(
-            (i for i in richer.table if i.symbol == "rotor_share" and i.component.startswith(where[:6])), None
+            (i for i in system.table if i.symbol == "rotor_share" and i.component.startswith(where[:6])), None
         )
-        if share is None:
-            return richer
-        spec = replace(
-            share.spec, estimate=True, lower=max(share.spec.lower, 0.01), upper=min(share.spec.upper, 0.99)
-        )
-        return richer.with_specs({share.name: spec})
+        lighter = [] if share is None else [system.with_values({share.name: x}) for x in ROTOR_SHARES]
+        for start in (system, *lighter):
+            with suppress(InputError):  # too heavy a rotor leaves the links of an arm no mass matrix
+                richer = start.with_component(where, REGISTRY[kind](**_inside(kind, values)))
+                if share is None or kind not in self.splits:
+                    return richer
+                spec = richer.parameter(share.name).spec
+                low, high = max(spec.lower, 0.01), min(spec.upper, 0.99)
+                return richer.with_specs({share.name: replace(spec, estimate=True, lower=low, upper=high)})
+        return None
 
     @property
     def equation(self) -> str:

@@ -11,7 +11,7 @@ from gapcase import STEP
 
 import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
 from hybrid_id import InputError, Record, load_model, one_link, save_model, two_link
-from hybrid_id.components import Viscous
+from hybrid_id.components import REGISTRY, Viscous
 from hybrid_id.gap.catalogue import CATALOGUE, effect
 from hybrid_id.gap.scales import Scales, scales
 from hybrid_id.simulation.dry_equations import source
@@ -122,3 +122,16 @@ def test_every_model_can_be_compiled(kind: str) -> None:
     for _, system in models(kind):
         arrived = [f"arrived{joint.number}" for joint in system.joints]  # what is left of a delay
         assert "shoot" in source(system, [*system.input_names, *arrived])
+
+
+def test_play_starts_with_a_lighter_rotor_where_the_arm_needs_its_inertia() -> None:
+    coupled = two_link((50.0, 40.0)).with_values({"P_1": 0.3443, "P_2": 0.19, "P_3": 0.1338, "P_4": 0.0311})
+    size = Scales(
+        joint=2, ratio=40.0, sample_time=STEP, duration=2.0, command=12.0, command_rms=6.0, speed=100.0, turns=80.0,
+        angle=1.6, middle=0.0, torque=0.05, dry=0.01, inertia=8e-5, rotor=2e-5,
+    )  # fmt: skip
+    with pytest.raises(InputError, match="mass matrix"):
+        coupled.with_component("joint2/transmission", REGISTRY["backlash"]())
+    built = effect("backlash").models(coupled, size)["joint2/transmission"]
+    share = next(i for i in built[0].table if i.symbol == "rotor_share" and i.component.startswith("joint2"))
+    assert built and share.spec.value < 0.3 and share.spec.estimate

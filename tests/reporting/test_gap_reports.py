@@ -154,7 +154,9 @@ def test_page_has_the_verdict_first_and_every_picture(diagnosed, images) -> None
     assert text.index("Spring load at the load of joint 1") < text.index("<h2>")
     assert text.count("data:image/png;base64,") == len(images)
     assert all(one.name.replace("_", " ") in text for one in found.effects)
-    assert text.count('<td class="">joint 1') < len(found.effects)  # the improbable ones are named in a sentence
+    assert text.count('<td class="">joint 1') < len(
+        found.effects
+    )  # the improbable ones are named in a sentence
 
 
 def test_events_hold_errors_probabilities_and_pictures(diagnosed, images, tmp_path) -> None:
