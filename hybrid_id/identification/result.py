@@ -168,7 +168,10 @@ def sensitivities(
         factor = options.loss.factor(residual).sqrt()
         jacobian = at.jacobian[row][keep] * factor[..., None]
         hessian = at.hessian[row]
-        back = torch.linalg.solve(hessian[:n_x, :n_x], hessian[:n_x, n_x:])
+        start, cross = hessian[:n_x, :n_x], hessian[:n_x, n_x:]
+        back, singular = torch.linalg.solve_ex(start, cross)
+        if singular:  # a start state that the record does not see, inside a gear's play say, takes up nothing
+            back = torch.linalg.pinv(start, hermitian=True) @ cross
         jacobians.append((jacobian[..., n_x:] - jacobian[..., :n_x] @ back).cpu().numpy())
         residuals.append((residual * factor).cpu().numpy())
     return tuple(jacobians), tuple(residuals)

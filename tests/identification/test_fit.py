@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit, start_points
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import Loss
+from hybrid_id.identification.result import sensitivities
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
@@ -322,3 +324,18 @@ def test_smooth_engine_recovers_what_it_made() -> None:
     np.testing.assert_allclose(found.values, [EXACT[n] for n in found.names], rtol=0.01)
     (dry,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True)
     assert dry.cost > found.cost
+
+
+def test_a_start_state_that_no_measurement_sees_takes_up_nothing() -> None:
+    residual = torch.randn(1, 6, 1, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    jacobian = torch.randn(1, 6, 1, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    jacobian[..., 1] = 0.0  # two start states, the second of which is not seen, and a parameter
+    flat = jacobian[0, :, 0]
+    at = SimpleNamespace(
+        x=torch.zeros(1, 6, 2), residual=residual, jacobian=jacobian, hessian=(flat.T @ flat)[None]
+    )
+    batch = SimpleNamespace(weight=torch.ones(1, 6, 1))
+    found, _ = sensitivities(at, torch.tensor([0]), torch.tensor([0]), batch, Options())  # type: ignore[arg-type]
+    seen, own = flat[:, :1], flat[:, 2:]
+    expected = own - seen @ torch.linalg.lstsq(seen, own).solution
+    torch.testing.assert_close(torch.tensor(found[0][:, 0]), expected)
