@@ -21,7 +21,9 @@ for case in sys.argv[2:]:
     ends = _best_of_each([one for one in refit.run(todo, TO_THE_END) if one is not None])
     slow = _simplest_first(ends, {one.effects for one in ends})
     first = fast.rounds[0].candidates
-    print(f"{case}: fast {middle - begun:.0f} s, all {time.process_time() - middle:.0f} s for {len(todo)} starts")
+    print(
+        f"{case}: fast {middle - begun:.0f} s, all {time.process_time() - middle:.0f} s for {len(todo)} starts"
+    )
     for name, found in (("fast", first), ("all", slow)):
         told = ", ".join(f"{e.effects[0][0]}@{e.effects[0][1]} {e.evidence.error:.4f}" for e in found[:3])
         print(f"  {name}: before {fast.base.evidence.error:.4f}; {told}", flush=True)
