@@ -18,6 +18,8 @@ from hybrid_id.simulation.batch import Batch
 
 PERIODS = range(1, 49)
 """Periods a turn of the rotor that a motor's poles and slots may have."""
+GEAR_PERIODS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
+"""Periods a turn of the rotor that errors of a gear may have: a shaft behind it turns once in several turns of its."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
 SPOTS = 24
@@ -74,6 +76,33 @@ def friction_spots(result: FitResult, batch: Batch, joint: int, place: str) -> l
     spots = [(q, share * (high - low)) for share in WIDTHS for q in np.linspace(low, high, SPOTS).tolist()]
     found = _strongest(opened, [(rub * torch.exp(-(((angle - q) / w) ** 2)))[..., None] for q, w in spots])
     return [(*spots[i], *size) for i, size in found[:2]]
+
+
+def gear_waves(result: FitResult, batch: Batch, joint: int, place: str) -> list[tuple[float, ...]]:
+    """Errors ``E_c cos(n q) + E_s sin(n q)`` of a rigid gear over the rotor's angle, best first: (n, E_c, E_s).
+
+    A link of inertia J behind ``q / r + e(q)`` pulls at the rotor by ``-(J / r) (2 e' a + e'' v^2)``, to first order.
+
+    Args:
+        result: pooled fit.
+        batch: its records.
+        joint: number, from 1.
+        place: of the gear.
+    """
+    part = result.system.joints[joint - 1]
+    if not part.rigid:
+        return []
+    opened = probe(result.system, result.engine, batch, joint, "motor")
+    q, v = batch.x[..., opened.row], batch.x[..., opened.row + 1]
+    a = torch.gradient(v, dim=1)[0] / batch.dt[batch.dt > 0].median()
+    key, inertia = part.inertia
+    view = result.system.components[key].view()  # type: ignore[operator]
+    pull = -float(inertia.link(view, part.gear_ratio).detach()) / part.gear_ratio
+    shapes = []
+    for n in GEAR_PERIODS:
+        first = torch.stack([-n * (n * q).sin(), n * (n * q).cos()], -1)
+        shapes.append(pull * (2.0 * first * a[..., None] - n**2 * _waves(n * q) * v.square()[..., None]))
+    return [(GEAR_PERIODS[i], *size) for i, size in _strongest(opened, shapes)[:2]]
 
 
 def _rubbing(result: FitResult, batch: Batch, joint: int, place: str) -> tuple[Probe, Tensor, Tensor]:

@@ -9,12 +9,12 @@ from gapcase import small_case
 
 import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
 from hybrid_id import load_model, save_model
-from hybrid_id.components import Cogging, PositionDependent, TightSpot
+from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
 from hybrid_id.components.base import Component
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.refit import engine
 from hybrid_id.gap.scales import scales
-from hybrid_id.gap.scan import friction_spots, friction_waves, rotor_waves
+from hybrid_id.gap.scan import friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.simulation.batch import Batch
@@ -23,8 +23,8 @@ from hybrid_id.study.replays import batch_of
 
 def left_by(missing: Component, monkeypatch: pytest.MonkeyPatch) -> tuple[FitResult, Batch]:
     """Today's model fitted to records of a drive with something beside its motor."""
-    place = "joint1/motor" if isinstance(missing, Cogging) else "joint1/motor_friction"
-    monkeypatch.setattr("gapcase.WHERE", place)
+    places = {Cogging: "motor", KinematicError: "transmission"}
+    monkeypatch.setattr("gapcase.WHERE", f"joint1/{places.get(type(missing), 'motor_friction')}")
     dataset, today = small_case(missing)
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
     return secant_fit(today, batch, engine=replace(engine(), compiled=False), iterations=8), batch
@@ -35,6 +35,13 @@ def test_periods_of_cogging(monkeypatch: pytest.MonkeyPatch) -> None:
     n, first, second = rotor_waves(*fit, 1, "motor")[0]
     assert n == 1.0
     assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
+
+
+def test_error_of_a_gear(monkeypatch: pytest.MonkeyPatch) -> None:
+    fit = left_by(KinematicError(E_c=2e-3, E_s=-3e-3, n=0.5), monkeypatch)
+    found = gear_waves(*fit, 1, "transmission")
+    assert found[0][0] == 0.5
+    assert found[0][1] > 0 > found[0][2]
 
 
 def test_waves_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 import math
 
 from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
+from hybrid_id.gap.scan import gear_waves
 
 RESONANCES = (8.0, 25.0)
 """Where rotor and link may swing against each other [Hz]."""
@@ -60,7 +61,7 @@ def _hardening(system, s, place):
     ]
 
 
-def _kinematic(system, s, place):
+def _kinematic(system, s, place, found=()):
     if has(system, f"joint{s.joint}/transmission", "kinematic_error"):
         return []
     small = 0.02 * min(0.01 * s.angle, 0.5 / s.ratio)
@@ -68,9 +69,9 @@ def _kinematic(system, s, place):
     return [
         (
             "kinematic_error",
-            {"E_c": free(small, -limit, limit, "rad"), "E_s": free(small, -limit, limit, "rad"), "n": n},
+            {"E_c": free(c, -limit, limit, "rad"), "E_s": free(d, -limit, limit, "rad"), "n": n},
         )
-        for n in (1.0, 2.0)
+        for n, c, d in (*((n, small, small) for n in (1.0, 2.0)), *found)
     ]
 
 
@@ -92,4 +93,5 @@ register(Effect(
     "kinematic_error", ("transmission",), _kinematic, ("cogging", "position_dependent_friction"),
     "slow and fast motion over the same turns: an error of the ratio grows with speed, cogging does not",
     splits=("kinematic_error",),
+    scan=gear_waves,
 ))  # fmt: skip
