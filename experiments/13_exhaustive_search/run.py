@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hybrid_id.gap.attribute import attribute
 from hybrid_id.gap.refit import TO_THE_END, Refit
-from hybrid_id.gap.round import _best_of_each, _simplest_first, tasks
+from hybrid_id.gap.round import best_of_each, simplest_first, tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
 
@@ -18,8 +18,8 @@ for case in sys.argv[2:]:
     middle = time.process_time()
     base = refit.base(today)
     todo = [task for part in tasks(refit, base, today) for task in part]
-    ends = _best_of_each([one for one in refit.run(todo, TO_THE_END) if one is not None])
-    slow = _simplest_first(ends, {one.effects for one in ends})
+    ends = best_of_each([one for one in refit.run(todo, TO_THE_END) if one is not None])
+    slow = simplest_first(ends, {one.effects for one in ends})
     first = fast.rounds[0].candidates
     print(
         f"{case}: fast {middle - begun:.0f} s, all {time.process_time() - middle:.0f} s for {len(todo)} starts"

@@ -26,9 +26,9 @@ def bic(dataset: Dataset, system: System) -> dict[str, Any]:
     """Name the effect with the least criterion, if any is below that of today's model."""
     refit = Refit(dataset)
     base = refit.base(system)
-    looks = _best_of_each(refit.run([t for part in tasks(refit, base, system) for t in part], FIRST_LOOK))
+    looks = best_of_each(refit.run([t for part in tasks(refit, base, system) for t in part], FIRST_LOOK))
     finals = refit.run([Task(one.effects, one.system) for one in looks[:FINALISTS]], TO_THE_END)
-    ranked = _best_of_each([*looks, *finals])
+    ranked = best_of_each([*looks, *finals])
     criteria = np.array([criterion(base), *(criterion(one) for one in ranked)])
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     weights = weights / weights.sum()
@@ -48,7 +48,7 @@ def criterion(one: Explanation) -> float:
     return float(n * np.log(np.square(residual).sum() / n) + len(one.result.names) * np.log(n))
 
 
-def _best_of_each(found: list[Explanation | None]) -> list[Explanation]:
+def best_of_each(found: list[Explanation | None]) -> list[Explanation]:
     """The best fit of each effect at each place, least criterion first."""
     best: dict[tuple[tuple[str, str], ...], Explanation] = {}
     for one in sorted((e for e in found if e is not None), key=criterion):

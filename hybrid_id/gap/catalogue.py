@@ -10,9 +10,8 @@ from dataclasses import dataclass, replace
 from hybrid_id.components.base import REGISTRY, Component
 from hybrid_id.errors import InputError
 from hybrid_id.gap.scales import Scales
-from hybrid_id.identification.result import FitResult
+from hybrid_id.gap.scan import Left
 from hybrid_id.parameters import Bounded
-from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
 
 ROTOR_SHARES = (0.1, 0.02)
@@ -35,7 +34,7 @@ class Effect:
         splits: components of it that need the split of inertia between rotor and link, which is then estimated.
         on_link: whether a joint with a compliant gear can tell its second place from its first.
         kinds: components that model it, where they are not called as it is.
-        scan: looks in what a fit leaves for start points, by (fit, records, joint, place); ``starts`` takes what it
+        scan: looks in what a fit leaves for start points, by (what is left, joint, place); ``starts`` takes what it
             returns as a further argument.
     """
 
@@ -47,21 +46,19 @@ class Effect:
     splits: tuple[str, ...] = ()
     on_link: bool = True
     kinds: tuple[str, ...] = ()
-    scan: Callable[[FitResult, Batch, int, str], Sequence[object]] | None = None
+    scan: Callable[[Left, int, str], Sequence[object]] | None = None
 
     def __post_init__(self) -> None:
         if not self.kinds:
             object.__setattr__(self, "kinds", (self.name,))
 
-    def models(
-        self, system: System, scales: Scales, left: tuple[FitResult, Batch] | None = None
-    ) -> dict[str, list[System]]:
+    def models(self, system: System, scales: Scales, left: Left | None = None) -> dict[str, list[System]]:
         """The system with this effect at each place of a joint where it may act, one model for each start point.
 
         Args:
             system: a model.
             scales: of the joint.
-            left: the model's fit and its records, for an effect that looks for its start points there.
+            left: what the model's fit leaves, for an effect that looks for its start points there.
         """
         joint = system.joints[scales.joint - 1]
         places = self.places if not joint.rigid and self.on_link else self.places[:1]
@@ -70,7 +67,7 @@ class Effect:
             where = f"{joint.name}/{place}"
             starts = self.starts(system, scales, place)
             if starts and self.scan is not None and left is not None:
-                starts = self.starts(system, scales, place, self.scan(*left, scales.joint, place))
+                starts = self.starts(system, scales, place, self.scan(left, scales.joint, place))
             models = [self._model(system, where, *start) for start in starts]
             if any(model is not None for model in models):
                 found[where] = [model for model in models if model is not None]

@@ -14,6 +14,7 @@ from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
+from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System
 
 SECOND_LOOK = 10
@@ -66,12 +67,13 @@ def tasks(refit: Refit, before: Explanation, today: System) -> tuple[list[Task],
     may start from today's own values, too: the second list.
     """
     batch = refit.records(before.system)
+    left = Left(before.result, batch)
     taken, found, others = set(before.effects), [], []
     bent = bool(bent_parameters(today, before.system))
     here, there = refit.slopes(before.system), refit.slopes(today) if bent else None
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
-            for where, starts in effect.models(before.system, size, (before.result, batch)).items():
+            for where, starts in effect.models(before.system, size, left).items():
                 if (effect.name, where) in taken:
                     continue
                 names = tuple(sorted((*before.effects, (effect.name, where))))
@@ -118,8 +120,8 @@ def _ranked(
         looked = [e for e in refit.run(part, LOOK, tick) if e is not None]
         # a start that is behind where another of the same effects has come to is let go
         looked = [e for e in looked if e.evidence.error < known.get(e.effects, math.inf)]
-        seen = _best_of_each(looked, MORE_STARTS)
-        firsts = _best_of_each(seen)
+        seen = best_of_each(looked, MORE_STARTS)
+        firsts = best_of_each(seen)
         promising = firsts[:PROMISING] + [e for e in seen if e not in firsts][:MORE_STARTS]
         ranked = _further(refit, before, promising, [*ranked, *firsts], SECOND_LOOK, tick)
     finished: set[tuple[Name, ...]] = set()
@@ -127,7 +129,7 @@ def _ranked(
         left = [e for e in ranked[:keep] if e.effects not in finished]
         finished |= {e.effects for e in left}
         ranked = _further(refit, before, left, ranked, TO_THE_END, tick)
-    return tuple(_simplest_first(ranked, finished))
+    return tuple(simplest_first(ranked, finished))
 
 
 def _further(
@@ -152,7 +154,7 @@ def _further(
     more = refit.run([Task(e.effects, e.system, cost=e.result.cost) for e in rivals], iterations, tick)
     # what has been fitted further counts, be it better or worse; the rest stays as it was seen
     kept = [e for e in (*everyone, *some) if e not in rivals]
-    return _best_of_each([*(e for e in more if e is not None), *kept])
+    return best_of_each([*(e for e in more if e is not None), *kept])
 
 
 def is_white(one: Explanation) -> bool:
@@ -160,7 +162,7 @@ def is_white(one: Explanation) -> bool:
     return coloured(one.result.residual) < WHITE
 
 
-def _simplest_first(ranked: list[Explanation], finished: set[tuple[Name, ...]]) -> list[Explanation]:
+def simplest_first(ranked: list[Explanation], finished: set[tuple[Name, ...]]) -> list[Explanation]:
     """Of the candidates that predict as well as the best, the one with the fewest parameters leads (Occam)."""
     equals = [
         e
@@ -171,7 +173,7 @@ def _simplest_first(ranked: list[Explanation], finished: set[tuple[Name, ...]]) 
     return ranked if first is None else [first, *(e for e in ranked if e is not first)]
 
 
-def _best_of_each(found: Sequence[Explanation], each: int = 1) -> list[Explanation]:
+def best_of_each(found: Sequence[Explanation], each: int = 1) -> list[Explanation]:
     """The best fits of each set of effects, best first; of those that have come to the same end only one."""
     ends: dict[tuple[Name, ...], list[float]] = {}
     best = []

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -28,33 +29,52 @@ WIDTHS = (0.03, 0.07, 0.15)
 """Its half widths, as shares of the range."""
 
 
-def rotor_waves(result: FitResult, batch: Batch, joint: int, place: str) -> list[tuple[float, ...]]:
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What a fit leaves, opened for torques at the sides of its joints, each once for all who look there.
+
+    Attributes:
+        result: pooled fit.
+        batch: its records.
+    """
+
+    result: FitResult
+    batch: Batch
+    _probes: dict[tuple[int, str], Probe] = field(default_factory=dict, repr=False)
+
+    def opened(self, joint: int, side: str) -> Probe:
+        """The probe at one side (``motor`` or ``load``) of a joint, numbered from 1."""
+        if (joint, side) not in self._probes:
+            fit = self.result
+            self._probes[joint, side] = probe(fit.system, fit.engine, self.batch, joint, side)
+        return self._probes[joint, side]
+
+
+def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     """Torques ``T_c cos(n q) + T_s sin(n q)`` over the rotor's angle, best first: (n, T_c, T_s).
 
     The phase is that of the measured angle: a simulation that is off by a fraction of a period has lost it.
 
     Args:
-        result: pooled fit.
-        batch: its records.
+        left: what a fit leaves.
         joint: number, from 1.
         place: where the torque acts.
     """
-    opened = probe(result.system, result.engine, batch, joint, "motor")
-    phase = batch.x[..., opened.row]
+    opened = left.opened(joint, "motor")
+    phase = left.batch.x[..., opened.row]
     found = _strongest(opened, [_waves(n * phase) for n in PERIODS])
     return [(float(PERIODS[i]), *size) for i, size in found[:2]]
 
 
-def friction_waves(result: FitResult, batch: Batch, joint: int, place: str) -> list[tuple[float, ...]]:
+def friction_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     """Dry friction ``A_c cos(n q) + A_s sin(n q)`` over the joint's angle, best first: (n, A_c, A_s).
 
     Args:
-        result: pooled fit.
-        batch: its records.
+        left: what a fit leaves.
         joint: number, from 1.
         place: where the friction acts.
     """
-    opened, angle, rub = _rubbing(result, batch, joint, place)
+    opened, angle, rub = _rubbing(left, joint, place)
     reach = float(angle.max() - angle.min())
     # half a wave over the range is told from its neighbours, and a slope over the range is a quarter of one
     steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
@@ -62,41 +82,40 @@ def friction_waves(result: FitResult, batch: Batch, joint: int, place: str) -> l
     return [(float(steps[i]), *size) for i, size in found[:2]]
 
 
-def friction_spots(result: FitResult, batch: Batch, joint: int, place: str) -> list[tuple[float, ...]]:
+def friction_spots(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     """Dry friction ``A exp(-((q - q_0) / w)^2)`` over the joint's angle, best first: (q_0, w, A).
 
     Args:
-        result: pooled fit.
-        batch: its records.
+        left: what a fit leaves.
         joint: number, from 1.
         place: where the friction acts.
     """
-    opened, angle, rub = _rubbing(result, batch, joint, place)
+    opened, angle, rub = _rubbing(left, joint, place)
     low, high = float(angle.min()), float(angle.max())
     spots = [(q, share * (high - low)) for share in WIDTHS for q in np.linspace(low, high, SPOTS).tolist()]
     found = _strongest(opened, [(rub * torch.exp(-(((angle - q) / w) ** 2)))[..., None] for q, w in spots])
     return [(*spots[i], *size) for i, size in found[:2]]
 
 
-def gear_waves(result: FitResult, batch: Batch, joint: int, place: str) -> list[tuple[float, ...]]:
+def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     """Errors ``E_c cos(n q) + E_s sin(n q)`` of a rigid gear over the rotor's angle, best first: (n, E_c, E_s).
 
     A link of inertia J behind ``q / r + e(q)`` pulls at the rotor by ``-(J / r) (2 e' a + e'' v^2)``, to first order.
 
     Args:
-        result: pooled fit.
-        batch: its records.
+        left: what a fit leaves.
         joint: number, from 1.
         place: of the gear.
     """
-    part = result.system.joints[joint - 1]
+    system, batch = left.result.system, left.batch
+    part = system.joints[joint - 1]
     if not part.rigid:
         return []
-    opened = probe(result.system, result.engine, batch, joint, "motor")
+    opened = left.opened(joint, "motor")
     q, v = batch.x[..., opened.row], batch.x[..., opened.row + 1]
     a = torch.gradient(v, dim=1)[0] / batch.dt[batch.dt > 0].median()
     key, inertia = part.inertia
-    view = result.system.components[key].view()  # type: ignore[operator]
+    view = system.components[key].view()  # type: ignore[operator]
     pull = -float(inertia.link(view, part.gear_ratio).detach()) / part.gear_ratio
     shapes = []
     for n in GEAR_PERIODS:
@@ -105,12 +124,12 @@ def gear_waves(result: FitResult, batch: Batch, joint: int, place: str) -> list[
     return [(GEAR_PERIODS[i], *size) for i, size in _strongest(opened, shapes)[:2]]
 
 
-def _rubbing(result: FitResult, batch: Batch, joint: int, place: str) -> tuple[Probe, Tensor, Tensor]:
+def _rubbing(left: Left, joint: int, place: str) -> tuple[Probe, Tensor, Tensor]:
     """A probe where friction acts, the joint's angle there, and the direction against the motion."""
     side = "load" if place == "link_friction" else "motor"
-    opened = probe(result.system, result.engine, batch, joint, side)
-    ratio = 1.0 if side == "load" else result.system.joints[joint - 1].gear_ratio
-    return opened, batch.x[..., opened.row] / ratio, -torch.sign(batch.x[..., opened.row + 1])
+    opened, x = left.opened(joint, side), left.batch.x
+    ratio = 1.0 if side == "load" else left.result.system.joints[joint - 1].gear_ratio
+    return opened, x[..., opened.row] / ratio, -torch.sign(x[..., opened.row + 1])
 
 
 def _waves(phase: Tensor) -> Tensor:

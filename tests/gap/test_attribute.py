@@ -11,7 +11,7 @@ from hybrid_id.gap.attribute import _leaves_something, _without, better
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import evidence
-from hybrid_id.gap.round import _as_today, _simplest_first
+from hybrid_id.gap.round import _as_today, simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
 
@@ -72,9 +72,9 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
         fitted("spring_load", 1.0, 7), fitted("constant_torque", 1.02, 6), fitted("gravity_load", 1.2, 5)
     )  # fmt: skip
     ranked, everyone = [spring, bias, weight], {e.effects for e in (spring, bias, weight)}
-    assert _simplest_first(ranked, everyone) == [bias, spring, weight]  # the weight predicts worse
-    assert _simplest_first(ranked, {spring.effects}) == ranked  # what was not fitted to the end does not lead
-    assert _simplest_first([], everyone) == []
+    assert simplest_first(ranked, everyone) == [bias, spring, weight]  # the weight predicts worse
+    assert simplest_first(ranked, {spring.effects}) == ranked  # what was not fitted to the end does not lead
+    assert simplest_first([], everyone) == []
 
 
 def test_values_of_today_that_cannot_stand_beside_an_effect_are_left_out() -> None:

@@ -14,55 +14,53 @@ from hybrid_id.components.base import Component
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.refit import engine
 from hybrid_id.gap.scales import scales
-from hybrid_id.gap.scan import friction_spots, friction_waves, gear_waves, rotor_waves
-from hybrid_id.identification.result import FitResult
+from hybrid_id.gap.scan import Left, friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.identification.secant import secant_fit
-from hybrid_id.simulation.batch import Batch
 from hybrid_id.study.replays import batch_of
 
 
-def left_by(missing: Component, monkeypatch: pytest.MonkeyPatch) -> tuple[FitResult, Batch]:
+def left_by(missing: Component, monkeypatch: pytest.MonkeyPatch) -> Left:
     """Today's model fitted to records of a drive with something beside its motor."""
     places = {Cogging: "motor", KinematicError: "transmission"}
     monkeypatch.setattr("gapcase.WHERE", f"joint1/{places.get(type(missing), 'motor_friction')}")
     dataset, today = small_case(missing)
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
-    return secant_fit(today, batch, engine=replace(engine(), compiled=False), iterations=8), batch
+    return Left(secant_fit(today, batch, engine=replace(engine(), compiled=False), iterations=8), batch)
 
 
 def test_periods_of_cogging(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = left_by(Cogging(T_c=0.004, T_s=-0.003, n=1.0), monkeypatch)
-    n, first, second = rotor_waves(*fit, 1, "motor")[0]
+    n, first, second = rotor_waves(fit, 1, "motor")[0]
     assert n == 1.0
     assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
 
 
 def test_error_of_a_gear(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = left_by(KinematicError(E_c=2e-3, E_s=-3e-3, n=0.5), monkeypatch)
-    found = gear_waves(*fit, 1, "transmission")
+    found = gear_waves(fit, 1, "transmission")
     assert found[0][0] == 0.5
     assert found[0][1] > 0 > found[0][2]
 
 
 def test_waves_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = left_by(PositionDependent(A_c=0.004, A_s=0.003, n=7.0), monkeypatch)
-    found = friction_waves(*fit, 1, "motor_friction")
+    found = friction_waves(fit, 1, "motor_friction")
     assert min(abs(n - 7.0) for n, _, _ in found) < 1.5
 
 
 def test_a_tight_spot_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
     fit = left_by(TightSpot(A=0.008, q_0=0.2, w=0.1), monkeypatch)
-    angle = fit[1].x[..., 0].numpy() / 50.0
-    found = friction_spots(*fit, 1, "motor_friction")
+    angle = fit.batch.x[..., 0].numpy() / 50.0
+    found = friction_spots(fit, 1, "motor_friction")
     assert min(abs(q - 0.2) for q, _, _ in found) < 0.1 * float(np.ptp(angle))
     assert all(height > 0 for _, _, height in found)
 
 
 def test_models_from_a_scan_go_through_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    fit, batch = left_by(TightSpot(A=0.008, q_0=0.2, w=0.1), monkeypatch)
-    size = scales(fit.system, batch)[0]
+    left = left_by(TightSpot(A=0.008, q_0=0.2, w=0.1), monkeypatch)
+    size = scales(left.result.system, left.batch)[0]
     for name in ("position_dependent_friction", "cogging"):
-        for starts in CATALOGUE[name].models(fit.system, size, (fit, batch)).values():
+        for starts in CATALOGUE[name].models(left.result.system, size, left).values():
             for start in starts:
                 save_model(start, tmp_path / "model.yaml")
                 assert list(load_model(tmp_path / "model.yaml").components) == list(start.components)

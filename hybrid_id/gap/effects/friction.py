@@ -99,9 +99,9 @@ def _load_dependent(system, s, place):
     return [(kind, {"mu": free(0.1, 0.0, 0.9)}) for kind in kinds]
 
 
-def _over_angle(result, batch, joint, place):
+def _over_angle(left, joint, place):
     """What friction over the angle would explain most of what a fit leaves: waves and spots."""
-    return friction_waves(result, batch, joint, place), friction_spots(result, batch, joint, place)
+    return friction_waves(left, joint, place), friction_spots(left, joint, place)
 
 
 def _position(system, s, place, found=(((1.0, 1e-6, 0.0),), ((0.0, 0.1, 1e-6),))):
