@@ -134,7 +134,7 @@ def _check_arms(task: "Task", config: StudyConfig, cells: "Sequence[Cell]") -> N
     places = {f"ablation.place[{k}]": where for k, where in enumerate(wish.place or [])}
     for key, where in (places or {f"{first}.place": [p for cell in cells for p in cell.arm.places]}).items():
         for place in [where] if isinstance(where, str) else where:
-            check_network(task.system, config, {key: place}, {f"{first}.inputs": task.inputs})
+            check_network(task.system, config, (key, place), (f"{first}.inputs", task.inputs))
     for k, taken in enumerate(wish.physics):
         with config.at(f"ablation.physics[{k}]"):
             without_parts(task.system, taken)

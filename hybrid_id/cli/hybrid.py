@@ -1,6 +1,6 @@
 """`train` with a `hybrid` section: physics with residual networks."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -65,7 +65,7 @@ def with_networks(system: "System", config: StudyConfig) -> "System":
     assert config.hybrid is not None
     for k, network in enumerate([] if system.networks else config.hybrid.networks):
         key = f"hybrid.networks[{k}]"
-        check_network(system, config, {f"{key}.place": network.place}, {f"{key}.inputs": network.inputs})
+        check_network(system, config, (f"{key}.place", network.place), (f"{key}.inputs", network.inputs))
         part = ResidualNetwork(
             inputs=network.inputs,
             hidden=network.hidden,
@@ -78,12 +78,12 @@ def with_networks(system: "System", config: StudyConfig) -> "System":
 
 
 def check_network(
-    system: "System", config: StudyConfig, place: Mapping[str, str], inputs: Mapping[str, Sequence[str]]
+    system: "System", config: StudyConfig, place: tuple[str, str], inputs: tuple[str, Sequence[str]]
 ) -> None:
-    """Refuse a place where the system can have no network, and inputs unknown there, each by the key that names it."""
+    """Refuse a place where the system can have no network, and inputs unknown there; each comes with its key."""
     from hybrid_id.components import ResidualNetwork
 
-    ((place_key, where),), ((inputs_key, names),) = place.items(), inputs.items()
+    (place_key, where), (inputs_key, names) = place, inputs
     with config.at(place_key):
         system.with_component(where, ResidualNetwork(inputs=["speed"]))  # which is known everywhere
     with config.at(inputs_key):
