@@ -46,6 +46,7 @@ from hybrid_id.components.motor import (
     DCMotor,
     ElectricalLag,
     FreeRotor,
+    RotorBias,
     ThermalDerating,
     TorqueMotor,
 )
@@ -103,6 +104,7 @@ __all__ = [
     "QuadraticDrag",
     "ResidualNetwork",
     "Rigid",
+    "RotorBias",
     "Saturation",
     "SoftSaturation",
     "Spring",

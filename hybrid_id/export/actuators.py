@@ -98,6 +98,8 @@ def cogging(joint: Joint, p: Views) -> tuple[Attributes, list[str]]:
             size = math.hypot(float(view.T_c), float(view.T_s))
             phase = math.atan2(float(view.T_c), float(view.T_s))
             found["cogging"] = f"{number(size)} {round(float(view.n))} {number(phase)}"
+            if float(view.T_c2) or float(view.T_s2):
+                notes.append(left_out(f"{key}, second wave", "MuJoCo's motor has one"))
     return found, notes
 
 

@@ -14,6 +14,7 @@ from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Name, Refit, Task
 from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Progress, Round, is_white, one_round
+from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System
 
 MOST = 3
@@ -91,7 +92,7 @@ def _search(refit: Refit, system: System, most: int, progress: Progress | None) 
             restarted = True
             rounds.pop()
             continue
-        before, chosen = simpler, found.best
+        before, chosen = simpler, _freed(refit, found.best)
         if before.effects:
             chosen = _challenge(refit, base, chosen, rounds)
             if len(chosen.effects) <= len(before.effects):
@@ -106,6 +107,22 @@ def better(richer: Explanation, simpler: Explanation) -> bool:
     if is_white(richer):
         least = min(least, COMPLETE_RATIO)
     return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
+
+
+def _freed(refit: Refit, chosen: Explanation) -> Explanation:
+    """The model with what an effect's law leaves open freed too, where that predicts clearly better.
+
+    Before another effect may explain what the first one's simplest form has left.
+    """
+    left = Left(chosen.result, refit.records(chosen.system))
+    starts = [s for name, where in chosen.effects for s in CATALOGUE[name].freer(chosen.system, where, left)]
+    for one in refit.run([Task(chosen.effects, start) for start in starts], TO_THE_END):
+        if one is None:
+            continue
+        ratio = (chosen.evidence.error / one.evidence.error) ** 0.5
+        if ratio >= LEAST_RATIO and one.evidence.z(chosen.evidence) >= LEAST_Z:
+            chosen = one
+    return chosen
 
 
 def least_ratio(simpler: Explanation) -> float:

@@ -6,6 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import cast
 
 from hybrid_id.components.base import REGISTRY, Component
 from hybrid_id.errors import InputError
@@ -36,6 +37,8 @@ class Effect:
         kinds: components that model it, where they are not called as it is.
         scan: looks in what a fit leaves for start points, by (what is left, joint, place); ``starts`` takes what it
             returns as a further argument.
+        further: parameters that are freed once the effect has been chosen, where that pays: start points of them by
+            (its component, what the fit with it leaves, joint, place).
     """
 
     name: str
@@ -47,6 +50,7 @@ class Effect:
     on_link: bool = True
     kinds: tuple[str, ...] = ()
     scan: Callable[[Left, int, str], Sequence[object]] | None = None
+    further: Callable[[Component, Left, int, str], Sequence[Values]] | None = None
 
     def __post_init__(self) -> None:
         if not self.kinds:
@@ -72,6 +76,27 @@ class Effect:
             if any(model is not None for model in models):
                 found[where] = [model for model in models if model is not None]
         return found
+
+    def freer(self, system: System, where: str, left: Left) -> list[System]:
+        """The system with further parameters of this effect freed, one model for each start point.
+
+        Args:
+            system: a model that has the effect.
+            where: its place.
+            left: what the model's fit leaves.
+        """
+        key = next((k for kind in self.kinds if (k := f"{where}/{kind}") in system.components), None)
+        if key is None or self.further is None:
+            return []
+        part = cast(Component, system.components[key])
+        names = {info.symbol: info.name for info in system.table if info.component == key}
+        return [
+            system.with_specs(
+                {names[s]: v if isinstance(v, Bounded) else part.specs[s].at(v)
+                 for s, v in _inside(part.kind, values).items()}
+            )
+            for values in self.further(part, left, int(where[5]), where.split("/")[1])
+        ]  # fmt: skip
 
     def _model(self, system: System, where: str, kind: str, values: Values) -> System | None:
         """The model at one start point; None where it cannot be built."""

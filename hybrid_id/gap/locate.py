@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.signal import lfilter
+from scipy.signal import bilinear, lfilter
 from torch import Tensor
 
 from hybrid_id.gap.probe import Probe, bumps, probe
@@ -16,6 +16,23 @@ from hybrid_id.gap.refit import Explanation, Refit
 SPEEDS, ANGLES, COMMANDS = 9, 10, 9
 MEMORY = (0.02, 0.2)
 """Time constants [s] of what remembers the motion."""
+WEAR = 6
+"""Bumps over the time since a record began: friction that wears in or grows."""
+SWINGS, DAMPING = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0), 0.08
+"""Frequencies [Hz] and damping ratio of what may swing on the moving part."""
+TURNS = (1, 2, 3, 4, 6)
+"""Periods a turn of the rotor in which a motor may pass the command on unevenly."""
+
+IN_WORDS = {
+    "angle, against the motion": "it brakes more at some angles than at others",
+    "change of the command": "it follows the changes of the command",
+    "command, against the motion": "it opposes the motion and goes with the command",
+    "what the motion was": "it remembers the motion, as a delay or a hysteresis does",
+    "what swings on it": "it swings after the motion, as a mass on a spring does",
+    "time, against the motion": "it brakes more at some times of a record than at others",
+    "command over the turn": "it goes with the command and changes over the rotor's turn",
+}
+"""What a dependence means, for signals whose name does not say it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +100,14 @@ def signals(opened: Probe) -> Iterator[tuple[str, Tensor, tuple[float, float, in
             torch.stack([u.abs() * sign, u * sign * sign, u * u.abs()], -1),
             None,
         )
+        if opened.side == "motor":
+            turn = q[..., None] * torch.tensor(TURNS, dtype=q.dtype)
+            yield "command over the turn", u[..., None] * torch.cat([turn.cos(), turn.sin()], -1), None
     yield "what the motion was", _remembered(opened, v, sign), None
+    time = torch.cumsum(opened.batch.dt, 1)
+    wear = bumps(time, WEAR, 0.0, float(time.max())) * sign[..., None]
+    yield "time, against the motion", wear, None
+    yield "what swings on it", _swinging(opened, v), None
 
 
 def _late(signal: Tensor, samples: int) -> Tensor:
@@ -99,6 +123,19 @@ def _remembered(opened: Probe, v: Tensor, sign: Tensor) -> Tensor:
         for signal in (sign, v):
             slow = lfilter([1 - keep], [1, -keep], signal.numpy(), axis=1)
             found.append(signal - torch.tensor(slow))
+    return torch.stack(found, -1)
+
+
+def _swinging(opened: Probe, v: Tensor) -> Tensor:
+    """What masses on springs would pull, which the motion shakes: deflection and rate of each, of unit size."""
+    step = float(opened.batch.dt[opened.batch.dt > 0].median())
+    acceleration, found = np.gradient(v.numpy(), step, axis=1), []
+    for frequency in SWINGS:
+        w = 2.0 * np.pi * frequency
+        for numerator in ([w * w], [w, 0.0]):
+            b, a = bilinear(numerator, [1.0, 2.0 * DAMPING * w, w * w], 1.0 / step)
+            swing = np.asarray(lfilter(b, a, acceleration, axis=1))
+            found.append(torch.tensor(swing / max(float(np.std(swing)), 1e-300)))
     return torch.stack(found, -1)
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_id.gap.evidence import coloured
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
@@ -26,12 +27,14 @@ class Errors:
         by_record: of each record, outputs averaged.
         blocks: for each record and output the mean squares of short blocks, each over the signal's variance.
         noise: normalised RMSE that the encoders' noise alone would leave.
+        coloured: share of the errors' mean square, in units of the measurements' weights, that is no white noise.
     """
 
     nrmse: float
     by_record: dict[str, float]
     blocks: tuple[tuple[np.ndarray, ...], ...]
     noise: float
+    coloured: float = 0.0
 
     def resampled(self, draw: list[list[np.ndarray]]) -> float:
         """Normalised RMSE of blocks drawn with replacement; ``draw`` holds the blocks of each record and output."""
@@ -63,13 +66,15 @@ def errors(
     run = simulate(system, engine or Engine(), batch)
     step = float(batch.dt[batch.dt > 0].median())
     length = max(1, round(BLOCK / step))
-    blocks, by_record, noise = [], {}, []
+    blocks, by_record, noise, weighted = [], {}, [], []
     for r, name in enumerate(batch.names):
         row = []
         for c, output in enumerate(batch.outputs):
             valid = (batch.weight[r, :, c] > 0).numpy()
             measured, simulated = batch.y[r, valid, c].numpy(), run.y[r, valid, c].numpy()
-            square = np.square(np.nan_to_num(simulated - measured, nan=1e6, posinf=1e6, neginf=-1e6))
+            error = np.nan_to_num(simulated - measured, nan=1e6, posinf=1e6, neginf=-1e6)
+            weighted.append((error * batch.weight[r, valid, c].numpy())[:, None])
+            square = np.square(error)
             starts = np.arange(0, len(square), length)
             size = np.add.reduceat(np.ones(len(square)), starts)
             variance = max(float(measured.var()), 1e-300)
@@ -78,4 +83,5 @@ def errors(
             noise.append((declared or 0.0) / np.sqrt(variance))
         blocks.append(tuple(row))
         by_record[name] = float(np.mean([np.sqrt(b.mean()) for b in row]))
-    return Errors(float(np.mean(list(by_record.values()))), by_record, tuple(blocks), float(np.mean(noise)))
+    nrmse, floor = float(np.mean(list(by_record.values()))), float(np.mean(noise))
+    return Errors(nrmse, by_record, tuple(blocks), floor, coloured(weighted))

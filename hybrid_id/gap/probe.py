@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybrid_id.components import Cogging, ConstantTorque
+from hybrid_id.components import ConstantTorque, RotorBias
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import Linearisation, condense, linearise
 from hybrid_id.simulation.step import Engine
@@ -113,16 +113,13 @@ def probe(system: System, engine: Engine, batch: Batch, joint: int, side: str) -
         side: ``"motor"`` or ``"load"``.
     """
     where = f"joint{joint}/{side}"
-    part = Cogging(T_c=0.0, T_s=0.0, n=0.0) if side == "motor" else ConstantTorque(T_0=0.0)
-    symbol = "T_c" if side == "motor" else "T_0"
-    opened = _without_rival(system, where, part.kind).with_component(where, part)
+    part = RotorBias(T_0=0.0) if side == "motor" else ConstantTorque(T_0=0.0)
+    key = f"{where}/{part.kind}"
+    opened = system if key in system.components else system.with_component(where, part)
     table = opened.table
-    torque = [i for i, o in enumerate(table) if (o.component, o.symbol) == (f"{where}/{part.kind}", symbol)]
-    own = [
-        i
-        for i, o in enumerate(table)
-        if o.spec.estimate and not o.component.startswith(f"{where}/{part.kind}")
-    ]
+    torque = next(i for i, info in enumerate(table) if (info.component, info.symbol) == (key, "T_0"))
+    own = [i for i, o in enumerate(table) if o.spec.estimate and (o.component != key or opened is system)]
+    free = own if torque in own else [*own, torque]
     step, samples = float(batch.dt[batch.dt > 0].median()), batch.dt.shape[1]
     length = min(max(25, round(WINDOW / step)), samples)
     first = torch.arange(0, samples - length + 1, length)
@@ -136,7 +133,7 @@ def probe(system: System, engine: Engine, batch: Batch, joint: int, side: str) -
     x, weight, theta = batch.x[at], batch.weight[at], opened.theta().detach()[:, None].expand(-1, len(record))
     channels = {name: channel[at] for name, channel in batch.u.items()}
     smooth = engine if engine.friction == "dry" else Engine(substeps=engine.substeps)
-    lin = linearise(opened, smooth, x, channels, dt, theta, [*own, *torque], batch.outputs)
+    lin = linearise(opened, smooth, x, channels, dt, theta, free, batch.outputs)
     n_x, chained = x.shape[-1], condense(lin, x)
     through = lin.c @ chained
     through[..., n_x:-1] += lin.d
@@ -147,15 +144,11 @@ def probe(system: System, engine: Engine, batch: Batch, joint: int, side: str) -
     mine = mine - start @ (start.transpose(1, 2) @ mine)
     left = left - (start @ (start.transpose(1, 2) @ left[..., None]))[..., 0]
     # a torque that drives is meant; the component at the link opposes
-    sign = 1.0 if side == "motor" else -1.0
-    only = replace(lin, b=sign * lin.b[..., len(own) :], d=lin.d[..., len(own) :])
+    sign, one = 1.0 if side == "motor" else -1.0, [free.index(torque)]
+    only = replace(lin, b=sign * lin.b[..., one], d=lin.d[..., one])
     positions = opened.joints[joint - 1].positions
     row = positions[0] if side == "motor" else positions[-1]
     return Probe(side, joint, row, batch, index, record, only, x, mine, left, start, weight)
-
-
-def _without_rival(system: System, where: str, kind: str) -> System:
-    return system.without_component(where, kind) if f"{where}/{kind}" in system.components else system
 
 
 def bumps(signal: Tensor, count: int, low: float, high: float) -> Tensor:

@@ -6,15 +6,17 @@ A sine that starts with the wrong period, or a spot at the wrong angle, is in an
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from hybrid_id.components.base import Component
 from hybrid_id.gap.probe import Probe, probe
 from hybrid_id.identification.result import FitResult
+from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.batch import Batch
 
 PERIODS = range(1, 49)
@@ -64,6 +66,32 @@ def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     phase = left.batch.x[..., opened.row]
     found = _strongest(opened, [_waves(n * phase) for n in PERIODS])
     return [(float(PERIODS[i]), *size) for i, size in found[:2]]
+
+
+def second_wave(
+    waves: Callable[[Left, int, str], list[tuple[float, ...]]], symbols: tuple[str, str], most: float
+) -> Callable[[Component, Left, int, str], list[dict[str, float | Bounded]]]:
+    """A further wave beside one that a component has: the strongest of another period.
+
+    Args:
+        waves: looks for waves, best first.
+        symbols: of its cosine and sine.
+        most: largest amplitude, over the first wave's.
+    """
+
+    def start(part: Component, left: Left, joint: int, place: str) -> list[dict[str, float | Bounded]]:
+        if part.specs[symbols[0]].estimate:
+            return []
+        own = part.specs["n"].value
+        first = max(math.hypot(*(part.specs[symbol[:-1]].value for symbol in symbols)), 1e-12)
+        others = [(n, size) for n, *size in waves(left, joint, place) if n != own]
+        return [
+            {"n_2": n} | {s: Bounded(min(max(x, -most * first), most * first), -most * first, most * first)
+                          for s, x in zip(symbols, size, strict=True)}
+            for n, size in others[:1]
+        ]  # fmt: skip
+
+    return start
 
 
 def friction_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:

@@ -138,7 +138,9 @@ class Cost:
         loose = [k for k, name in enumerate(self.states) if name not in known.first]
         n_f, rows, value = self.n_f, self.std.shape[1], point[: self.n_f]
         step = share * np.maximum(np.abs(value), self.scale)
-        step = np.where(value + step > self.high[:n_f], -np.minimum(step, value - self.low[:n_f]), step)
+        up, down = self.high[:n_f] - value, value - self.low[:n_f]
+        # inside the bounds, to the side that has more room where neither has enough
+        step = np.where(step <= up, step, np.where(down >= np.minimum(step, up), -np.minimum(step, down), up))
         lanes = np.tile(point, (len(new) + len(loose), 1))
         lanes[np.arange(len(new)), new] += step[new]
         # what a row starts with moves that row alone: one lane moves them all
@@ -150,7 +152,8 @@ class Cost:
         for i, key in enumerate(self.keys):
             if key in known.parameters:
                 slopes[:data, i] = known.parameters[key]
-        slopes[:data, new] = (change[: len(new)] / step[new, None]).T
+        # what cannot move changes nothing
+        slopes[:data, new] = (change[: len(new)] / np.where(step == 0.0, 1.0, step)[new, None]).T
         blocks = slopes[:data, n_f:].reshape(rows, data // rows, len(self.loose), rows)
         moved = dict(zip(loose, change[len(new) :].reshape(len(loose), rows, data // rows), strict=True))
         for k, name in enumerate(self.states):

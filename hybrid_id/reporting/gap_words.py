@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.gap.locate import Location
+from hybrid_id.gap.locate import IN_WORDS, Location
 from hybrid_id.gap.probability import Suspect
 from hybrid_id.reporting.tables import count
 
@@ -18,12 +18,6 @@ PLACES = {
     "transmission": "in the gear", "link_friction": "on the link side", "load": "at the load",
 }  # fmt: skip
 SIDES = {"motor": "motor side", "load": "link side"}
-_SIGNALS = {
-    "angle, against the motion": "it brakes more at some angles than at others",
-    "change of the command": "it follows the changes of the command",
-    "command, against the motion": "it opposes the motion and goes with the command",
-    "what the motion was": "it remembers the motion, as a delay or a hysteresis does",
-}
 
 
 def verdict_sentence(diagnosis: Diagnosis, reach: float = 1.96) -> str:
@@ -99,8 +93,8 @@ def _falls(diagnosis: Diagnosis) -> str:
 
 def goes_with(location: Location) -> str:
     """How the missing torque depends on its signal, in words."""
-    if location.signal in _SIGNALS:
-        return _SIGNALS[location.signal]
+    if location.signal in IN_WORDS:
+        return IN_WORDS[location.signal]
     steps = [b - a for a, b in zip(location.torque, location.torque[1:], strict=False)]
     rising = sum(step for step in steps if step > 0)
     falling = -sum(step for step in steps if step < 0)

@@ -64,3 +64,20 @@ def test_models_from_a_scan_go_through_a_file(monkeypatch: pytest.MonkeyPatch, t
             for start in starts:
                 save_model(start, tmp_path / "model.yaml")
                 assert list(load_model(tmp_path / "model.yaml").components) == list(start.components)
+
+
+def test_a_second_wave_is_of_another_period(monkeypatch: pytest.MonkeyPatch) -> None:
+    left = left_by(Cogging(T_c=0.003, T_s=-0.002, n=2.0), monkeypatch)
+    first = Cogging(T_c=0.004, T_s=0.0, n=1.0)
+    system = left.result.system.with_component("joint1/motor", first)
+    (freer,) = CATALOGUE["cogging"].freer(system, "joint1/motor", left)
+    part = freer.components["joint1/motor/cogging"]
+    assert part.specs["n_2"].value == 2.0
+    assert not part.specs["n_2"].estimate
+    assert part.specs["T_c2"].estimate
+    assert part.specs["T_s2"].estimate
+    assert part.specs["T_c2"].value > 0 > part.specs["T_s2"].value
+    # what is free already is not freed again
+    assert not CATALOGUE["cogging"].freer(freer, "joint1/motor", left)
+    # a law with nothing left open
+    assert not CATALOGUE["quadratic_drag"].freer(system, "joint1/motor_friction", left)

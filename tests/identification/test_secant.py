@@ -66,6 +66,18 @@ def test_a_look_with_borrowed_slopes_finds_what_its_neighbour_lacks() -> None:
     assert secant_fit(start, batch, engine=DRY, iterations=40, near=near).cost < 1.05 * full.cost
 
 
+@pytest.mark.parametrize(("low", "high"), [(0.01, 0.01), (0.01, 0.010001), (0.0, 0.0)])
+def test_bounds_narrower_than_a_step_hold(low: float, high: float) -> None:
+    batch = measured(rigid_drive(), DRY)
+    start = rigid_drive().with_specs(
+        {"F_c": Bounded(low, low, high, "N m"), "J": Bounded(2.3e-5, 0.0, 1e-3, "kg m^2")}
+    )
+    found = secant_fit(start, batch, engine=DRY, iterations=5)
+    assert low <= found.system.parameter("F_c").spec.value <= high
+    assert np.isfinite(found.jacobian[0]).all()
+    assert found.cost < found.history[0]
+
+
 def test_a_delays_channels_arrive_before_the_rollout() -> None:
     system = rigid_drive().with_component("joint1/input", Delay(T_d=0.003))
     batch = measured(loose_drive(0.0), QUICK)

@@ -37,21 +37,22 @@ def run(
 
 
 def test_rigid_gear_with_kinematic_error_against_its_lagrangian() -> None:
-    # (J_m + g'^2 J_a) q'' + J_a g' g'' q'^2 = tau with g = q/r + E_c (cos q - 1) + E_s sin q
-    e_c, e_s, volts = 4e-3, -3e-3, 1.5
-    error = KinematicError(E_c=e_c, E_s=e_s, n=1.0)
+    # (J_m + g'^2 J_a) q'' + J_a g' g'' q'^2 = tau with g = q/r + E_c (cos q - 1) + E_s sin q + E_s2 sin 2q
+    e_c, e_s, e_2, volts = 4e-3, -3e-3, 1e-3, 1.5
+    error = KinematicError(E_c=e_c, E_s=e_s, n=1.0, E_s2=e_2, n_2=2.0)
     found = run(FREE.with_component("joint1/transmission", error), np.full(250, volts), ("q_m1", "q_a1"))
     rotor, link = SHARE * J, (1.0 - SHARE) * J * RATIO**2
 
     def rates(_: float, x: np.ndarray) -> list[float]:
-        slope = 1.0 / RATIO - e_c * np.sin(x[0]) + e_s * np.cos(x[0])
-        bend = -e_c * np.cos(x[0]) - e_s * np.sin(x[0])
+        slope = 1.0 / RATIO - e_c * np.sin(x[0]) + e_s * np.cos(x[0]) + 2 * e_2 * np.cos(2 * x[0])
+        bend = -e_c * np.cos(x[0]) - e_s * np.sin(x[0]) - 4 * e_2 * np.sin(2 * x[0])
         return [x[1], (0.02 * volts - link * slope * bend * x[1] ** 2) / (rotor + slope**2 * link)]
 
     time = STEP * np.arange(250)
     q = solve_ivp(rates, (0.0, time[-1]), [0.0, 0.0], t_eval=time, rtol=1e-11, atol=1e-11).y[0]
     np.testing.assert_allclose(found[:, 0], q, atol=1e-3)
-    np.testing.assert_allclose(found[:, 1], q / RATIO + e_c * (np.cos(q) - 1) + e_s * np.sin(q), atol=1e-4)
+    link_angle = q / RATIO + e_c * (np.cos(q) - 1) + e_s * np.sin(q) + e_2 * np.sin(2 * q)
+    np.testing.assert_allclose(found[:, 1], link_angle, atol=1e-4)
 
 
 def test_without_amplitude_the_gear_is_the_ideal_one() -> None:

@@ -143,9 +143,9 @@ class ShakenFrame(Outside):
 
 
 class MountedMass(Outside):
-    """A second mass on the link with a resonance of its own."""
+    """A second mass on the link with a resonance of its own; behind a rigid gear, a flexible joint does the same."""
 
-    place, sized = "load", ("J_2",)
+    place, sized, systems = "load", ("J_2",), ("one_link_flexible",)
 
     @classmethod
     def draw(cls, rng, robot, joint):

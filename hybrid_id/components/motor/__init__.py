@@ -5,6 +5,7 @@ from hybrid_id.components.motor.current_motor import CurrentMotor
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.components.motor.electrical_lag import ElectricalLag
 from hybrid_id.components.motor.free_rotor import FreeRotor
+from hybrid_id.components.motor.rotor_bias import RotorBias
 from hybrid_id.components.motor.thermal_derating import ThermalDerating
 from hybrid_id.components.motor.torque_motor import TorqueMotor
 
@@ -14,6 +15,7 @@ __all__ = [
     "DCMotor",
     "ElectricalLag",
     "FreeRotor",
+    "RotorBias",
     "ThermalDerating",
     "TorqueMotor",
 ]

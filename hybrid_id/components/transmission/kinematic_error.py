@@ -13,6 +13,7 @@ class KinematicError(Component):
     | --- | --- | --- |
     | E_c, E_s | rad | amplitudes at the link, of either sign |
     | n | 1 | periods per turn of the rotor (2 for harmonic drives, 1 for an eccentric pinion) |
+    | E_c2, E_s2, n_2 | rad, 1 | the same of a second wave, which is added: an overtone, or another wheel's |
 
     It stands beside the gear's own component. With g the map, a rigid gear carries ``J_m + g'^2 J_a`` and the torque
     ``J_a g' g'' v^2``; a compliant one is deflected by ``g(q_m) - q_a``. Source: T. D. Tuttle, W. P. Seering, "A
@@ -24,10 +25,19 @@ class KinematicError(Component):
     E_c = Parameter(1e-4, lower=-1.0, upper=1.0, unit="rad", doc="amplitude of the cosine at the link")
     E_s = Parameter(1e-4, lower=-1.0, upper=1.0, unit="rad", doc="amplitude of the sine at the link")
     n = Parameter(1.0, upper=1e4, unit="1", doc="periods per turn of the rotor", estimate=False)
+    E_c2 = Parameter(0.0, -1.0, 1.0, "rad", "amplitude of the second wave's cosine", estimate=False)
+    E_s2 = Parameter(0.0, -1.0, 1.0, "rad", "amplitude of the second wave's sine", estimate=False)
+    n_2 = Parameter(2.0, upper=1e4, unit="1", doc="periods per turn of the second wave", estimate=False)
 
     def error(self, p, angle):
         """Error of the link's angle [rad], its first and its second derivative by the rotor's angle, ``(B,)`` each."""
-        cosine, sine = torch.cos(p.n * angle), torch.sin(p.n * angle)
-        value = p.E_c * (cosine - 1.0) + p.E_s * sine
-        slope = p.n * (p.E_s * cosine - p.E_c * sine)
-        return value, slope, -p.n.square() * (p.E_c * cosine + p.E_s * sine)
+        first = _wave(p.E_c, p.E_s, p.n, angle)
+        second = _wave(p.E_c2, p.E_s2, p.n_2, angle)
+        value, slope, bend = (one + two for one, two in zip(first, second, strict=True))
+        return value, slope, bend
+
+
+def _wave(E_c, E_s, n, angle):
+    cosine, sine = torch.cos(n * angle), torch.sin(n * angle)
+    value = E_c * (cosine - 1.0) + E_s * sine
+    return value, n * (E_s * cosine - E_c * sine), -n.square() * (E_c * cosine + E_s * sine)

@@ -1,7 +1,7 @@
 """Effects in the motor."""
 
 from hybrid_id.gap.catalogue import Effect, free, has, register
-from hybrid_id.gap.scan import rotor_waves
+from hybrid_id.gap.scan import rotor_waves, second_wave
 
 
 def _lag(system, s, place):
@@ -45,6 +45,7 @@ register(Effect(
     "cogging", ("motor",), _cogging, ("position_dependent_friction", "kinematic_error"),
     "slow motion both ways over several turns: cogging pushes alike in both directions, friction opposes both",
     scan=rotor_waves,
+    further=second_wave(rotor_waves, ("T_c2", "T_s2"), 1.5),
 ))  # fmt: skip
 register(Effect(
     "thermal_derating", ("motor",), _thermal, ("voltage_saturation", "quadratic_drag"),

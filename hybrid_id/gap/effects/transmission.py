@@ -3,7 +3,7 @@
 import math
 
 from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
-from hybrid_id.gap.scan import gear_waves
+from hybrid_id.gap.scan import gear_waves, second_wave
 
 RESONANCES = (8.0, 25.0)
 """Where rotor and link may swing against each other [Hz]."""
@@ -94,4 +94,5 @@ register(Effect(
     "slow and fast motion over the same turns: an error of the ratio grows with speed, cogging does not",
     splits=("kinematic_error",),
     scan=gear_waves,
+    further=second_wave(gear_waves, ("E_c2", "E_s2"), 1.5),
 ))  # fmt: skip
