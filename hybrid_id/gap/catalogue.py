@@ -5,7 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 from hybrid_id.components.base import REGISTRY, Component
@@ -37,6 +37,8 @@ class Effect:
         kinds: components that model it, where they are not called as it is.
         scan: looks in what a fit leaves for start points, by (what is left, joint, place); ``starts`` takes what it
             returns as a further argument.
+        shape: fixed parameters that belong to the answer (the periods of a wave), each with the estimated one that it
+            goes with.
         further: parameters that are freed once the effect has been chosen, where that pays: start points of them by
             (its component, what the fit with it leaves, joint, place).
     """
@@ -50,6 +52,7 @@ class Effect:
     on_link: bool = True
     kinds: tuple[str, ...] = ()
     scan: Callable[[Left, int, str], Sequence[object]] | None = None
+    shape: Mapping[str, str] = field(default_factory=dict)
     further: Callable[[Component, Left, int, str], Sequence[Values]] | None = None
 
     def __post_init__(self) -> None:

@@ -29,7 +29,8 @@ class Suspect:
         probability: that it is at work.
         selected: whether the diagnosis stands by it.
         tied_with: effects that explain the records as well, ``name@where``.
-        parameters: estimate and standard error of each parameter that it brings, by symbol.
+        parameters: estimate and standard error of each parameter that it brings, by symbol; a fixed one that belongs
+            to the answer has the error 0.
     """
 
     name: str
@@ -117,7 +118,7 @@ def tied_explanations(found: Attribution) -> list[Explanation]:
 
 
 def _parameters(explanation: Explanation, name: Name) -> dict[str, tuple[float, float]]:
-    """Estimates and standard errors of what an effect brings."""
+    """Estimates and standard errors of what an effect brings; what it brings fixed has none."""
     result = explanation.result
     jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])
     scale = max(result.noise_scale**2 * result.n_samples / max(explanation.evidence.effective, 1.0), 1e-300)
@@ -130,6 +131,9 @@ def _parameters(explanation: Explanation, name: Name) -> dict[str, tuple[float, 
         info = result.system.parameter(parameter)
         if info.component in keys:
             found[info.symbol] = (float(result.values[k]), float(np.sqrt(max(covariance[k, k], 0.0))))
+    for info in result.system.table:
+        if info.component in keys and effect(name[0]).shape.get(info.symbol) in found:
+            found[info.symbol] = (info.spec.value, 0.0)
     return found
 
 

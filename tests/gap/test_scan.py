@@ -12,7 +12,9 @@ from hybrid_id import load_model, save_model
 from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
 from hybrid_id.components.base import Component
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.refit import engine
+from hybrid_id.gap.evidence import evidence
+from hybrid_id.gap.probability import _parameters
+from hybrid_id.gap.refit import Explanation, engine
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import Left, friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.identification.secant import secant_fit
@@ -81,3 +83,14 @@ def test_a_second_wave_is_of_another_period(monkeypatch: pytest.MonkeyPatch) -> 
     assert not CATALOGUE["cogging"].freer(freer, "joint1/motor", left)
     # a law with nothing left open
     assert not CATALOGUE["quadratic_drag"].freer(system, "joint1/motor_friction", left)
+
+
+def test_periods_that_are_fixed_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    left = left_by(Cogging(T_c=0.004, T_s=-0.003, n=1.0), monkeypatch)
+    system = left.result.system.with_component("joint1/motor", Cogging(T_c=0.003, T_s=-0.002, n=1.0))
+    fit = secant_fit(system, left.batch, engine=left.result.engine, iterations=8)
+    name = ("cogging", "joint1/motor")
+    told = _parameters(Explanation((name,), fit, evidence(fit.residual, 0.005)), name)
+    assert set(told) == {"T_c", "T_s", "n"}
+    assert told["n"] == (1.0, 0.0)
+    assert told["T_c"][1] > 0.0

@@ -45,6 +45,7 @@ register(Effect(
     "cogging", ("motor",), _cogging, ("position_dependent_friction", "kinematic_error"),
     "slow motion both ways over several turns: cogging pushes alike in both directions, friction opposes both",
     scan=rotor_waves,
+    shape={"n": "T_c", "n_2": "T_c2"},
     further=second_wave(rotor_waves, ("T_c2", "T_s2"), 1.5),
 ))  # fmt: skip
 register(Effect(

@@ -94,5 +94,6 @@ register(Effect(
     "slow and fast motion over the same turns: an error of the ratio grows with speed, cogging does not",
     splits=("kinematic_error",),
     scan=gear_waves,
+    shape={"n": "E_c", "n_2": "E_c2"},
     further=second_wave(gear_waves, ("E_c2", "E_s2"), 1.5),
 ))  # fmt: skip
