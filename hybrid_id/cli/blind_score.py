@@ -177,7 +177,7 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
 
 def write_scores(runs: Path, content: dict[str, Any], append: Path | None) -> str:
     """Write all files under temporary names first, `scores.json` last; returns it as text."""
-    from hybrid_id.reporting.blind_figures import confusion_image, reliability_image
+    from hybrid_id.reporting.blind_figures import confusion_figure, reliability_figure
     from hybrid_id.reporting.html.blind_page import blind_page
     from hybrid_id.reporting.results import as_json
     from hybrid_id.reporting.scoreboard import append_section, markdown
@@ -185,18 +185,18 @@ def write_scores(runs: Path, content: dict[str, Any], append: Path | None) -> st
 
     methods, text = content["methods"], as_json("blind score", content)
     first = next(iter(methods.values()))
-    images = {
-        "confusion": confusion_image(first["scores"]["confusion"]),
-        "reliability": reliability_image({m: told["scores"]["reliability"] for m, told in methods.items()}),
+    figures = {
+        "confusion": confusion_figure(first["scores"]["confusion"]),
+        "reliability": reliability_figure({m: told["scores"]["reliability"] for m, told in methods.items()}),
     }
     with tempfile.TemporaryDirectory(dir=runs, prefix=".") as temporary:
         new = Path(temporary)
-        for name, image in images.items():
-            save(image, new / f"{name}.png")
-        blind_page(content, images).write(new / PAGE)
+        for name, figure in figures.items():
+            save(figure.image, new / f"{name}.png")
+        blind_page(content, figures).write(new / PAGE)
         (new / BOARD).write_text(markdown(content), encoding="utf-8")
         (new / SCORES).write_text(text + "\n", encoding="utf-8")
-        for name in (*(f"{image}.png" for image in images), PAGE, BOARD, SCORES):
+        for name in (*(f"{name}.png" for name in figures), PAGE, BOARD, SCORES):
             (new / name).replace(runs / name)
     if append is not None:
         append_section(append, markdown(content))

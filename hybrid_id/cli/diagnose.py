@@ -150,10 +150,10 @@ def write_diagnosis(
     config.save(folder / "config.yaml", home=home)
     wish = config.output
     if wish.figures or wish.tensorboard or wish.report:
-        from hybrid_id.reporting.gap_figures import diagnosis_images, worst_comparison
+        from hybrid_id.reporting.gap_figures import diagnosis_figures
 
-        worst = worst_comparison(dataset, system, diagnosis)
-        images = diagnosis_images(dataset, system, diagnosis, worst)
+        figures = diagnosis_figures(dataset, system, diagnosis)
+        images = {name: figure.image for name, figure in figures.items()}
         if wish.figures:
             from hybrid_id.reporting.style import save
 
@@ -166,20 +166,17 @@ def write_diagnosis(
         if wish.report:
             from hybrid_id.records.quality import remarks
             from hybrid_id.reporting.html.gap_page import gap_page
-            from hybrid_id.reporting.html.live import record_plot
             from hybrid_id.reporting.html.made import how_made
 
             reach, level = reach_of(config), config.statistics.level
-            plots = {"worst_record": record_plot(dataset, worst, worst.records[0])}
             page = gap_page(
                 dataset,
                 system,
                 diagnosis,
-                images,
+                figures,
                 reach=reach,
                 level=level,
                 findings=remarks(dataset),
-                plots=plots,
             )
             study = (folder / "config.yaml").read_text(encoding="utf-8")
             how_made(page, "diagnose", study, {"seed": config.identification.seed}).write(

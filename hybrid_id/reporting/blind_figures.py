@@ -7,18 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, pixels
+from hybrid_id.reporting.html.twin import Drawn, drawn
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure
 
 
-def confusion_image(confusion: Mapping[str, Any]) -> np.ndarray:
-    """Rows: what was at work; columns: what was said; (H, W, 3)."""
+def confusion_figure(confusion: Mapping[str, Any]) -> Drawn:
+    """Rows: what was at work; columns: what was said."""
     counts = np.array(confusion["counts"], float).reshape(len(confusion["rows"]), len(confusion["columns"]))
     share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
     rows, columns = ([name.replace("_", " ") for name in confusion[k]] for k in ("rows", "columns"))
     with journal():
         figure = new_figure(1.6 + 0.19 * max(len(rows), 4), 2.0 + 0.21 * max(len(columns), 10))
         axes = figure.subplots()
-        axes.imshow(share, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+        edges = (np.arange(n + 1) - 0.5 for n in share.shape[::-1])
+        axes.pcolormesh(*edges, share, cmap="Blues", vmin=0, vmax=1)
+        axes.invert_yaxis()
         for i, j in zip(*np.nonzero(counts), strict=True):
             colour = "white" if share[i, j] > 0.6 else "black"
             axes.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", color=colour, fontsize=7)
@@ -26,11 +29,11 @@ def confusion_image(confusion: Mapping[str, Any]) -> np.ndarray:
         axes.set_yticks(range(len(rows)), rows)
         axes.set_xlabel("said")
         axes.set_ylabel("at work")
-        return pixels(figure)
+        return drawn(figure)
 
 
-def reliability_image(told: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
-    """Reliability curve of each contender with Wilson's intervals, (H, W, 3).
+def reliability_figure(told: Mapping[str, Mapping[str, Any]]) -> Drawn:
+    """Reliability curve of each contender with Wilson's intervals.
 
     Args:
         told: by contender, see `hybrid_id.blind.score.reliability`.
@@ -52,4 +55,4 @@ def reliability_image(told: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
         axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
         if axes.get_legend_handles_labels()[0]:
             axes.legend()
-        return pixels(figure)
+        return drawn(figure)

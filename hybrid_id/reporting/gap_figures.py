@@ -12,6 +12,8 @@ from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.round import Round
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.gap_words import LEAST_SHARE, SIDES, joint_words, place_words, words_of
+from hybrid_id.reporting.html.live import record_plot
+from hybrid_id.reporting.html.twin import Drawn, drawn
 from hybrid_id.reporting.record_plots import comparison_figure
 from hybrid_id.reporting.style import (
     COLOURS,
@@ -32,16 +34,13 @@ MAX_NAME = 16
 MODELS = {"today": COLOURS[0], "re-fitted": COLOURS[1], "corrected": COLOURS[2]}
 
 
-def diagnosis_images(
-    dataset: Dataset, nominal: System, diagnosis: Diagnosis, worst: Comparison | None = None
-) -> dict[str, np.ndarray]:
-    """Every picture of a diagnosis by the name of its file, (H, W, 3).
+def diagnosis_figures(dataset: Dataset, nominal: System, diagnosis: Diagnosis) -> dict[str, Drawn]:
+    """Every picture of a diagnosis by the name of its file.
 
     Args:
         dataset: the records.
         nominal: today's model.
         diagnosis: the result.
-        worst: what `worst_comparison` has found, where that is known.
     """
     figures: dict[str, Figure] = {}
     if diagnosis.nominal is not None:
@@ -52,9 +51,10 @@ def diagnosis_images(
     if told:
         figures["where"] = share_figure(diagnosis)
     figures["suspects"] = odds_figure(diagnosis)
-    worst = worst or worst_comparison(dataset, nominal, diagnosis)
-    figures["worst_record"] = comparison_figure(dataset, worst, worst.records[0])
-    return {name: pixels(figure) for name, figure in figures.items()}
+    worst = worst_comparison(dataset, nominal, diagnosis)
+    image = pixels(comparison_figure(dataset, worst, worst.records[0]))
+    found = {name: drawn(figure) for name, figure in figures.items()}
+    return found | {"worst_record": Drawn(image, record_plot(dataset, worst, worst.records[0]))}
 
 
 def gap_figure(diagnosis: Diagnosis) -> Figure:

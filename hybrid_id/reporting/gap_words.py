@@ -13,6 +13,8 @@ from hybrid_id.reporting.tables import count
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
+LEFT_SHARE = 0.1
+"""The same of what the best model leaves, noise and all."""
 PLACES = {
     "input": "at the input", "motor": "in the motor", "motor_friction": "on the motor side",
     "transmission": "in the gear", "link_friction": "on the link side", "load": "at the load",
@@ -39,14 +41,15 @@ def _effects(diagnosis: Diagnosis, reach: float) -> str:
 
 
 def _outside(diagnosis: Diagnosis, reach: float) -> str:
-    if not diagnosis.after:
-        return "Something that the catalogue lacks is at work."
-    one, chosen = diagnosis.after[0], diagnosis.selected
-    words = (
+    one = next((one for one in diagnosis.after if one.share > LEFT_SHARE), None)
+    words = "Something that the catalogue lacks is at work" if one is None else (
         f"Something that the catalogue lacks acts at {joint_words(one.joint)}, on the {SIDES[one.place]}: "
         f"{goes_with(one)}. A torque of this shape explains {percent(one.share)} of what the best model leaves (mean "
         "square)"
-    )
+    )  # fmt: skip
+    last, chosen = diagnosis.with_effect, diagnosis.selected
+    if one is None and last is not None:
+        words += f": {percent(last.coloured)} of what the best model leaves on unseen records (mean square) is no noise"
     if not chosen:
         return f"{words}, and no effect of the catalogue earns its place."
     found = _joined([_described(diagnosis, s, reach) for s in chosen])

@@ -13,9 +13,10 @@ from hybrid_id.gap.next_experiment import Experiment
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.events import write_gap_events
 from hybrid_id.reporting.gap import parameters_table, summary, suspects_table
-from hybrid_id.reporting.gap_figures import diagnosis_images
+from hybrid_id.reporting.gap_figures import diagnosis_figures
 from hybrid_id.reporting.gap_words import goes_with, verdict_sentence
 from hybrid_id.reporting.html.gap_page import gap_page
+from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.systems import System
 
 PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), np.zeros(2), 12.345, 1.3)
@@ -23,8 +24,8 @@ TIED = ("spring_load@joint1/load", "gravity_load@joint1/load")
 
 
 @pytest.fixture(scope="module")
-def images(diagnosed: tuple[Dataset, System, Diagnosis]) -> dict[str, np.ndarray]:
-    return diagnosis_images(*diagnosed)
+def figures(diagnosed: tuple[Dataset, System, Diagnosis]) -> dict[str, Drawn]:
+    return diagnosis_figures(*diagnosed)
 
 
 def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
@@ -122,6 +123,19 @@ def test_every_signal_has_words(diagnosed) -> None:
         assert goes_with(one).startswith("it ")
 
 
+def test_what_no_torque_explains_has_no_place(diagnosed) -> None:
+    found = diagnosed[2]
+    nowhere = replace(
+        found, verdict="outside_catalogue", after=(replace(found.after[0], share=0.03),),
+        with_effect=replace(found.with_effect, coloured=0.42),
+    )  # fmt: skip
+    said = verdict_sentence(nowhere)
+    assert said.startswith(
+        "Something that the catalogue lacks is at work: 42 % of what the best model leaves on unseen records (mean "
+        "square) is no noise. Spring load"
+    )
+
+
 def test_tables_hold_every_suspect_and_parameter(diagnosed) -> None:
     _, today, found = diagnosed
     assert suspects_table(found).row_count == len(found.effects)
@@ -132,10 +146,11 @@ def test_tables_hold_every_suspect_and_parameter(diagnosed) -> None:
     assert [list(column.cells)[row] for column in table.columns[1:3]] == ["", ""]  # today's model lacks it
 
 
-def test_pictures_are_there_and_not_empty(images, sound) -> None:
-    assert list(images) == ["gap", "missing_torque", "where", "suspects", "worst_record"]
-    assert "missing_torque" not in diagnosis_images(*sound)  # nothing is missing
-    for image in images.values():
+def test_pictures_are_there_and_not_empty(figures, sound) -> None:
+    assert list(figures) == ["gap", "missing_torque", "where", "suspects", "worst_record"]
+    assert "missing_torque" not in diagnosis_figures(*sound)  # nothing is missing
+    for image, plot in figures.values():
+        assert plot["data"]
         assert image.dtype == np.uint8 and image.shape[2] == 3
         assert image.min() < 60 and (image == 255).mean() > 0.5
 
@@ -143,23 +158,24 @@ def test_pictures_are_there_and_not_empty(images, sound) -> None:
 def test_pictures_of_records_without_a_test(diagnosed) -> None:
     dataset, today, found = diagnosed
     alone = replace(found, nominal=None, refit=None, with_effect=None, shrink=None)
-    assert "gap" not in diagnosis_images(dataset, today, alone)
+    assert "gap" not in diagnosis_figures(dataset, today, alone)
 
 
-def test_page_has_the_verdict_first_and_every_picture(diagnosed, images) -> None:
+def test_page_has_the_verdict_first_and_every_picture(diagnosed, figures) -> None:
     dataset, today, found = diagnosed
-    text = gap_page(dataset, today, found, images, reach=1.96, level=0.95).html()
+    text = gap_page(dataset, today, found, figures, reach=1.96, level=0.95).html()
     titles = re.findall(r"<h2>(.*?)</h2>", text)
     assert titles == ["How far", "Which", "Where", "Measured and simulated", "Parameters", "Records"]
     assert text.index("Spring load at the load of joint 1") < text.index("<h2>")
-    assert text.count("data:image/png;base64,") == len(images)
+    assert text.count("data:image/png;base64,") == len(figures)
     assert all(one.name.replace("_", " ") in text for one in found.effects)
     assert text.count('<td class="">joint 1') < len(
         found.effects
     )  # the improbable ones are named in a sentence
 
 
-def test_events_hold_errors_probabilities_and_pictures(diagnosed, images, tmp_path) -> None:
+def test_events_hold_errors_probabilities_and_pictures(diagnosed, figures, tmp_path) -> None:
+    images = {name: figure.image for name, figure in figures.items()}
     write_gap_events(tmp_path, diagnosed[2], images)
     events = EventAccumulator(str(tmp_path)).Reload()
     assert {"gap/today", "gap/re-fitted", "gap/corrected"} <= set(events.Tags()["scalars"])

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from hybrid_id.reporting.html.page import Page
+from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.scoreboard import Scores, calibration, group_rows, score_rows, target_rows
 from hybrid_id.reporting.tables import open_table
 
@@ -17,12 +16,12 @@ _HOW = (
 )
 
 
-def blind_page(content: Scores, images: Mapping[str, np.ndarray]) -> Page:
+def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
     """The page.
 
     Args:
         content: what is kept in ``scores.json``.
-        images: ``confusion`` and ``reliability``, (H, W, 3).
+        figures: ``confusion`` and ``reliability``.
     """
     about, first = content["about"], next(iter(content["methods"]))
     told = content["methods"][first]
@@ -34,11 +33,12 @@ def blind_page(content: Scores, images: Mapping[str, np.ndarray]) -> Page:
     )
     page.section("Scoreboard").add(_table(*score_rows(content)), _HOW)
     page.section("Targets").add(_table(*target_rows(told["targets"])))
-    page.section("What was said for what was at work").picture(
-        images["confusion"], f"{first}: rows are what was at work, columns what was said; pairs are left out."
+    page.section("What was said for what was at work").figure(
+        figures["confusion"],
+        f"{first}: rows are what was at work, columns what was said; pairs are left out.",
     )
-    page.section("Probabilities").add(calibration(told["scores"]["reliability"])).picture(
-        images["reliability"],
+    page.section("Probabilities").add(calibration(told["scores"]["reliability"])).figure(
+        figures["reliability"],
         "How often the effect ranked first was at work, against the probability claimed.",
     )
     groups = page.section("Group by group")

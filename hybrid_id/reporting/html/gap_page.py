@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
 from rich.text import Text
 
 from hybrid_id.gap.diagnosis import Diagnosis
@@ -24,8 +23,8 @@ from hybrid_id.reporting.gap_words import (
     withdrawn_lines,
     words_of,
 )
-from hybrid_id.reporting.html.live import Plot
 from hybrid_id.reporting.html.page import Page, Section
+from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.tables import findings_list, records_table
 from hybrid_id.systems.chain import System
 
@@ -55,12 +54,11 @@ def gap_page(
     dataset: Dataset,
     nominal: System,
     diagnosis: Diagnosis,
-    images: Mapping[str, np.ndarray],
+    figures: Mapping[str, Drawn],
     *,
     reach: float,
     level: float,
     findings: Sequence[Finding] = (),
-    plots: Mapping[str, Plot] | None = None,
 ) -> Page:
     """The page.
 
@@ -68,17 +66,16 @@ def gap_page(
         dataset: the records.
         nominal: today's model.
         diagnosis: the result.
-        images: its pictures by name, (H, W, 3).
+        figures: its pictures by name.
         reach: half-width of an interval in standard errors.
         level: level of the intervals.
         findings: what the check of the records remarked.
-        plots: interactive twins of some pictures, by the same names.
     """
     page = Page(f"Gap between {dataset.name} and its model", verdict_sentence(diagnosis, reach))
 
     def picture(section: Section, name: str) -> None:
-        if name in images:
-            section.picture(images[name], _CAPTIONS[name], (plots or {}).get(name))
+        if name in figures:
+            section.figure(figures[name], _CAPTIONS[name])
 
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
     ties = (*tie_lines(diagnosis), *withdrawn_lines(diagnosis), *experiment_lines(diagnosis))

@@ -141,6 +141,8 @@ def _bar(axes: Axes, bars: BarContainer) -> Plot:
     x, y = (np.array(ends), np.array(at).round(9)) if lying else (np.array(at).round(9), np.array(ends))
     trace: Plot = {"type": "bar", "orientation": "h" if lying else "v", "x": short(x), "y": short(y)}
     trace |= {"textposition": "none"}
+    if not (label := str(bars.get_label())).startswith("_"):
+        trace["name"] = without_tex(label)
     trace["marker"] = {"color": [_colour(p.get_facecolor()) for p in patches]}
     return trace | _told(axes, x, y)
 
