@@ -7,7 +7,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
-from hybrid_id.records.readers import Table, load_any, record_name
+from hybrid_id.records.readers import Table, Window, load_any, record_name
 from hybrid_id.records.record import Record, find_fault
 from hybrid_id.records.resample import ResampleReport, resample_record
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
@@ -160,7 +160,7 @@ def _read_record(
     """Read one file and bring its signals to SI."""
     columns = {channel: ColumnEntry(column=channel) for channel in units} | spec.columns | entry.columns
     wanted = list(dict.fromkeys(column.column for column in columns.values()))
-    table = load_any(path, wanted, file_format=entry.format or spec.format)
+    table = _read(path, wanted, entry, spec, columns["t"], units["t"])
     signals = {
         channel: _to_channel(table, column, column.unit or units[channel], channel)
         for channel, column in columns.items()
@@ -189,6 +189,22 @@ def _read_record(
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
     return record.between(*entry.between) if entry.between else record
+
+
+def _read(
+    path: Path, wanted: list[str], entry: RecordEntry, spec: DatasetFile, time: ColumnEntry, unit: str
+) -> Table:
+    """Read a file, or what of it a record's `between` asks for: the file may be larger than the memory."""
+    file_format, factor = entry.format or spec.format, time.scale * to_si(time.unit or unit, "t")[1]
+    if entry.between and factor > 0 and not time.unwrap:
+        low, high = (stamp / factor for stamp in entry.between)
+        slack = 1e-9 * max(abs(low), abs(high))  # the exact cut comes later, in seconds
+        table = load_any(
+            path, wanted, file_format=file_format, window=Window(time.column, low - slack, high + slack)
+        )
+        if len(table.columns[time.column]) > 1:
+            return table
+    return load_any(path, wanted, file_format=file_format)  # whole, to say what it has instead
 
 
 def _to_channel(table: Table, column: ColumnEntry, unit: str, channel: str) -> np.ndarray:

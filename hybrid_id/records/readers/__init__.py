@@ -8,27 +8,35 @@ from hybrid_id.records.readers.bam import read_bam
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.readers.mat import read_mat
 from hybrid_id.records.readers.parquet import read_parquet
-from hybrid_id.records.readers.table import Table, record_name
+from hybrid_id.records.readers.table import Table, Window, record_name
 from hybrid_id.records.readers.unpack import refuse_bomb
 
-READERS: dict[str, Callable[[Path, Collection[str]], Table]] = {
+READERS: dict[str, Callable[..., Table]] = {
     "csv": read_csv,
     "parquet": read_parquet,
     "mat": read_mat,
     "bam": read_bam,
 }
+_IN_PIECES = ("csv", "parquet")
 _ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
 
-__all__ = ["READERS", "Table", "load_any", "record_name"]
+__all__ = ["READERS", "Table", "Window", "load_any", "record_name"]
 
 
-def load_any(path: str | Path, wanted: Collection[str], *, file_format: str | None = None) -> Table:
+def load_any(
+    path: str | Path,
+    wanted: Collection[str],
+    *,
+    file_format: str | None = None,
+    window: Window | None = None,
+) -> Table:
     """Read the wanted columns of a file of any known format.
 
     Args:
         path: The file.
         wanted: Names of the columns, as the file has them.
         file_format: A key of `READERS`; None takes it from the file's ending.
+        window: Rows to keep where the format can be read in pieces (CSV, Parquet); the others come whole.
 
     Raises:
         InputError: when the file is missing, its format unknown, or its contents are at fault.
@@ -41,6 +49,8 @@ def load_any(path: str | Path, wanted: Collection[str], *, file_format: str | No
     try:
         if path.suffix == ".gz" or file_format == "mat":
             refuse_bomb(path)
+        if window is not None and file_format in _IN_PIECES:
+            return READERS[file_format](path, wanted, window)
         return READERS[file_format](path, wanted)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct 'file' or bring the file") from None

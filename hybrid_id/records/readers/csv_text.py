@@ -10,7 +10,8 @@ import csv
 import gzip
 import math
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Generator, Iterator
+from contextlib import closing, nullcontext
 from dataclasses import dataclass
 from itertools import chain, islice
 from pathlib import Path
@@ -19,13 +20,14 @@ from typing import NoReturn, TextIO
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import Table, require_columns
+from hybrid_id.records.readers.table import Table, Window, require_columns
 
 HEADER_LIMIT = 200  # lines in which the header must come
+PIECE = 1_000_000  # rows that are in memory at once while a window of a file is read
 
 
-def read_csv(path: Path, wanted: Collection[str]) -> Table:
-    """Read the wanted columns of a text table.
+def read_csv(path: Path, wanted: Collection[str], window: Window | None = None) -> Table:
+    """Read the wanted columns of a text table, of the rows in a window only where one is given.
 
     Raises:
         InputError: naming file, row and column, for a missing column, a cell that is no finite number, rows
@@ -40,14 +42,17 @@ def read_csv(path: Path, wanted: Collection[str]) -> Table:
                 "name them under 'columns' in the dataset file"
             )
         require_columns(path, wanted, layout.names)
-        values = _parse(path, layout, wanted)
+        with closing(_pieces(path, layout, wanted, None if window is None else PIECE)) as pieces:
+            values, kept = (next(pieces), None) if window is None else window.gather(pieces)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
     except (UnicodeDecodeError, csv.Error):
         raise InputError(
             f"{path} is not a text table in UTF-8; save it as CSV, or give its 'format'"
         ) from None
-    return Table(path, values, lambda k: f"row {_file_row(path, layout, k)}")
+    return Table(
+        path, values, lambda k: f"row {_file_row(path, layout, k if kept is None else int(kept[k]))}"
+    )
 
 
 @dataclass(frozen=True)
@@ -88,13 +93,15 @@ class _Layout:
         return cls(names, has_header, delimiter, skipped, decimal)
 
 
-def _parse(path: Path, layout: _Layout, wanted: Collection[str]) -> dict[str, np.ndarray]:
-    """Read the wanted columns by pandas; where it fails, find the cell that is at fault."""
+def _pieces(
+    path: Path, layout: _Layout, wanted: Collection[str], size: int | None
+) -> Generator[dict[str, np.ndarray]]:
+    """Read the wanted columns by pandas, so many rows at once; where it fails, find the cell that is at fault."""
     import pandas as pd  # costs a third of a second, so only those who read text pay it
 
     index = {name: layout.names.index(name) for name in wanted}
     try:
-        frame = pd.read_csv(
+        read = pd.read_csv(
             path,
             sep=r"\s+" if layout.delimiter == " " else layout.delimiter,
             decimal=layout.decimal,
@@ -105,20 +112,23 @@ def _parse(path: Path, layout: _Layout, wanted: Collection[str]) -> dict[str, np
             low_memory=False,
             skipinitialspace=True,
             encoding="utf-8-sig",
+            chunksize=size,
         )
+        with nullcontext([read]) if isinstance(read, pd.DataFrame) else read as frames:
+            for frame in frames:
+                surplus = frame.iloc[:, len(layout.names) :]  # a delimiter at the end of each row is harmless
+                if frame.shape[1] <= max(index.values()) or bool(surplus.notna().to_numpy().any()):
+                    _raise_for_bad_cell(path, layout, wanted, "rows and header differ in length")
+                columns = {name: frame[i].to_numpy() for name, i in index.items()}
+                if not all(np.isfinite(values).all() for values in columns.values()):
+                    _raise_for_bad_cell(path, layout, wanted, "a value is missing")
+                yield columns
     except pd.errors.EmptyDataError:
-        return {name: np.empty(0) for name in wanted}
+        yield {name: np.empty(0) for name in wanted}
     except UnicodeDecodeError:
         raise
     except ValueError as error:  # text in a number's place, or a row longer than the first
         _raise_for_bad_cell(path, layout, wanted, error)
-    surplus = frame.iloc[:, len(layout.names) :]  # a delimiter at the end of each row is harmless
-    if frame.shape[1] <= max(index.values()) or bool(surplus.notna().to_numpy().any()):
-        _raise_for_bad_cell(path, layout, wanted, "rows and header differ in length")
-    columns = {name: frame[i].to_numpy() for name, i in index.items()}
-    if not all(np.isfinite(values).all() for values in columns.values()):
-        _raise_for_bad_cell(path, layout, wanted, "a value is missing")
-    return columns
 
 
 def _raise_for_bad_cell(

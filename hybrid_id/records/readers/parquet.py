@@ -1,17 +1,24 @@
 """Parquet tables; a column of time stamps of the day becomes seconds since the first one."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import Table, require_columns
+from hybrid_id.records.readers.table import Table, Window, require_columns
 from hybrid_id.records.readers.unpack import refuse_growth
 
+if TYPE_CHECKING:
+    import pyarrow as pa
 
-def read_parquet(path: Path, wanted: Collection[str]) -> Table:
-    """Read the wanted columns of a Parquet file.
+PIECE = 1_000_000
+"""Rows that are in memory at once while a window of a file is read."""
+
+
+def read_parquet(path: Path, wanted: Collection[str], window: Window | None = None) -> Table:
+    """Read the wanted columns of a Parquet file, of the rows in a window only where one is given.
 
     Raises:
         InputError: for a damaged file, one that unpacks beyond any record, a missing column, or one without numbers.
@@ -19,25 +26,42 @@ def read_parquet(path: Path, wanted: Collection[str]) -> Table:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    kept = None
     try:
-        require_columns(path, wanted, pq.read_schema(path).names)
-        refuse_growth(path, path.stat().st_size, 8 * len(wanted) * pq.read_metadata(path).num_rows)
-        table = pq.read_table(path, columns=list(wanted))
+        file = pq.ParquetFile(path)
+        require_columns(path, wanted, file.schema_arrow.names)
+        if window is None:
+            refuse_growth(path, path.stat().st_size, 8 * len(wanted) * file.metadata.num_rows)
+            columns = next(_pieces(path, [file.read(list(wanted))], wanted))
+        else:
+            batches = (pa.Table.from_batches([b]) for b in file.iter_batches(PIECE, columns=list(wanted)))
+            columns, kept = window.gather(_pieces(path, batches, wanted))
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
-    columns = {}
-    for name in wanted:
-        column = table[name].combine_chunks()
-        if pa.types.is_timestamp(column.type):
-            stamps = column.cast(pa.timestamp("ns"), safe=False).to_numpy(zero_copy_only=False)
-            columns[name] = (stamps - stamps[:1]) / np.timedelta64(1, "s")
-        elif (
-            pa.types.is_integer(column.type)
-            or pa.types.is_floating(column.type)
-            or pa.types.is_boolean(column.type)
-        ):
-            columns[name] = column.to_numpy(zero_copy_only=False).astype(np.float64)
-        else:
-            raise InputError(f"{path}: column '{name}' is of type {column.type}; write it as numbers")
-    return Table(path, columns, lambda k: f"row {k + 1} of the table")
+    return Table(path, columns, lambda k: f"row {(k if kept is None else int(kept[k])) + 1} of the table")
+
+
+def _pieces(
+    path: Path, tables: "Iterable[pa.Table]", wanted: Collection[str]
+) -> Iterator[dict[str, np.ndarray]]:
+    """Columns of numbers of each table; time stamps count from the first one of all."""
+    import pyarrow as pa
+
+    starts: dict[str, np.ndarray] = {}
+    for table in tables:
+        columns = {}
+        for name in wanted:
+            column = table[name].combine_chunks()
+            if pa.types.is_timestamp(column.type):
+                stamps = column.cast(pa.timestamp("ns"), safe=False).to_numpy(zero_copy_only=False)
+                columns[name] = (stamps - starts.setdefault(name, stamps[:1])) / np.timedelta64(1, "s")
+            elif (
+                pa.types.is_integer(column.type)
+                or pa.types.is_floating(column.type)
+                or pa.types.is_boolean(column.type)
+            ):
+                columns[name] = column.to_numpy(zero_copy_only=False).astype(np.float64)
+            else:
+                raise InputError(f"{path}: column '{name}' is of type {column.type}; write it as numbers")
+        yield columns

@@ -28,6 +28,38 @@ class Table:
     meta: Mapping[str, float | str] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Window:
+    """The rows that a reader keeps, so that no more than a part of a long file is ever in memory.
+
+    Attributes:
+        column: The column of time stamps.
+        low: First stamp, as the file has it.
+        high: Last stamp.
+    """
+
+    column: str
+    low: float
+    high: float
+
+    def gather(self, pieces: Iterable[Mapping[str, np.ndarray]]) -> tuple[dict[str, np.ndarray], np.ndarray]:
+        """Columns of the rows inside, and their numbers in the file; nothing is read beyond the window's end."""
+        found: list[dict[str, np.ndarray]] = []
+        kept, first = [], 0
+        for piece in pieces:
+            time = piece[self.column]
+            rows = np.flatnonzero((time >= self.low) & (time <= self.high))
+            found.append({name: values[rows] for name, values in piece.items()})
+            kept.append(first + rows)
+            first += len(time)
+            if len(time) and time.min() > self.high:
+                break
+        names = found[0] if found else {}
+        return {n: np.concatenate([part[n] for part in found]) for n in names}, np.concatenate([*kept, [0]])[
+            :-1
+        ].astype(int)
+
+
 def require_columns(path: Path, wanted: Collection[str], available: Iterable[str]) -> None:
     """Raise InputError for the first wanted column that a file does not have, or has twice."""
     available = list(available)
