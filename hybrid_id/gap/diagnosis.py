@@ -9,12 +9,12 @@ from typing import Any
 from hybrid_id.errors import InputError
 from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute
 from hybrid_id.gap.bent import bent_parameters
-from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import Experiment, next_experiment
-from hybrid_id.gap.probability import LEFT_OPEN, Suspect, suspects, tied_explanations, tied_sets
+from hybrid_id.gap.probability import Suspect, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.refit import Explanation, Refit, engine
+from hybrid_id.gap.remainder import no_noise, outside
 from hybrid_id.gap.shrink import Shrink, shrink
 from hybrid_id.gap.untold import untold
 from hybrid_id.records.dataset import Dataset
@@ -22,9 +22,6 @@ from hybrid_id.records.facts import inseparable
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.systems.chain import System
 
-COLOURED = 0.3
-"""Share of what the chosen model leaves, of train or of test records, that is no white noise, from which something acts
-that the catalogue lacks. Small random torques alone leave a fifth at most in generated cases."""
 PARAMETRIC = 1.1
 """Ratio of nominal to re-fitted error from which the parameters were wrong."""
 TOO_SHORT = 30.0
@@ -177,7 +174,7 @@ def diagnose(
         withdrawn, search = search.chosen.effects, replace(search, chosen=base)
         after, last, gap = _left(refit, search, before, first, seed)
     found = tuple(suspects(search))
-    unknown = _outside(search.chosen, first, last)
+    unknown = outside(search.chosen, first, last)
     return Diagnosis(
         case=dataset.name,
         verdict=_verdict(base, search, nominal, first, unknown),
@@ -210,31 +207,8 @@ def _left(
         after, last = tuple(locate(refit, chosen)), errors(refit.dataset, chosen.system, chosen.result.engine)
     if first is None or last is None:
         return after, last, None
-    # what a torque of no name still explains is no noise
-    floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(_unexplained(chosen, after), 0.99)))
+    floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(no_noise(chosen, after, last), 0.99)))
     return after, last, shrink(first, last, min(floor, last.nrmse), seed=seed)
-
-
-def _unexplained(chosen: Explanation, after: tuple[Location, ...]) -> float:
-    """Share of what a model leaves that a torque of no name explains, at most what is no white noise in it."""
-    share = max((one.share for one in after), default=0.0)
-    return min(max(share, 0.0), coloured(chosen.result.residual))
-
-
-def _outside(chosen: Explanation, first: Errors | None, last: Errors | None) -> bool:
-    """Whether the chosen model leaves something that the catalogue lacks.
-
-    The test records count, too: a wrong formula may pass for a right one on the records that it has been fitted to.
-    Not so behind play, whose fits end in ripples of their cost and predict other records no better than that. Beside an
-    effect, what is left has to be a part of the gap that is worth a name.
-    """
-    play = any("backlash" in key for key in chosen.system.components)
-    unseen = 0.0 if last is None or play else last.coloured
-    if max(coloured(chosen.result.residual), unseen) <= COLOURED:
-        return False
-    if not chosen.effects or first is None or last is None:
-        return True
-    return last.coloured * last.nrmse**2 > LEFT_OPEN * first.nrmse**2
 
 
 def _verdict(

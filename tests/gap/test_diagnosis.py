@@ -68,22 +68,6 @@ def test_what_the_test_records_do_not_bear_out_is_withdrawn(diagnosed, monkeypat
     assert "withdrawn: spring_load at joint1/load lowers" in summary(again)
 
 
-def test_what_only_unseen_records_show_is_outside_the_catalogue(diagnosed, sound) -> None:
-    first, chosen = diagnosed[2].refit, diagnosed[2].search.chosen
-    assert first is not None and chosen.effects
-
-    def outside(explanation, size, share):
-        return module._outside(explanation, first, replace(first, nrmse=size * first.nrmse, coloured=share))
-
-    # the spring fits the train records to the noise; what it leaves of the gap on the test record decides
-    assert outside(chosen, 0.6, 0.9)
-    assert not outside(chosen, 0.6, 0.2)
-    assert not outside(chosen, 0.2, 0.9)
-    # without an effect there is no gap that could have closed
-    assert outside(sound[2].search.chosen, 0.2, 0.9)
-    assert not outside(sound[2].search.chosen, 0.2, 0.2)
-
-
 def test_the_common_scale_of_torques_is_said_to_be_unknown(diagnosed) -> None:
     found = diagnosed[2]
     assert any("P_m1" in words and "one number" in words for words in found.untold), found.untold

@@ -1,0 +1,42 @@
+"""What the chosen model leaves, on a drive whose truth is known."""
+
+from dataclasses import replace
+
+import pytest
+
+from hybrid_id.components import Backlash
+from hybrid_id.gap.refit import Explanation
+from hybrid_id.gap.remainder import no_noise, outside
+
+
+def test_what_only_unseen_records_show_is_outside_the_catalogue(diagnosed, sound) -> None:
+    first, chosen = diagnosed[2].refit, diagnosed[2].search.chosen
+    assert first is not None and chosen.effects
+
+    def lacks(explanation: Explanation, size: float, share: float) -> bool:
+        return outside(explanation, first, replace(first, nrmse=size * first.nrmse, coloured=share))
+
+    # the spring fits the train records to the noise; what it leaves of the gap on the test record decides
+    assert lacks(chosen, 0.6, 0.9)
+    assert not lacks(chosen, 0.6, 0.2)
+    assert not lacks(chosen, 0.2, 0.9)
+    # without an effect there is no gap that could have closed
+    assert lacks(sound[2].search.chosen, 0.2, 0.9)
+    assert not lacks(sound[2].search.chosen, 0.2, 0.2)
+
+
+def test_behind_play_test_errors_lower_the_claim_and_not_the_verdict(diagnosed) -> None:
+    found = diagnosed[2]
+    loose = found.model.with_component("joint1/transmission", Backlash(gap=0.01))
+    chosen = replace(found.search.chosen, result=replace(found.search.chosen.result, system=loose))
+    bad = replace(found.refit, coloured=0.9)
+    assert not outside(chosen, found.refit, bad)
+    assert no_noise(chosen, found.after, bad) == 0.9
+    assert no_noise(chosen, found.after, replace(bad, coloured=0.1)) == 0.1
+
+
+def test_colour_that_random_torques_leave_is_taken_for_noise(diagnosed) -> None:
+    found = diagnosed[2]
+    chosen, after = found.search.chosen, (replace(found.after[0], share=0.0),)
+    assert no_noise(chosen, after, replace(found.refit, coloured=0.2)) == 0.0
+    assert no_noise(chosen, after, replace(found.refit, coloured=0.6)) == pytest.approx(0.6)
