@@ -126,7 +126,7 @@ def train(
         InputError: nothing to estimate, weights with several sets, or a checkpoint of another training.
     """
     options, engine, system = options or TrainOptions(), engine or OdeEngine(), copy.deepcopy(system)
-    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+    free = system.estimated
     if not free:
         raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
     extra, device = extra_parameters(system), batch.x.device

@@ -69,7 +69,7 @@ def fit(
     """
     keep_freed_memory()
     options, engine = options or Options(), engine or Engine()
-    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+    free = system.estimated
     if not free:
         raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
     device = batch.x.device

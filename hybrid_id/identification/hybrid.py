@@ -131,7 +131,7 @@ def train_hybrid(
     system = with_scales(system.with_values(values), batch, engine.width).to(batch.x.device)
     for part in system.networks.values():
         part.fall_asleep()
-    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+    free = system.estimated
     theta = system.theta().detach()[:, None]
     engine = engine.stable(system, batch, theta.expand(-1, batch.rows))
     sets = torch.zeros(batch.rows, dtype=torch.long, device=batch.x.device)

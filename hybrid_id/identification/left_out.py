@@ -29,7 +29,7 @@ def left_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
         result: of all records of the batch, pooled.
         batch: the records.
     """
-    free = [i for i, info in enumerate(result.system.table) if info.spec.estimate]
+    free = result.system.estimated
     inside = [k for k, name in enumerate(result.names) if name not in result.at_bound]
     if not inside:
         return list(result.residual)

@@ -92,7 +92,7 @@ class Cost:
     """
 
     def __init__(self, system: System, batch: Batch, engine: Engine) -> None:
-        free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+        free = system.estimated
         if not free:
             raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
         self.rollouts, bounds = Rollouts(system, batch, engine, free), make_bounds(system, free)

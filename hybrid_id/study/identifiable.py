@@ -51,10 +51,10 @@ def preflight(dataset: Dataset, system: System, *, signal_share: float = SIGNAL_
     Raises:
         InputError: nothing to estimate, or missing channels.
     """
-    if not any(info.spec.estimate for info in system.table):
+    if not system.estimated:
         raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
     batch = batch_of(dataset, system, dataset.train or dataset.records, signal_share, "cpu")
-    free = [i for i, info in enumerate(system.table) if info.spec.estimate]
+    free = system.estimated
     theta = system.theta().detach()[:, None].expand(-1, batch.rows)
     engine = with_substeps(system, Engine(), batch, theta)
     options = Options()

@@ -42,6 +42,7 @@ class System(nn.Module):
         networks: the residual networks by component key.
         dry: whether dry friction acts on each speed, in the order of ``speed_rows``.
         table: the parameters, in a fixed order; ``theta`` vectors follow it.
+        estimated: rows of the table that a fit may move.
 
     Raises:
         InputError: unknown place, a component in a place where it cannot sit, a place that is empty or crowded.
@@ -101,6 +102,7 @@ class System(nn.Module):
             for row in range(joint.positions[-1] + 2, joint.positions[0] + len(joint.state_names))
         ]
         self.table = parameter_table(self.components, self.aliases)
+        self.estimated = [i for i, info in enumerate(self.table) if info.spec.estimate]
         self.arm = Arm(self.joints, cast("dict[str, Component]", dict(self.components.items())))
         with torch.no_grad():
             self.arm.check({key: cast(Component, part).view() for key, part in self.components.items()})
