@@ -10,14 +10,11 @@ import numpy as np
 from hybrid_id.gap.attribute import LEAST_Z, Attribution, better, least_ratio
 from hybrid_id.gap.catalogue import effect
 from hybrid_id.gap.refit import Explanation, Name
-from hybrid_id.gap.round import Round
+from hybrid_id.gap.round import LEFT_OPEN, TOLD, Round
 
 TIE = 1.06
-"""Rivals whose RMS errors differ by less than this factor are told apart by no record here."""
-TOLD = 2.5
-"""... and only where fewer standard errors than these part them, block by block."""
-LEFT_OPEN = 0.1
-"""A rival that leaves more than this share of the gap's mean square open is none."""
+"""Rivals whose RMS errors differ by less than this factor are told apart by no record here, where fewer than ``TOLD``
+standard errors part them."""
 
 
 @dataclass(frozen=True)

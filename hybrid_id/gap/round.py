@@ -33,6 +33,10 @@ IDLE, IDLERS = 0.99, 6
 look; the best of them is fitted to the end."""
 LEAST_RATIO = 1.015
 """An effect, or a further parameter of one, must lower the RMS of the errors of prediction at least by this factor."""
+TOLD = 2.5
+"""Standard errors, block by block, from which records part two rivals."""
+LEFT_OPEN = 0.1
+"""A rival that leaves more than this share of the gap's mean square open, which another closes, is none."""
 NEAR = 1.15
 """Mean square error of a second look, relative to the model before, up to which an effect beside another may still win:
 that model has been fitted to the end."""
@@ -129,7 +133,7 @@ def _ranked(
         left = [e for e in ranked[:keep] if e.effects not in finished]
         finished |= {e.effects for e in left}
         ranked = _further(refit, before, left, ranked, TO_THE_END, tick)
-    return tuple(simplest_first(ranked, finished))
+    return tuple(simplest_first(ranked, finished, before))
 
 
 def _further(
@@ -162,15 +166,23 @@ def is_white(one: Explanation) -> bool:
     return coloured(one.result.residual) < WHITE
 
 
-def simplest_first(ranked: list[Explanation], finished: set[tuple[Name, ...]]) -> list[Explanation]:
+def simplest_first(
+    ranked: list[Explanation], finished: set[tuple[Name, ...]], before: Explanation
+) -> list[Explanation]:
     """Of the candidates that predict as well as the best, the one with the fewest parameters leads (Occam)."""
+    if not ranked:
+        return []
+    best = ranked[0].evidence
+    closed = best.error + LEFT_OPEN * max(before.evidence.error - best.error, 0.0)
     equals = [
         e
         for e in ranked
-        if e.effects in finished and e.evidence.error < LEAST_RATIO**2 * ranked[0].evidence.error
+        if e.effects in finished
+        and e.evidence.error < LEAST_RATIO**2 * best.error
+        and (e.evidence.error <= closed or best.z(e.evidence) < TOLD)
     ]
-    first = min(equals, key=lambda e: len(e.result.names), default=None)
-    return ranked if first is None else [first, *(e for e in ranked if e is not first)]
+    first = min(equals, key=lambda e: len(e.result.names), default=ranked[0])
+    return [first, *(e for e in ranked if e is not first)]
 
 
 def best_of_each(found: Sequence[Explanation], each: int = 1) -> list[Explanation]:

@@ -63,18 +63,25 @@ def test_a_second_effect_is_believed_at_a_small_gain_where_it_completes_the_expl
 
 
 def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
-    def fitted(name: str, error: float, parameters: int):
+    def fitted(name: str, error: float, parameters: int, z: float = 0.0):
         effects = ((name, "joint1/load"),)
         result = SimpleNamespace(names=("x",) * parameters)
-        return SimpleNamespace(effects=effects, evidence=SimpleNamespace(error=error), result=result)
+        told = SimpleNamespace(error=error, z=lambda _: z)
+        return SimpleNamespace(effects=effects, evidence=told, result=result)
 
     spring, bias, weight = (
         fitted("spring_load", 1.0, 7), fitted("constant_torque", 1.02, 6), fitted("gravity_load", 1.2, 5)
     )  # fmt: skip
     ranked, everyone = [spring, bias, weight], {e.effects for e in (spring, bias, weight)}
-    assert simplest_first(ranked, everyone) == [bias, spring, weight]  # the weight predicts worse
-    assert simplest_first(ranked, {spring.effects}) == ranked  # what was not fitted to the end does not lead
-    assert simplest_first([], everyone) == []
+    small, large = fitted("", 1.1, 5), fitted("", 2.0, 5)
+    assert simplest_first(ranked, everyone, small) == [bias, spring, weight]  # the weight predicts worse
+    # what was not fitted to the end does not lead
+    assert simplest_first(ranked, {spring.effects}, small) == ranked
+    assert simplest_first([], everyone, small) == []
+    # of a small gap the bias leaves a fifth open, and the records tell; of a large one next to nothing
+    sure = [fitted("spring_load", 1.0, 7, z=4.0), bias, weight]
+    assert simplest_first(sure, everyone, small) == sure
+    assert simplest_first(sure, everyone, large) == [bias, sure[0], weight]
 
 
 def test_values_of_today_that_cannot_stand_beside_an_effect_are_left_out() -> None:
