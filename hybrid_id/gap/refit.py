@@ -136,9 +136,16 @@ class Refit:
             )
         return min(ends, key=lambda e: e.result.cost)
 
-    def slopes(self, system: System) -> Slopes | None:
-        """Slopes of a model as it stands, which first looks at its neighbours begin with; windows need none."""
-        return slopes_at(system, self.records(system), engine()) if self.window is None else None
+    def slopes(self, system: System, least: float) -> Slopes | None:
+        """Slopes of a model as it stands, which first looks at its neighbours begin with; windows need none.
+
+        Args:
+            system: the model.
+            least: cost that a neighbour has to get below to be of interest.
+        """
+        if self.window is not None:
+            return None
+        return replace(slopes_at(system, self.records(system), engine()), least=least)
 
     def run(
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None

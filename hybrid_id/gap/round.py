@@ -74,7 +74,8 @@ def tasks(refit: Refit, before: Explanation, today: System) -> tuple[list[Task],
     left = Left(before.result, batch)
     taken, found, others = set(before.effects), [], []
     bent = bool(bent_parameters(today, before.system))
-    here, there = refit.slopes(before.system), refit.slopes(today) if bent else None
+    least = before.result.cost
+    here, there = refit.slopes(before.system, least), refit.slopes(today, least) if bent else None
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
             for where, starts in effect.models(before.system, size, left).items():

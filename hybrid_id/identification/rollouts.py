@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -75,10 +76,12 @@ class Slopes:
     Attributes:
         parameters: of each by its component and symbol, ``(R * T * n_y,)``.
         first: of each state that is not known exactly at the start, by its name, ``(R, T * n_y)``.
+        least: cost that others have to get below to be of any interest.
     """
 
     parameters: Mapping[tuple[str, str], np.ndarray]
     first: Mapping[str, np.ndarray]
+    least: float = math.inf
 
 
 class Cost:

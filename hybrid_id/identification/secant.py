@@ -30,6 +30,8 @@ SETTLED = 1e-4
 """A finite step has done its work when the cost falls by less than this share."""
 POOR = 0.02
 """Slopes that have been mended are simulated anew when a step lowers the cost by less than this share."""
+CLOSE, PATIENCE = 1.1, 3
+"""Cost, relative to that of the model beside it, up to which a look's slopes are believed, and steps after which."""
 TRIES, LANES, BETWEEN = 6, 48, 12
 """Shakes of a fit, points of each, and iterations from the best of them."""
 SHAKE = 0.3
@@ -47,8 +49,9 @@ def secant_fit(
 ) -> FitResult:
     """Fit one parameter set and the first states of all rows of a batch.
 
-    With ``near`` the fit is a cheap look: only what the neighbouring model lacks is simulated for the first slopes, and
-    every step mends them by Broyden's rank-one update (C. G. Broyden, Math. Comp. 19, 1965) instead of new ones.
+    With ``near`` the fit is a cheap look, which ends where it comes to nothing: only what the neighbouring model lacks
+    is simulated for the first slopes, and every step mends them by Broyden's rank-one update (C. G. Broyden, Math.
+    Comp. 19, 1965) instead of new ones.
 
     Args:
         system: model with start values and bounds.
@@ -79,9 +82,13 @@ def secant_fit(
         costs = 0.5 * np.square(found).sum(1)
         best = int(np.nanargmin(costs))
         gained = history[-1] - costs[best]
-        if gained < SETTLED * history[-1] and (fresh or (near is not None and len(history) > 1)):
+        first = near is not None and len(history) == 1
+        promised = 0.5 * float(np.square(left + jacobian @ (points[0] - point)).sum())
+        if near is not None and _idle(near, min(history[-1], float(costs[best])), promised, len(history)):
+            stage = len(STEPS)
+        elif gained < SETTLED * history[-1] and (fresh or (near is not None and len(history) > 1)):
             stage, jacobian, damping = stage + 1, None if near is None else jacobian, 1e-2
-        elif gained < POOR * history[-1] and (near is None or len(history) == 1):
+        elif gained < POOR * history[-1] and (near is None or first):
             jacobian = None
         else:
             jacobian, fresh = _mended(jacobian, points[best] - point, found[best] - left), False
@@ -111,6 +118,15 @@ def secant_fit(
         engine=cost.rollouts.engine,
         history=tuple(history),
     )
+
+
+def _idle(near: Slopes, cost: float, promised: float, iteration: int) -> bool:
+    """Whether a look has come to nothing: it is no better than what it starts beside, and its slopes promise no more.
+
+    They are believed where it has come near, or after a few steps.
+    """
+    close = cost < CLOSE * near.least or iteration >= PATIENCE
+    return close and min(cost, promised) > (1.0 - POOR) * near.least
 
 
 def slopes_at(system: System, batch: Batch, engine: Engine) -> Slopes:

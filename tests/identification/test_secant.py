@@ -66,6 +66,21 @@ def test_a_look_with_borrowed_slopes_finds_what_its_neighbour_lacks() -> None:
     assert secant_fit(start, batch, engine=DRY, iterations=40, near=near).cost < 1.05 * full.cost
 
 
+def test_a_look_that_comes_to_nothing_ends() -> None:
+    weight = Gravity(G_l=0.02, q_0=Bounded(0.8, -6.0, 6.0, "rad"))
+    for missing, steps in ((False, (1, 2)), (True, (5,))):
+        truth = rigid_drive()
+        if missing:
+            truth = truth.with_component("joint1/load", Gravity(G_l=0.1, q_0=Bounded(0.8, -6.0, 6.0, "rad")))
+        batch = measured(truth, DRY)
+        today = secant_fit(rigid_drive(), batch, engine=DRY, iterations=10)
+        near = replace(slopes_at(today.system, batch, DRY), least=today.cost)
+        start = today.system.with_component("joint1/load", weight)
+        look = secant_fit(start, batch, engine=DRY, iterations=5, near=near)
+        assert look.iterations in steps
+        assert (look.cost < 0.5 * today.cost) == missing
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.01, 0.01), (0.01, 0.010001), (0.0, 0.0)])
 def test_bounds_narrower_than_a_step_hold(low: float, high: float) -> None:
     batch = measured(rigid_drive(), DRY)
