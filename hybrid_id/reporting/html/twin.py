@@ -194,7 +194,7 @@ def _refs(upright: bool) -> Plot:
 
 def _axis(axis: Axis, title: str) -> Plot:
     """Scale, limits, title and names of an axis."""
-    found: Plot = {"title": {"text": without_tex(title)}, "automargin": True}
+    found: Plot = {"title": {"text": without_tex(title), "standoff": 12}, "automargin": True}
     low, high = axis.get_view_interval()
     if (names := _names(axis)) is not None:
         found |= {"tickvals": list(names), "ticktext": list(names.values()), "zeroline": False}
