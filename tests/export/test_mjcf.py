@@ -111,6 +111,7 @@ LEFT_OUT: dict[str, tuple[str, Component]] = {
     "constant ratio": ("transmission", KinematicError()),
     "--to torch": ("motor", ResidualNetwork()),
     "whole number": ("motor", Cogging(n=2.5)),
+    "motor has one": ("motor", Cogging(n=2.0, T_c2=1e-4, n_2=4.0)),
 }
 
 
