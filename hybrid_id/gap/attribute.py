@@ -114,8 +114,11 @@ def _freed(refit: Refit, chosen: Explanation) -> Explanation:
 
     Before another effect may explain what the first one's simplest form has left.
     """
+    laws = [(CATALOGUE[name], where) for name, where in chosen.effects if CATALOGUE[name].further is not None]
+    if not laws:
+        return chosen
     left = Left(chosen.result, refit.records(chosen.system))
-    starts = [s for name, where in chosen.effects for s in CATALOGUE[name].freer(chosen.system, where, left)]
+    starts = [start for law, where in laws for start in law.freer(chosen.system, where, left)]
     for one in refit.run([Task(chosen.effects, start) for start in starts], TO_THE_END):
         if one is None:
             continue

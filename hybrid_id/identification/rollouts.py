@@ -143,7 +143,7 @@ class Cost:
         step = share * np.maximum(np.abs(value), self.scale)
         up, down = self.high[:n_f] - value, value - self.low[:n_f]
         # inside the bounds, to the side that has more room where neither has enough
-        step = np.where(step <= up, step, np.where(down >= np.minimum(step, up), -np.minimum(step, down), up))
+        step = np.where(step <= up, step, np.where(down >= up, -np.minimum(step, down), up))
         lanes = np.tile(point, (len(new) + len(loose), 1))
         lanes[np.arange(len(new)), new] += step[new]
         # what a row starts with moves that row alone: one lane moves them all

@@ -82,13 +82,13 @@ def secant_fit(
         costs = 0.5 * np.square(found).sum(1)
         best = int(np.nanargmin(costs))
         gained = history[-1] - costs[best]
-        first = near is not None and len(history) == 1
-        promised = 0.5 * float(np.square(left + jacobian @ (points[0] - point)).sum())
-        if near is not None and _idle(near, min(history[-1], float(costs[best])), promised, len(history)):
+        if near is not None and _idle(
+            near, len(history), min(history[-1], float(costs[best])), left, jacobian, points[0] - point
+        ):
             stage = len(STEPS)
         elif gained < SETTLED * history[-1] and (fresh or (near is not None and len(history) > 1)):
             stage, jacobian, damping = stage + 1, None if near is None else jacobian, 1e-2
-        elif gained < POOR * history[-1] and (near is None or first):
+        elif gained < POOR * history[-1] and (near is None or len(history) == 1):
             jacobian = None
         else:
             jacobian, fresh = _mended(jacobian, points[best] - point, found[best] - left), False
@@ -120,13 +120,17 @@ def secant_fit(
     )
 
 
-def _idle(near: Slopes, cost: float, promised: float, iteration: int) -> bool:
+def _idle(
+    near: Slopes, iteration: int, cost: float, left: np.ndarray, jacobian: np.ndarray, step: np.ndarray
+) -> bool:
     """Whether a look has come to nothing: it is no better than what it starts beside, and its slopes promise no more.
 
     They are believed where it has come near, or after a few steps.
     """
-    close = cost < CLOSE * near.least or iteration >= PATIENCE
-    return close and min(cost, promised) > (1.0 - POOR) * near.least
+    interesting = (1.0 - POOR) * near.least
+    if cost <= interesting or (cost >= CLOSE * near.least and iteration < PATIENCE):
+        return False
+    return 0.5 * float(np.square(left + jacobian @ step).sum()) > interesting
 
 
 def slopes_at(system: System, batch: Batch, engine: Engine) -> Slopes:

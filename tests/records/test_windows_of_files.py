@@ -95,6 +95,13 @@ def test_a_fault_is_told_by_its_row_in_the_file(
         Dataset.load(described(tmp_path, f"long.{ending}"))
 
 
+@pytest.mark.parametrize("ending", ["csv", "parquet"])
+def test_a_window_of_a_file_without_rows(rng: np.random.Generator, tmp_path: Path, ending: str) -> None:
+    WRITERS[ending](table(rng).iloc[:0], tmp_path / f"long.{ending}")
+    with pytest.raises(InputError, match="long"):
+        Dataset.load(described(tmp_path, f"long.{ending}"))
+
+
 def test_a_window_beside_the_record_says_what_the_record_has(
     rng: np.random.Generator, tmp_path: Path
 ) -> None:

@@ -20,10 +20,9 @@ from typing import NoReturn, TextIO
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import Table, Window, require_columns
+from hybrid_id.records.readers.table import PIECE, Table, Window, require_columns
 
 HEADER_LIMIT = 200  # lines in which the header must come
-PIECE = 1_000_000  # rows that are in memory at once while a window of a file is read
 
 
 def read_csv(path: Path, wanted: Collection[str], window: Window | None = None) -> Table:

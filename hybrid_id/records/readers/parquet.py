@@ -7,14 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import Table, Window, require_columns
+from hybrid_id.records.readers.table import PIECE, Table, Window, require_columns
 from hybrid_id.records.readers.unpack import refuse_growth
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-PIECE = 1_000_000
-"""Rows that are in memory at once while a window of a file is read."""
 
 
 def read_parquet(path: Path, wanted: Collection[str], window: Window | None = None) -> Table:
@@ -30,7 +27,7 @@ def read_parquet(path: Path, wanted: Collection[str], window: Window | None = No
     try:
         file = pq.ParquetFile(path)
         require_columns(path, wanted, file.schema_arrow.names)
-        if window is None:
+        if window is None or not file.metadata.num_rows:  # an empty file comes in no pieces at all
             refuse_growth(path, path.stat().st_size, 8 * len(wanted) * file.metadata.num_rows)
             columns = next(_pieces(path, [file.read(list(wanted))], wanted))
         else:

@@ -28,6 +28,10 @@ class Table:
     meta: Mapping[str, float | str] = field(default_factory=dict)
 
 
+PIECE = 1_000_000
+"""Rows that are in memory at once while a window of a file is read."""
+
+
 @dataclass(frozen=True)
 class Window:
     """The rows that a reader keeps, so that no more than a part of a long file is ever in memory.
@@ -45,7 +49,7 @@ class Window:
     def gather(self, pieces: Iterable[Mapping[str, np.ndarray]]) -> tuple[dict[str, np.ndarray], np.ndarray]:
         """Columns of the rows inside, and their numbers in the file; nothing is read beyond the window's end."""
         found: list[dict[str, np.ndarray]] = []
-        kept, first = [], 0
+        kept, first = [np.empty(0, int)], 0
         for piece in pieces:
             time = piece[self.column]
             rows = np.flatnonzero((time >= self.low) & (time <= self.high))
@@ -54,10 +58,10 @@ class Window:
             first += len(time)
             if len(time) and time.min() > self.high:
                 break
-        names = found[0] if found else {}
-        return {n: np.concatenate([part[n] for part in found]) for n in names}, np.concatenate([*kept, [0]])[
-            :-1
-        ].astype(int)
+        columns = {
+            name: np.concatenate([part[name] for part in found]) for name in (found[0] if found else ())
+        }
+        return columns, np.concatenate(kept)
 
 
 def require_columns(path: Path, wanted: Collection[str], available: Iterable[str]) -> None:
