@@ -116,7 +116,7 @@ def _late(signal: Tensor, samples: int) -> Tensor:
 
 def _remembered(opened: Probe, v: Tensor, sign: Tensor) -> Tensor:
     """Low-passed direction and speed, and the angle since the last reversal."""
-    step = float(opened.batch.dt[opened.batch.dt > 0].median())
+    step = opened.batch.step
     found = []
     for constant in MEMORY:
         keep = float(np.exp(-step / constant))
@@ -128,7 +128,7 @@ def _remembered(opened: Probe, v: Tensor, sign: Tensor) -> Tensor:
 
 def _swinging(opened: Probe, v: Tensor) -> Tensor:
     """What masses on springs would pull, which the motion shakes: deflection and rate of each, of unit size."""
-    step = float(opened.batch.dt[opened.batch.dt > 0].median())
+    step = opened.batch.step
     acceleration, found = np.gradient(v.numpy(), step, axis=1), []
     for frequency in SWINGS:
         w = 2.0 * np.pi * frequency

@@ -64,7 +64,7 @@ def errors(
         return None
     batch = batch_of(dataset, system, dataset.test, signal_share, "cpu")
     run = simulate(system, engine or Engine(), batch)
-    step = float(batch.dt[batch.dt > 0].median())
+    step = batch.step
     length = max(1, round(BLOCK / step))
     blocks, by_record, noise, weighted = [], {}, [], []
     for r, name in enumerate(batch.names):

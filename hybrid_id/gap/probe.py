@@ -120,7 +120,7 @@ def probe(system: System, engine: Engine, batch: Batch, joint: int, side: str) -
     torque = next(i for i, info in enumerate(table) if (info.component, info.symbol) == (key, "T_0"))
     own = [i for i, o in enumerate(table) if o.spec.estimate and (o.component != key or opened is system)]
     free = own if torque in own else [*own, torque]
-    step, samples = float(batch.dt[batch.dt > 0].median()), batch.dt.shape[1]
+    step, samples = batch.step, batch.dt.shape[1]
     length = min(max(25, round(WINDOW / step)), samples)
     first = torch.arange(0, samples - length + 1, length)
     record = torch.arange(batch.rows).repeat_interleave(len(first))

@@ -91,7 +91,7 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
     return Scales(
         joint=joint.number,
         ratio=joint.gear_ratio,
-        sample_time=float(batch.dt[batch.dt > 0].median()),
+        sample_time=batch.step,
         duration=float(batch.dt.sum(1).max()),
         command=float(command.abs().max()),
         command_rms=float(moving.square().mean().sqrt()) if moving.numel() else 0.0,

@@ -141,7 +141,7 @@ def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
         return []
     opened = left.opened(joint, "motor")
     q, v = batch.x[..., opened.row], batch.x[..., opened.row + 1]
-    a = torch.gradient(v, dim=1)[0] / batch.dt[batch.dt > 0].median()
+    a = torch.gradient(v, dim=1)[0] / batch.step
     key, inertia = part.inertia
     view = system.components[key].view()  # type: ignore[operator]
     pull = -float(inertia.link(view, part.gear_ratio).detach()) / part.gear_ratio

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hybrid_id.identification.fit import measured_windows
+from hybrid_id.identification.horizons import link_seen
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -24,7 +25,7 @@ def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Bat
         seconds: length of a window.
     """
     hidden = list(system.memory_rows)
-    loose = [j for j in system.joints if not j.rigid and not _seen(batch, j.number)]
+    loose = [j for j in system.joints if not j.rigid and not link_seen(batch, j.number)]
     if hidden or loose:
         x, run = batch.x.clone(), simulate(system, engine, batch).x.nan_to_num(0.0, 0.0, 0.0)
         x[..., hidden] = run[..., hidden]
@@ -40,7 +41,3 @@ def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Bat
         return batch
     cut[0].x0_std[:, hidden] = 0.0
     return cut[0]
-
-
-def _seen(batch: Batch, joint: int) -> bool:
-    return bool({f"q_a{joint}", f"v_a{joint}"} & set(batch.outputs))

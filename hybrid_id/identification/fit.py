@@ -210,7 +210,7 @@ def measured_windows(
     Returns:
         None where the records are shorter than four windows.
     """
-    step = float(batch.dt[batch.dt > 0].median())
+    step = batch.step
     length = window_samples(batch.x.shape[1], step, seconds)
     if length is None:
         return None

@@ -25,6 +25,11 @@ LAST = 4.0
 Report = Callable[[int, Tensor, Tensor], bool | None] | None
 
 
+def link_seen(batch: Batch, joint: int) -> bool:
+    """Whether an encoder sees the link of a joint, numbered from 1."""
+    return bool({f"q_a{joint}", f"v_a{joint}"} & set(batch.outputs))
+
+
 def hidden_links(system: System, batch: Batch) -> bool:
     """Whether no encoder sees a link that its gear leaves loose near zero load.
 
@@ -32,7 +37,7 @@ def hidden_links(system: System, batch: Batch) -> bool:
     """
     return any(
         type(joint.gear.transmission[1]).loaded is not Transmission.loaded
-        and not {f"q_a{joint.number}", f"v_a{joint.number}"} & set(batch.outputs)
+        and not link_seen(batch, joint.number)
         for joint in system.joints
     )
 
@@ -67,7 +72,7 @@ def grow(
     """
     coarse = replace(options, max_iterations=30, tolerance=0.3, loss=options.loss.stages[0])
     count = int(sets.max()) + 1
-    step = float(batch.dt[batch.dt > 0].median())
+    step = batch.step
     samples = batch.dt.shape[1]
 
     def run(seconds: float, start: Tensor, shared: bool) -> tuple[Tensor, Tensor]:

@@ -38,6 +38,11 @@ class Batch:
         """Number of rows."""
         return self.y.shape[0]
 
+    @property
+    def step(self) -> float:
+        """Median sample time [s]."""
+        return float(self.dt[self.dt > 0].median())
+
     def take(self, rows: Tensor) -> Batch:
         """The batch of some rows (indices may repeat); itself where they are all of them in order."""
         if len(rows) == self.rows and bool((rows == torch.arange(self.rows, device=rows.device)).all()):
