@@ -66,14 +66,15 @@ def source(system: System, channels: Sequence[str], free: Sequence[int] | None =
     first, second = (dry.index(k) if k in dry else "NONE" for k in pairs[0] or (-1, -1))
     bodies["remember"] += "".join(f"\n    COLUMNS x_t[{i}][c] = k_t[{i}][c];" for i in kept if code.columns)
     return TEMPLATE.substitute(
-        bodies, prepare="\n".join(code.prepare), n_x=n_x, held=n_u, n_p=len(system.table), n_fixed=code.n_fixed,
+        bodies, prepare="\n".join(code.prepare), hold="\n".join(code.hold), n_x=n_x, held=n_u, n_p=len(system.table), n_fixed=code.n_fixed,
         n_columns=code.columns, n_dry=n, n_speeds=speeds, first=first, second=second,
         rows=", ".join(str(system.speed_rows[k]) for k in dry) or "0",
     )  # fmt: skip
 
 
 class _Code:
-    """C statements of functions of a system's rows; what depends on parameters alone is found once a row.
+    """C statements of functions of a system's rows; what depends on parameters alone is found once a row, what depends
+    on held inputs as well once a sample.
 
     Args:
         system: its equations are recorded.
@@ -82,8 +83,9 @@ class _Code:
 
     Attributes:
         columns: number of tangents.
-        prepare: statements that fill ``fixed``, the values that depend on parameters alone.
-        n_fixed: how many these are.
+        prepare: statements that fill ``fixed`` with the values that depend on parameters alone.
+        hold: those that add the values that depend on parameters and held inputs.
+        n_fixed: how many values these are.
     """
 
     def __init__(self, system: System, channels: Sequence[str], free: Sequence[int] | None) -> None:
@@ -91,6 +93,7 @@ class _Code:
         self.wanted = [f"x{i}" for i in range(len(system.state_names))] + [f"p{i}" for i in free or ()]
         self.columns = 0 if free is None else len(self.wanted)
         self.prepare: list[str] = []
+        self.hold: list[str] = []
         self.n_fixed = 0
 
     @torch.no_grad()
@@ -149,31 +152,42 @@ class _Code:
         whole = differentiated if tangents and self.columns else run
         statements, results = record(whole, [name for _, name in flat], examples)
         load = [f"const double {n} = {key}[{n[1:]}];" for key, n in flat if n != "h"]
-        moving = self._split(statements, results, [line for line in load if " p" in line[:15]])
+        given = {key: [line for line in load if f" {key}" in line[:15]] for key in "pu"}
+        fixed, moving = self._split(statements, results, given["p"], self.prepare)
+        held, moving = self._split(moving, results, [*given["p"], *given["u"], *fixed], self.hold)
         ends = [f"{target} = {result};" for target, result in zip(targets, results, strict=False)]
         for k, row in enumerate(tangents if self.columns else ()):
             first = len(targets) + k * self.columns
             ends += self._chained(row, results[first : first + self.columns])
-        return "\n".join(f"    {line}" for line in [*load, *moving, *ends])
+        return "\n".join(f"    {line}" for line in [*load, *fixed, *held, *moving, *ends])
 
-    def _split(self, statements: Sequence[str], results: Sequence[str], load: Sequence[str]) -> list[str]:
-        """The statements that depend on more than parameters; the others go to ``prepare``."""
-        alone, moving, needed = {}, [], set(results)
+    def _split(
+        self, statements: Sequence[str], results: Sequence[str], load: Sequence[str], earlier: list[str]
+    ) -> tuple[list[str], list[str]]:
+        """Statements that read what is found earlier, and those that depend on more than that.
+
+        Args:
+            statements: to be divided.
+            results: names of what their function returns.
+            load: statements that read what is known early.
+            earlier: gets the statements that depend on nothing else.
+        """
+        given = {_assigned(line) for line in load}
+        known, moving, needed = {}, [], set(results)
         for line in statements:
-            head, expression = line.split(" = ", 1)
-            used = NAMES.findall(expression)
-            if all(name in alone or name[0] == "p" for name in used):
-                alone[head.split()[-1]] = line
+            used = NAMES.findall(line.split(" = ", 1)[1])
+            if all(name in known or name in given for name in used):
+                known[_assigned(line)] = line
             else:
                 moving.append(line)
                 needed.update(used)
-        kept = [name for name in alone if name in needed]
+        kept = [name for name in known if name in needed]
         places = {name: f"fixed[{self.n_fixed + i}]" for i, name in enumerate(kept)}
         self.n_fixed += len(kept)
-        body = [*load, *alone.values(), *(f"{place} = {name};" for name, place in places.items())]
-        self.prepare += ["    {", *(f"        {line}" for line in body), "    }"] if kept else []
-        kinds = {name: alone[name].split(" = ")[0] for name in kept}
-        return [f"{kinds[name]} = {place};" for name, place in places.items()] + moving
+        body = [*load, *known.values(), *(f"{place} = {name};" for name, place in places.items())]
+        earlier += ["    {", *(f"        {line}" for line in body), "    }"] if kept else []
+        kinds = {name: known[name].split(" = ")[0] for name in kept}
+        return [f"{kinds[name]} = {place};" for name, place in places.items()], moving
 
     def _chained(self, row: int, gradient: Sequence[str]) -> list[str]:
         """Statements that fill a row of ``k_t`` by the chain rule from a gradient by states and free parameters."""
@@ -184,3 +198,8 @@ class _Code:
             f"COLUMNS k_t[{row}][c] = {' + '.join(terms) or '0.0'};",
             *(f"k_t[{row}][{c}] += {g};" for c, g in own),
         ]
+
+
+def _assigned(statement: str) -> str:
+    """Name of the variable that a statement defines."""
+    return statement.split(" = ", 1)[0].split()[-1]
