@@ -66,15 +66,16 @@ def source(system: System, channels: Sequence[str], free: Sequence[int] | None =
     first, second = (dry.index(k) if k in dry else "NONE" for k in pairs[0] or (-1, -1))
     bodies["remember"] += "".join(f"\n    COLUMNS x_t[{i}][c] = k_t[{i}][c];" for i in kept if code.columns)
     return TEMPLATE.substitute(
-        bodies, prepare="\n".join(code.prepare), hold="\n".join(code.hold), n_x=n_x, held=n_u, n_p=len(system.table), n_fixed=code.n_fixed,
-        n_columns=code.columns, n_dry=n, n_speeds=speeds, first=first, second=second,
-        rows=", ".join(str(system.speed_rows[k]) for k in dry) or "0",
+        bodies, prepare="\n".join(code.prepare), hold="\n".join(code.hold), n_x=n_x, held=n_u,
+        n_p=len(system.table), n_fixed=code.n_fixed, n_columns=code.columns, n_dry=n, n_speeds=speeds, first=first,
+        second=second, rows=", ".join(str(system.speed_rows[k]) for k in dry) or "0",
     )  # fmt: skip
 
 
 class _Code:
-    """C statements of functions of a system's rows; what depends on parameters alone is found once a row, what depends
-    on held inputs as well once a sample.
+    """C statements of functions of a system's rows.
+
+    What depends on parameters alone is found once a row, what depends on held inputs as well once a sample.
 
     Args:
         system: its equations are recorded.
