@@ -5,7 +5,7 @@ import pytest
 
 from hybrid_id.blind.physics.bench import replay
 from hybrid_id.blind.physics.drive import Drive
-from hybrid_id.blind.physics.friction import Coulomb, Viscous
+from hybrid_id.blind.physics.friction import Coulomb, Power, Viscous
 from hybrid_id.blind.physics.integrator import Machine
 from hybrid_id.blind.physics.links import OneLink, TwoLinks
 from hybrid_id.blind.physics.load import Gravity
@@ -99,6 +99,20 @@ def test_error_falls_with_the_square_of_the_step() -> None:
 
     truth = end(64)
     coarse, fine = abs(end(1) - truth), abs(end(2) - truth)
+    assert 3.0 < coarse / fine < 5.5
+
+
+def test_terms_of_speed_are_of_second_order_too() -> None:
+    time = 0.002 * np.arange(1000)
+    volts = (6 + 5 * np.sin(12 * time))[:, None, None]
+
+    def end(substeps: int) -> float:
+        machine = one_link(laws=[Power(0.02, on_link=True)], coulomb=0.0, substeps=substeps)
+        machine.drives[0].gear = Gear(RATIO, errors=[2e-3], periods=[1.0], phases=[0.3])
+        return float(replay(machine, volts, sample_time=0.002)[-1, 0, 0])
+
+    truth = end(64)
+    coarse, fine = abs(end(4) - truth), abs(end(8) - truth)
     assert 3.0 < coarse / fine < 5.5
 
 

@@ -41,16 +41,16 @@ class Drive:
         self.needs_carried = any(law.needs_carried for law in self.rotor_laws)
 
     def push(self, time: float, step: float) -> None:
-        """Move the angles on to the middle of the step, and sum what acts there."""
+        """Move angles and, as the last step went, speeds on to the middle of the step, and sum what acts there."""
         x, half = self.x, 0.5 * step
         x.time, x.step = time + half, step
-        x.q_m = x.q_m + half * x.v_m
+        x.q_m, x.v_m = x.q_m + half * x.v_m, _ahead(x.v_m, x.rise_m)
         self.slope = self.gear.slope(x.q_m)
         twist = rate = None
         if self.spring is None:
             x.q_a, x.v_a = self.gear.angle(x.q_m), self.slope * x.v_m
         else:
-            x.q_a = x.q_a + half * x.v_a
+            x.q_a, x.v_a = x.q_a + half * x.v_a, _ahead(x.v_a, x.rise_a)
             twist, rate = self.gear.angle(x.q_m) - x.q_a, self.slope * x.v_m - x.v_a
         volts = x.command
         for law in self.amplifier:
@@ -67,3 +67,9 @@ class Drive:
             x.carried = self.slope * torque
             rotor.torque = rotor.torque - x.carried
             link.torque = link.torque + torque
+
+
+def _ahead(speed: np.ndarray, rise: np.ndarray) -> np.ndarray:
+    """Speed in the middle of a step that goes like the one before; what stands or is about to stop stays as it is."""
+    middle = speed + 0.5 * rise
+    return np.where(speed * middle > 0, middle, speed)

@@ -2,8 +2,9 @@
 
 Moreau's midpoint rule (J. J. Moreau, "Unilateral contact and dry friction in finite freedom dynamics", 1988): positions
 go half a step, forces act there, speeds take the whole impulse, positions go the other half. Linear damping is taken in
-the middle of old and new speed; dry friction takes at most its own impulse off the new speed, so that a joint stops
-and stays. Second order while it slides or sticks, and stable at any friction.
+the middle of old and new speed, other laws at the speed there as the last step went; dry friction takes at most its own
+impulse off the new speed, so that a joint stops and stays. Second order while it slides or sticks, and stable at any
+friction.
 """
 
 from collections.abc import Sequence
@@ -93,33 +94,37 @@ class Machine:
     def step(self, time: float, h: float, disturbance: np.ndarray) -> None:
         """Carry all runs over one step of h seconds; disturbance (n_joints, B) [N m] acts on the rotors."""
         drives = self.drives
+        before = [(d.x.v_m, d.x.v_a) for d in drives]
         for drive, torque in zip(drives, disturbance, strict=True):
             drive.push(time, h)
             drive.rotor_push.torque = drive.rotor_push.torque + torque
         angles, speeds = [d.x.q_a for d in drives], [d.x.v_a for d in drives]
         m_11, m_12, m_22 = self.links.mass(angles)
         bias = self.links.bias(angles, speeds)
-        for drive in drives:
+        turning = [d.x.v_m for d in drives]
+        for drive, speeds in zip(drives, before, strict=True):
+            drive.x.v_m, drive.x.v_a = speeds
             if drive.spring is not None:  # its rotor is on its own
                 drive.x.v_m = _stop(drive.rotor, drive.rotor_push, drive.x.v_m, h)
         if len(drives) == 1:
-            self._move_one(drives[0], m_11, bias[0], h)
+            self._move_one(drives[0], m_11, bias[0], turning, h)
         else:
-            self._move_two(drives[0], drives[1], (m_11, m_12, m_22), bias, h)
-        for drive in drives:
+            self._move_two(drives[0], drives[1], (m_11, m_12, m_22), bias, turning, h)
+        for drive, (v_m, v_a) in zip(drives, before, strict=True):
             x = drive.x
+            x.rise_m, x.rise_a = x.v_m - v_m, x.v_a - v_a
             x.q_m = x.q_m + 0.5 * h * x.v_m
             if drive.spring is not None:
                 x.q_a = x.q_a + 0.5 * h * x.v_a
 
-    def _move_one(self, drive: Drive, mass: Lanes, bias: Lanes, h: float) -> None:
+    def _move_one(self, drive: Drive, mass: Lanes, bias: Lanes, turning: Sequence[np.ndarray], h: float) -> None:
         """New speed of the only link, or of its rotor where they are one."""
         x = drive.x
         if drive.spring is not None:
             x.v_a = _stop(mass, drive.link_push, x.v_a, h)
             return
         push, inertia, old = (
-            _joined(drive, bias, [mass], [x.v_m], [drive]),
+            _joined(drive, bias, [mass], turning, [drive]),
             drive.slope**2 * mass,
             x.v_m,
         )
@@ -127,13 +132,15 @@ class Machine:
         if drive.needs_carried:
             x.carried = inertia * (x.v_m - old) / h - drive.slope * drive.link_push.torque
 
-    def _move_two(self, first: Drive, second: Drive, mass: tuple, bias: list, h: float) -> None:
+    def _move_two(
+        self, first: Drive, second: Drive, mass: tuple, bias: list, turning: Sequence[np.ndarray], h: float
+    ) -> None:
         """New speeds of two coupled joints, whose friction is settled in turns (Gauss-Seidel)."""
         m_11, m_12, m_22 = mass
         pair = (first, second)
         old = [d.x.v_m if d.spring is None else d.x.v_a for d in pair]
         rows = ([m_11, m_12], [m_12, m_22])
-        pushes = [_joined(d, bias[i], rows[i], old, pair) for i, d in enumerate(pair)]
+        pushes = [_joined(d, bias[i], rows[i], turning, pair) for i, d in enumerate(pair)]
         ratio = [d.slope if d.spring is None else 1.0 for d in pair]
         own = [
             ratio[i] ** 2 * rows[i][i] + (d.rotor if d.spring is None else 0.0) for i, d in enumerate(pair)
@@ -164,11 +171,13 @@ class Machine:
                 drive.x.v_a = new[i]
 
 
-def _joined(drive: Drive, bias: Lanes, row: list, speeds: list, drives: Sequence[Drive]) -> Push:
+def _joined(
+    drive: Drive, bias: Lanes, row: list, turning: Sequence[np.ndarray], drives: Sequence[Drive]
+) -> Push:
     """What pushes a link, together with its rotor where both are one body, without the coupling to the other joint."""
     link, push = drive.link_push, Push()
     torque = link.torque - bias
-    for m, v, other in zip(row, speeds, drives, strict=True):
+    for m, v, other in zip(row, turning, drives, strict=True):
         if other.gear.errors and other.spring is None:
             torque = torque - m * other.gear.curvature(other.x.q_m) * v**2
     if drive.spring is not None:

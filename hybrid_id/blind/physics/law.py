@@ -15,6 +15,7 @@ class Signals:
         volts: voltage at the motor's terminals [V].
         q_m, v_m: angle [rad] and speed [rad/s] of the rotor.
         q_a, v_a: angle [rad] and speed [rad/s] of the link.
+        rise_m, rise_a: by which the speeds of rotor and link have risen in the step before [rad/s].
         effort: torque of the motor [N m].
         carried: torque through the gear at the motor's side [N m], of the step before.
         history: commands so far, ``(T, B)`` [V], sample k held from k to k + 1; None before the run.
@@ -26,6 +27,7 @@ class Signals:
         self.time = self.step = 0.0
         self.command = self.volts = self.effort = self.carried = zero
         self.q_m, self.v_m, self.q_a, self.v_a = (zero.copy() for _ in range(4))
+        self.rise_m = self.rise_a = zero
         self.history = np.zeros((0, lanes))
         self.sample_time = 0.0
 

@@ -11,8 +11,8 @@ from hybrid_id.blind.physics.load import ConstantTorque, Gravity, RestSpring
 from hybrid_id.blind.physics.motor import Cogging
 from hybrid_id.blind.physics.transmission import HardeningSpring, LinearSpring, Play
 
-STEP = 0.25e-3
-"""MuJoCo's time step [s]."""
+STEP, STEP_OF_A_WINDING = 0.25e-3, 0.125e-3
+"""MuJoCo's time step [s], and the one for a current that lags, which it steps by Euler's rule."""
 G = 9.81
 WARM = 0.0039
 """Temperature coefficient of copper [1/K]."""
@@ -41,11 +41,12 @@ def document(machine: Machine) -> str:
         else:
             bodies += f"<body {place}>{_rotor(drive, i)}{body}"
             ends += "</body>"
+    step = STEP if all(drive.motor.lag is None for drive in machine.drives) else STEP_OF_A_WINDING
     tendons = "".join(_link(drive, i) for i, drive in enumerate(machine.drives))
     motors = "".join(_motor(drive, i) for i, drive in enumerate(machine.drives))
     return (
         f'<mujoco><compiler angle="radian" inertiafromgeom="false"/>'
-        f'<option timestep="{STEP}" gravity="{pull}" integrator="implicitfast"/>'
+        f'<option timestep="{step}" gravity="{pull}" integrator="implicitfast"/>'
         f"<worldbody>{bodies}{ends}</worldbody><tendon>{tendons}</tendon><actuator>{motors}</actuator></mujoco>"
     )
 

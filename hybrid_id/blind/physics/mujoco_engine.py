@@ -11,7 +11,7 @@ import numpy as np
 from hybrid_id.blind.physics.integrator import BRAKE, SETTLING, Machine
 from hybrid_id.blind.physics.law import Signals
 from hybrid_id.blind.physics.load import ConstantTorque
-from hybrid_id.blind.physics.mujoco_document import STEP, Unsupported, document
+from hybrid_id.blind.physics.mujoco_document import Unsupported, document
 
 
 class MujocoMachine:
@@ -33,6 +33,7 @@ class MujocoMachine:
         except TypeError:  # an array where a number is needed
             raise Unsupported("parameters that differ from run to run") from None
         self.model = mujoco.MjModel.from_xml_string(text)  # type: ignore[attr-defined]
+        self._step = float(self.model.opt.timestep)
         joints = range(len(self.drives))
         self._rotor = [int(self.model.joint(f"rotor{i}").qposadr[0]) for i in joints]
         self._twist = [
@@ -44,16 +45,16 @@ class MujocoMachine:
         """Prepare B runs of so many samples [s]; they come to rest from angles zero, so that none may be given."""
         if angles is not None:
             raise Unsupported("a start elsewhere than at rest")
-        self._steps, self._sample_time, self._sample = round(sample_time / STEP), sample_time, 0
+        self._steps, self._sample_time, self._sample = round(sample_time / self._step), sample_time, 0
         self._runs = [self._mujoco.MjData(self.model) for _ in range(lanes)]  # type: ignore[attr-defined]
         self._signals = [Signals(lanes) for _ in self.drives]
         for x in self._signals:
-            x.history, x.sample_time, x.step = np.zeros((samples, lanes)), sample_time, STEP
+            x.history, x.sample_time, x.step = np.zeros((samples, lanes)), sample_time, self._step
         still = np.zeros((len(self.drives), 1))
         first = self._runs[0]
-        for k in range(round(SETTLING / STEP)):
+        for k in range(round(SETTLING / self._step)):
             self._mujoco.mj_step(self.model, self._pushed(first, still[:, 0]))  # type: ignore[attr-defined]
-            first.qvel *= 1 - BRAKE * STEP
+            first.qvel *= 1 - BRAKE * self._step
             if k % 200 == 19 and np.abs(first.qvel).max() < 1e-5:
                 break
         for run in self._runs:
@@ -70,7 +71,7 @@ class MujocoMachine:
             self._pushed(run, disturbance[:, b])
         for i in range(1 if plain else self._steps):
             volts = [
-                self._volts(j, k * self._sample_time + (i + 0.5) * STEP) for j in range(len(self.drives))
+                self._volts(j, k * self._sample_time + (i + 0.5) * self._step) for j in range(len(self.drives))
             ]
             for b, run in enumerate(self._runs):
                 run.ctrl[:] = [volt[b] for volt in volts]
