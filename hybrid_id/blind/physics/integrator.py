@@ -117,7 +117,9 @@ class Machine:
             if drive.spring is not None:
                 x.q_a = x.q_a + 0.5 * h * x.v_a
 
-    def _move_one(self, drive: Drive, mass: Lanes, bias: Lanes, turning: Sequence[np.ndarray], h: float) -> None:
+    def _move_one(
+        self, drive: Drive, mass: Lanes, bias: Lanes, turning: Sequence[np.ndarray], h: float
+    ) -> None:
         """New speed of the only link, or of its rotor where they are one."""
         x = drive.x
         if drive.spring is not None:

@@ -71,7 +71,8 @@ class MujocoMachine:
             self._pushed(run, disturbance[:, b])
         for i in range(1 if plain else self._steps):
             volts = [
-                self._volts(j, k * self._sample_time + (i + 0.5) * self._step) for j in range(len(self.drives))
+                self._volts(j, k * self._sample_time + (i + 0.5) * self._step)
+                for j in range(len(self.drives))
             ]
             for b, run in enumerate(self._runs):
                 run.ctrl[:] = [volt[b] for volt in volts]
