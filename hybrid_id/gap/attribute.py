@@ -8,7 +8,7 @@ without it is fitted again from where the model with it has ended.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.evidence import coloured
@@ -107,6 +107,18 @@ def better(richer: Explanation, simpler: Explanation) -> bool:
     if is_white(richer):
         least = min(least, COMPLETE_RATIO)
     return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
+
+
+def sure_though_small(found: Attribution) -> Attribution | None:
+    """The search with the effect that it would add next, where its gain is sure but too small to be believed alone.
+
+    The train records may be slow where others are fast. None where no such effect is there.
+    """
+    last = found.rounds[-1] if found.rounds else None
+    if last is None or last.best is None or last.before.effects != found.chosen.effects:
+        return None
+    sure = last.best.evidence.z(last.before.evidence) >= LEAST_Z
+    return replace(found, chosen=last.best) if sure and not better(last.best, last.before) else None
 
 
 def _freed(refit: Refit, chosen: Explanation) -> Explanation:

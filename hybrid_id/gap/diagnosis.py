@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hybrid_id.errors import InputError
-from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute
+from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure_though_small
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
@@ -145,7 +145,8 @@ def diagnose(
     """Find out why records and simulator disagree.
 
     Search and fits use the train records only; the test records are opened once, to measure the gap. Effects whose gain
-    on them may as well be none (95 % interval) are withdrawn.
+    on them may as well be none (95 % interval) are withdrawn; one that is sure but small on the train records is
+    believed where it explains what the test records leave open.
 
     Args:
         dataset: train and test records.
@@ -169,24 +170,30 @@ def diagnose(
     say("location", 0, 1)
     before = tuple(locate(refit, base))
     nominal, first = errors(dataset, system, engine()), errors(dataset, base.system, base.result.engine)
-    after, last, gap = _left(refit, search, before, first, seed)
-    if search.chosen is not base and gap is not None and gap.interval[0] <= 0.0:
-        withdrawn, search = search.chosen.effects, replace(search, chosen=base)
-        after, last, gap = _left(refit, search, before, first, seed)
-    found = tuple(suspects(search))
-    unknown = outside(search.chosen, first, last)
+
+    def judged(one: Attribution) -> _Judged:
+        return _judged(refit, one, before, first, seed)
+
+    now = judged(search)
+    if search.chosen is not base and now.gap is not None and now.gap.interval[0] <= 0.0:
+        withdrawn, now = search.chosen.effects, judged(replace(search, chosen=base))
+    if now.unknown and (small := sure_though_small(now.search)) is not None:
+        borne_out = judged(small)
+        if not borne_out.unknown and borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:
+            withdrawn, now = (), borne_out
+    search, found = now.search, tuple(suspects(now.search))
     return Diagnosis(
         case=dataset.name,
-        verdict=_verdict(base, search, nominal, first, unknown),
+        verdict=_verdict(base, search, nominal, first, now.unknown),
         effects=found,
         ties=tuple(tied_sets(found)),
-        unknown=unknown,
+        unknown=now.unknown,
         nominal=nominal,
         refit=first,
-        with_effect=last,
-        shrink=gap,
+        with_effect=now.last,
+        shrink=now.gap,
         before=before,
-        after=after,
+        after=now.after,
         bent=tuple(bent_parameters(system, base.system)),
         experiments=tuple(next_experiment(dataset, tied_explanations(search))),
         withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
@@ -196,19 +203,30 @@ def diagnose(
     )
 
 
-def _left(
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A search's chosen model on the test records: what it leaves, its errors, how far the gap shrinks."""
+
+    search: Attribution
+    after: tuple[Location, ...]
+    last: Errors | None
+    gap: Shrink | None
+    unknown: bool
+
+
+def _judged(
     refit: Refit, search: Attribution, before: tuple[Location, ...], first: Errors | None, seed: int
-) -> tuple[tuple[Location, ...], Errors | None, Shrink | None]:
-    """What the chosen model leaves: torques of no name in it, errors on the test records, how far the gap shrinks."""
+) -> _Judged:
     chosen = search.chosen
     if chosen is search.base:
         after, last = before, first
     else:
         after, last = tuple(locate(refit, chosen)), errors(refit.dataset, chosen.system, chosen.result.engine)
-    if first is None or last is None:
-        return after, last, None
-    floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(no_noise(chosen, after, last), 0.99)))
-    return after, last, shrink(first, last, min(floor, last.nrmse), seed=seed)
+    gap = None
+    if first is not None and last is not None:
+        floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(no_noise(chosen, after, last), 0.99)))
+        gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
+    return _Judged(search, after, last, gap, outside(chosen, first, last))
 
 
 def _verdict(

