@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from gapcase import small_case
 
-from hybrid_id.gap.attribute import _leaves_something, _without, better
+from hybrid_id.gap.attribute import Attribution, _leaves_something, _without, better, sure_though_small
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import evidence
-from hybrid_id.gap.round import _as_today, simplest_first
+from hybrid_id.gap.round import Round, _as_today, simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
 
@@ -96,3 +96,22 @@ def test_a_part_that_an_effect_has_replaced_counts_as_not_bent() -> None:
     gone = today.without_component("joint1/motor_friction", "coulomb_friction")
     assert bent_parameters(today, gone) == []
     assert bent_parameters(today, today.with_values({"P_m2": 2.0 * today.parameter("P_m2").spec.value}))
+
+
+def test_an_effect_that_is_sure_but_small_waits_for_the_test_records() -> None:
+    rng = np.random.default_rng(0)
+    noise, wave = rng.standard_normal((40000, 1)), np.sin(0.05 * np.arange(40000))[:, None]
+
+    def model(residual: np.ndarray, *effects: tuple[str, str]):
+        result = SimpleNamespace(residual=[residual])
+        return SimpleNamespace(effects=effects, result=result, evidence=evidence([residual], 0.002))
+
+    def found(size: float) -> Attribution:
+        before, after = model(noise + size * wave), model(noise, ("quadratic_drag", "joint1/motor_friction"))
+        return Attribution(before, (Round(before, (after,)),), before)
+
+    sure = sure_though_small(found(0.15))
+    assert sure is not None and sure.chosen.effects == (("quadratic_drag", "joint1/motor_friction"),)
+    assert sure_though_small(found(0.5)) is None  # large enough to be believed without them
+    assert sure_though_small(found(0.01)) is None  # not sure
+    assert sure_though_small(Attribution(found(0.15).base, (), found(0.15).base)) is None
