@@ -5,8 +5,10 @@ import math
 from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
 from hybrid_id.gap.scan import gear_waves, second_wave
 
-RESONANCES = (8.0, 25.0)
-"""Where rotor and link may swing against each other [Hz]."""
+RESONANCES = (2.0, 4.0, 8.0, 16.0, 32.0)
+"""Where rotor and link may swing against each other [Hz]: a fit finds what is half an octave away."""
+SOFTEST = 10.0
+"""Largest compliance, over that of the slowest swing: how the inertia divides between rotor and link is not known."""
 GAPS = (0.0007, 0.0015, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
 """Play as a share of the link's range: every size has a valley of its own."""
 WORST_GEAR = 0.03
@@ -22,15 +24,12 @@ def _series(s):
 def _flexibility(system, s, place):
     if not system.joints[s.joint - 1].rigid:
         return []
-    soft = 1.0 / (max(_series(s), 1e-12) * (2 * math.pi * 2.0) ** 2)
+    compliances = [1.0 / (max(_series(s), 1e-12) * (2 * math.pi * f) ** 2) for f in RESONANCES]
+    soft = SOFTEST * max(compliances)
     return [
-        (
-            "joint_flexibility",
-            {"compliance": free(1.0 / (max(_series(s), 1e-12) * (2 * math.pi * f) ** 2), 0.0, soft, "rad/(N m)"),
-             "zeta": free(0.1, 0.0, 2.0)},
-        )
-        for f in RESONANCES
-    ]  # fmt: skip
+        ("joint_flexibility", {"compliance": free(c, 0.0, soft, "rad/(N m)"), "zeta": free(0.1, 0.0, 2.0)})
+        for c in compliances
+    ]
 
 
 def _backlash(system, s, place):
