@@ -47,20 +47,26 @@ class Arm:
         """The balances of all speeds with what acts between the links; without couplings as they are."""
         if not self.couplings:
             return Balances(speeds)
-        scales = [joint.gear_ratio if joint.rigid else 1.0 for joint in self.joints]
-        rows = [joint.positions[-1] for joint in self.joints]
-        angles = (x[rows[0]] / scales[0], x[rows[1]] / scales[1])
-        rates = (x[rows[0] + 1] / scales[0], x[rows[1] + 1] / scales[1])
+        links = [_link_motion(joint, x, p) for joint in self.joints]
+        (first_angle, first_rate, *_), (second_angle, second_rate, *_) = links
         first = len(self.joints[0].positions) - 1
         pair = (first, len(speeds) - 1)
         coupling = None
         for key, part in self.couplings.items():
-            for k, scale, torque in zip(pair, scales, part.torques(p[key], angles, rates), strict=True):
-                _load(speeds[k], torque / scale)
-            if (inertia := part.inertia(p[key], angles[1])) is not None:
-                _weigh(speeds[first], inertia[0] / scales[0] ** 2)
-                shared = inertia[1] * (p[key].definite / (scales[0] * scales[1]))
+            torques = part.torques(p[key], (first_angle, second_angle), (first_rate, second_rate))
+            for k, (_, _, slope, _), torque in zip(pair, links, torques, strict=True):
+                _load(speeds[k], torque * slope)
+            if (inertia := part.inertia(p[key], second_angle)) is not None:
+                (_, _, slope, turn), (_, _, other_slope, other_turn) = links
+                _weigh(speeds[first], inertia[0] * slope**2)
+                shared = inertia[1] * (p[key].definite * (slope * other_slope))
                 coupling = shared if coupling is None else coupling + shared
+                # what a gear's error accelerates while its rotor turns evenly
+                if turn is not None:
+                    _load(speeds[pair[0]], inertia[0] * slope * turn)
+                    _load(speeds[pair[1]], inertia[1] * other_slope * turn)
+                if other_turn is not None:
+                    _load(speeds[pair[0]], inertia[1] * slope * other_turn)
         return Balances(speeds) if coupling is None else Balances(speeds, pair, coupling)
 
     def guard(self, p: Views) -> None:
@@ -106,6 +112,21 @@ class Arm:
         key, inertia = joint.inertia
         view, r = p[key], joint.gear_ratio
         return inertia.total(view, r) * r**2 if joint.rigid else inertia.link(view, r)
+
+
+def _link_motion(
+    joint: Joint, x: Sequence[Tensor], p: Views
+) -> tuple[Tensor, Tensor, Tensor | float, Tensor | None]:
+    """Angle [rad] and speed [rad/s] of a link, its speed by that of what turns it, and its acceleration at even speed.
+
+    What turns a link is the rotor behind a rigid gear, and the link itself behind a compliant one. The acceleration is
+    None where there is none.
+    """
+    if not joint.rigid:
+        return *joint.link_motion(x, p), 1.0, None
+    row = joint.positions[0]
+    angle, slope, bend = joint.gear.map(x[row], p)
+    return angle, x[row + 1] * slope, slope, None if bend is None else bend * x[row + 1].square()
 
 
 def _load(speed: SpeedBalance, torque: Tensor) -> None:

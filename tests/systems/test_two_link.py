@@ -10,7 +10,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
-from hybrid_id.components import Backlash, Coulomb, JointCoupling, LinearSpring, LoadDependent, OneLink
+from hybrid_id.components import (
+    Backlash,
+    Coulomb,
+    JointCoupling,
+    KinematicError,
+    LinearSpring,
+    LoadDependent,
+    OneLink,
+)
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.lifted import linearise
 from hybrid_id.simulation.step import Engine, directions
@@ -381,3 +389,46 @@ def test_one_links_inertia_may_take_the_place_of_a_joints() -> None:
     assert "J" in {i.name for i in system.with_component("joint2/load", OneLink(J=2e-5)).table}
     batch = batch_of(system, {"u1": np.zeros(3), "u2": 0.0}, outputs=("q_m1", "q_a2", "tau2"))
     assert batch.outputs == ("q_m1", "q_a2", "tau2")
+
+
+def test_errors_of_both_gears_against_the_lagrangian_of_the_arm() -> None:
+    ratio, share, volts = (20.0, 30.0), 0.4, (1.5, -2.0)
+    errors = [(4e-3, -3e-3, 1.0), (2e-3, 1e-3, 2.0)]  # E_c, E_s, n
+    system = arm(NO_FRICTION, ratio)
+    for k, (e_c, e_s, n) in enumerate(errors, 1):
+        system = system.without_component(f"joint{k}/motor_friction", "coulomb_friction")
+        system = system.with_component(f"joint{k}/transmission", KinematicError(E_c=e_c, E_s=e_s, n=n))
+    system = system.with_values({info.name: share for info in system.table if info.symbol == "rotor_share"})
+    q, v = torch.tensor([2.0, 17.0]).double(), torch.tensor([90.0, -60.0]).double()
+    rotors = [share * TABLE_10[f"P_{k + 1}"] / ratio[k] ** 2 for k in range(2)]
+
+    def energy(q: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        links = torch.stack(
+            [
+                q[k] / ratio[k] + c * (torch.cos(n * q[k]) - 1) + s * torch.sin(n * q[k])
+                for k, (c, s, n) in enumerate(errors)
+            ]
+        )
+        slopes = [
+            1 / ratio[k] + n * (s * torch.cos(n * q[k]) - c * torch.sin(n * q[k]))
+            for k, (c, s, n) in enumerate(errors)
+        ]
+        w = torch.stack([slopes[k] * v[k] for k in range(2)])
+        swing = TABLE_10["P_3"] * torch.cos(links[1])
+        m_11, m_12 = (1 - share) * TABLE_10["P_1"] + 2 * swing, TABLE_10["P_4"] + swing
+        moving = m_11 * w[0] ** 2 + 2 * m_12 * w[0] * w[1] + (1 - share) * TABLE_10["P_2"] * w[1] ** 2
+        return 0.5 * (moving + rotors[0] * v[0] ** 2 + rotors[1] * v[1] ** 2)
+
+    by_angle = torch.autograd.functional.jacobian(energy, (q, v))[0]
+    mixed, inertia = torch.autograd.functional.hessian(energy, (q, v))[1]
+    torque = torch.tensor(
+        [
+            MOTORS[f"P_m1m{k}"] * (u - MOTORS[f"P_m2m{k}"] * v[k - 1])
+            for k, u in zip((1, 2), volts, strict=True)
+        ]
+    )
+    expected = torch.linalg.solve(inertia, torque.double() - mixed @ v + by_angle)
+    x = [value[None] for pair in zip(q, v, strict=True) for value in pair]
+    u = {f"u{k}": torch.tensor([one]).double() for k, one in zip((1, 2), volts, strict=True)}
+    rates = system.rates(x, u, system.views(list(stored(system))))
+    np.testing.assert_allclose([rates[1].item(), rates[3].item()], expected.numpy(), rtol=1e-9)

@@ -3,6 +3,9 @@
 from hybrid_id.gap.catalogue import Effect, free, has, register
 from hybrid_id.gap.scan import rotor_waves, second_wave
 
+FIRST_SHARES = (1.0, 0.3)
+"""Of the cogging that a linear estimate asks for: beside so much, the rotor may stop elsewhere than it did."""
+
 
 def _lag(system, s, place):
     if has(system, f"joint{s.joint}/motor", "electrical_lag"):
@@ -18,9 +21,14 @@ def _cogging(system, s, place, waves=((1.0, 1e-6, 0.0),)):
     return [
         (
             "cogging",
-            {"T_c": free(c, -limit, limit, "N m"), "T_s": free(d, -limit, limit, "N m"), "n": n},
+            {
+                "T_c": free(share * c, -limit, limit, "N m"),
+                "T_s": free(share * d, -limit, limit, "N m"),
+                "n": n,
+            },
         )
         for n, c, d in waves
+        for share in FIRST_SHARES
     ]
 
 
