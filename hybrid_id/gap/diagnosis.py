@@ -19,6 +19,7 @@ from hybrid_id.gap.shrink import Shrink, shrink
 from hybrid_id.gap.untold import untold
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.facts import inseparable
+from hybrid_id.records.reach import beyond
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.systems.chain import System
 
@@ -47,6 +48,7 @@ class Diagnosis:
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
         untold: changes of the chosen model's parameters that these records do not see, in words.
         together: facts of the records (a controller's gain, the temperature) that change together, in words.
+        beyond: test records that go where no train record has been, in words.
         experiments: records that would tell tied effects apart, the best first; empty without ties.
         search: all that was tried.
     """
@@ -67,6 +69,7 @@ class Diagnosis:
     withdrawn: tuple[str, ...]
     untold: tuple[str, ...]
     together: tuple[str, ...]
+    beyond: tuple[str, ...]
     search: Attribution = field(repr=False)
 
     @property
@@ -124,6 +127,7 @@ class Diagnosis:
             "bent_parameters": list(self.bent),
             "withdrawn": list(self.withdrawn),
             "cannot_be_told": [*self.untold, *self.together],
+            "beyond_training": list(self.beyond),
             "window": self.search.window,
             "next_experiments": [
                 {"name": e.name, "joint": e.joint, "distance": e.distance, "distance_today": e.today}
@@ -199,6 +203,7 @@ def diagnose(
         withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
         untold=untold(dataset, search.chosen.system),
         together=tuple(inseparable(dataset.records)),
+        beyond=tuple(beyond(dataset)),
         search=search,
     )
 

@@ -57,9 +57,16 @@ def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.
         *experiment_lines(diagnosis),
         *bent_lines(diagnosis, 4),
         *untold_lines(diagnosis, 1),
+        *beyond_lines(diagnosis)[:1],
     )
     parts += [Text(line, style="yellow") for line in remarks]
     return Group(*parts)
+
+
+def beyond_lines(diagnosis: Diagnosis) -> list[str]:
+    """Where the test records disagree, those that go where no train record has been; none where they do not."""
+    said = diagnosis.beyond if diagnosis.unknown or diagnosis.withdrawn else ()
+    return [f"beyond: {words}: what acts there only, these train records cannot tell." for words in said]
 
 
 def suspects_table(

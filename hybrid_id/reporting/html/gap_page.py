@@ -9,7 +9,7 @@ from rich.text import Text
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
-from hybrid_id.reporting.gap import UNLIKELY, parameters_table, suspects_table
+from hybrid_id.reporting.gap import UNLIKELY, beyond_lines, parameters_table, suspects_table
 from hybrid_id.reporting.gap_words import (
     LEAST_SHARE,
     bent_lines,
@@ -78,7 +78,12 @@ def gap_page(
             section.figure(figures[name], _CAPTIONS[name])
 
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
-    ties = (*tie_lines(diagnosis), *withdrawn_lines(diagnosis), *experiment_lines(diagnosis))
+    ties = (
+        *tie_lines(diagnosis),
+        *withdrawn_lines(diagnosis),
+        *beyond_lines(diagnosis),
+        *experiment_lines(diagnosis),
+    )
     likely = sum(one.selected or one.probability >= UNLIKELY for one in diagnosis.effects)
     shown = max(likely, SHOWN)
     which = page.section("Which").add(
