@@ -27,6 +27,8 @@ from hybrid_id.errors import InputError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 """The disk is full, the user's share of it is, or nobody may write there."""
+NAMED = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
+"""A name that the user gave leads nowhere: no right to go there, too long, below a file, in a circle."""
 
 
 class Commands(TyperGroup):
@@ -53,6 +55,10 @@ class Commands(TyperGroup):
                 f"{error.format_message().rstrip('.')}; see '{' '.join(['hybrid-id', *known])} --help'"
             )
         except OSError as error:
+            if error.errno in NAMED and error.filename:
+                sys.exit(
+                    _refuse(f"{error.filename}: {error.strerror}; give another name or the right to use it")
+                )
             if error.errno not in FULL:
                 raise
             where = f" ({error.filename})" if error.filename else ""

@@ -9,7 +9,7 @@ import typer
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import RESULT, result_file
+from hybrid_id.cli.folder import RESULT, refuse_file, result_file
 from hybrid_id.cli.inputs import load_records
 from hybrid_id.cli.options import JsonOption, use_threads
 from hybrid_id.errors import InputError
@@ -59,7 +59,10 @@ def export(
     """
     if check is not None and to is not Format.mjcf:
         raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
+    refuse_file(out, force=force)
     beside = out.with_suffix(".json")
+    if to is not Format.ranges:
+        refuse_file(beside, force=force)
     if to is not Format.ranges and beside == out:
         raise InputError(f"{out} would also be the name of the description beside it; take another ending")
     use_threads(1)

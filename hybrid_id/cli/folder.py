@@ -35,6 +35,10 @@ def refuse_taken(path: Path, *, force: bool | None = None) -> None:
             replaces any, and so has no --force to advise.
     """
     _remove(_make_parents(path))  # a trial: rights and names are known only by it
+    if Path.cwd().is_relative_to(path.resolve()):
+        raise InputError(
+            f"{path} is the folder that you are in, or above it; give the name of another for the results"
+        )
     if path.is_symlink() or (path.exists() and not path.is_dir()):
         raise InputError(f"{path} is no folder; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
@@ -205,13 +209,7 @@ def _remove(folders: list[Path]) -> None:
 @contextmanager
 def result_file(path: Path, *, force: bool) -> Iterator[Path]:
     """Yield a temporary file that takes the name `path` when it is written."""
-    if path.is_dir() or (path.exists() and not force):
-        what = (
-            "is a folder; give the name of a file"
-            if path.is_dir()
-            else "exists; give another name, or --force"
-        )
-        raise InputError(f"{path} {what}")
+    refuse_file(path, force=force)
     _make_parents(path)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
     os.close(handle)
@@ -221,3 +219,16 @@ def result_file(path: Path, *, force: bool) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         Path(temporary).unlink(missing_ok=True)
+
+
+def refuse_file(path: Path, *, force: bool) -> None:
+    """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays."""
+    if not path.name or path.is_dir() or (path.exists() and not force):
+        what = (
+            "is a folder; give the name of a file"
+            if not path.name or path.is_dir()
+            else "exists; give another name, or --force"
+        )
+        raise InputError(f"{path} {what}")
+    if path.name in (RESULT, DIAGNOSIS, "model.yaml") and path.exists():
+        raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from hybrid_id.cli.console import remark
-from hybrid_id.cli.folder import refuse_taken, required, results_folder
+from hybrid_id.cli.folder import RESULT, refuse_taken, required, results_folder
 from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import (
     DeviceOption,
@@ -83,6 +83,8 @@ def identify(
     system = load_system(config)
     use_device(config.identification.device)
     study, stopped = run(dataset, system, config, jobs=jobs)
+    if stopped and (home / RESULT).exists():
+        raise KeyboardInterrupt(f"stopped; the earlier results in {home} stay as they are")
 
     from hybrid_id.cli.study import show_study, write_study
 

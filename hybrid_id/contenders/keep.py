@@ -34,7 +34,10 @@ def begin(folder: Path, about: Mapping[str, Any]) -> None:
     for name in ("method", "cases", "train_records") if kept else ():
         if kept is not None and kept.get(name) != about[name]:
             raise InputError(f"{folder} holds a run with other {name.replace('_', ' ')}; give another folder")
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder} cannot be made ({error.strerror}); give another folder") from None
     write_json(folder / RUN, about)
 
 

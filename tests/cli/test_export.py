@@ -64,3 +64,28 @@ def test_file_is_kept_without_force(run, drive: Path, tmp_path: Path) -> None:
     done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json")
     assert done.code == 2 and "--force" in done.err
     assert (tmp_path / "ranges.json").read_text() == "mine"
+
+
+def test_an_export_replaces_neither_results_nor_its_own_input(run, drive: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "model.yaml").write_text((drive / "model.yaml").read_text())
+    (folder / "result.json").write_text("{}")
+    for out in ("result.xml", "model.yaml"):
+        done = run("export", folder, "--to", "mjcf", "--out", folder / out, "--force")
+        assert done.code == 2 and "belongs to earlier results" in done.err
+    assert (folder / "result.json").read_text() == "{}"
+    for out in (".", "/"):
+        done = run("export", folder, "--to", "mjcf", "--out", out)
+        assert done.code == 2 and "give the name of a file" in done.err
+    done = run("export", folder, "--to", "mjcf", "--out", tmp_path / ("x" * 300 + ".xml"))
+    assert done.code == 2 and "too long" in done.err
+
+
+def test_results_cannot_take_the_place_of_the_folder_that_one_is_in(
+    run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for out in (".", ".."):
+        done = run("identify", drive, "--pooled", "--out", out)
+        assert done.code == 2 and "the folder that you are in" in done.err
