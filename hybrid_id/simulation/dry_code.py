@@ -28,20 +28,17 @@ static void prepare(const double *p, double *fixed)
 {
 $prepare
 }
-
 /* what depends on the held input as well: the same over a whole sample */
 static void hold(const double *u, const double *p, double *fixed)
 {
 $hold
 }
-
 /* time derivative of the state for directions d of dry friction; x_t, k_t ... are tangents */
 static void rates(const double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed,
                   const double *d, double *k, double (*k_t)[MC])
 {
 $rates
 }
-
 /* for each dry speed at rest: where it is pushed, how far beyond what friction holds, and the torque by which its
    acceleration contradicts its trial direction d; s are the directions now */
 static void pushes(const double *x, const double *u, const double *p, const double *fixed, const double *s,
@@ -49,14 +46,12 @@ static void pushes(const double *x, const double *u, const double *p, const doub
 {
 $pushes
 }
-
 /* the states that remember, h seconds later at constant motion */
 static void remember(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h)
 {
     double k_t[NX][MC] ALIGNED;
 $remember
 }
-
 /* x + step k, where the step's tangent is part h_t */
 static void along(const double *x, double (*x_t)[MC], double step, double part, const double *h_t,
                   const double *k, double (*k_t)[MC], double *at, double (*at_t)[MC])
@@ -66,7 +61,6 @@ static void along(const double *x, double (*x_t)[MC], double step, double part, 
         COLUMNS at_t[i][c] = x_t[i][c] + part * k[i] * h_t[c] + step * k_t[i][c];
     }
 }
-
 static void rk4(const double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed,
                 const double *d, double h, const double *h_t, double *after, double (*after_t)[MC])
 {
@@ -83,7 +77,6 @@ static void rk4(const double *x, double (*x_t)[MC], const double *u, const doubl
     }
     along(x, x_t, h / 6.0, 1.0 / 6.0, h_t, k[0], k_t[0], after, after_t);
 }
-
 /* a speed at rest goes where it is pushed beyond its level; two coupled links find the one pair that agrees */
 static void settle(const double *x, const double *u, const double *p, const double *fixed, double *d)
 {
@@ -112,7 +105,6 @@ static void settle(const double *x, const double *u, const double *p, const doub
             }
         }
 }
-
 static void directions(const double *x, const double *u, const double *p, const double *fixed, double *d)
 {
     int rests = 0;
@@ -122,7 +114,6 @@ static void directions(const double *x, const double *u, const double *p, const 
     }
     if (rests) settle(x, u, p, fixed, d);
 }
-
 /* direction in which held speeds break away within the step, else 0, and after which share of it, else 1 */
 static void breakaways(const double *x, const double *after, const double *u, const double *p, const double *fixed,
                        const double *d, double *leaves, double *when)
