@@ -55,16 +55,14 @@ class Commands(TyperGroup):
                 f"{error.format_message().rstrip('.')}; see '{' '.join(['hybrid-id', *known])} --help'"
             )
         except OSError as error:
-            if error.errno in NAMED and error.filename:
-                sys.exit(
-                    _refuse(f"{error.filename}: {error.strerror}; give another name or the right to use it")
-                )
-            if error.errno not in FULL:
-                raise
             where = f" ({error.filename})" if error.filename else ""
-            code = _refuse(
-                f"the results cannot be written: {error.strerror}{where}; make room or give another folder"
-            )
+            if error.errno in FULL:
+                said = f"the results cannot be written: {error.strerror}{where}; make room or give another folder"
+            elif error.errno in NAMED and error.filename:
+                said = f"{error.filename}: {error.strerror}; give another name or the right to use it"
+            else:
+                raise
+            code = _refuse(said)
         except typer.Abort:
             code = _refuse("stopped", 130)
         sys.exit(code if isinstance(code, int) else 0)

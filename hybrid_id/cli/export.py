@@ -62,9 +62,11 @@ def export(
     refuse_file(out, force=force)
     beside = out.with_suffix(".json")
     if to is not Format.ranges:
+        if beside == out:
+            raise InputError(
+                f"{out} would also be the name of the description beside it; take another ending"
+            )
         refuse_file(beside, force=force)
-    if to is not Format.ranges and beside == out:
-        raise InputError(f"{out} would also be the name of the description beside it; take another ending")
     use_threads(1)
     from hybrid_id.systems.model_file import load_model
 
@@ -79,7 +81,7 @@ def export(
     with result_file(out, force=force) as temporary:
         temporary.write_bytes(content)
     if to is not Format.ranges:
-        with result_file(beside, force=True) as temporary:
+        with result_file(beside, force=force) as temporary:
             temporary.write_text(text, encoding="utf-8")
     if as_json:
         stdout().print(text.rstrip(), markup=False, soft_wrap=True)

@@ -223,10 +223,10 @@ def result_file(path: Path, *, force: bool) -> Iterator[Path]:
 
 def refuse_file(path: Path, *, force: bool) -> None:
     """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays."""
-    if not path.name or path.is_dir() or (path.exists() and not force):
+    if path.is_dir() or (path.exists() and not force):
         what = (
             "is a folder; give the name of a file"
-            if not path.name or path.is_dir()
+            if path.is_dir()
             else "exists; give another name, or --force"
         )
         raise InputError(f"{path} {what}")

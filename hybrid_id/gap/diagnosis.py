@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 from hybrid_id.errors import InputError
@@ -174,10 +175,7 @@ def diagnose(
     say("location", 0, 1)
     before = tuple(locate(refit, base))
     nominal, first = errors(dataset, system, engine()), errors(dataset, base.system, base.result.engine)
-
-    def judged(one: Attribution) -> _Judged:
-        return _judged(refit, one, before, first, seed)
-
+    judged = partial(_judged, refit, before, first, seed)
     now = judged(search)
     if search.chosen is not base and now.gap is not None and now.gap.interval[0] <= 0.0:
         withdrawn, now = search.chosen.effects, judged(replace(search, chosen=base))
@@ -220,8 +218,9 @@ class _Judged:
 
 
 def _judged(
-    refit: Refit, search: Attribution, before: tuple[Location, ...], first: Errors | None, seed: int
+    refit: Refit, before: tuple[Location, ...], first: Errors | None, seed: int, search: Attribution
 ) -> _Judged:
+    """A search's chosen model held against the test records; ``before`` and ``first`` are of the re-fitted one."""
     chosen = search.chosen
     if chosen is search.base:
         after, last = before, first

@@ -22,24 +22,22 @@ def beyond(dataset: Dataset) -> Iterator[str]:
         dataset: its train and test records.
     """
     units = {c.name: c.unit for c in (*dataset.inputs, *dataset.outputs)}
+    units |= {_speed_of(name): f"{unit}/s" for name, unit in units.items()}
     train = [_largest(record) for record in dataset.train]
     for record in dataset.test if train else ():
         found = []
-        for (name, what), value in _largest(record).items():
-            most = max(one.get((name, what), 0.0) for one in train)
+        for what, value in _largest(record).items():
+            most = max(one.get(what, 0.0) for one in train)
             if value > FARTHER * most:
-                unit = units.get(name, "") + ("/s" if what == "speed" else "")
-                found.append(
-                    f"{'speed of ' if what == 'speed' else ''}{name} {value:.3g} against {most:.3g} {unit}"
-                )
+                found.append(f"{what} {value:.3g} against {most:.3g} {units.get(what, '')}")
         if found:
             yield f"test record {record.name} goes where no train record has been ({', '.join(found)})"
 
 
-def _largest(record: Record) -> dict[tuple[str, str], float]:
-    """Largest size of each command, and largest speed of each measured angle, by channel and kind."""
+def _largest(record: Record) -> dict[str, float]:
+    """Largest size of each command, and largest speed of each measured angle, by what it is called."""
     found = {
-        (name, "size"): float(np.nanmax(np.abs(values)))
+        name: float(np.nanmax(np.abs(values)))
         for name, values in record.inputs.items()
         if stem(name) in DRIVES
     }
@@ -47,5 +45,9 @@ def _largest(record: Record) -> dict[tuple[str, str], float]:
     for name, values in record.outputs.items():
         if stem(name).startswith("q") and len(values) > steps:
             moved = np.abs(values[steps:] - values[:-steps]) / (steps * record.sample_time)
-            found[name, "speed"] = float(np.nanmax(moved))
+            found[_speed_of(name)] = float(np.nanmax(moved))
     return found
+
+
+def _speed_of(name: str) -> str:
+    return f"speed of {name}"

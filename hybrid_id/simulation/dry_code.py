@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from string import Template
 
+from hybrid_id.simulation.dry_loops import LOOPS
+
 FLAGS = (
     "-O1", "-fexpensive-optimizations", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC", "-fopenmp-simd",
     "-fno-math-errno", "-ffp-contract=off",
@@ -11,7 +13,8 @@ FLAGS = (
 """As exact as the eager engine: whether a joint sticks may hang on a difference that is zero. With -O1 alone GCC leaves
 the upper halves of vector registers dirty, and every pow, exp or sin is ten times slower."""
 
-TEMPLATE = Template("""\
+TEMPLATE = Template(
+    """\
 #include <math.h>
 #include <string.h>
 enum { NX = $n_x, HELD = $held, NP = $n_p, FIXED = $n_fixed, ND = $n_dry, SPEEDS = $n_speeds, MANY = ND ? ND : 1 };
@@ -28,17 +31,20 @@ static void prepare(const double *p, double *fixed)
 {
 $prepare
 }
+
 /* what depends on the held input as well: the same over a whole sample */
 static void hold(const double *u, const double *p, double *fixed)
 {
 $hold
 }
+
 /* time derivative of the state for directions d of dry friction; x_t, k_t ... are tangents */
 static void rates(const double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed,
                   const double *d, double *k, double (*k_t)[MC])
 {
 $rates
 }
+
 /* for each dry speed at rest: where it is pushed, how far beyond what friction holds, and the torque by which its
    acceleration contradicts its trial direction d; s are the directions now */
 static void pushes(const double *x, const double *u, const double *p, const double *fixed, const double *s,
@@ -46,12 +52,14 @@ static void pushes(const double *x, const double *u, const double *p, const doub
 {
 $pushes
 }
+
 /* the states that remember, h seconds later at constant motion */
 static void remember(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h)
 {
     double k_t[NX][MC] ALIGNED;
 $remember
 }
+
 /* x + step k, where the step's tangent is part h_t */
 static void along(const double *x, double (*x_t)[MC], double step, double part, const double *h_t,
                   const double *k, double (*k_t)[MC], double *at, double (*at_t)[MC])
@@ -61,6 +69,7 @@ static void along(const double *x, double (*x_t)[MC], double step, double part, 
         COLUMNS at_t[i][c] = x_t[i][c] + part * k[i] * h_t[c] + step * k_t[i][c];
     }
 }
+
 static void rk4(const double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed,
                 const double *d, double h, const double *h_t, double *after, double (*after_t)[MC])
 {
@@ -77,6 +86,7 @@ static void rk4(const double *x, double (*x_t)[MC], const double *u, const doubl
     }
     along(x, x_t, h / 6.0, 1.0 / 6.0, h_t, k[0], k_t[0], after, after_t);
 }
+
 /* a speed at rest goes where it is pushed beyond its level; two coupled links find the one pair that agrees */
 static void settle(const double *x, const double *u, const double *p, const double *fixed, double *d)
 {
@@ -105,6 +115,7 @@ static void settle(const double *x, const double *u, const double *p, const doub
             }
         }
 }
+
 static void directions(const double *x, const double *u, const double *p, const double *fixed, double *d)
 {
     int rests = 0;
@@ -114,6 +125,7 @@ static void directions(const double *x, const double *u, const double *p, const 
     }
     if (rests) settle(x, u, p, fixed, d);
 }
+
 /* direction in which held speeds break away within the step, else 0, and after which share of it, else 1 */
 static void breakaways(const double *x, const double *after, const double *u, const double *p, const double *fixed,
                        const double *d, double *leaves, double *when)
@@ -208,43 +220,6 @@ static void sample(double *x, double (*x_t)[MC], const double *u, const double *
     }
 }
 
-/* nodes inside each chunk of a length become a rollout of its first */
-void shoot(double *path, const double *u, const double *dt, const double *p, long rows, long samples, long length,
-           long sub_steps)
-{
-    double x[NX], x_t[NX][MC] ALIGNED, held[HELD + 1], fixed[FIXED + 1];
-    for (long r = 0; r < rows; r++) {
-        prepare(p + r * NP, fixed);
-        for (long t = 0; t + 1 < samples; t++) {
-            const long at = r * samples + t;
-            if (t % length == 0) memcpy(x, path + at * NX, sizeof x);
-            if ((t + 1) % length == 0) continue;
-            for (int i = 0; i < HELD; i++) held[i] = u[i * rows * samples + at];
-            hold(held, p + r * NP, fixed);
-            if (dt[at] != 0.0) sample(x, x_t, held, p + r * NP, fixed, dt[at], sub_steps);
-            memcpy(path + (at + 1) * NX, x, sizeof x);
-        }
-    }
-}
-
-/* the sample after every node, and its tangents */
-void linearise(double *next, double *tangents, const double *nodes, const double *u, const double *dt,
-               const double *p, long rows, long samples, long sub_steps)
-{
-    double x_t[NX][MC] ALIGNED, held[HELD + 1], fixed[FIXED + 1];
-    for (long r = 0; r < rows; r++) {
-        prepare(p + r * NP, fixed);
-        for (long at = r * samples; at < (r + 1) * samples; at++) {
-            double *x = next + at * NX;
-            for (int i = 0; i < NX; i++) {
-                x[i] = nodes[at * NX + i];
-                COLUMNS x_t[i][c] = c == i;
-            }
-            for (int i = 0; i < HELD; i++) held[i] = u[i * rows * samples + at];
-            hold(held, p + r * NP, fixed);
-            sample(x, x_t, held, p + r * NP, fixed, dt[at], sub_steps);
-            memcpy(tangents + at * NX * NC, x_t, NX * NC * sizeof(double));
-        }
-    }
-}
-""")
+"""
+    + LOOPS
+)

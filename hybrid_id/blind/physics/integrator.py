@@ -102,8 +102,8 @@ class Machine:
         m_11, m_12, m_22 = self.links.mass(angles)
         bias = self.links.bias(angles, speeds)
         turning = [d.x.v_m for d in drives]
-        for drive, speeds in zip(drives, before, strict=True):
-            drive.x.v_m, drive.x.v_a = speeds
+        for drive, (v_m, v_a) in zip(drives, before, strict=True):
+            drive.x.v_m, drive.x.v_a = v_m, v_a
             if drive.spring is not None:  # its rotor is on its own
                 drive.x.v_m = _stop(drive.rotor, drive.rotor_push, drive.x.v_m, h)
         if len(drives) == 1:

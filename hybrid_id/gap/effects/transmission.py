@@ -24,7 +24,8 @@ def _series(s):
 def _flexibility(system, s, place):
     if not system.joints[s.joint - 1].rigid:
         return []
-    compliances = [1.0 / (max(_series(s), 1e-12) * (2 * math.pi * f) ** 2) for f in RESONANCES]
+    series = max(_series(s), 1e-12)
+    compliances = [1.0 / (series * (2 * math.pi * f) ** 2) for f in RESONANCES]
     soft = SOFTEST * max(compliances)
     return [
         ("joint_flexibility", {"compliance": free(c, 0.0, soft, "rad/(N m)"), "zeta": free(0.1, 0.0, 2.0)})
