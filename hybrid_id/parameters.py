@@ -64,7 +64,7 @@ class Bounded:
         if not self.lower <= self.value <= self.upper:
             raise InputError(
                 f"{name} = {self.value:g} {self.unit} lies outside its bounds "
-                f"[{self.lower:g}, {self.upper:g}]; move it inside or widen the bounds."
+                f"[{self.lower:g}, {self.upper:g}]; move it inside, or widen the bounds where physics allows it."
             )
         if self.prior_std is not None:
             self._check_prior(name, self.prior_std)
@@ -83,7 +83,7 @@ class Bounded:
         if self.prior_mean is not None and not self.lower <= self.prior_mean <= self.upper:
             raise InputError(
                 f"{name} has prior_mean {self.prior_mean:g} outside its bounds "
-                f"[{self.lower:g}, {self.upper:g}]; move it inside or widen the bounds."
+                f"[{self.lower:g}, {self.upper:g}]; move it inside, or widen the bounds where physics allows it."
             )
 
     def at(self, value: float) -> Bounded:

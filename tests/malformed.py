@@ -300,6 +300,16 @@ def malformed_datasets() -> list[Malformed]:
         Malformed(
             "gap", (csv, "0.198 s", "max_gap"), both(in_frame(three_times), set_key("resample", to=True))
         ),
+        Malformed(
+            "absurd number",
+            (csv, "row 12", "'u1'", "1e+300", "no sensor reads"),
+            in_frame(lambda f: f.assign(u1=f["u1"].where(f.index != 10, 1e300))),
+        ),
+        Malformed(
+            "stamps in ms beside a sample time",
+            (csv, "sample_time", "{column: t, unit: ms}"),
+            in_frame(lambda f: f.assign(t=1e3 * f["t"])),
+        ),
         Malformed("output never changes", (csv, "'q_m1'", "0.25"), in_frame(lambda f: f.assign(q_m1=0.25))),
         # other formats
         Malformed("no MATLAB file", ("a.mat", "MATLAB file"), other_file("a.mat", b"MATLAB?" * 40)),

@@ -150,3 +150,6 @@ def _check(**given: str | None) -> None:
             close = difflib.get_close_matches(value, known[option], n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"use one of {', '.join(known[option])}"
             raise InputError(f"blind make: {option} '{value}' is not known; {hint}")
+    for option in ("effect", "level") if given["family"] == "none" else ():
+        if given[option] is not None:
+            raise InputError(f"blind make: family 'none' has nothing at work; leave {option} out")

@@ -1,6 +1,7 @@
 """The commands by name, and the one place where errors become messages and exit codes."""
 
 import errno
+import re
 import sys
 from typing import Annotated, Any, NoReturn
 
@@ -30,6 +31,13 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 NAMED = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 """A name that the user gave leads nowhere: no right to go there, too long, below a file, in a circle."""
 
+THEIRS = {
+    r"Value error, ": "",
+    r"Input should be a valid (\w+)[^;]*": r"it must be of type \1",
+    r"Input should be": "it must be",
+}
+"""Wordings of the library that reads command lines, and how this program says the same."""
+
 
 class Commands(TyperGroup):
     """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
@@ -50,10 +58,8 @@ class Commands(TyperGroup):
         except InputError as error:
             code = _refuse(str(error))
         except TyperException as error:  # an option or argument that does not exist, or has a wrong value
-            known = args[:1] if args[:1] and args[0] in self.commands else []
-            code = _refuse(
-                f"{error.format_message().rstrip('.')}; see '{' '.join(['hybrid-id', *known])} --help'"
-            )
+            path = getattr(getattr(error, "ctx", None), "command_path", "hybrid-id")
+            code = _refuse(f"{_plain(error.format_message())}; see '{path} --help'")
         except OSError as error:
             where = f" ({error.filename})" if error.filename else ""
             if error.errno in FULL:
@@ -66,6 +72,13 @@ class Commands(TyperGroup):
         except typer.Abort:
             code = _refuse("stopped", 130)
         sys.exit(code if isinstance(code, int) else 0)
+
+
+def _plain(message: str) -> str:
+    """A message of the library that reads command lines, in the words of this program."""
+    for theirs, ours in THEIRS.items():
+        message = re.sub(theirs, ours, message)
+    return message.rstrip(".")
 
 
 def _refuse(message: str, code: int = 2) -> int:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from hybrid_id import __version__
-from hybrid_id.cli.blind_run import Method, MethodsOption, RecordsOption, run, run_methods
+from hybrid_id.cli.blind_run import CommandOption, Method, MethodsOption, RecordsOption, run, run_methods
 from hybrid_id.cli.blind_score import AppendOption, gathered, score, write_scores
 from hybrid_id.cli.blind_ties import run_ties, ties
 from hybrid_id.cli.console import remark, show
@@ -119,6 +119,10 @@ def make_sealed(
         refuse_taken(out)
     elif json.loads(begun.read_text(encoding="utf-8")) != about:
         raise InputError(f"{out} holds unfinished cases of another seed, number, kind or commit; remove it")
+    if archive is not None and archive.resolve().is_relative_to(out.resolve()):
+        raise InputError(
+            f"{archive} is in the folder of the cases, where 'blind run' could read it; give another"
+        )
     if archive is not None and archive.exists():
         raise InputError(f"{archive} exists already; remove it, or give another --answers")
     out.mkdir(parents=True, exist_ok=True)
@@ -157,6 +161,7 @@ def reproduce(
     engine: EngineOption = None,
     method: MethodsOption = None,
     train_records: RecordsOption = None,
+    command: CommandOption = None,
     append: AppendOption = None,
     jobs: ProcessesOption = 1,
     backend: BackendOption = Backend.joblib,
@@ -174,7 +179,7 @@ def reproduce(
     else:
         make_sealed(made, archive, cases, _seed(seed), options, jobs)
     runs.parent.mkdir(parents=True, exist_ok=True)
-    broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler)
+    broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler, command)
     if Method.diagnose in (method or [Method.diagnose]):
         run_ties(made, runs, archive, jobs, scheduler)
     content = gathered([runs], [archive])

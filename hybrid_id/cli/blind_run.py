@@ -73,10 +73,7 @@ def run(
     with its reason and tried again by the next run.
     """
     check_backend(backend, scheduler)
-    methods = method or [Method.diagnose]
-    if (Method.external in methods) != (command is not None):
-        raise InputError("--method external and --command belong together; give both, or neither")
-    broken = run_methods(cases, out, methods, train_records, jobs, scheduler, command)
+    broken = run_methods(cases, out, method or [Method.diagnose], train_records, jobs, scheduler, command)
     show(f"diagnoses are in {out}; 'hybrid-id blind score {out} --answers ARCHIVE' scores them")
     if broken:
         raise typer.Exit(1)
@@ -93,11 +90,15 @@ def run_methods(
 ) -> int:
     """Let contenders take the cases one after the other; returns how many cases broke."""
     from hybrid_id.blind.seal import case_names, read_manifest, refuse_reachable
-    from hybrid_id.contenders.external import words_of
+    from hybrid_id.contenders.external import refuse_missing, words_of
     from hybrid_id.contenders.run import Settings
 
+    if (Method.external in methods) != (command is not None):
+        raise InputError("--method external and --command belong together; give both, or neither")
     if command is not None:
         words_of(command)
+        if scheduler is None:
+            refuse_missing(command)
     manifest = read_manifest(cases)
     refuse_reachable(cases, out, manifest["answers"]["sha256"])
     if missing := sorted(set(manifest["names"]) ^ set(case_names(cases))):
@@ -105,7 +106,14 @@ def run_methods(
     if out.is_dir() and any(out.iterdir()) and not any(out.glob("*/run.json")):
         raise InputError(f"{out} holds files that are no runs; give another folder")
     return sum(
-        _run(cases, out / m.value, Settings(m.value, train_records, command), manifest, jobs, scheduler)
+        _run(
+            cases,
+            out / m.value,
+            Settings(m.value, train_records, command if m is Method.external else None),
+            manifest,
+            jobs,
+            scheduler,
+        )
         for m in methods
     )
 
@@ -130,6 +138,7 @@ def _run(
             "commit": at,
             "method": method,
             "train_records": settings.train_records,
+            "command": settings.command,
             "started": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
             "cases": manifest,
         },

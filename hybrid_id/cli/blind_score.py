@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shlex
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -103,7 +104,7 @@ def gathered(runs: Sequence[Path], archives: Sequence[Path], *, partial: bool = 
         "scored": len(judged[first]),
         "made_at": manifest["commit"],
         "sha256": [one["answers"]["sha256"] for one in manifests],
-        "commands": [_command(manifest | {"asked": asked}, told[first]["train_records"], list(told))],
+        "commands": [_command(manifest | {"asked": asked}, told)],
     }
     return {"about": about, "methods": methods, "ties": _ties(runs, about["commit"])}
 
@@ -209,12 +210,13 @@ def _order() -> list[str]:
     return [method.value for method in Method]
 
 
-def _command(manifest: dict[str, Any], train_records: int | None, methods: list[str]) -> str:
+def _command(manifest: dict[str, Any], told: dict[str, dict[str, Any]]) -> str:
     """The command that makes, runs and scores the same cases again."""
     options = {"--seed": manifest["seed"], "--cases": manifest["asked"]}
-    options |= {f"--{name}": value for name, value in manifest["options"].items() if value is not None}
-    if train_records is not None:
-        options["--train-records"] = train_records
-    words = [word for name, value in options.items() for word in (name, str(value))]
-    words += [word for method in methods for word in ("--method", method)]
-    return " ".join(["hybrid-id blind reproduce --out blind", *words])
+    options |= {f"--{name}": value for name, value in manifest["options"].items()}
+    options["--train-records"] = next(iter(told.values()))["train_records"]
+    options["--command"] = next((run["command"] for run in told.values() if run.get("command")), None)
+    given = {name: value for name, value in options.items() if value is not None}
+    words = [word for name, value in given.items() for word in (name, str(value))]
+    words += [word for method in told for word in ("--method", method)]
+    return shlex.join(["hybrid-id", "blind", "reproduce", "--out", "blind", *words])

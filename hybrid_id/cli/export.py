@@ -17,6 +17,12 @@ from hybrid_id.errors import InputError
 if TYPE_CHECKING:
     from hybrid_id.systems.chain import System
 
+SAMPLE_TIME, WIDTH = 0.002, 0.5
+"""Defaults of the torch program: its step [s], and the speed over which it smooths dry friction [rad/s]."""
+
+STRANGE = 0.5
+"""Normalised RMSE of our own replay above which the records may be of another robot."""
+
 
 class Format(StrEnum):
     """What to write."""
@@ -44,10 +50,18 @@ def export(
         Path | None,
         typer.Option(help="Dataset to replay in MuJoCo and here, side by side.", show_default=False),
     ] = None,
-    sample_time: Annotated[float, typer.Option(help="Of the torch program [s].", min=1e-6, max=1.0)] = 0.002,
+    sample_time: Annotated[
+        float | None,
+        typer.Option(help="Of the torch program [s].", min=1e-6, max=1.0, show_default=str(SAMPLE_TIME)),
+    ] = None,
     width: Annotated[
-        float, typer.Option(help="Speed over which the torch program smooths dry friction [rad/s].", min=1e-9)
-    ] = 0.5,
+        float | None,
+        typer.Option(
+            help="Speed over which the torch program smooths dry friction [rad/s].",
+            min=1e-9,
+            show_default=str(WIDTH),
+        ),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -59,6 +73,10 @@ def export(
     """
     if check is not None and to is not Format.mjcf:
         raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
+    if to is not Format.torch and (sample_time, width) != (None, None):
+        raise InputError(
+            "--sample-time and --width are of the torch program; leave them out, or take --to torch"
+        )
     refuse_file(out, force=force)
     beside = out.with_suffix(".json")
     if to is not Format.ranges:
@@ -76,7 +94,11 @@ def export(
         text = _ranges(system, model)
         content, told = text.encode(), {}
     else:
-        content, told = _mjcf(system, check) if to is Format.mjcf else _program(system, sample_time, width)
+        content, told = (
+            _mjcf(system, check)
+            if to is Format.mjcf
+            else _program(system, sample_time or SAMPLE_TIME, width or WIDTH)
+        )
         text = _as_json({"model": str(file), "format": to.value, "file": out.name} | told)
     with result_file(out, force=force) as temporary:
         temporary.write_bytes(content)
@@ -154,6 +176,11 @@ def _say(to: Format, told: dict[str, Any], out: Path, beside: Path) -> None:
         worst, judges = max(row["apart"] for row in told["check"]), _judges(told["check"])
         show("normalised RMSE, over the same records:", table)
         show(f"MuJoCo replays these records within {worst:.2g} of ours (normalised RMSE)", judges)
+        missed = fmean(row["here"] for row in told["check"])
+        if missed > STRANGE:
+            remark(
+                f"this model misses these records by {missed:.2g} of their spread; are they of the same robot?"
+            )
     elif to is Format.mjcf:
         show("give --check DATASET to see how closely MuJoCo replays your records")
     show(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import shutil
 import subprocess
 from pathlib import Path
 from typing import Any
@@ -27,8 +28,17 @@ def words_of(command: str | None) -> list[str]:
         raise InputError(f"--command {command} cannot be read ({error}); correct its quotes") from None
 
 
+def refuse_missing(command: str) -> None:
+    """Refuse a command whose program this machine does not have, before any case is taken."""
+    program = words_of(command)[0]
+    if shutil.which(program) is None:
+        raise InputError(f"--command: {program} is not a program that can be run from here; give its path")
+
+
 def external(folder: Path, command: str | None) -> dict[str, Any]:
     """The answer of a program to a case, in the form of ``diagnosis.json`` (at least ``effects`` and ``unknown``).
+
+    The program runs in the folder that the user is in, so that relative paths in the command mean what they say.
 
     Args:
         folder: the case, in a folder of its own.
@@ -40,7 +50,7 @@ def external(folder: Path, command: str | None) -> dict[str, Any]:
     file = folder.parent / "answer.json"
     words = [w.replace(CASE, str(folder)).replace(ANSWER, str(file)) for w in words_of(command)]
     try:
-        done = subprocess.run(words, capture_output=True, text=True, cwd=folder.parent)
+        done = subprocess.run(words, capture_output=True, text=True)
     except OSError as error:
         raise InputError(f"{words[0]} cannot be started ({error.strerror})") from None
     if done.returncode:

@@ -31,8 +31,8 @@ def begin(folder: Path, about: Mapping[str, Any]) -> None:
         InputError: the folder holds a run of other cases or settings.
     """
     kept = read_run(folder) if (folder / RUN).exists() else None
-    for name in ("method", "cases", "train_records") if kept else ():
-        if kept is not None and kept.get(name) != about[name]:
+    for name in ("method", "cases", "train_records", "command") if kept else ():
+        if kept is not None and kept.get(name) != about.get(name):
             raise InputError(f"{folder} holds a run with other {name.replace('_', ' ')}; give another folder")
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -100,7 +100,7 @@ class Dataset:
             if self.sample_time is not None and not keeps_step(record, self.sample_time):
                 raise InputError(
                     f"{record.title}: its stamps are {_steps(record)}, but sample_time is {self.sample_time:g} s; "
-                    "correct or remove sample_time, or set 'resample: true'"
+                    f"{_other_unit(record, self.sample_time)}correct or remove sample_time, or set 'resample: true'"
                 )
 
     def __len__(self) -> int:
@@ -199,6 +199,14 @@ def keeps_step(record: Record, sample_time: float) -> bool:
     """Whether a record is uniform and keeps this step (s) on average within 0.1 %."""
     mean = record.duration / (record.n_samples - 1)
     return record.is_uniform and abs(mean - sample_time) <= SAMPLE_TIME_TOLERANCE * sample_time
+
+
+def _other_unit(record: Record, sample_time: float) -> str:
+    """Advice where stamps in another unit would explain the step."""
+    for unit, factor in {"ms": 1e3, "us": 1e6}.items():
+        if abs(record.sample_time / (factor * sample_time) - 1) < 0.1:
+            return f"if they are in {unit}, set 't: {{column: t, unit: {unit}}}' under 'columns'; otherwise "
+    return ""
 
 
 def _steps(record: Record) -> str:

@@ -112,8 +112,11 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
         words = f"it jumps by a turn {wrapped.sum()} times, first at {at:.4g} s; set 'unwrap' for its column"
         yield "warning", "wrapped", words
     if values.size > 4:
-        middle = np.median(np.lib.stride_tricks.sliding_window_view(values, 5), axis=1)
-        spikes = np.abs(values[2:-2] - middle) > SPIKE * fine
+        near = np.sort(np.lib.stride_tricks.sliding_window_view(values, 5), axis=1)
+        away = np.abs(values[2:-2] - near[:, 2])
+        # The closest three of five samples move on as the motion does, which turns within a few samples at times.
+        moved = np.min(near[:, 2:] - near[:, :3], axis=1)
+        spikes = (away > SPIKE * fine) & (away > 2 * moved)
         if spikes.any():
             at = record.time[np.argmax(spikes) + 2]
             words = f"{spikes.sum()} samples stand out as spikes, first at {at:.4g} s; use a robust loss or repair them"

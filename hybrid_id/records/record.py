@@ -12,6 +12,7 @@ import numpy as np
 from hybrid_id.errors import InputError
 
 UNIFORM_TOLERANCE = 0.01  # steps this close to the median step, relative, count as equal
+LARGEST = 1e10  # of a signal in SI; what is larger is a fault of the log, and its square may overflow
 _NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")  # names become file names
 
 
@@ -154,6 +155,9 @@ def find_fault(
             return (
                 f"{source}, {place(k)}: '{name}' is {values[k]:g}, not a finite number; correct or remove it"
             )
+        if name != "time" and np.abs(values).max() > LARGEST:
+            k = int(np.argmax(np.abs(values) > LARGEST))
+            return f"{source}, {place(k)}: '{name}' is {values[k]:g}, which no sensor reads; correct it or its unit"
     backward = np.diff(time) <= 0
     if backward.any():
         k = int(np.argmax(backward)) + 1

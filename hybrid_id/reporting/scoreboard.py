@@ -141,6 +141,7 @@ def ties_line(told: Mapping[str, Any]) -> str:
 def append_section(path: Path, section: str) -> None:
     """Add a section at the end of a file; what stands there is never touched."""
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("a", encoding="utf-8") as file:
             file.write(("\n" if file.tell() else "") + section)
     except OSError as error:

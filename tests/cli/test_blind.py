@@ -122,6 +122,10 @@ def test_wrong_input_is_refused(home: Path, tmp_path: Path) -> None:
     call("make", "--out", tmp_path / "x", "--seed", "five", fails="neither a number nor 'commit'")
     call("make", "--out", tmp_path / "x", "--open-answers", "--answers", archive, fails="contradict")
     call("make", "--out", tmp_path / "x", "--answers", archive, fails="exists already")
+    inside = tmp_path / "x" / "answers.tar"
+    call("make", "--out", tmp_path / "x", "--answers", inside, fails="in the folder of the cases")
+    call("make", "--out", tmp_path / "x", "--family", "none", "--effect", "backlash", fails="nothing at work")
+    call("make", "--nope", fails="see 'hybrid-id blind make --help'")
 
 
 def test_another_program_takes_part(home: Path) -> None:
@@ -144,7 +148,10 @@ def test_another_program_takes_part(home: Path) -> None:
     )
     told = call("score", runs, "--answers", archive)
     assert "| first name right (single effects) | 100 % (21 to 100; 1) |" in told
+    assert "--command '" in told and f"{program} {{case}}" in told
     call("run", cases, "--out", runs, "--method", "external", fails="belong together")
+    absent = ("--method", "external", "--command", "theirs {case} {answer}")
+    call("run", cases, "--out", runs, *absent, fails="theirs is not a program")
     call(
         "run",
         cases,

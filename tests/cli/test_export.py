@@ -45,6 +45,7 @@ def test_torch_program(run, drive: Path, tmp_path: Path) -> None:
     ("options", "words"),
     [
         (["--to", "torch", "--check", "x"], "--check replays records in MuJoCo"),
+        (["--to", "mjcf", "--sample-time", "0.01"], "are of the torch program"),
         (["--to", "mjcf", "--out", "{}/m.json"], "take another ending"),
         (["--to", "urdf"], "'urdf' is not one of"),
         (["--to", "mjcf", "--out", "{}"], "is a folder"),

@@ -7,6 +7,7 @@ from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.measures import count_turns, quantisation_step, rest_samples
 from hybrid_id.records.quality import check_dataset, check_record, estimate_noise, start_position
 from hybrid_id.records.record import Record
+from hybrid_id.records.resample import resample_record
 
 T = 3000
 TIME = 0.002 * np.arange(T)
@@ -88,6 +89,13 @@ def spike(q: np.ndarray) -> np.ndarray:
 
 def end_stop(q: np.ndarray) -> np.ndarray:
     return np.minimum(q, 3.0)
+
+
+def test_a_record_on_a_finer_grid_has_no_spikes() -> None:
+    """Between its samples it has neither noise nor resolution, so that every turn of the motion stands out of them."""
+    slow = replace(record(), time=TIME[::8], inputs={"u1": VOLTAGE[::8]}, outputs={"q_m1": motion()[::8]})
+    finer, _ = resample_record(slow, 0.002)
+    assert "spikes" not in codes(check_record(finer))
 
 
 @pytest.mark.parametrize(
