@@ -7,16 +7,17 @@ from malformed import SOUND, change_yaml, write_sound_dataset
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.record import Record
+from hybrid_id.records.record import LARGEST, Record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
+measured = st.floats(-LARGEST, LARGEST)
 
 
 @st.composite
 def records(draw: st.DrawFn, name: str, channels: tuple[str, ...]) -> Record:
     n = draw(st.integers(2, 12))
     steps = draw(npst.arrays(np.float64, n, elements=st.floats(1e-6, 10.0)))
-    signals = [draw(npst.arrays(np.float64, n, elements=finite)) for _ in channels]
+    signals = [draw(npst.arrays(np.float64, n, elements=measured)) for _ in channels]
     signals[-1][0] = 1.0 if signals[-1][1] != 1.0 else 2.0  # a constant output is refused on loading
     return Record(
         name=name,
