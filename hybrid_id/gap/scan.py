@@ -18,6 +18,8 @@ from hybrid_id.gap.probe import Probe, probe
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.systems.gear import Views
+from hybrid_id.systems.joint import Joint
 
 PERIODS = range(1, 49)
 """Periods a turn of the rotor that a motor's poles and slots may have."""
@@ -126,30 +128,47 @@ def friction_spots(left: Left, joint: int, place: str) -> list[tuple[float, ...]
 
 
 def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
-    """Errors ``E_c cos(n q) + E_s sin(n q)`` of a rigid gear over the rotor's angle, best first: (n, E_c, E_s).
+    """Errors ``e(q) = E_c cos(n q) + E_s sin(n q)`` of a gear over the rotor's angle, best first: (n, E_c, E_s).
 
-    A link of inertia J behind ``q / r + e(q)`` pulls at the rotor by ``-(J / r) (2 e' a + e'' v^2)``, to first order.
+    To first order, a link of inertia J behind a rigid ``q / r + e(q)`` pulls at the rotor by
+    ``-(J / r) (2 e' a + e'' v^2)``. A compliant gear of stiffness k and damping d is wound up by e, which drives the link
+    by ``T = k e + d e' v``, and the rotor by ``-T / r - (J / r) e' a``.
 
     Args:
         left: what a fit leaves.
         joint: number, from 1.
         place: of the gear.
     """
-    system, batch = left.result.system, left.batch
+    system = left.result.system
     part = system.joints[joint - 1]
-    if not part.rigid:
-        return []
     opened = left.opened(joint, "motor")
-    q, v = batch.x[..., opened.row], batch.x[..., opened.row + 1]
-    a = torch.gradient(v, dim=1)[0] / batch.step
+    q, v = (left.batch.x[..., opened.row + k, None] for k in range(2))
+    a = torch.gradient(v, dim=1)[0] / left.batch.step
+    views = {key: c.view() for key, c in system.components.items() if isinstance(c, Component)}
     key, inertia = part.inertia
-    view = system.components[key].view()  # type: ignore[operator]
-    pull = -float(inertia.link(view, part.gear_ratio).detach()) / part.gear_ratio
-    shapes = []
+    pull = float(inertia.link(views[key], part.gear_ratio).detach()) / part.gear_ratio
+    at_rotor, at_link = [], []
     for n in GEAR_PERIODS:
-        first = torch.stack([-n * (n * q).sin(), n * (n * q).cos()], -1)
-        shapes.append(pull * (2.0 * first * a[..., None] - n**2 * _waves(n * q) * v.square()[..., None]))
-    return [(GEAR_PERIODS[i], *size) for i, size in _strongest(opened, shapes)[:2]]
+        error = _waves(n * q[..., 0])
+        slope = n * torch.stack([-(n * q[..., 0]).sin(), (n * q[..., 0]).cos()], -1)
+        if part.rigid:
+            at_rotor.append(-pull * (2.0 * slope * a - n**2 * error * v.square()))
+            continue
+        k, d = _stiffness(part, left.batch.x, views)
+        at_link.append(k[..., None] * error + d[..., None] * slope * v)
+        at_rotor.append(-at_link[-1] / part.gear_ratio - pull * slope * a)
+    beside = None if part.rigid else (left.opened(joint, "load"), at_link)
+    return [(GEAR_PERIODS[i], *size) for i, size in _strongest(opened, at_rotor, beside)[:2]]
+
+
+def _stiffness(part: Joint, x: Tensor, views: Views) -> tuple[Tensor, Tensor]:
+    """Stiffness [N m/rad] and damping [N m s/rad] of a compliant gear at every sample of the states, ``(R, T)`` each."""
+    rows = [row.detach().requires_grad_() for row in x.unbind(-1)]
+    link = part.positions[1]
+    with torch.enable_grad():
+        torque = part.spring_torque(rows, views).sum()
+    found = torch.autograd.grad(torque, rows[link : link + 2], allow_unused=True, materialize_grads=True)
+    return -found[0], -found[1]
 
 
 def _rubbing(left: Left, joint: int, place: str) -> tuple[Probe, Tensor, Tensor]:
@@ -164,10 +183,18 @@ def _waves(phase: Tensor) -> Tensor:
     return torch.stack([phase.cos(), phase.sin()], -1)
 
 
-def _strongest(opened: Probe, shapes: Sequence[Tensor]) -> list[tuple[int, tuple[float, ...]]]:
-    """Number and coefficients of the shapes ``(R, T, m)`` that leave least beside the model's own parameters."""
+def _strongest(
+    opened: Probe, shapes: Sequence[Tensor], beside: tuple[Probe, Sequence[Tensor]] | None = None
+) -> list[tuple[int, tuple[float, ...]]]:
+    """Number and coefficients of the shapes ``(R, T, m)`` that leave least beside the model's own parameters.
+
+    Each acts with its twin at another side of the joint, where ``beside`` tells of these.
+    """
     own, left = opened.own.flatten(0, 1).numpy(), opened.left.flatten().numpy()
-    response = opened.response(torch.cat(list(shapes), -1)).flatten(0, 1).numpy()
+    moved = opened.response(torch.cat(list(shapes), -1))
+    if beside is not None:
+        moved = moved + beside[0].response(torch.cat(list(beside[1]), -1))
+    response = moved.flatten(0, 1).numpy()
     basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
     response, left = response - basis @ (basis.T @ response), left - basis @ (basis.T @ left)
     found, first = [], 0

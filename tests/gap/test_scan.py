@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from drives import flexible_drive, make_record, multisine
 from gapcase import small_case
 
 import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
@@ -18,6 +19,7 @@ from hybrid_id.gap.refit import Explanation, engine
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import Left, friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.identification.secant import secant_fit
+from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study.replays import batch_of
 
 
@@ -42,6 +44,28 @@ def test_error_of_a_gear(monkeypatch: pytest.MonkeyPatch) -> None:
     found = gear_waves(fit, 1, "transmission")
     assert found[0][0] == 0.5
     assert found[0][1] > 0 > found[0][2]
+
+
+def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
+    """Of a gear behind which the link swings: what winds it up drives both sides."""
+    today = flexible_drive()
+    waves = KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0, E_c2=3e-4, E_s2=2e-4, n_2=2.0)
+    truth, noise = today.with_component("joint1/transmission", waves), {"q_m1": 1e-3, "q_a1": 1e-5}
+    voltages = [multisine(k, samples=400, amplitude=6.0 + k, rest=20, step=0.005) for k in range(2)]
+    records = [
+        make_record(truth, u, seed=k, noise=noise, outputs=tuple(noise), name=f"run_{k}", step=0.005)
+        for k, u in enumerate(voltages)
+    ]
+    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 1e-3), Channel("q_a1", "rad", 1e-5))
+    dataset = Dataset("wavy gear", *channels, tuple(records), 0.005)
+    batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
+    plain = replace(engine(), compiled=False)
+    n, *size = gear_waves(Left(secant_fit(today, batch, engine=plain, iterations=4), batch), 1, "")[0]
+    assert n == 1.0
+    assert np.linalg.norm(np.subtract(size, (1e-3, -5e-4))) < 0.4 * np.linalg.norm((1e-3, -5e-4))
+    known = today.with_component("joint1/transmission", KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0))
+    others = gear_waves(Left(secant_fit(known, batch, engine=plain, iterations=4), batch), 1, "")
+    assert next(one for one in others if one[0] != 1.0) == pytest.approx((2.0, 3e-4, 2e-4), rel=0.3)
 
 
 def test_waves_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
