@@ -131,8 +131,8 @@ def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     """Errors ``e(q) = E_c cos(n q) + E_s sin(n q)`` of a gear over the rotor's angle, best first: (n, E_c, E_s).
 
     To first order, a link of inertia J behind a rigid ``q / r + e(q)`` pulls at the rotor by
-    ``-(J / r) (2 e' a + e'' v^2)``. A compliant gear of stiffness k and damping d is wound up by e, which drives the link
-    by ``T = k e + d e' v``, and the rotor by ``-T / r - (J / r) e' a``.
+    ``-(J / r) (2 e' a + e'' v^2)``. A compliant gear of stiffness k and damping d is wound up by e, which drives the
+    link by ``T = k e + d e' v``, and the rotor by ``-T / r - (J / r) e' a``.
 
     Args:
         left: what a fit leaves.
@@ -162,7 +162,7 @@ def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
 
 
 def _stiffness(part: Joint, x: Tensor, views: Views) -> tuple[Tensor, Tensor]:
-    """Stiffness [N m/rad] and damping [N m s/rad] of a compliant gear at every sample of the states, ``(R, T)`` each."""
+    """Stiffness [N m/rad] and damping [N m s/rad] of a compliant gear at every sample, ``(R, T)`` each."""
     rows = [row.detach().requires_grad_() for row in x.unbind(-1)]
     link = part.positions[1]
     with torch.enable_grad():
