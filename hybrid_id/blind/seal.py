@@ -42,11 +42,17 @@ def seal(cases: Path, archive: Path | None, about: Mapping[str, Any]) -> dict[st
 
     Returns:
         The manifest.
+
+    Raises:
+        InputError: a case has no answer sheet, or there is no case.
     """
+    names = case_names(cases)
+    if missing := [name for name in names if not (cases / ANSWERS / f"{name}.yaml").is_file()]:
+        raise InputError(f"{cases} lacks the answers to {', '.join(missing[:5])}; make the cases anew")
     content = pack(cases / ANSWERS)
     manifest = {
         **about,
-        "names": case_names(cases),
+        "names": names,
         "answers": {"sealed": archive is not None, "sha256": hashlib.sha256(content).hexdigest()},
     }
     if archive is not None:

@@ -100,9 +100,8 @@ def make_sealed(
     first: int = 1,
 ) -> None:
     """Make cases, move their answers into the archive, and say how it went."""
-    from hybrid_id.blind.make import make_cases
     from hybrid_id.blind.seal import ANSWERS, seal
-    from hybrid_id.cli.folder import refuse_taken
+    from hybrid_id.cli.folder import refuse_taken, sole_writer
     from hybrid_id.contenders.keep import write_json
     from hybrid_id.reporting.tables import count
 
@@ -126,7 +125,24 @@ def make_sealed(
     if archive is not None and archive.exists():
         raise InputError(f"{archive} exists already; remove it, or give another --answers")
     out.mkdir(parents=True, exist_ok=True)
-    write_json(begun, about)
+    with sole_writer(out):
+        write_json(begun, about)
+        made = _make(out, cases, seed, options, jobs, first)
+        if len(made) < cases:
+            remark(f"{cases - len(made)} of {cases} cases were left out: their effect did not show as wanted")
+        about["made"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+        sealed = seal(out, archive, about)["answers"]["sha256"]
+        begun.unlink()
+    show(f"{count(len(made), 'case')} in {out}, their answers in {archive or out / ANSWERS}")
+    show(f"hash of the answers: {sealed}")
+
+
+def _make(
+    out: Path, cases: int, seed: int, options: dict[str, str | None], jobs: int, first: int
+) -> list[Path]:
+    """Make cases in a folder that remembers what it is to hold until they are sealed."""
+    from hybrid_id.blind.make import make_cases
+
     try:
         with counting("cases") as bar:
             task = bar.add_task("cases", total=cases)
@@ -138,15 +154,9 @@ def make_sealed(
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped; the same command goes on with the cases in {out}") from None
     except InputError:
-        begun.unlink()
+        (out / BEGUN).unlink()
         raise
-    if len(made) < cases:
-        remark(f"{cases - len(made)} of {cases} cases were left out: their effect did not show as wanted")
-    about["made"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-    sealed = seal(out, archive, about)["answers"]["sha256"]
-    begun.unlink()
-    show(f"{count(len(made), 'case')} in {out}, their answers in {archive or out / ANSWERS}")
-    show(f"hash of the answers: {sealed}")
+    return made
 
 
 @blind.command()

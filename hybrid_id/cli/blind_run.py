@@ -126,7 +126,23 @@ def _run(
     jobs: int,
     scheduler: str | None,
 ) -> int:
-    """One contender's run; returns how many cases broke."""
+    """One contender's run, which nobody else writes into; returns how many cases broke."""
+    from hybrid_id.cli.folder import sole_writer
+    from hybrid_id.contenders.keep import make_room
+
+    with sole_writer(make_room(folder)):
+        return _take_cases(cases, folder, settings, manifest, jobs, scheduler)
+
+
+def _take_cases(
+    cases: Path,
+    folder: Path,
+    settings: "Settings",
+    manifest: Mapping[str, Any],
+    jobs: int,
+    scheduler: str | None,
+) -> int:
+    """Take what has not been taken yet; returns how many cases broke."""
     from hybrid_id.contenders.keep import begin, is_done, key_of, load, save
     from hybrid_id.contenders.run import read_case, run_cases
 

@@ -34,11 +34,20 @@ def begin(folder: Path, about: Mapping[str, Any]) -> None:
     for name in ("method", "cases", "train_records", "command") if kept else ():
         if kept is not None and kept.get(name) != about.get(name):
             raise InputError(f"{folder} holds a run with other {name.replace('_', ' ')}; give another folder")
+    write_json(make_room(folder) / RUN, about)
+
+
+def make_room(folder: Path) -> Path:
+    """The folder of a method's run, made where it is not there.
+
+    Raises:
+        InputError: it cannot be made.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{folder} cannot be made ({error.strerror}); give another folder") from None
-    write_json(folder / RUN, about)
+    return folder
 
 
 def read_run(folder: Path) -> dict[str, Any]:

@@ -1,7 +1,8 @@
 """Which effects: the catalogue is searched by fits, richest first look at all, then the best to the end.
 
 Forward selection with backward deletion: the effect that predicts records left out best is added; then the next beside
-it; then each of the chosen has to show that the rest cannot do without it. Before an effect is believed, the model
+it; then those that had explained as much as the first are tried in its place, and each of the chosen has to show that
+the rest cannot do without it. Before an effect is believed, the model
 without it is fitted again from where the model with it has ended.
 """
 
@@ -10,23 +11,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from hybrid_id.gap.catalogue import CATALOGUE, part_of
+from hybrid_id.gap.belief import COMPLETE_RATIO, LEAST_Z, better
+from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import coloured
-from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Name, Refit, Task
-from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Progress, Round, is_white, one_round
+from hybrid_id.gap.exchange import exchanges, refitted_without
+from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Refit, Task
+from hybrid_id.gap.round import LEAST_RATIO, Progress, Round, one_round
 from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System
 
 MOST = 3
 """Effects at once."""
-MORE_RATIO = 1.15
-"""Least fall of the RMS of the errors beside another effect, whose fit may leave what another can pick up."""
-COMPLETE_RATIO = 1.05
-"""The same for an effect that leaves white noise: what a wrong formula leaves, no other effect explains to the end."""
-LEAST_Z = 3.0
-"""An effect must also lower the errors of prediction by so many standard errors, block by block."""
-LARGE_RATIO, LARGE_Z = 1.2, 1.5
-"""A gain as large as this one is believed earlier: where a second effect is missing, blocks scatter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,21 +87,19 @@ def _search(refit: Refit, system: System, most: int, progress: Progress | None) 
             restarted = True
             rounds.pop()
             continue
-        before, chosen = simpler, _freed(refit, found.best)
+        before, chosen = simpler, found.best
+        if before.effects:
+            again = exchanges(refit, base, chosen, rounds)
+            rounds += again
+            chosen = min(
+                (e.best for e in again if e.best is not None), key=lambda e: e.evidence.error, default=chosen
+            )
+        chosen = _freed(refit, chosen)
         if before.effects:
             chosen = _challenge(refit, base, chosen, rounds)
             if len(chosen.effects) <= len(before.effects):
                 break
     return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen)
-
-
-def better(richer: Explanation, simpler: Explanation) -> bool:
-    """Whether a richer model predicts records that it has not seen clearly better."""
-    ratio = (simpler.evidence.error / richer.evidence.error) ** 0.5
-    z, least = richer.evidence.z(simpler.evidence), least_ratio(simpler)
-    if is_white(richer):
-        least = min(least, COMPLETE_RATIO)
-    return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
 
 
 def sure_though_small(found: Attribution) -> Attribution | None:
@@ -140,11 +133,6 @@ def _freed(refit: Refit, chosen: Explanation) -> Explanation:
     return chosen
 
 
-def least_ratio(simpler: Explanation) -> float:
-    """By which factor an effect beside a model's has to lower the RMS of the errors of prediction."""
-    return MORE_RATIO if simpler.effects else LEAST_RATIO
-
-
 def _leaves_something(simpler: Explanation) -> bool:
     """Whether another effect could be believed at all beside the first: none explains white noise."""
     reachable = (1.0 - coloured(simpler.result.residual)) ** -0.5
@@ -154,7 +142,7 @@ def _leaves_something(simpler: Explanation) -> bool:
 def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:
     """The simpler model fitted again from where the richer one ended: the new effect may only have freed its fit."""
     new = next(name for name in richer.effects if name not in simpler.effects)
-    again = _refitted_without(refit, base, richer, new)
+    again = refitted_without(refit, base, richer, new)
     return again if again is not None and again.evidence.error < simpler.evidence.error else simpler
 
 
@@ -164,33 +152,10 @@ def _challenge(refit: Refit, base: Explanation, chosen: Explanation, rounds: Seq
         rest = tuple(e for e in chosen.effects if e != name)
         # the others have ended elsewhere than before they had each other: the rest may do better from there
         known = [e for r in rounds for e in (r.before, *r.candidates) if e.effects == rest]
-        again = _refitted_without(refit, base, chosen, name)
+        again = refitted_without(refit, base, chosen, name)
         simpler = min(
             (e for e in (*known, again) if e is not None), key=lambda e: e.evidence.error, default=None
         )
         if simpler is not None and not better(chosen, simpler):
             return simpler
     return chosen
-
-
-def _refitted_without(refit: Refit, base: Explanation, richer: Explanation, name: Name) -> Explanation | None:
-    """A model less one of its effects, fitted from where it stands; None where that cannot be fitted."""
-    start = _without(richer.system, base.system, name)
-    rest = tuple(effect for effect in richer.effects if effect != name)
-    found = None if start is None else refit.run([Task(rest, start)], SECOND_LOOK)[0]
-    if found is None or found.evidence.error > HOPELESS * richer.evidence.error:
-        return found
-    return refit.run([Task(rest, found.system)], TO_THE_END)[0]
-
-
-def _without(system: System, base: System, name: Name) -> System | None:
-    """The system less one of its effects; what the effect had replaced comes back."""
-    for kind in CATALOGUE[name[0]].kinds:
-        part = part_of(system, name[1], kind)
-        if part is None:
-            continue
-        family = part.family()
-        here = (p for key, p in base.components.items() if key.startswith(f"{name[1]}/"))
-        old = next((p for p in here if isinstance(p, family)), None)
-        return system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
-    return None

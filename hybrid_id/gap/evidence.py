@@ -9,6 +9,8 @@ import numpy as np
 
 BLOCK = 0.25
 """Length [s] of the blocks in which errors are compared."""
+WHITE = 0.1
+"""Share of residuals that is no white noise, below which they are taken for it."""
 
 
 @dataclass(frozen=True)

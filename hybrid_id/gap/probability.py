@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.gap.attribute import LEAST_Z, Attribution, better, least_ratio
+from hybrid_id.gap.attribute import Attribution
+from hybrid_id.gap.belief import LEAST_Z, better, least_ratio
 from hybrid_id.gap.catalogue import effect
 from hybrid_id.gap.refit import Explanation, Name
 from hybrid_id.gap.round import LEFT_OPEN, TOLD, Round
@@ -53,7 +54,7 @@ def suspects(found: Attribution) -> list[Suspect]:
                 name[0], name[1], float(present * weight), name in chosen, _ties(explanation, one, name),
                 _parameters(found.chosen if name in chosen else explanation, name),
             )  # fmt: skip
-            if name not in best or suspect.probability > best[name].probability:
+            if name not in best or one.again or suspect.probability > best[name].probability:
                 best[name] = suspect
     return sorted(
         best.values(),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ import torch
 from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError
-from hybrid_id.gap.evidence import Evidence, evidence
+from hybrid_id.gap.evidence import WHITE, Evidence, coloured, evidence
 from hybrid_id.gap.windows import windows
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import hidden_links
@@ -187,22 +188,34 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
 
 
 def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:
-    """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower.
+    """The best of several ways to a fit; the last words are had from windows, too, where that leaves more than noise.
+
+    The cost of whole rollouts ripples where the motion may halt, that of windows from measured states does not.
+    """
+    last = iterations == TO_THE_END
+    ends = _both_ways(task.system, batch, iterations, task.cost)
+    if last and min(coloured(end.residual) for end in ends) > WHITE:
+        with suppress(InputError, RuntimeError):
+            near = _within(task, windows(task.system, engine(), batch, WINDOW), WINDOW_LOOK)
+            ends += _both_ways(near.system, batch, iterations, task.cost)
+    return min(ends, key=lambda end: end.cost)
+
+
+def _both_ways(system: System, batch: Batch, iterations: int, cost: float) -> list[FitResult]:
+    """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower than a cost.
 
     The first walks through valleys in which whole rollouts are stuck; the second sees through events and from afar.
     """
     options, ends = Options(max_iterations=iterations, tolerance=0.05), []
     last = iterations == TO_THE_END
-    try:
-        exact = fit(task.system, batch, pooled=True, engine=engine(), options=options, warm=last)[0]
+    with suppress(InputError, RuntimeError):
+        exact = fit(system, batch, pooled=True, engine=engine(), options=options, warm=last)[0]
         # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
         there = secant_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
         ends.append(replace(there, status=exact.status, iterations=exact.iterations))
-    except (InputError, RuntimeError):
-        pass
-    if last or not ends or ends[0].cost > task.cost:
-        ends.append(secant_fit(task.system, batch, engine=engine(), iterations=iterations))
-    return min(ends, key=lambda end: end.cost)
+    if last or not ends or ends[0].cost > cost:
+        ends.append(secant_fit(system, batch, engine=engine(), iterations=iterations))
+    return ends
 
 
 def _within(task: Task, batch: Batch, iterations: int) -> FitResult:

@@ -11,7 +11,7 @@ import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.errors import InputError
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.evidence import coloured
+from hybrid_id.gap.evidence import WHITE, coloured
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import Left
@@ -26,8 +26,6 @@ SAME = 2e-3
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted to the end, nor any further where the best
 leaves white noise or stands beside another effect."""
-WHITE = 0.1
-"""Share of what a candidate leaves that is no white noise, below which no other can do much better."""
 IDLE, IDLERS = 0.99, 6
 """Cost relative to the model before from which a candidate has brought nothing yet, and how many of these get a second
 look; the best of them is fitted to the end."""
@@ -46,10 +44,17 @@ Progress = Callable[[str, int, int], object]
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One step of the search: what was there before, and every candidate that was added to it, best first."""
+    """One step of the search: what was there before, and every candidate that was added to it, best first.
+
+    Attributes:
+        before: the model that they are added to.
+        candidates: with one more effect each.
+        again: whether an effect and its rivals are compared once more, beside those that were found after it.
+    """
 
     before: Explanation
     candidates: tuple[Explanation, ...]
+    again: bool = False
 
     @property
     def best(self) -> Explanation | None:
@@ -163,7 +168,7 @@ def _further(
 
 
 def is_white(one: Explanation) -> bool:
-    """Whether a candidate leaves next to nothing but white noise."""
+    """Whether a candidate leaves next to nothing but white noise: no other can do much better."""
     return coloured(one.result.residual) < WHITE
 
 

@@ -34,6 +34,8 @@ CLOSE, PATIENCE = 1.1, 3
 """Cost, relative to that of the model beside it, up to which a look's slopes are believed, and steps after which."""
 TRIES, LANES, BETWEEN = 6, 48, 12
 """Shakes of a fit, points of each, and iterations from the best of them."""
+GIVE_UP = 3
+"""Shakes in a row without a gain after which the fit is taken as it is."""
 SHAKE = 0.3
 """Rise of the cost, relative to it, that a first shake would bring on a smooth one; it falls with every failure."""
 
@@ -173,7 +175,7 @@ def shaken(result: FitResult, batch: Batch, *, seed: int = 0) -> FitResult:
         batch: its records.
         seed: of the points.
     """
-    generator, share = np.random.default_rng(seed), SHAKE
+    generator, share, failures = np.random.default_rng(seed), SHAKE, 0
     for _ in range(TRIES):
         cost = Cost(result.system, batch, result.engine)
         free = cost.rollouts.free
@@ -192,7 +194,9 @@ def shaken(result: FitResult, batch: Batch, *, seed: int = 0) -> FitResult:
         start = result.system.with_values(dict(zip(result.names, best.tolist(), strict=True)))
         again = secant_fit(start, batch, engine=result.engine, iterations=BETWEEN, x0=result.x0)
         if again.cost < (1.0 - SETTLED) * result.cost:
-            result = replace(again, status=result.status)
+            result, failures = replace(again, status=result.status), 0
         else:
-            share *= 0.5
+            share, failures = 0.5 * share, failures + 1
+        if failures == GIVE_UP:
+            break
     return result

@@ -72,3 +72,11 @@ def test_folder_without_a_manifest_is_refused(tmp_path: Path) -> None:
     (cases / MANIFEST).write_text(json.dumps({"answers": {}}))
     with pytest.raises(InputError, match="does not tell the hash"):
         read_manifest(cases)
+
+
+def test_a_case_without_an_answer_is_not_sealed(tmp_path: Path) -> None:
+    cases = made(tmp_path / "cases")
+    (cases / "answers" / "c002.yaml").unlink()
+    with pytest.raises(InputError, match="lacks the answers to c002"):
+        seal(cases, tmp_path / "a.tar", {})
+    assert not (tmp_path / "a.tar").exists() and not (cases / MANIFEST).exists()

@@ -15,6 +15,7 @@ from hybrid_id.blind import levels
 from hybrid_id.blind import make as making
 from hybrid_id.blind.seal import seal
 from hybrid_id.cli.app import app
+from hybrid_id.cli.folder import sole_writer
 from hybrid_id.components import ConstantTorque
 from hybrid_id.contenders import run as runner
 from hybrid_id.records.dataset import Dataset
@@ -125,6 +126,14 @@ def test_wrong_input_is_refused(home: Path, tmp_path: Path) -> None:
     inside = tmp_path / "x" / "answers.tar"
     call("make", "--out", tmp_path / "x", "--answers", inside, fails="in the folder of the cases")
     call("make", "--out", tmp_path / "x", "--family", "none", "--effect", "backlash", fails="nothing at work")
+    (tmp_path / "y").mkdir()
+    with sole_writer(tmp_path / "y"):  # another run is at it
+        call("make", "--out", tmp_path / "y", "--cases", 1, fails="another run is writing")
+    busy = home / "runs" / "stribeck"
+    busy.mkdir(parents=True)
+    (busy / "run.json").write_text("{}")
+    with sole_writer(busy):
+        call("run", cases, "--out", home / "runs", "--method", "stribeck", fails="another run is writing")
     call("make", "--nope", fails="see 'hybrid-id blind make --help'")
 
 

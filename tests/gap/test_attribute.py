@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from gapcase import small_case
 
-from hybrid_id.gap.attribute import Attribution, _leaves_something, _without, better, sure_though_small
+from hybrid_id.gap.attribute import Attribution, _leaves_something, sure_though_small
+from hybrid_id.gap.belief import better
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import evidence
+from hybrid_id.gap.exchange import without
 from hybrid_id.gap.round import Round, _as_today, simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
@@ -23,7 +25,7 @@ def test_model_without_an_effect_is_the_one_before(name: str) -> None:
     for where, models in CATALOGUE[name].models(today, size).items():
         for richer in models:
             assert set(richer.components) > set(today.components) or name in ("backlash", "joint_flexibility")
-            plain = _without(richer, today, (name, where))
+            plain = without(richer, today, (name, where))
             assert plain is not None
             assert set(plain.components) == set(today.components)
 

@@ -1,0 +1,88 @@
+"""Models with one effect less, or with another one in its place."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+
+from hybrid_id.errors import InputError
+from hybrid_id.gap.belief import better
+from hybrid_id.gap.catalogue import CATALOGUE, part_of
+from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task
+from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Round
+from hybrid_id.systems.chain import System
+
+RIVAL, RIVALS = 1.1, 3
+"""Mean square error over that of its round's best up to which an effect is tried in its place beside a later one, and
+how many are."""
+
+
+def exchanges(refit: Refit, base: Explanation, chosen: Explanation, rounds: Sequence[Round]) -> list[Round]:
+    """Each earlier effect against those that explained as much as it did when it stood alone, now beside the others."""
+    found = []
+    for one in rounds:
+        name = None if one.again or one.best is None else _new(one.best, one)
+        if name not in chosen.effects or one.best is None or one.best.effects == chosen.effects:
+            continue
+        rest = without(chosen.system, base.system, name)
+        tasks = [] if rest is None else _tasks(rest, tuple(e for e in chosen.effects if e != name), one)
+        ends = sorted((e for e in refit.run(tasks, TO_THE_END) if e is not None), key=_error)
+        alone = refitted_without(refit, base, chosen, name) if ends else None
+        if alone is not None:
+            # of equals the one that was found first leads
+            first = ends[0] if better(ends[0], chosen, LEAST_RATIO) else chosen
+            others = (e for e in sorted((*ends, chosen), key=_error) if e is not first)
+            found.append(Round(alone, (first, *others), again=True))
+    return found
+
+
+def _tasks(rest: System, effects: tuple[Name, ...], one: Round) -> list[Task]:
+    """The rivals of a round's best put beside the effects that the rest has."""
+    best, tasks = one.candidates[0].evidence.error, []
+    for rival in [e for e in one.candidates[1:] if e.evidence.error < RIVAL * best][:RIVALS]:
+        name = _new(rival, one)
+        start = None if name in effects else _with(rest, rival.system, name)
+        if start is not None:
+            tasks.append(Task(tuple(sorted((*effects, name))), start))
+    return tasks
+
+
+def _new(one: Explanation, of: Round) -> Name:
+    return next(name for name in one.effects if name not in of.before.effects)
+
+
+def _with(system: System, other: System, name: Name) -> System | None:
+    """The system with an effect as another one has it; None where it cannot stand there."""
+    for kind in CATALOGUE[name[0]].kinds:
+        part = part_of(other, name[1], kind)
+        if part is not None:
+            with suppress(InputError):
+                return system.with_component(name[1], part)
+    return None
+
+
+def _error(one: Explanation) -> float:
+    return one.evidence.error
+
+
+def refitted_without(refit: Refit, base: Explanation, richer: Explanation, name: Name) -> Explanation | None:
+    """A model less one of its effects, fitted from where it stands; None where that cannot be fitted."""
+    start = without(richer.system, base.system, name)
+    rest = tuple(effect for effect in richer.effects if effect != name)
+    found = None if start is None else refit.run([Task(rest, start)], SECOND_LOOK)[0]
+    if found is None or found.evidence.error > HOPELESS * richer.evidence.error:
+        return found
+    return refit.run([Task(rest, found.system)], TO_THE_END)[0]
+
+
+def without(system: System, base: System, name: Name) -> System | None:
+    """The system less one of its effects; what the effect had replaced comes back."""
+    for kind in CATALOGUE[name[0]].kinds:
+        part = part_of(system, name[1], kind)
+        if part is None:
+            continue
+        family = part.family()
+        here = (p for key, p in base.components.items() if key.startswith(f"{name[1]}/"))
+        old = next((p for p in here if isinstance(p, family)), None)
+        return system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
+    return None
