@@ -96,13 +96,20 @@ def test_a_second_wave_is_of_another_period(monkeypatch: pytest.MonkeyPatch) -> 
     left = left_by(Cogging(T_c=0.003, T_s=-0.002, n=2.0), monkeypatch)
     first = Cogging(T_c=0.004, T_s=0.0, n=1.0)
     system = left.result.system.with_component("joint1/motor", first)
-    (freer,) = CATALOGUE["cogging"].freer(system, "joint1/motor", left)
+    (freer,) = CATALOGUE["cogging"].freer(
+        system, "joint1/motor", left
+    )  # which is the first one's overtone, too
     part = freer.components["joint1/motor/cogging"]
     assert part.specs["n_2"].value == 2.0
     assert not part.specs["n_2"].estimate
     assert part.specs["T_c2"].estimate
     assert part.specs["T_s2"].estimate
     assert part.specs["T_c2"].value > 0 > part.specs["T_s2"].value
+    # where the strongest other wave is none, the overtone is tried beside it
+    odd = left.result.system.with_component("joint1/motor", Cogging(T_c=0.004, T_s=0.0, n=3.0))
+    periods = [s.components["joint1/motor/cogging"].specs["n_2"].value for s in
+               CATALOGUE["cogging"].freer(odd, "joint1/motor", left)]  # fmt: skip
+    assert periods == [2.0, 6.0]
     # what is free already is not freed again
     assert not CATALOGUE["cogging"].freer(freer, "joint1/motor", left)
     # a law with nothing left open
