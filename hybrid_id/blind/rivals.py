@@ -53,7 +53,9 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
     floor, truth = records.noise_floor, case.effects[number]
     beside = tuple(effect for effect in case.effects if effect is not truth)
     if any(type(effect).alter is not Effect.alter for effect in beside):
-        return []  # it is a parameter of the simulator, which knows no rival without it
+        # its parameters are some of those that today's simulator lacks: they stand in the rivals' simulator
+        robot = replace(case.truth(), lacks=truth.alter(case.robot).lacks)
+        case, beside = replace(case, robot=robot, effects=(truth,)), ()
     model = refit_model(case, records)
     if beside:
         model, values = fit_with(case, records, beside, model)
