@@ -29,6 +29,8 @@ leaves white noise or stands beside another effect."""
 IDLE, IDLERS = 0.99, 6
 """Cost relative to the model before from which a candidate has brought nothing yet, and how many of these get a second
 look; the best of them is fitted to the end."""
+SIMPLER = 1.1
+"""Mean square error over the best's up to which a candidate with fewer parameters is fitted to the end, too."""
 LEAST_RATIO = 1.015
 """An effect, or a further parameter of one, must lower the RMS of the errors of prediction at least by this factor."""
 TOLD = 2.5
@@ -139,6 +141,9 @@ def _ranked(
         left = [e for e in ranked[:keep] if e.effects not in finished]
         finished |= {e.effects for e in left}
         ranked = _further(refit, before, left, ranked, TO_THE_END, tick)
+    simpler = _simpler(ranked, finished)
+    finished |= {e.effects for e in simpler}
+    ranked = _further(refit, before, simpler, ranked, TO_THE_END, tick)
     return tuple(simplest_first(ranked, finished, before))
 
 
@@ -165,6 +170,17 @@ def _further(
     # what has been fitted further counts, be it better or worse; the rest stays as it was seen
     kept = [e for e in (*everyone, *some) if e not in rivals]
     return best_of_each([*(e for e in more if e is not None), *kept])
+
+
+def _simpler(ranked: Sequence[Explanation], finished: set[tuple[Name, ...]]) -> list[Explanation]:
+    """Candidates that may yet explain as much as the best, with fewer parameters than it has."""
+    return [
+        e
+        for e in ranked
+        if e.effects not in finished
+        and e.evidence.error < SIMPLER * ranked[0].evidence.error
+        and len(e.result.names) < len(ranked[0].result.names)
+    ][:FINALISTS]
 
 
 def is_white(one: Explanation) -> bool:
