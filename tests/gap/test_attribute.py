@@ -7,13 +7,15 @@ import numpy as np
 import pytest
 from gapcase import small_case
 
+from hybrid_id.components import AsymmetricFriction, Cogging, ConstantTorque
 from hybrid_id.gap.attribute import Attribution, _leaves_something, sure_though_small
 from hybrid_id.gap.belief import better
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import evidence
-from hybrid_id.gap.exchange import without
-from hybrid_id.gap.round import Round, _as_today, simplest_first
+from hybrid_id.gap.exchange import exchanges, without
+from hybrid_id.gap.probability import suspects
+from hybrid_id.gap.round import Round, _as_today, _simpler, simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
 
@@ -117,3 +119,60 @@ def test_an_effect_that_is_sure_but_small_waits_for_the_test_records() -> None:
     assert sure_though_small(found(0.5)) is None  # large enough to be believed without them
     assert sure_though_small(found(0.01)) is None  # not sure
     assert sure_though_small(Attribution(found(0.15).base, (), found(0.15).base)) is None
+
+
+def test_a_rival_of_the_first_effect_is_tried_again_beside_the_second() -> None:
+    """Alone a bias did as well as uneven friction; beside cogging only the friction leaves nothing but noise."""
+    _, today = small_case()
+    rng = np.random.default_rng(0)
+    noise, wave = rng.standard_normal((8000, 1)), np.sin(0.01 * np.arange(8000))[:, None]
+    bias, uneven = ("constant_torque", "joint1/load"), ("asymmetric_friction", "joint1/motor_friction")
+    cogging = ("cogging", "joint1/motor")
+    parts = {bias: ConstantTorque(T_0=0.1), uneven: AsymmetricFriction(), cogging: Cogging(T_c=0.003)}
+    size = {
+        (): 3.0,
+        (bias,): 1.5,
+        (uneven,): 1.51,
+        (cogging,): 2.0,
+        (cogging, bias): 0.5,
+        (uneven, cogging): 0.0,
+    }
+
+    def model(*effects: tuple[str, str]):
+        system = today
+        for effect in effects:
+            system = system.with_component(effect[1], parts[effect])
+        residual = noise + next(s for key, s in size.items() if set(key) == set(effects)) * wave
+        result = SimpleNamespace(
+            residual=[residual], names=("J",), jacobian=(np.ones((8000, 1, 1)),), values=[1.0], noise_scale=1.0,
+            n_samples=8000, system=system,
+        )  # fmt: skip
+        told = evidence([residual], 0.002)
+        return SimpleNamespace(effects=tuple(sorted(effects)), system=system, result=result, evidence=told)
+
+    refit = SimpleNamespace(run=lambda tasks, *_: [model(*task.effects) for task in tasks])
+    rounds = [Round(model(), (model(bias), model(uneven))), Round(model(bias), (model(cogging, bias),))]
+    (again,) = exchanges(refit, model(), model(cogging, bias), rounds)
+    assert again.again and again.before.effects == (cogging,)
+    assert [e.effects for e in again.candidates] == [(uneven, cogging), (cogging, bias)]
+    told = suspects(Attribution(model(), (*rounds, again), again.candidates[0]))
+    assert {s.name for s in told if s.selected} == {"asymmetric_friction", "cogging"}
+    assert next(s for s in told if s.name == "asymmetric_friction").probability > 0.9
+    assert next(s for s in told if s.name == "constant_torque").probability < 0.1  # it had a half alone
+    # without rivals nothing is compared again
+    assert not exchanges(refit, model(), model(cogging, bias), [Round(model(), (model(bias),)), rounds[1]])
+
+
+def test_a_simpler_candidate_that_may_be_as_good_is_fitted_to_the_end_too() -> None:
+    def fitted(name: str, error: float, parameters: int):
+        result, told = SimpleNamespace(names=("x",) * parameters), SimpleNamespace(error=error)
+        return SimpleNamespace(effects=((name, "joint1/load"),), evidence=told, result=result)
+
+    best, simple, far, rich = (
+        fitted("a", 1.0, 7),
+        fitted("b", 1.05, 6),
+        fitted("c", 1.3, 6),
+        fitted("d", 1.01, 8),
+    )
+    assert _simpler([best, rich, simple, far], {best.effects}) == [simple]
+    assert _simpler([best, simple], {best.effects, simple.effects}) == []
