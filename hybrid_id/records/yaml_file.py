@@ -16,6 +16,9 @@ from hybrid_id.errors import InputError
 Schema = TypeVar("Schema", bound=BaseModel)
 MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser
 
+KINDS = {"study": "dataset", "dataset": "records", "model": "system"}
+"""Kinds of files, and a key that each must have."""
+
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
     """Read a YAML file whose top level is a mapping.
@@ -65,6 +68,7 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
     try:
         return schema.model_validate(values)
     except ValidationError as error:
+        _refuse_other_kind(schema, values, path)
         faults = _without_misspelt(error.errors(include_url=False))
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {_sentence(faults[0], schema)}{more}") from None
@@ -104,6 +108,14 @@ def _refuse_aliases_and_repeats(text: str, path: Path) -> None:
                     raise InputError(f"{path}, row {row}: key '{key.value}' is given twice; keep one of them")
                 seen.add(str(key.value))
                 waiting.append(value)
+
+
+def _refuse_other_kind(schema: type[BaseModel], values: Mapping[str, Any], path: str | Path) -> None:
+    """Raise InputError where a file of another kind was given: one key of each tells."""
+    asked = next((kind for kind, key in KINDS.items() if key in schema.model_fields), None)
+    given = next((kind for kind, key in KINDS.items() if key in values), None)
+    if asked and given and KINDS[asked] not in values and KINDS[given] not in schema.model_fields:
+        raise InputError(f"{path} is a {given} file, but a {asked} file is needed here; give that one")
 
 
 def _without_misspelt(faults: Sequence[Any]) -> list[Any]:

@@ -82,11 +82,10 @@ def study_table(study: Study, reach: float, level: float) -> RenderableType:
     table = open_table(*heads, "trust")
     for k, name in enumerate(study.names):
         trust = study.trust[k]
-        known = bool(np.isfinite(errors[k]))
         row = [
             name,
             f"{study.selected.values[k]:.5g}",
-            f"{errors[k]:.2g}" if known else "none",
+            _half_width(errors[k]),
             study.selected.units[k],
         ]
         if study.variation is not None:
@@ -108,9 +107,14 @@ def _combinations(study: Study, reach: float, level: float) -> list[Table]:
     for k, name in enumerate(told.names):
         if name in study.names:
             continue
-        row = [name, f"{told.values[index, k]:.5g}", f"{reach * told.std_error[index, k]:.2g}"]
+        row = [name, f"{told.values[index, k]:.5g}", _half_width(reach * told.std_error[index, k])]
         rows.append(row if told.variation is None else [*row, f"{told.variation.percent[k]:.2f} %"])
     return [_two_a_row(heads, rows)] if rows else []
+
+
+def _half_width(value: float) -> str:
+    """Half of an interval; none where the records set no bound."""
+    return f"{value:.2g}" if np.isfinite(value) else "none"
 
 
 def _two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

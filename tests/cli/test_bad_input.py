@@ -53,7 +53,11 @@ CONFIGS: dict[str, tuple[str, tuple[str, ...]]] = {
     "no dataset": ("model: MODEL\n", ("study.yaml", "'dataset'", "missing")),
     "dataset of no place": ("dataset: nowhere\nmodel: MODEL\n", ("nowhere", "does not exist")),
     "model of no place": ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
-    "dataset as model": ("dataset: DATA\nmodel: DATA/dataset.yaml\n", ("dataset.yaml", "'system'")),
+    "dataset as model": (
+        "dataset: DATA\nmodel: DATA/dataset.yaml\n",
+        ("dataset.yaml", "is a dataset file", "model file"),
+    ),
+    "model as dataset": ("dataset: MODEL\nmodel: MODEL\n", ("is a model file", "dataset file")),
     "section as number": (
         "dataset: DATA\nmodel: MODEL\nidentification: 3\n",
         ("study.yaml", "'identification'"),
