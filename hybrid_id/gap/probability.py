@@ -113,7 +113,8 @@ def tied_explanations(found: Attribution) -> list[Explanation]:
     for one in found.rounds:
         if one.best is not None and one.best.effects == found.chosen.effects:
             equals = _equals(one.best, one)
-            return equals if len(equals) > 1 else []
+            if len(equals) > 1:
+                return equals
     return []
 
 

@@ -14,7 +14,7 @@ from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import evidence
 from hybrid_id.gap.exchange import exchanges, without
-from hybrid_id.gap.probability import suspects
+from hybrid_id.gap.probability import suspects, tied_explanations
 from hybrid_id.gap.round import Round, _as_today, _simpler, simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
@@ -159,6 +159,13 @@ def test_a_rival_of_the_first_effect_is_tried_again_beside_the_second() -> None:
     assert {s.name for s in told if s.selected} == {"asymmetric_friction", "cogging"}
     assert next(s for s in told if s.name == "asymmetric_friction").probability > 0.9
     assert next(s for s in told if s.name == "constant_torque").probability < 0.1  # it had a half alone
+    # where both leave the same, an experiment is looked for that parts them
+    size[(uneven, cogging)] = 0.5
+    chosen = model(cogging, bias)
+    (again,) = exchanges(refit, model(), chosen, rounds)
+    assert again.best is chosen
+    tied = tied_explanations(Attribution(model(), (*rounds, again), chosen))
+    assert [e.effects for e in tied] == [(cogging, bias), (uneven, cogging)]
     # without rivals nothing is compared again
     assert not exchanges(refit, model(), model(cogging, bias), [Round(model(), (model(bias),)), rounds[1]])
 
