@@ -39,6 +39,7 @@ class Effect:
             returns as a further argument.
         shape: fixed parameters that belong to the answer (the periods of a wave), each with the estimated one that it
             goes with.
+        contains: effects that are special cases of it at the same place: it is no rival of theirs.
         further: parameters that are freed once the effect has been chosen, where that pays: start points of them by
             (its component, what the fit with it leaves, joint, place).
     """
@@ -53,6 +54,7 @@ class Effect:
     kinds: tuple[str, ...] = ()
     scan: Callable[[Left, int, str], Sequence[object]] | None = None
     shape: Mapping[str, str] = field(default_factory=dict)
+    contains: tuple[str, ...] = ()
     further: Callable[[Component, Left, int, str], Sequence[Values]] | None = None
 
     def __post_init__(self) -> None:

@@ -133,6 +133,7 @@ class Diagnosis:
             "next_experiments": [
                 {"name": e.name, "joint": e.joint, "distance": e.distance, "distance_today": e.today}
                 for e in self.experiments[:3]
+                if e.tells
             ],
         }
 

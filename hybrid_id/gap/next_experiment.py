@@ -17,6 +17,8 @@ DURATION = 8.0
 """Length [s] of a proposed record."""
 REST = 0.1
 """Time [s] at rest at its start."""
+TELLS = 0.5
+"""Least RMS difference of the tied models' outputs, over the encoders' noise, from which a record would part them."""
 
 Signal = Callable[[np.ndarray], np.ndarray]
 
@@ -40,6 +42,11 @@ class Experiment:
     command: np.ndarray
     distance: float
     today: float
+
+    @property
+    def tells(self) -> bool:
+        """Whether its record would part the tied models."""
+        return self.distance >= TELLS
 
 
 def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:

@@ -66,7 +66,9 @@ def _weights(one: Round) -> np.ndarray:
     """Share of each candidate among them, from how significantly the best predicts better."""
     if one.best is None:
         return np.empty(0)
-    surplus = np.array([max(one.best.evidence.z(e.evidence), 0.0) for e in one.candidates])
+    surplus = np.array(
+        [np.inf if _contains(e, one) else max(one.best.evidence.z(e.evidence), 0.0) for e in one.candidates]
+    )
     odds = np.exp(-0.5 * np.square(surplus))
     return odds / odds.sum()
 
@@ -87,6 +89,12 @@ def _new(explanation: Explanation, before: Explanation) -> Name:
     return next(name for name in explanation.effects if name not in before.effects)
 
 
+def _contains(explanation: Explanation, one: Round) -> bool:
+    """Whether an explanation has a round's best as its special case: that it explains as much says nothing for it."""
+    (name, where), best = _new(explanation, one.before), one.best and _new(one.best, one.before)
+    return best is not None and best[1] == where and best[0] in effect(name).contains
+
+
 def _ties(explanation: Explanation, one: Round, name: Name) -> tuple[str, ...]:
     """Rivals that explain the records as well, as ``name@where``."""
     rivals = (_new(e, one.before) for e in _equals(explanation, one))
@@ -102,6 +110,7 @@ def _equals(explanation: Explanation, one: Round) -> list[Explanation]:
         e
         for e in one.candidates
         if e.evidence.error < allowed
+        and not _contains(e, one)
         and max(e.evidence.error / own, own / e.evidence.error) < TIE**2
         and abs(explanation.evidence.z(e.evidence)) < TOLD
         and better(e, one.before)

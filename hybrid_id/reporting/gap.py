@@ -8,13 +8,12 @@ from rich.text import Text
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.reporting.gap_ties import experiment_lines, tie_lines
 from hybrid_id.reporting.gap_words import (
     bent_lines,
-    experiment_lines,
     gap_line,
     joint_words,
     place_words,
-    tie_lines,
     untold_lines,
     values_of,
     verdict_sentence,

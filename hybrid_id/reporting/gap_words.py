@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.locate import IN_WORDS, Location
 from hybrid_id.gap.probability import Suspect
@@ -130,27 +129,6 @@ def gap_line(diagnosis: Diagnosis) -> str:
         f"normalised error on {records}: today's model {_error(diagnosis.nominal.nrmse)}, re-fitted "
         f"{_error(gap.refit)}{corrected}; the right model would leave {_error(gap.floor)}.{lost}"
     )
-
-
-def tie_lines(diagnosis: Diagnosis) -> list[str]:
-    """Effects that these records cannot tell apart, each group with the experiment that would."""
-    lines = []
-    for group in diagnosis.ties:
-        pairs = [member.split("@") for member in group]
-        names = [f"{words_of(name)} ({joint_words(where)}, {place_words(where)})" for name, where in pairs]
-        known = CATALOGUE.get(pairs[0][0])
-        told = f" What would: {known.separated_by}." if known is not None else ""
-        lines.append(f"these records do not tell apart: {', '.join(names)}.{told}")
-    return lines
-
-
-def experiment_lines(diagnosis: Diagnosis) -> list[str]:
-    """The record that would part the tied models most, as one line; none where nothing is tied."""
-    return [
-        f"next experiment: {best.name} at joint {best.joint}: the outputs of the tied models would differ by "
-        f"{best.distance:.2g} times the encoders' noise (RMS; {best.today:.2g} in these records)."
-        for best in diagnosis.experiments[:1]
-    ]
 
 
 def withdrawn_lines(diagnosis: Diagnosis) -> list[str]:

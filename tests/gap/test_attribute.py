@@ -183,3 +183,31 @@ def test_a_simpler_candidate_that_may_be_as_good_is_fitted_to_the_end_too() -> N
     )
     assert _simpler([best, rich, simple, far], {best.effects}) == [simple]
     assert _simpler([best, simple], {best.effects, simple.effects}) == []
+
+
+def test_a_law_that_contains_another_is_no_rival_of_it() -> None:
+    """Friction over the angle with a mean explains whatever dry friction alone does."""
+
+    def model(error: float, *effects: str):
+        told = SimpleNamespace(error=error, z=lambda other: 5.0 * (other.error - error))
+        system = SimpleNamespace(table=())
+        result = SimpleNamespace(
+            jacobian=(np.zeros((2, 1)),), names=(), values=(), noise_scale=1.0, n_samples=2, system=system,
+            residual=[np.random.default_rng(0).standard_normal((400, 1))],
+        )  # fmt: skip
+        named = tuple((name, "joint1/motor_friction") for name in effects)
+        told.effective = 2.0
+        return SimpleNamespace(effects=named, evidence=told, result=result, system=system)
+
+    dry, waves, drop = (
+        model(1.0, name) for name in ("coulomb_friction", "position_dependent_friction", "stribeck_friction")
+    )
+    before = model(3.0)
+    one = Round(before, (dry, waves, drop))
+    told = {s.name: s for s in suspects(Attribution(before, (one,), dry))}
+    assert told["coulomb_friction"].tied_with == ("stribeck_friction@joint1/motor_friction",)
+    assert told["position_dependent_friction"].probability == 0.0
+    # where the waves predict better, dry friction alone is none of theirs
+    better_waves = model(0.5, "position_dependent_friction")
+    told = suspects(Attribution(before, (Round(before, (better_waves, dry)),), better_waves))
+    assert told[0].name == "position_dependent_friction" and told[0].probability > 0.9

@@ -89,6 +89,9 @@ def test_ties_come_with_the_experiment_that_tells_them_apart(diagnosed) -> None:
         in words
     )
     assert "by 12 times the encoders' noise (RMS; 1.3 in these records)." in words
+    idle = replace(diagnosed[2], ties=(TIED,), experiments=(replace(PROPOSED, distance=0.08),))
+    assert "no command that was simulated parts the tied models by more than 0.08 times" in summary(idle)
+    assert idle.as_dict()["next_experiments"] == []
     clear = summary(replace(diagnosed[2], ties=(), experiments=()))
     assert "tell apart" not in clear and "next experiment" not in clear
 

@@ -164,5 +164,6 @@ register(Effect(
     "position_dependent_friction", BOTH, _position, ("cogging", "gravity_load", "spring_load"),
     "slow motion both ways over the whole range: friction changes sign with the direction, a load torque does not",
     kinds=("position_dependent_friction", "tight_spot"),
+    contains=("coulomb_friction",),
     scan=_over_angle,
 ))  # fmt: skip

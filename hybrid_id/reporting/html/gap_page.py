@@ -10,13 +10,12 @@ from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
 from hybrid_id.reporting.gap import UNLIKELY, beyond_lines, parameters_table, suspects_table
+from hybrid_id.reporting.gap_ties import experiment_lines, tie_lines
 from hybrid_id.reporting.gap_words import (
     LEAST_SHARE,
     bent_lines,
-    experiment_lines,
     gap_line,
     percent,
-    tie_lines,
     untold_lines,
     verdict_sentence,
     where_line,
