@@ -26,6 +26,8 @@ SAME = 2e-3
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted to the end, nor any further where the best
 leaves white noise or stands beside another effect."""
+STILL_OPEN = 0.15
+"""Share of the mean square that the best closes which a candidate may leave open and still be fitted further."""
 IDLE, IDLERS = 0.99, 6
 """Cost relative to the model before from which a candidate has brought nothing yet, and how many of these get a second
 look; the best of them is fitted to the end."""
@@ -160,7 +162,9 @@ def _further(
         return list(everyone)
     last, best = iterations == TO_THE_END, min((*some, *everyone), key=lambda e: e.evidence.error)
     strict = last or before.effects or is_white(best)
-    limit = HOPELESS * best.evidence.error if strict else math.inf
+    least = best.evidence.error
+    closing = least + STILL_OPEN * max(before.evidence.error - least, 0.0)
+    limit = max(HOPELESS * least, closing) if strict else math.inf
     if before.effects:  # beside another effect, one that promises nothing is let go
         limit = min(limit, NEAR * before.evidence.error)
     rivals = [e for e in some if e.evidence.error < limit]

@@ -15,7 +15,8 @@ from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import evidence
 from hybrid_id.gap.exchange import exchanges, without
 from hybrid_id.gap.probability import suspects, tied_explanations
-from hybrid_id.gap.round import Round, _as_today, _simpler, simplest_first
+from hybrid_id.gap.refit import TO_THE_END
+from hybrid_id.gap.round import Round, _as_today, _further, _simpler, simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
 
@@ -211,3 +212,33 @@ def test_a_law_that_contains_another_is_no_rival_of_it() -> None:
     better_waves = model(0.5, "position_dependent_friction")
     told = suspects(Attribution(before, (Round(before, (better_waves, dry)),), better_waves))
     assert told[0].name == "position_dependent_friction" and told[0].probability > 0.9
+
+
+def test_a_candidate_that_closes_most_of_a_large_gap_is_fitted_to_the_end() -> None:
+    """A spring whose fit is not through yet may stand behind a weight by more than what is hopeless of a small gap."""
+
+    def fitted(name: str, error: float):
+        told = SimpleNamespace(error=error)
+        residual = np.sin(0.01 * np.arange(400))[:, None]
+        result = SimpleNamespace(names=("x",), cost=error, residual=[residual])
+        effects = ((name, "joint1/load"),) if name else ()
+        return SimpleNamespace(effects=effects, evidence=told, result=result, system=name)
+
+    taken: list[str] = []
+
+    def run(tasks, *_):
+        taken.extend(task.system for task in tasks)
+        return [fitted(task.system, 0.9) for task in tasks]
+
+    weight, spring, drag = (
+        fitted("gravity_load", 1.0),
+        fitted("spring_load", 2.7),
+        fitted("quadratic_drag", 12.0),
+    )
+    candidates = [weight, spring, drag]
+    for before, wanted in ((25.0, ["gravity_load", "spring_load"]), (3.0, ["gravity_load"])):
+        taken.clear()
+        _further(
+            SimpleNamespace(run=run), fitted("", before), candidates, candidates, TO_THE_END, lambda: None
+        )
+        assert taken == wanted
