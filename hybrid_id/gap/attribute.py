@@ -22,6 +22,8 @@ from hybrid_id.systems.chain import System
 
 MOST = 3
 """Effects at once."""
+MOST_ROUNDS = 6
+"""Rounds of a search, in which effects that have made others needless may take their place."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +74,11 @@ def _search(refit: Refit, system: System, most: int, progress: Progress | None) 
     """Forward selection with backward deletion."""
     base = refit.base(system)
     chosen, rounds, restarted = base, [], False
-    while len(chosen.effects) < most and _leaves_something(chosen):
+    while (
+        len(chosen.effects) < most
+        and sum(not one.again for one in rounds) < MOST_ROUNDS
+        and _leaves_something(chosen)
+    ):
         found = one_round(refit, chosen, system, f"effect {len(chosen.effects) + 1}", progress)
         rounds.append(found)
         if found.best is None or not better(found.best, chosen):
@@ -97,7 +103,8 @@ def _search(refit: Refit, system: System, most: int, progress: Progress | None) 
         chosen = _freed(refit, chosen)
         if before.effects:
             chosen = _challenge(refit, base, chosen, rounds)
-            if len(chosen.effects) <= len(before.effects):
+            # one that has made the others needless is searched on from, where it does better than they did
+            if len(chosen.effects) <= len(before.effects) and not _in_their_place(chosen, before):
                 break
     return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen)
 
@@ -131,6 +138,12 @@ def _freed(refit: Refit, chosen: Explanation) -> Explanation:
         if ratio >= LEAST_RATIO and one.evidence.z(chosen.evidence) >= LEAST_Z:
             chosen = one
     return chosen
+
+
+def _in_their_place(chosen: Explanation, before: Explanation) -> bool:
+    """Whether other effects than before predict better than those did."""
+    better_off = chosen.evidence.error < before.evidence.error
+    return better_off and bool(chosen.effects) and chosen.effects != before.effects
 
 
 def _leaves_something(simpler: Explanation) -> bool:

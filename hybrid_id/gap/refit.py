@@ -13,6 +13,7 @@ import torch
 from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError
+from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import WHITE, Evidence, coloured, evidence
 from hybrid_id.gap.windows import windows
 from hybrid_id.identification.fit import fit
@@ -190,11 +191,12 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
 def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:
     """The best of several ways to a fit; the last words are had from windows, too, where that leaves more than noise.
 
-    The cost of whole rollouts ripples where the motion may halt, that of windows from measured states does not.
+    The cost of whole rollouts ripples where a torque over the angle may halt the motion, that of windows from measured
+    states does not.
     """
-    last = iterations == TO_THE_END
     ends = _both_ways(task.system, batch, iterations, task.cost)
-    if last and min(coloured(end.residual) for end in ends) > WHITE:
+    over_angle = any(name in CATALOGUE and CATALOGUE[name].scan is not None for name, _ in task.effects)
+    if iterations == TO_THE_END and over_angle and min(coloured(end.residual) for end in ends) > WHITE:
         with suppress(InputError, RuntimeError):
             near = _within(task, windows(task.system, engine(), batch, WINDOW), WINDOW_LOOK)
             ends += _both_ways(near.system, batch, iterations, task.cost)

@@ -8,7 +8,7 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, Cogging, ConstantTorque
-from hybrid_id.gap.attribute import Attribution, _leaves_something, sure_though_small
+from hybrid_id.gap.attribute import Attribution, _in_their_place, _leaves_something, sure_though_small
 from hybrid_id.gap.belief import better
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
@@ -242,3 +242,14 @@ def test_a_candidate_that_closes_most_of_a_large_gap_is_fitted_to_the_end() -> N
             SimpleNamespace(run=run), fitted("", before), candidates, candidates, TO_THE_END, lambda: None
         )
         assert taken == wanted
+
+
+def test_an_effect_that_made_the_first_needless_is_searched_on_from() -> None:
+    def fitted(error: float, *names: str):
+        return SimpleNamespace(effects=tuple(names), evidence=SimpleNamespace(error=error))
+
+    weight = fitted(8.0, "gravity_load")
+    assert _in_their_place(fitted(2.0, "joint_flexibility"), weight)
+    assert not _in_their_place(fitted(9.0, "joint_flexibility"), weight)  # worse than what it replaced
+    assert not _in_their_place(fitted(7.0, "gravity_load"), weight)
+    assert not _in_their_place(fitted(7.0), weight)
