@@ -90,32 +90,29 @@ def run_methods(
 ) -> int:
     """Let contenders take the cases one after the other; returns how many cases broke."""
     from hybrid_id.blind.seal import case_names, read_manifest, refuse_reachable
+    from hybrid_id.cli.folder import sole_writer
     from hybrid_id.contenders.external import refuse_missing, words_of
+    from hybrid_id.contenders.keep import make_room
     from hybrid_id.contenders.run import Settings
 
     if (Method.external in methods) != (command is not None):
         raise InputError("--method external and --command belong together; give both, or neither")
     if command is not None:
-        words_of(command)
+        program = words_of(command)[0]
         if scheduler is None:
-            refuse_missing(command)
+            refuse_missing(program)
     manifest = read_manifest(cases)
     refuse_reachable(cases, out, manifest["answers"]["sha256"])
     if missing := sorted(set(manifest["names"]) ^ set(case_names(cases))):
         raise InputError(f"{cases} and its manifest differ in {', '.join(missing[:5])}; make the cases anew")
     if out.is_dir() and any(out.iterdir()) and not any(out.glob("*/run.json")):
         raise InputError(f"{out} holds files that are no runs; give another folder")
-    return sum(
-        _run(
-            cases,
-            out / m.value,
-            Settings(m.value, train_records, command if m is Method.external else None),
-            manifest,
-            jobs,
-            scheduler,
-        )
-        for m in methods
-    )
+    broken = 0
+    for m in methods:
+        settings = Settings(m.value, train_records, command if m is Method.external else None)
+        with sole_writer(make_room(out / m.value)):
+            broken += _run(cases, out / m.value, settings, manifest, jobs, scheduler)
+    return broken
 
 
 def _run(
@@ -126,23 +123,7 @@ def _run(
     jobs: int,
     scheduler: str | None,
 ) -> int:
-    """One contender's run, which nobody else writes into; returns how many cases broke."""
-    from hybrid_id.cli.folder import sole_writer
-    from hybrid_id.contenders.keep import make_room
-
-    with sole_writer(make_room(folder)):
-        return _take_cases(cases, folder, settings, manifest, jobs, scheduler)
-
-
-def _take_cases(
-    cases: Path,
-    folder: Path,
-    settings: "Settings",
-    manifest: Mapping[str, Any],
-    jobs: int,
-    scheduler: str | None,
-) -> int:
-    """Take what has not been taken yet; returns how many cases broke."""
+    """One contender's run; returns how many cases broke."""
     from hybrid_id.contenders.keep import begin, is_done, key_of, load, save
     from hybrid_id.contenders.run import read_case, run_cases
 

@@ -28,9 +28,8 @@ def words_of(command: str | None) -> list[str]:
         raise InputError(f"--command {command} cannot be read ({error}); correct its quotes") from None
 
 
-def refuse_missing(command: str) -> None:
-    """Refuse a command whose program this machine does not have, before any case is taken."""
-    program = words_of(command)[0]
+def refuse_missing(program: str) -> None:
+    """Refuse a program that this machine does not have, before any case is taken."""
     if shutil.which(program) is None:
         raise InputError(f"--command: {program} is not a program that can be run from here; give its path")
 

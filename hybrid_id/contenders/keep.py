@@ -34,7 +34,7 @@ def begin(folder: Path, about: Mapping[str, Any]) -> None:
     for name in ("method", "cases", "train_records", "command") if kept else ():
         if kept is not None and kept.get(name) != about.get(name):
             raise InputError(f"{folder} holds a run with other {name.replace('_', ' ')}; give another folder")
-    write_json(make_room(folder) / RUN, about)
+    write_json(folder / RUN, about)
 
 
 def make_room(folder: Path) -> Path:

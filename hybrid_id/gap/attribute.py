@@ -2,8 +2,8 @@
 
 Forward selection with backward deletion: the effect that predicts records left out best is added; then the next beside
 it; then those that had explained as much as the first are tried in its place, and each of the chosen has to show that
-the rest cannot do without it. Before an effect is believed, the model
-without it is fitted again from where the model with it has ended.
+the rest cannot do without it. Before an effect is believed, the model without it is fitted again from where the model
+with it has ended.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hybrid_id.gap.belief import COMPLETE_RATIO, LEAST_Z, better
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.exchange import exchanges, refitted_without
-from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Refit, Task
+from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Refit, Task, new_effect
 from hybrid_id.gap.round import LEAST_RATIO, Progress, Round, one_round
 from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System
@@ -154,8 +154,7 @@ def _leaves_something(simpler: Explanation) -> bool:
 
 def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:
     """The simpler model fitted again from where the richer one ended: the new effect may only have freed its fit."""
-    new = next(name for name in richer.effects if name not in simpler.effects)
-    again = refitted_without(refit, base, richer, new)
+    again = refitted_without(refit, base, richer, new_effect(richer, simpler))
     return again if again is not None and again.evidence.error < simpler.evidence.error else simpler
 
 

@@ -8,7 +8,7 @@ from contextlib import suppress
 from hybrid_id.errors import InputError
 from hybrid_id.gap.belief import better
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
-from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task
+from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task, new_effect
 from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Round
 from hybrid_id.systems.chain import System
 
@@ -21,7 +21,7 @@ def exchanges(refit: Refit, base: Explanation, chosen: Explanation, rounds: Sequ
     """Each earlier effect against those that explained as much as it did when it stood alone, now beside the others."""
     found = []
     for one in rounds:
-        name = None if one.again or one.best is None else _new(one.best, one)
+        name = None if one.again or one.best is None else new_effect(one.best, one.before)
         if name not in chosen.effects or one.best is None or one.best.effects == chosen.effects:
             continue
         rest = without(chosen.system, base.system, name)
@@ -40,15 +40,11 @@ def _tasks(rest: System, effects: tuple[Name, ...], one: Round) -> list[Task]:
     """The rivals of a round's best put beside the effects that the rest has."""
     best, tasks = one.candidates[0].evidence.error, []
     for rival in [e for e in one.candidates[1:] if e.evidence.error < RIVAL * best][:RIVALS]:
-        name = _new(rival, one)
+        name = new_effect(rival, one.before)
         start = None if name in effects else _with(rest, rival.system, name)
         if start is not None:
             tasks.append(Task(tuple(sorted((*effects, name))), start))
     return tasks
-
-
-def _new(one: Explanation, of: Round) -> Name:
-    return next(name for name in one.effects if name not in of.before.effects)
 
 
 def _with(system: System, other: System, name: Name) -> System | None:

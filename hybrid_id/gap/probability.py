@@ -10,7 +10,7 @@ import numpy as np
 from hybrid_id.gap.attribute import Attribution
 from hybrid_id.gap.belief import LEAST_Z, better, least_ratio
 from hybrid_id.gap.catalogue import effect
-from hybrid_id.gap.refit import Explanation, Name
+from hybrid_id.gap.refit import Explanation, Name, new_effect
 from hybrid_id.gap.round import LEFT_OPEN, TOLD, Round
 
 TIE = 1.06
@@ -46,10 +46,10 @@ def suspects(found: Attribution) -> list[Suspect]:
     found_in: dict[Name, int] = {}
     for number, one in enumerate(found.rounds):
         if one.best is not None:
-            found_in.setdefault(_new(one.best, one.before), number)
+            found_in.setdefault(new_effect(one.best, one.before), number)
         weights, present = _weights(one), _present(one, found.chosen)
         for explanation, weight in zip(one.candidates, weights, strict=True):
-            name = _new(explanation, one.before)
+            name = new_effect(explanation, one.before)
             suspect = Suspect(
                 name[0], name[1], float(present * weight), name in chosen, _ties(explanation, one, name),
                 _parameters(found.chosen if name in chosen else explanation, name),
@@ -85,19 +85,15 @@ def _present(one: Round, chosen: Explanation) -> float:
     return float(1.0 / (1.0 + np.exp(-2.0 * (min(z - LEAST_Z, 3.0 * (gain - 1.0))))))
 
 
-def _new(explanation: Explanation, before: Explanation) -> Name:
-    return next(name for name in explanation.effects if name not in before.effects)
-
-
 def _contains(explanation: Explanation, one: Round) -> bool:
     """Whether an explanation has a round's best as its special case: that it explains as much says nothing for it."""
-    (name, where), best = _new(explanation, one.before), one.best and _new(one.best, one.before)
+    (name, where), best = new_effect(explanation, one.before), one.best and new_effect(one.best, one.before)
     return best is not None and best[1] == where and best[0] in effect(name).contains
 
 
 def _ties(explanation: Explanation, one: Round, name: Name) -> tuple[str, ...]:
     """Rivals that explain the records as well, as ``name@where``."""
-    rivals = (_new(e, one.before) for e in _equals(explanation, one))
+    rivals = (new_effect(e, one.before) for e in _equals(explanation, one))
     return tuple(f"{rival[0]}@{rival[1]}" for rival in rivals if rival != name)
 
 

@@ -68,6 +68,11 @@ class Explanation:
         return self.result.system
 
 
+def new_effect(richer: Explanation, simpler: Explanation) -> Name:
+    """The effect that a model has beyond another one."""
+    return next(name for name in richer.effects if name not in simpler.effects)
+
+
 @dataclass(frozen=True)
 class Task:
     """A model to fit.

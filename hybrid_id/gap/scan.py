@@ -25,8 +25,6 @@ PERIODS = range(1, 49)
 """Periods a turn of the rotor that a motor's poles and slots may have."""
 GEAR_PERIODS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
 """Periods a turn of the rotor that errors of a gear may have: a shaft behind it turns once in several turns of its."""
-MANY = 99
-"""All waves that were looked for."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
 SPOTS = 24
@@ -56,7 +54,7 @@ class Left:
         return self._probes[joint, side]
 
 
-def rotor_waves(left: Left, joint: int, place: str, most: int = 2) -> list[tuple[float, ...]]:
+def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     """Torques ``T_c cos(n q) + T_s sin(n q)`` over the rotor's angle, best first: (n, T_c, T_s).
 
     The phase is that of the measured angle: a simulation that is off by a fraction of a period has lost it.
@@ -65,16 +63,15 @@ def rotor_waves(left: Left, joint: int, place: str, most: int = 2) -> list[tuple
         left: what a fit leaves.
         joint: number, from 1.
         place: where the torque acts.
-        most: how many.
     """
     opened = left.opened(joint, "motor")
     phase = left.batch.x[..., opened.row]
     found = _strongest(opened, [_waves(n * phase) for n in PERIODS])
-    return [(float(PERIODS[i]), *size) for i, size in found[:most]]
+    return [(float(PERIODS[i]), *size) for i, size in found]
 
 
 def second_wave(
-    waves: Callable[[Left, int, str, int], list[tuple[float, ...]]], symbols: tuple[str, str], most: float
+    waves: Callable[[Left, int, str], list[tuple[float, ...]]], symbols: tuple[str, str], most: float
 ) -> Callable[[Component, Left, int, str], list[dict[str, float | Bounded]]]:
     """A further wave beside one that a component has: the strongest of another period, and the first one's overtone.
 
@@ -89,7 +86,7 @@ def second_wave(
             return []
         own = part.specs["n"].value
         first = max(math.hypot(*(part.specs[symbol[:-1]].value for symbol in symbols)), 1e-12)
-        others = [(n, size) for n, *size in waves(left, joint, place, MANY) if n != own]
+        others = [(n, size) for n, *size in waves(left, joint, place) if n != own]
         overtone = [other for other in others[1:] if other[0] == 2.0 * own]
         return [
             {"n_2": n} | {s: Bounded(min(max(x, -most * first), most * first), -most * first, most * first)
@@ -131,7 +128,7 @@ def friction_spots(left: Left, joint: int, place: str) -> list[tuple[float, ...]
     return [(*spots[i], *size) for i, size in found[:2]]
 
 
-def gear_waves(left: Left, joint: int, place: str, most: int = 2) -> list[tuple[float, ...]]:
+def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     """Errors ``e(q) = E_c cos(n q) + E_s sin(n q)`` of a gear over the rotor's angle, best first: (n, E_c, E_s).
 
     To first order, a link of inertia J behind a rigid ``q / r + e(q)`` pulls at the rotor by
@@ -142,7 +139,6 @@ def gear_waves(left: Left, joint: int, place: str, most: int = 2) -> list[tuple[
         left: what a fit leaves.
         joint: number, from 1.
         place: of the gear.
-        most: how many.
     """
     system = left.result.system
     part = system.joints[joint - 1]
@@ -152,18 +148,19 @@ def gear_waves(left: Left, joint: int, place: str, most: int = 2) -> list[tuple[
     views = {key: c.view() for key, c in system.components.items() if isinstance(c, Component)}
     key, inertia = part.inertia
     pull = float(inertia.link(views[key], part.gear_ratio).detach()) / part.gear_ratio
+    stiffness = None if part.rigid else _stiffness(part, left.batch.x, views)
     at_rotor, at_link = [], []
     for n in GEAR_PERIODS:
         error = _waves(n * q[..., 0])
-        slope = n * torch.stack([-(n * q[..., 0]).sin(), (n * q[..., 0]).cos()], -1)
-        if part.rigid:
+        slope = n * torch.stack([-error[..., 1], error[..., 0]], -1)
+        if stiffness is None:
             at_rotor.append(-pull * (2.0 * slope * a - n**2 * error * v.square()))
-            continue
-        k, d = _stiffness(part, left.batch.x, views)
-        at_link.append(k[..., None] * error + d[..., None] * slope * v)
-        at_rotor.append(-at_link[-1] / part.gear_ratio - pull * slope * a)
+        else:
+            k, d = stiffness
+            at_link.append(k[..., None] * error + d[..., None] * slope * v)
+            at_rotor.append(-at_link[-1] / part.gear_ratio - pull * slope * a)
     beside = None if part.rigid else (left.opened(joint, "load"), at_link)
-    return [(GEAR_PERIODS[i], *size) for i, size in _strongest(opened, at_rotor, beside)[:most]]
+    return [(GEAR_PERIODS[i], *size) for i, size in _strongest(opened, at_rotor, beside)]
 
 
 def _stiffness(part: Joint, x: Tensor, views: Views) -> tuple[Tensor, Tensor]:

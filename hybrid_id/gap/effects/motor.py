@@ -27,7 +27,7 @@ def _cogging(system, s, place, waves=((1.0, 1e-6, 0.0),)):
                 "n": n,
             },
         )
-        for n, c, d in waves
+        for n, c, d in waves[:2]
         for share in FIRST_SHARES
     ]
 

@@ -71,7 +71,7 @@ def _kinematic(system, s, place, found=()):
             "kinematic_error",
             {"E_c": free(c, -limit, limit, "rad"), "E_s": free(d, -limit, limit, "rad"), "n": n},
         )
-        for n, c, d in (*((n, small, small) for n in (1.0, 2.0)), *found)
+        for n, c, d in (*((n, small, small) for n in (1.0, 2.0)), *found[:2])
     ]
 
 
