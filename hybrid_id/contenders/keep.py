@@ -28,13 +28,13 @@ def begin(folder: Path, about: Mapping[str, Any]) -> None:
         about: at least ``method``, ``cases`` (the manifest) and ``train_records``.
 
     Raises:
-        InputError: the folder holds a run of other cases or settings.
+        InputError: the folder holds a run of other cases or settings, or cannot be made.
     """
     kept = read_run(folder) if (folder / RUN).exists() else None
     for name in ("method", "cases", "train_records", "command") if kept else ():
         if kept is not None and kept.get(name) != about.get(name):
             raise InputError(f"{folder} holds a run with other {name.replace('_', ' ')}; give another folder")
-    write_json(folder / RUN, about)
+    write_json(make_room(folder) / RUN, about)
 
 
 def make_room(folder: Path) -> Path:
