@@ -15,8 +15,8 @@ from hybrid_id.gap.belief import COMPLETE_RATIO, LEAST_Z, better
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.exchange import exchanges, refitted_without
-from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Refit, Task, new_effect
-from hybrid_id.gap.round import LEAST_RATIO, Progress, Round, one_round
+from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Name, Refit, Task, new_effect
+from hybrid_id.gap.round import IDLE, LEAST_RATIO, Progress, Round, one_round
 from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System
 
@@ -79,28 +79,33 @@ def _search(refit: Refit, system: System, most: int, progress: Progress | None) 
         and sum(not one.again for one in rounds) < MOST_ROUNDS
         and _leaves_something(chosen)
     ):
-        found = one_round(refit, chosen, system, f"effect {len(chosen.effects) + 1}", progress)
+        found = one_round(
+            refit, chosen, system, f"effect {len(chosen.effects) + 1}", _alive(rounds, chosen), progress
+        )
         rounds.append(found)
-        if found.best is None or not better(found.best, chosen):
+        best, again = found.best, []
+        if best is not None and chosen.effects and _gains(best, chosen):
+            # beside the new one a rival of an earlier effect may do what that one does not
+            again = exchanges(refit, base, best, rounds)
+            best = min(
+                (e.best for e in again if e.best is not None), key=lambda e: e.evidence.error, default=best
+            )
+        if best is None or not better(best, chosen):
             break
-        simpler = _second_chance(refit, base, chosen, found.best)
-        if not better(found.best, simpler):
-            once_more, chosen = simpler is not chosen and not restarted, simpler
-            base = base if simpler.effects else simpler
+        before = chosen
+        if set(chosen.effects) < set(best.effects):
+            before = _second_chance(refit, base, chosen, best)
+        if not better(best, before):
+            once_more, chosen = before is not chosen and not restarted, before
+            base = base if before.effects else before
             if not once_more:
                 break
             # the fit before had not found its best: the round is held again from there
             restarted = True
             rounds.pop()
             continue
-        before, chosen = simpler, found.best
-        if before.effects:
-            again = exchanges(refit, base, chosen, rounds)
-            rounds += again
-            chosen = min(
-                (e.best for e in again if e.best is not None), key=lambda e: e.evidence.error, default=chosen
-            )
-        chosen = _freed(refit, chosen)
+        rounds += again
+        chosen = _freed(refit, best)
         if before.effects:
             chosen = _challenge(refit, base, chosen, rounds)
             # one that has made the others needless is searched on from, where it does better than they did
@@ -150,6 +155,23 @@ def _leaves_something(simpler: Explanation) -> bool:
     """Whether another effect could be believed at all beside the first: none explains white noise."""
     reachable = (1.0 - coloured(simpler.result.residual)) ** -0.5
     return not simpler.effects or reachable >= COMPLETE_RATIO
+
+
+def _gains(richer: Explanation, simpler: Explanation) -> bool:
+    """Whether a model predicts so much better that it might be believed, were it the right one."""
+    return COMPLETE_RATIO**2 * richer.evidence.error < simpler.evidence.error
+
+
+def _alive(rounds: Sequence[Round], chosen: Explanation) -> frozenset[Name] | None:
+    """Effects that are worth a look beside two others: those that have brought anything beside one of them.
+
+    None for all of the catalogue.
+    """
+    last = next((one for one in reversed(rounds) if one.before.effects and not one.again), None)
+    if last is None or len(chosen.effects) <= len(last.before.effects):
+        return None
+    alive = (e for e in last.candidates if e.result.cost < IDLE * last.before.result.cost)
+    return frozenset(new_effect(e, last.before) for e in alive)
 
 
 def _second_chance(refit: Refit, base: Explanation, simpler: Explanation, richer: Explanation) -> Explanation:

@@ -73,7 +73,7 @@ def new_effect(richer: Explanation, simpler: Explanation) -> Name:
     return next(name for name in richer.effects if name not in simpler.effects)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Task:
     """A model to fit.
 
@@ -82,12 +82,16 @@ class Task:
         system: where the fit starts.
         near: slopes of the model that it is close to, for a first look.
         cost: where a look has ended; another method is tried where the fit ends higher.
+        x0: first states that the look has ended with, ``(R, n_x)``.
+        shake: whether the last fit of a gear that nobody sees behind is shaken out of the ripples of its cost.
     """
 
     effects: tuple[Name, ...]
     system: System
     near: Slopes | None = None
     cost: float = 0.0
+    x0: np.ndarray | None = None
+    shake: bool = True
 
 
 class Refit:
@@ -181,10 +185,12 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
         if refit.window is not None:
             result = _within(task, batch, iterations)
         elif loose or iterations <= LOOK:
-            result = secant_fit(task.system, batch, engine=engine(), iterations=iterations, near=task.near)
+            result = secant_fit(
+                task.system, batch, engine=engine(), iterations=iterations, near=task.near, x0=task.x0
+            )
         else:
             result = _nearest(task, batch, iterations)
-        if loose and iterations == TO_THE_END:
+        if loose and task.shake and iterations == TO_THE_END:
             result = shaken(result, batch)
     except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
         return None
@@ -199,16 +205,18 @@ def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:
     The cost of whole rollouts ripples where a torque over the angle may halt the motion, that of windows from measured
     states does not.
     """
-    ends = _both_ways(task.system, batch, iterations, task.cost)
+    ends = _both_ways(task.system, batch, iterations, task.cost, task.x0)
     over_angle = any(name in CATALOGUE and CATALOGUE[name].scan is not None for name, _ in task.effects)
     if iterations == TO_THE_END and over_angle and min(coloured(end.residual) for end in ends) > WHITE:
         with suppress(InputError, RuntimeError):
             near = _within(task, windows(task.system, engine(), batch, WINDOW), WINDOW_LOOK)
-            ends += _both_ways(near.system, batch, iterations, task.cost)
+            ends += _both_ways(near.system, batch, iterations, task.cost, None)
     return min(ends, key=lambda end: end.cost)
 
 
-def _both_ways(system: System, batch: Batch, iterations: int, cost: float) -> list[FitResult]:
+def _both_ways(
+    system: System, batch: Batch, iterations: int, cost: float, x0: np.ndarray | None
+) -> list[FitResult]:
     """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower than a cost.
 
     The first walks through valleys in which whole rollouts are stuck; the second sees through events and from afar.
@@ -221,7 +229,7 @@ def _both_ways(system: System, batch: Batch, iterations: int, cost: float) -> li
         there = secant_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
         ends.append(replace(there, status=exact.status, iterations=exact.iterations))
     if last or not ends or ends[0].cost > cost:
-        ends.append(secant_fit(system, batch, engine=engine(), iterations=iterations))
+        ends.append(secant_fit(system, batch, engine=engine(), iterations=iterations, x0=x0))
     return ends
 
 

@@ -42,6 +42,9 @@ LEFT_OPEN = 0.1
 NEAR = 1.15
 """Mean square error of a second look, relative to the model before, up to which an effect beside another may still win:
 that model has been fitted to the end."""
+PROMISE = 1.025
+"""Factor by which an effect beside another lowers the RMS of the errors in two looks where it is fitted to the end,
+with its rivals, and shaken: half of the least that is believed."""
 
 Progress = Callable[[str, int, int], object]
 
@@ -67,14 +70,21 @@ class Round:
 
 
 def one_round(
-    refit: Refit, before: Explanation, today: System, stage: str, progress: Progress | None = None
+    refit: Refit,
+    before: Explanation,
+    today: System,
+    stage: str,
+    among: frozenset[Name] | None = None,
+    progress: Progress | None = None,
 ) -> Round:
-    """Every effect of the catalogue added to a model, one at a time."""
-    return Round(before, _ranked(refit, before, *tasks(refit, before, today), stage, progress))
+    """Every effect of the catalogue, or some of them, added to a model, one at a time."""
+    return Round(before, _ranked(refit, before, *tasks(refit, before, today, among), stage, progress))
 
 
-def tasks(refit: Refit, before: Explanation, today: System) -> tuple[list[Task], list[Task]]:
-    """A fit to start for every effect, place and start point.
+def tasks(
+    refit: Refit, before: Explanation, today: System, among: frozenset[Name] | None = None
+) -> tuple[list[Task], list[Task]]:
+    """A fit to start for every effect, place and start point, or for those of some effects.
 
     Each starts where the model before has ended. Where that has bent its parameters to make up for what it lacks, each
     may start from today's own values, too: the second list.
@@ -88,9 +98,10 @@ def tasks(refit: Refit, before: Explanation, today: System) -> tuple[list[Task],
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
             for where, starts in effect.models(before.system, size, left).items():
-                if (effect.name, where) in taken:
+                name = effect.name, where
+                if name in taken or (among is not None and name not in among):
                     continue
-                names = tuple(sorted((*before.effects, (effect.name, where))))
+                names = tuple(sorted((*before.effects, name)))
                 for start in starts:
                     found.append(Task(names, start, here))
                     if bent and (again := _as_today(start, today)) is not None:
@@ -139,11 +150,12 @@ def _ranked(
         promising = firsts[:PROMISING] + [e for e in seen if e not in firsts][:MORE_STARTS]
         ranked = _further(refit, before, promising, [*ranked, *firsts], SECOND_LOOK, tick)
     finished: set[tuple[Name, ...]] = set()
-    for keep in (FINALISTS, 1, 1):
+    hope = any(_promises(e, before) for e in ranked)
+    for keep in (FINALISTS, 1, 1) if hope else (1,):
         left = [e for e in ranked[:keep] if e.effects not in finished]
         finished |= {e.effects for e in left}
         ranked = _further(refit, before, left, ranked, TO_THE_END, tick)
-    simpler = _simpler(ranked, finished)
+    simpler = _simpler(ranked, finished) if hope else []
     finished |= {e.effects for e in simpler}
     ranked = _further(refit, before, simpler, ranked, TO_THE_END, tick)
     return tuple(simplest_first(ranked, finished, before))
@@ -170,7 +182,11 @@ def _further(
     rivals = [e for e in some if e.evidence.error < limit]
     idle = [e for e in rivals if e.result.cost > IDLE * before.result.cost]
     rivals = [e for e in rivals if e not in idle[1 if last else IDLERS :]]
-    more = refit.run([Task(e.effects, e.system, cost=e.result.cost) for e in rivals], iterations, tick)
+    todo = [
+        Task(e.effects, e.system, cost=e.result.cost, x0=e.result.x0, shake=_promises(e, before))
+        for e in rivals
+    ]
+    more = refit.run(todo, iterations, tick)
     # what has been fitted further counts, be it better or worse; the rest stays as it was seen
     kept = [e for e in (*everyone, *some) if e not in rivals]
     return best_of_each([*(e for e in more if e is not None), *kept])
@@ -185,6 +201,11 @@ def _simpler(ranked: Sequence[Explanation], finished: set[tuple[Name, ...]]) -> 
         and e.evidence.error < SIMPLER * ranked[0].evidence.error
         and len(e.result.names) < len(ranked[0].result.names)
     ][:FINALISTS]
+
+
+def _promises(one: Explanation, before: Explanation) -> bool:
+    """Whether a candidate may yet be believed, as far as it has been fitted; beside no other effect each may."""
+    return not before.effects or PROMISE**2 * one.evidence.error < before.evidence.error
 
 
 def is_white(one: Explanation) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -53,6 +53,8 @@ class Rollouts:
         theta = theta.repeat_interleave(rows, 1)
         part = self.batch.take(torch.arange(rows).repeat(count))
         if first is not None:
+            # a batch that is taken whole is the caller's own: its first states stay as measured
+            part = replace(part, x=part.x.clone()) if part is self.batch else part
             part.x[:, 0] = torch.as_tensor(first).flatten(0, 1)
         with torch.no_grad():
             samples = part.x.shape[1]

@@ -188,3 +188,17 @@ def test_first_states_are_found_within_what_is_known_of_them() -> None:
     found = secant_fit(truth, batch, engine=DRY)
     assert found.x0[0, 0] == pytest.approx(float(batch.x[0, 0, 0]) + 0.5, abs=0.02)
     assert found.x0[0, 1] == 0.0
+
+
+def test_a_fit_leaves_its_records_as_they_were_and_goes_on_from_where_it_has_ended() -> None:
+    truth = rigid_drive()
+    batch = batch_of(truth, {"u1": multisine(0, samples=300, rest=20)[None]}, rows=1, outputs=("q_m1",))
+    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None])[..., :1]
+    weight, std = torch.full_like(run, 1.0 / NOISE), torch.tensor([[0.1, 0.0]]).to(run)
+    batch = replace(batch, y=run + 0.5, weight=weight, x0_std=std)
+    before = batch.x.clone()
+    found = secant_fit(truth, batch, engine=DRY, iterations=2)
+    assert torch.equal(batch.x, before)
+    assert found.x0[0, 0] != before[0, 0, 0]
+    again = secant_fit(found.system, batch, engine=DRY, iterations=0, x0=found.x0)
+    assert again.cost == pytest.approx(found.cost, rel=1e-9)
