@@ -5,12 +5,15 @@ from __future__ import annotations
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
-from hybrid_id.gap.refit import Explanation
+from hybrid_id.gap.refit import STRAYED, Explanation
 from hybrid_id.gap.round import LEFT_OPEN
 
 COLOURED = 0.3
 """Share of what the chosen model leaves, of train or of test records, that is no white noise, from which something acts
 that the catalogue lacks. Small random torques alone leave a fifth at most in generated cases."""
+
+MOSTLY = 0.5
+"""The same for test records, however small a part of the gap it is: more than half of what is left has a cause."""
 
 
 def no_noise(chosen: Explanation, after: tuple[Location, ...], last: Errors) -> float:
@@ -35,11 +38,14 @@ def outside(chosen: Explanation, first: Errors | None, last: Errors | None) -> b
 
     The test records count, too: a wrong formula may pass for a right one on the records that it has been fitted to.
     Not so behind play, whose fits end in ripples of their cost and predict other records no better than that. Beside an
-    effect, what is left has to be a part of the gap that is worth a name.
+    effect, what is left has to be a part of the gap that is worth a name, or more than the noise on records that the
+    model follows.
     """
     unseen = 0.0 if last is None or _behind_play(chosen) else last.coloured
     if max(coloured(chosen.result.residual), unseen) <= COLOURED:
         return False
     if not chosen.effects or first is None or last is None:
+        return True
+    if unseen > MOSTLY and last.nrmse < STRAYED:
         return True
     return last.coloured * last.nrmse**2 > LEFT_OPEN * first.nrmse**2

@@ -15,12 +15,14 @@ from hybrid_id.gap.evidence import WHITE, coloured
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import Left
+from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.systems.chain import System
 
 SECOND_LOOK = 10
 """Iterations of a second look."""
-PROMISING, MORE_STARTS, FINALISTS = 16, 6, 4
-"""Candidates that get a second look, further starts of the best that do, and candidates that are fitted to the end."""
+PROMISING, MORE_STARTS, FINALISTS, LATE = 16, 6, 4, 4
+"""Candidates that get a second look, further starts of the best that do, candidates that are fitted to the end, and
+those that get a second look beside two effects."""
 SAME = 2e-3
 """Costs that differ by less than this share are of one valley."""
 HOPELESS = 2.5
@@ -92,7 +94,7 @@ def tasks(
     batch = refit.records(before.system)
     left = Left(before.result, batch)
     taken, found, others = set(before.effects), [], []
-    bent = bool(bent_parameters(today, before.system))
+    bent = len(before.effects) < 2 and bool(bent_parameters(today, before.system))
     least = before.result.cost
     here, there = refit.slopes(before.system, least), refit.slopes(today, least) if bent else None
     for size in scales(before.system, batch):
@@ -105,7 +107,8 @@ def tasks(
                 for start in starts:
                     found.append(Task(names, start, here))
                     if bent and (again := _as_today(start, today)) is not None:
-                        others.append(Task(names, again, there))
+                        # behind play slopes that are borrowed from afar lead astray
+                        others.append(Task(names, again, None if hidden_links(again, batch) else there))
     return found, others
 
 
@@ -143,11 +146,14 @@ def _ranked(
             break
         known = {e.effects: e.evidence.error for e in ranked}
         looked = [e for e in refit.run(part, LOOK, tick) if e is not None]
-        # a start that is behind where another of the same effects has come to is let go
-        looked = [e for e in looked if e.evidence.error < known.get(e.effects, math.inf)]
+        # a start that is behind where another of the same effects has come to is let go, behind play not at once
+        bar = {e: HOPELESS if hidden_links(e.system, refit.records(e.system)) else 1.0 for e in looked}
+        looked = [e for e in looked if e.evidence.error < bar[e] * known.get(e.effects, math.inf)]
         seen = best_of_each(looked, MORE_STARTS)
         firsts = best_of_each(seen)
-        promising = firsts[:PROMISING] + [e for e in seen if e not in firsts][:MORE_STARTS]
+        late = len(before.effects) > 1
+        more_starts = [e for e in seen if e not in firsts][: 0 if late else MORE_STARTS]
+        promising = firsts[: LATE if late else PROMISING] + more_starts
         ranked = _further(refit, before, promising, [*ranked, *firsts], SECOND_LOOK, tick)
     finished: set[tuple[Name, ...]] = set()
     hope = any(_promises(e, before) for e in ranked)

@@ -220,7 +220,7 @@ def test_a_candidate_that_closes_most_of_a_large_gap_is_fitted_to_the_end() -> N
     def fitted(name: str, error: float):
         told = SimpleNamespace(error=error)
         residual = np.sin(0.01 * np.arange(400))[:, None]
-        result = SimpleNamespace(names=("x",), cost=error, residual=[residual])
+        result = SimpleNamespace(names=("x",), cost=error, residual=[residual], x0=None)
         effects = ((name, "joint1/load"),) if name else ()
         return SimpleNamespace(effects=effects, evidence=told, result=result, system=name)
 
