@@ -1,5 +1,6 @@
 """An effect that is taken out again leaves nothing behind; the search stops at noise and starts where it should."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -8,7 +9,14 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, Cogging, ConstantTorque
-from hybrid_id.gap.attribute import Attribution, _in_their_place, _leaves_something, sure_though_small
+from hybrid_id.gap.attribute import (
+    Attribution,
+    _alive,
+    _in_their_place,
+    _leaves_something,
+    attribute,
+    sure_though_small,
+)
 from hybrid_id.gap.belief import better
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
@@ -16,7 +24,7 @@ from hybrid_id.gap.evidence import evidence
 from hybrid_id.gap.exchange import exchanges, without
 from hybrid_id.gap.probability import suspects, tied_explanations
 from hybrid_id.gap.refit import TO_THE_END
-from hybrid_id.gap.round import Round, _as_today, _further, _simpler, simplest_first
+from hybrid_id.gap.round import Round, _as_today, _further, _promises, _simpler, simplest_first
 from hybrid_id.gap.scales import scales
 from hybrid_id.study.replays import batch_of
 
@@ -122,35 +130,63 @@ def test_an_effect_that_is_sure_but_small_waits_for_the_test_records() -> None:
     assert sure_though_small(Attribution(found(0.15).base, (), found(0.15).base)) is None
 
 
-def test_a_rival_of_the_first_effect_is_tried_again_beside_the_second() -> None:
-    """Alone a bias did as well as uneven friction; beside cogging only the friction leaves nothing but noise."""
+BIAS, UNEVEN = ("constant_torque", "joint1/load"), ("asymmetric_friction", "joint1/motor_friction")
+COGGING = ("cogging", "joint1/motor")
+SIZES = {
+    (): 3.0,
+    (BIAS,): 1.5,
+    (UNEVEN,): 1.51,
+    (COGGING,): 2.0,
+    (COGGING, BIAS): 0.5,
+    (UNEVEN, COGGING): 0.0,
+}
+"""Of the wave that models leave, by their effects."""
+
+
+def models_that_leave(size: Mapping[tuple[tuple[str, str], ...], float]):
+    """What makes models with effects, each of which leaves noise and a wave."""
     _, today = small_case()
     rng = np.random.default_rng(0)
     noise, wave = rng.standard_normal((8000, 1)), np.sin(0.01 * np.arange(8000))[:, None]
-    bias, uneven = ("constant_torque", "joint1/load"), ("asymmetric_friction", "joint1/motor_friction")
-    cogging = ("cogging", "joint1/motor")
-    parts = {bias: ConstantTorque(T_0=0.1), uneven: AsymmetricFriction(), cogging: Cogging(T_c=0.003)}
-    size = {
-        (): 3.0,
-        (bias,): 1.5,
-        (uneven,): 1.51,
-        (cogging,): 2.0,
-        (cogging, bias): 0.5,
-        (uneven, cogging): 0.0,
-    }
+    parts = {BIAS: ConstantTorque(T_0=0.1), UNEVEN: AsymmetricFriction(), COGGING: Cogging(T_c=0.003)}
 
     def model(*effects: tuple[str, str]):
         system = today
         for effect in effects:
             system = system.with_component(effect[1], parts[effect])
-        residual = noise + next(s for key, s in size.items() if set(key) == set(effects)) * wave
+        left = next(s for key, s in size.items() if set(key) == set(effects))
+        residual = noise + left * wave
         result = SimpleNamespace(
             residual=[residual], names=("J",), jacobian=(np.ones((8000, 1, 1)),), values=[1.0], noise_scale=1.0,
-            n_samples=8000, system=system,
+            n_samples=8000, system=system, cost=left,
         )  # fmt: skip
         told = evidence([residual], 0.002)
         return SimpleNamespace(effects=tuple(sorted(effects)), system=system, result=result, evidence=told)
 
+    return model
+
+
+def test_a_pair_is_refused_only_after_rivals_of_its_first_effect(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Beside a bias cogging gains too little to be believed, beside uneven friction it explains everything."""
+    model = models_that_leave({**SIZES, (COGGING, BIAS): 1.35})
+    rounds = [Round(model(), (model(BIAS), model(UNEVEN))), Round(model(BIAS), (model(COGGING, BIAS),))]
+    assert not better(rounds[1].candidates[0], model(BIAS))
+    todo = list(rounds)
+    monkeypatch.setattr("hybrid_id.gap.attribute.one_round", lambda *_: todo.pop(0))
+    monkeypatch.setattr("hybrid_id.gap.attribute._freed", lambda _, chosen: chosen)
+    refit = SimpleNamespace(
+        base=lambda _: model(),
+        run=lambda tasks, *_: [model(*task.effects) for task in tasks],
+        strays=lambda _: False,
+        dataset=SimpleNamespace(train=[]),
+    )
+    assert attribute(refit, model().system).chosen.effects == (UNEVEN, COGGING)
+
+
+def test_a_rival_of_the_first_effect_is_tried_again_beside_the_second() -> None:
+    """Alone a bias did as well as uneven friction; beside cogging only the friction leaves nothing but noise."""
+    bias, uneven, cogging, size = BIAS, UNEVEN, COGGING, dict(SIZES)
+    model = models_that_leave(size)
     refit = SimpleNamespace(run=lambda tasks, *_: [model(*task.effects) for task in tasks])
     rounds = [Round(model(), (model(bias), model(uneven))), Round(model(bias), (model(cogging, bias),))]
     (again,) = exchanges(refit, model(), model(cogging, bias), rounds)
@@ -253,3 +289,29 @@ def test_an_effect_that_made_the_first_needless_is_searched_on_from() -> None:
     assert not _in_their_place(fitted(9.0, "joint_flexibility"), weight)  # worse than what it replaced
     assert not _in_their_place(fitted(7.0, "gravity_load"), weight)
     assert not _in_their_place(fitted(7.0), weight)
+
+
+def test_beside_two_effects_only_what_has_brought_anything_beside_one_is_looked_at() -> None:
+    def fitted(cost: float, *names: str):
+        effects = tuple((name, "joint1/load") for name in names)
+        return SimpleNamespace(effects=effects, result=SimpleNamespace(cost=cost))
+
+    base, weight, both = fitted(9.0), fitted(8.0, "gravity_load"), fitted(4.0, "gravity_load", "spring_load")
+    idle = fitted(7.99, "gravity_load", "joint_coupling")
+    drag = fitted(7.0, "gravity_load", "quadratic_drag")
+    first, second = Round(base, (weight,)), Round(weight, (both, drag, idle))
+    assert _alive([first], weight) is None
+    names = _alive([first, second], both)
+    assert names == {("spring_load", "joint1/load"), ("quadratic_drag", "joint1/load")}
+    # where the second effect has made the first needless all are looked at again
+    assert _alive([first, second], fitted(5.0, "spring_load")) is None
+
+
+def test_beside_an_effect_nothing_is_fitted_to_the_end_that_may_not_be_believed() -> None:
+    def one(error: float, *names: str):
+        return SimpleNamespace(effects=tuple(names), evidence=SimpleNamespace(error=error))
+
+    weight = one(1.0, "gravity_load")
+    assert _promises(one(0.9, "gravity_load", "spring_load"), weight)
+    assert not _promises(one(0.97, "gravity_load", "spring_load"), weight)
+    assert _promises(one(0.99, "spring_load"), one(1.0))
