@@ -91,6 +91,9 @@ def _search(refit: Refit, system: System, most: int, progress: Progress | None) 
                 (e.best for e in again if e.best is not None), key=lambda e: e.evidence.error, default=best
             )
         if best is None or not better(best, chosen):
+            if chosen.effects and found.best is not None and _sure(found.best, chosen):
+                # what is too small to be believed may still have led the fit before out of the ripples of its cost
+                chosen = _second_chance(refit, base, chosen, found.best)
             break
         before = chosen
         if set(chosen.effects) < set(best.effects):
@@ -122,8 +125,13 @@ def sure_though_small(found: Attribution) -> Attribution | None:
     last = found.rounds[-1] if found.rounds else None
     if last is None or last.best is None or last.before.effects != found.chosen.effects:
         return None
-    sure = last.best.evidence.z(last.before.evidence) >= LEAST_Z
-    return replace(found, chosen=last.best) if sure and not better(last.best, last.before) else None
+    small = _sure(last.best, found.chosen) and not better(last.best, found.chosen)
+    return replace(found, chosen=last.best) if small else None
+
+
+def _sure(richer: Explanation, simpler: Explanation) -> bool:
+    """Whether a model predicts surely better, by however little."""
+    return richer.evidence.z(simpler.evidence) >= LEAST_Z
 
 
 def _freed(refit: Refit, chosen: Explanation) -> Explanation:

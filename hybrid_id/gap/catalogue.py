@@ -173,3 +173,11 @@ def _inside(kind: str, values: Values) -> dict[str, float | Bounded]:
             )
         kept[symbol] = value
     return kept
+
+
+def over_angle(effects: Sequence[tuple[str, str]]) -> bool:
+    """Whether a torque over the angle is among effects of the catalogue.
+
+    It may halt the motion at one detent or the next: a free run then tells little of how well a model is known.
+    """
+    return any(name in CATALOGUE and CATALOGUE[name].scan is not None for name, _ in effects)

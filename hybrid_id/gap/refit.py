@@ -13,7 +13,7 @@ import torch
 from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError
-from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import WHITE, Evidence, coloured, evidence
 from hybrid_id.gap.windows import windows
 from hybrid_id.identification.fit import fit
@@ -206,8 +206,8 @@ def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:
     states does not.
     """
     ends = _both_ways(task.system, batch, iterations, task.cost, task.x0)
-    over_angle = any(name in CATALOGUE and CATALOGUE[name].scan is not None for name, _ in task.effects)
-    if iterations == TO_THE_END and over_angle and min(coloured(end.residual) for end in ends) > WHITE:
+    rippled = over_angle(task.effects) and min(coloured(end.residual) for end in ends) > WHITE
+    if iterations == TO_THE_END and rippled:
         with suppress(InputError, RuntimeError):
             near = _within(task, windows(task.system, engine(), batch, WINDOW), WINDOW_LOOK)
             ends += _both_ways(near.system, batch, iterations, task.cost, None)

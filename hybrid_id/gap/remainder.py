@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
@@ -39,13 +40,13 @@ def outside(chosen: Explanation, first: Errors | None, last: Errors | None) -> b
     The test records count, too: a wrong formula may pass for a right one on the records that it has been fitted to.
     Not so behind play, whose fits end in ripples of their cost and predict other records no better than that. Beside an
     effect, what is left has to be a part of the gap that is worth a name, or more than the noise on records that the
-    model follows.
+    model follows, where no torque over the angle may halt it elsewhere.
     """
     unseen = 0.0 if last is None or _behind_play(chosen) else last.coloured
     if max(coloured(chosen.result.residual), unseen) <= COLOURED:
         return False
     if not chosen.effects or first is None or last is None:
         return True
-    if unseen > MOSTLY and last.nrmse < STRAYED:
+    if unseen > MOSTLY and last.nrmse < STRAYED and not over_angle(chosen.effects):
         return True
     return last.coloured * last.nrmse**2 > LEFT_OPEN * first.nrmse**2
