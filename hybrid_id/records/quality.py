@@ -221,4 +221,5 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
             f"{name}: noise_std is {channel.noise_std:.2g} in the dataset file but the records show {noise:.2g}; "
             "correct it or leave it out"
         )
-        yield Finding("warning", "noise_std", words, channel=name)
+        drowned = channel.noise_std > spreads.max() > 0  # no fit could see the signal
+        yield Finding("error" if drowned else "warning", "noise_std", words, channel=name)

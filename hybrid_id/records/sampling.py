@@ -30,7 +30,7 @@ def check_sampling(record: Record) -> Iterator[Finding]:
         places = "place" if len(gaps) == 1 else "places"
         longest = np.floor(max(length for _, length in gaps) / step) + 1
         words = (
-            f"{name}: samples are missing at {len(gaps)} {places}, first after {gaps[0][0]:.4g} s for "
+            f"{record.title}: samples are missing at {len(gaps)} {places}, first after {gaps[0][0]:.4g} s for "
             f"{1e3 * gaps[0][1]:.3g} ms ({gaps[0][1] / step:.0f} steps), and a fit would take the input as held "
             f"meanwhile; cut the record there with 'between', or bridge it with 'resample: {{max_gap: {longest:.0f}}}'"
         )

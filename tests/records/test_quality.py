@@ -166,6 +166,7 @@ def test_good_dataset_has_nothing_to_warn_of() -> None:
         (dataset(record("a"), record("b")), "repeated", "warning"),
         (dataset(record("a"), record("b", role="test")), "repeated", "error"),
         (dataset(record("a"), noise_std=0.1), "noise_std", "warning"),
+        (dataset(record("a"), noise_std=1e6), "noise_std", "error"),
         (
             dataset(record("a"), record("b", seed=2), record("c", outputs={"q_m1": 60 * motion()})),
             "scale",
