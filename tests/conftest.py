@@ -44,7 +44,7 @@ def diagnosed() -> "tuple[Dataset, System, Diagnosis]":
     from gapcase import small_case
 
     from hybrid_id.components import REGISTRY
-    from hybrid_id.gap.diagnosis import diagnose
+    from hybrid_id.gap.diagnose import diagnose
 
     dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     return dataset, today, diagnose(dataset, today, most=1)
@@ -55,7 +55,7 @@ def sound() -> "tuple[Dataset, System, Diagnosis]":
     """Records of a drive whose model lacks nothing but the right values, today's model, and the diagnosis."""
     from gapcase import small_case
 
-    from hybrid_id.gap.diagnosis import diagnose
+    from hybrid_id.gap.diagnose import diagnose
 
     dataset, today = small_case()
     return dataset, today, diagnose(dataset, today, most=1)

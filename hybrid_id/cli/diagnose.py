@@ -75,7 +75,7 @@ def diagnose(
 
 def run(dataset: "Dataset", system: "System", config: StudyConfig) -> "Diagnosis":
     """Diagnose as the config says, with a bar on stderr."""
-    from hybrid_id.gap.diagnosis import diagnose as find
+    from hybrid_id.gap.diagnose import diagnose as find
 
     with SearchProgress() as progress:
         return find(

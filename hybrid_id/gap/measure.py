@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,6 +28,7 @@ class Errors:
         blocks: for each record and output the mean squares of short blocks, each over the signal's variance.
         noise: normalised RMSE that the encoders' noise alone would leave.
         coloured: share of the errors' mean square, in units of the measurements' weights, that is no white noise.
+        over_noise: RMS errors of each record in those units.
     """
 
     nrmse: float
@@ -35,6 +36,7 @@ class Errors:
     blocks: tuple[tuple[np.ndarray, ...], ...]
     noise: float
     coloured: float = 0.0
+    over_noise: dict[str, float] = field(default_factory=dict)
 
     def resampled(self, draw: list[list[np.ndarray]]) -> float:
         """Normalised RMSE of blocks drawn with replacement; ``draw`` holds the blocks of each record and output."""
@@ -84,4 +86,9 @@ def errors(
         blocks.append(tuple(row))
         by_record[name] = float(np.mean([np.sqrt(b.mean()) for b in row]))
     nrmse, floor = float(np.mean(list(by_record.values()))), float(np.mean(noise))
-    return Errors(nrmse, by_record, tuple(blocks), floor, coloured(weighted))
+    count = len(batch.outputs)
+    over = {
+        name: float(np.sqrt(np.mean(np.square(np.concatenate(weighted[r * count : (r + 1) * count])))))
+        for r, name in enumerate(batch.names)
+    }
+    return Errors(nrmse, by_record, tuple(blocks), floor, coloured(weighted), over)

@@ -50,3 +50,15 @@ def outside(chosen: Explanation, first: Errors | None, last: Errors | None) -> b
     if unseen > MOSTLY and last.nrmse < STRAYED and not over_angle(chosen.effects):
         return True
     return last.coloured * last.nrmse**2 > LEFT_OPEN * first.nrmse**2
+
+
+def worst_unseen(chosen: Explanation, last: Errors | None) -> str | None:
+    """The test record that shows most of what the train records do not show.
+
+    None where the train records show it, where there is no other test record to bear out what explains it, and behind
+    play.
+    """
+    shown = coloured(chosen.result.residual) > COLOURED
+    if shown or last is None or len(last.over_noise) < 2 or _behind_play(chosen):
+        return None
+    return max(last.over_noise, key=last.over_noise.__getitem__)

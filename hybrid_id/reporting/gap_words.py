@@ -125,6 +125,8 @@ def gap_line(diagnosis: Diagnosis) -> str:
     corrected = f", corrected {_error(gap.with_effect)}" if diagnosis.selected else ""
     window = diagnosis.search.window
     lost = f" Free runs lose these records: effects were compared over {window:g} s." if window else ""
+    if diagnosis.opened is not None:
+        lost += f" Test record '{diagnosis.opened}' joined the train records, which show too little of it."
     return (
         f"normalised error on {records}: today's model {_error(diagnosis.nominal.nrmse)}, re-fitted "
         f"{_error(gap.refit)}{corrected}; the right model would leave {_error(gap.floor)}.{lost}"

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from gapcase import RATIO
 
-import hybrid_id.gap.diagnosis as module
+import hybrid_id.gap.diagnose as module
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.diagnosis import Diagnosis
@@ -94,3 +94,30 @@ def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
     assert bent_parameters(nominal, nominal.with_values(scaled)) == []
     words = bent_parameters(nominal, nominal.with_values({"F_c": 0.0}))
     assert words == ["F_c is driven to zero"]
+
+
+def test_what_the_train_records_do_not_show_is_looked_for_on_a_test_record(diagnosed, monkeypatch) -> None:
+    dataset, today, found = diagnosed
+    (test,) = dataset.test
+    dataset = replace(dataset, records=(*dataset.records, replace(test, name="quiet")))
+    last = replace(found.with_effect, over_noise={test.name: 9.0, "quiet": 2.0})
+    unknown = replace(found, verdict="outside_catalogue", unknown=True, with_effect=last)
+    seen: list[list[str]] = []
+
+    def diagnosed_as(*verdicts: Diagnosis):
+        todo = list(verdicts)
+
+        def answer(some, **_):
+            seen.append([record.name for record in some.test])
+            return todo.pop(0)
+
+        monkeypatch.setattr(module, "_diagnosed", answer)
+        return module.diagnose(dataset, today)
+
+    told = diagnosed_as(unknown, found)
+    assert told.verdict == "effects" and told.as_dict()["opened"] == test.name
+    assert seen == [[test.name, "quiet"], ["quiet"]]
+    assert f"Test record '{test.name}' joined the train records" in " ".join(summary(told).split())
+    # what explains it there has to explain the other one; a diagnosis that leaves nothing open stands as it is
+    assert diagnosed_as(unknown, replace(unknown, with_effect=None)) is unknown
+    assert diagnosed_as(found).opened is None

@@ -12,7 +12,7 @@ import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
 from hybrid_id.cli.effects import effect_rows
 from hybrid_id.components.base import REGISTRY
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.diagnosis import diagnose
+from hybrid_id.gap.diagnose import diagnose
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
 RIVALS = ("cubic_spring", "spring_load", "constant_torque")

@@ -10,7 +10,7 @@ from gapcase import NOISE, RATIO, SAMPLES, STEP
 import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
 from hybrid_id.components import DutySupply, Spring, TorqueCommand, TorqueMotor
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.diagnosis import diagnose
+from hybrid_id.gap.diagnose import diagnose
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.step import Engine

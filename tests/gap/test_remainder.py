@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from hybrid_id.components import Backlash
 from hybrid_id.gap.refit import Explanation
-from hybrid_id.gap.remainder import no_noise, outside
+from hybrid_id.gap.remainder import no_noise, outside, worst_unseen
 
 
 def test_what_only_unseen_records_show_is_outside_the_catalogue(diagnosed, sound) -> None:
@@ -45,3 +46,16 @@ def test_colour_that_random_torques_leave_is_taken_for_noise(diagnosed) -> None:
     chosen, after = found.search.chosen, (replace(found.after[0], share=0.0),)
     assert no_noise(chosen, after, replace(found.refit, coloured=0.2)) == 0.0
     assert no_noise(chosen, after, replace(found.refit, coloured=0.6)) == pytest.approx(0.6)
+
+
+def test_a_test_record_is_opened_only_where_another_can_bear_it_out(diagnosed) -> None:
+    found = diagnosed[2]
+    chosen, two = found.search.chosen, replace(found.refit, over_noise={"a": 2.0, "b": 5.0})
+    assert worst_unseen(chosen, two) == "b"
+    assert worst_unseen(chosen, replace(two, over_noise={"b": 5.0})) is None
+    assert worst_unseen(chosen, None) is None
+    # the train records show it themselves
+    wave = np.sin(0.01 * np.arange(4000))[:, None]
+    assert worst_unseen(replace(chosen, result=replace(chosen.result, residual=(wave,))), two) is None
+    loose = found.model.with_component("joint1/transmission", Backlash(gap=0.01))
+    assert worst_unseen(replace(chosen, result=replace(chosen.result, system=loose)), two) is None

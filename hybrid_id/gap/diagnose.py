@@ -1,0 +1,170 @@
+"""From records and today's model to a diagnosis: search, test records, what they bear out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import partial
+
+from hybrid_id.errors import InputError
+from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure_though_small
+from hybrid_id.gap.bent import bent_parameters
+from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.gap.locate import Location, locate
+from hybrid_id.gap.measure import Errors, errors
+from hybrid_id.gap.next_experiment import next_experiment
+from hybrid_id.gap.probability import suspects, tied_explanations, tied_sets
+from hybrid_id.gap.refit import Explanation, Refit, engine
+from hybrid_id.gap.remainder import no_noise, outside, worst_unseen
+from hybrid_id.gap.shrink import Shrink, shrink
+from hybrid_id.gap.untold import untold
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.facts import inseparable
+from hybrid_id.records.reach import beyond
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.systems.chain import System
+
+PARAMETRIC = 1.1
+"""Ratio of nominal to re-fitted error from which the parameters were wrong."""
+TOO_SHORT = 30.0
+"""Independent samples below which no structure can be told."""
+
+
+def diagnose(
+    dataset: Dataset,
+    system: System,
+    *,
+    most: int = MOST,
+    jobs: int = 1,
+    seed: int = 0,
+    signal_share: float = SIGNAL_SHARE,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Find out why records and simulator disagree.
+
+    Search and fits use the train records only; the test records are opened once, to measure the gap. Effects whose gain
+    on them may as well be none (95 % interval) are withdrawn; one that is sure but small on the train records is
+    believed where it explains what the test records leave open. Where the test records alone show something that no
+    effect explains, the worst of them joins the train records: what explains it there has to explain the others.
+
+    Args:
+        dataset: train and test records.
+        system: today's model.
+        most: effects at most.
+        jobs: processes.
+        seed: of the resampling.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        progress: called with (stage, done, total).
+
+    Raises:
+        InputError: no train record, or today's model cannot be fitted to them.
+    """
+    if not dataset.train:
+        raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
+    search = partial(
+        _diagnosed,
+        system=system,
+        most=most,
+        jobs=jobs,
+        seed=seed,
+        signal_share=signal_share,
+        progress=progress,
+    )
+    found = search(dataset)
+    worst = worst_unseen(found.search.chosen, found.with_effect) if found.unknown else None
+    if worst is None:
+        return found
+    seen = (replace(r, role="train") if r.name == worst else r for r in dataset.records)
+    again = search(replace(dataset, records=tuple(seen)))
+    return replace(again, opened=worst) if again.verdict == "effects" else found
+
+
+def _diagnosed(
+    dataset: Dataset,
+    *,
+    system: System,
+    most: int,
+    jobs: int,
+    seed: int,
+    signal_share: float,
+    progress: Progress | None,
+) -> Diagnosis:
+    """Search on the train records, judged by the test records."""
+    refit = Refit(dataset, jobs=jobs, signal_share=signal_share)
+    say = progress or (lambda *_: None)
+    say("today's model", 0, 1)
+    search = attribute(refit, system, most=most, progress=progress)
+    base, withdrawn = search.base, ()
+    say("location", 0, 1)
+    before = tuple(locate(refit, base))
+    nominal, first = errors(dataset, system, engine()), errors(dataset, base.system, base.result.engine)
+    judged = partial(_judged, refit, before, first, seed)
+    now = judged(search)
+    if search.chosen is not base and now.gap is not None and now.gap.interval[0] <= 0.0:
+        withdrawn, now = search.chosen.effects, judged(replace(search, chosen=base))
+    if now.unknown and (small := sure_though_small(now.search)) is not None:
+        borne_out = judged(small)
+        if not borne_out.unknown and borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:
+            withdrawn, now = (), borne_out
+    search, found = now.search, tuple(suspects(now.search))
+    return Diagnosis(
+        case=dataset.name,
+        verdict=_verdict(base, search, nominal, first, now.unknown),
+        effects=found,
+        ties=tuple(tied_sets(found)),
+        unknown=now.unknown,
+        nominal=nominal,
+        refit=first,
+        with_effect=now.last,
+        shrink=now.gap,
+        before=before,
+        after=now.after,
+        bent=tuple(bent_parameters(system, base.system)),
+        experiments=tuple(next_experiment(dataset, tied_explanations(search))),
+        withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
+        untold=untold(dataset, search.chosen.system),
+        together=tuple(inseparable(dataset.records)),
+        beyond=tuple(beyond(dataset)),
+        search=search,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """A search's chosen model on the test records: what it leaves, its errors, how far the gap shrinks."""
+
+    search: Attribution
+    after: tuple[Location, ...]
+    last: Errors | None
+    gap: Shrink | None
+    unknown: bool
+
+
+def _judged(
+    refit: Refit, before: tuple[Location, ...], first: Errors | None, seed: int, search: Attribution
+) -> _Judged:
+    """A search's chosen model held against the test records; ``before`` and ``first`` are of the re-fitted one."""
+    chosen = search.chosen
+    if chosen is search.base:
+        after, last = before, first
+    else:
+        after, last = tuple(locate(refit, chosen)), errors(refit.dataset, chosen.system, chosen.result.engine)
+    gap = None
+    if first is not None and last is not None:
+        floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(no_noise(chosen, after, last), 0.99)))
+        gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
+    return _Judged(search, after, last, gap, outside(chosen, first, last))
+
+
+def _verdict(
+    base: Explanation, search: Attribution, nominal: Errors | None, refit: Errors | None, unknown: bool
+) -> str:
+    if unknown:
+        return "outside_catalogue"
+    if search.chosen is not base:
+        return "effects"
+    if base.evidence.effective < TOO_SHORT:
+        return "inconclusive"
+    if nominal is None or refit is None or nominal.nrmse < PARAMETRIC * refit.nrmse:
+        return "no_gap"
+    return "parameters_only"
