@@ -13,7 +13,7 @@ import numpy as np
 
 from hybrid_id.contenders.report import answer, gap_of, suspect
 from hybrid_id.gap.refit import Explanation, Refit, Task
-from hybrid_id.gap.round import tasks
+from hybrid_id.gap.starts import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 
-import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
-from hybrid_id.errors import InputError
-from hybrid_id.gap.bent import bent_parameters
-from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import WHITE, coloured
-from hybrid_id.gap.refit import LOOK, TO_THE_END, Explanation, Name, Refit, Task
-from hybrid_id.gap.scales import scales
-from hybrid_id.gap.scan import Left
+from hybrid_id.gap.refit import LOOK, TO_THE_END, WINDOW, Explanation, Name, Refit, Task
+from hybrid_id.gap.starts import tasks
 from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.systems.chain import System
 
@@ -83,44 +77,6 @@ def one_round(
     return Round(before, _ranked(refit, before, *tasks(refit, before, today, among), stage, progress))
 
 
-def tasks(
-    refit: Refit, before: Explanation, today: System, among: frozenset[Name] | None = None
-) -> tuple[list[Task], list[Task]]:
-    """A fit to start for every effect, place and start point, or for those of some effects.
-
-    Each starts where the model before has ended. Where that has bent its parameters to make up for what it lacks, each
-    may start from today's own values, too: the second list.
-    """
-    batch = refit.records(before.system)
-    left = Left(before.result, batch)
-    taken, found, others = set(before.effects), [], []
-    bent = len(before.effects) < 2 and bool(bent_parameters(today, before.system))
-    least = before.result.cost
-    here, there = refit.slopes(before.system, least), refit.slopes(today, least) if bent else None
-    for size in scales(before.system, batch):
-        for effect in CATALOGUE.values():
-            for where, starts in effect.models(before.system, size, left).items():
-                name = effect.name, where
-                if name in taken or (among is not None and name not in among):
-                    continue
-                names = tuple(sorted((*before.effects, name)))
-                for start in starts:
-                    found.append(Task(names, start, here))
-                    if bent and (again := _as_today(start, today)) is not None:
-                        # behind play slopes that are borrowed from afar lead astray
-                        others.append(Task(names, again, None if hidden_links(again, batch) else there))
-    return found, others
-
-
-def _as_today(system: System, today: System) -> System | None:
-    """The system with today's own values of all that both have; None where they cannot stand beside the effect."""
-    names = {(info.component, info.symbol): info.name for info in system.table}
-    values = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
-    with suppress(InputError):  # no mass matrix, say, of inertias that a gear with play has divided
-        return system.with_values({names[key]: value for key, value in values.items() if key in names})
-    return None
-
-
 def _ranked(
     refit: Refit,
     before: Explanation,
@@ -140,21 +96,10 @@ def _ranked(
         if progress is not None:
             progress(stage, count[0], total)
 
-    ranked: list[Explanation] = []
-    for part in (todo, more_todo):
-        if ranked and is_white(ranked[0]):
-            break
-        known = {e.effects: e.evidence.error for e in ranked}
-        looked = [e for e in refit.run(part, LOOK, tick) if e is not None]
-        # a start that is behind where another of the same effects has come to is let go, behind play not at once
-        bar = {e: HOPELESS if hidden_links(e.system, refit.records(e.system)) else 1.0 for e in looked}
-        looked = [e for e in looked if e.evidence.error < bar[e] * known.get(e.effects, math.inf)]
-        seen = best_of_each(looked, MORE_STARTS)
-        firsts = best_of_each(seen)
-        late = len(before.effects) > 1
-        more_starts = [e for e in seen if e not in firsts][: 0 if late else MORE_STARTS]
-        promising = firsts[: LATE if late else PROMISING] + more_starts
-        ranked = _further(refit, before, promising, [*ranked, *firsts], SECOND_LOOK, tick)
+    late = len(before.effects) > 1
+    ranked = _second_looks(refit, before, refit.run(todo, LOOK, tick), LATE if late else PROMISING, tick)
+    if more_todo and not (ranked and is_white(ranked[0])):
+        ranked = best_of_each([*ranked, *_from_afar(refit, ranked, more_todo, tick)])
     finished: set[tuple[Name, ...]] = set()
     hope = any(_promises(e, before) for e in ranked)
     for keep in (FINALISTS, 1, 1) if hope else (1,):
@@ -165,6 +110,43 @@ def _ranked(
     finished |= {e.effects for e in simpler}
     ranked = _further(refit, before, simpler, ranked, TO_THE_END, tick)
     return tuple(simplest_first(ranked, finished, before))
+
+
+def _second_looks(
+    refit: Refit,
+    before: Explanation,
+    looked: Sequence[Explanation | None],
+    most: int,
+    tick: Callable[[], object],
+) -> list[Explanation]:
+    """The most promising of first looks fitted further, and some more starts of the best."""
+    seen = best_of_each([e for e in looked if e is not None], MORE_STARTS)
+    firsts = best_of_each(seen)
+    more_starts = [e for e in seen if e not in firsts][: MORE_STARTS if most > LATE else 0]
+    return _further(refit, before, firsts[:most] + more_starts, firsts, SECOND_LOOK, tick)
+
+
+def _from_afar(
+    refit: Refit, ranked: Sequence[Explanation], tasks: Sequence[Task], tick: Callable[[], object]
+) -> list[Explanation]:
+    """Fits from values that are far: first over windows from measured states, over which any model is nearly linear.
+
+    Where the link is hidden behind play no window knows its state: where nothing else explains the records, looks at
+    whole ones instead, of which those are let go that stay far behind what has been found.
+    """
+    hidden = [t for t in tasks if hidden_links(t.system, refit.records(t.system))]
+    found: list[Explanation] = []
+    for some, most in (([t for t in tasks if t not in hidden], PROMISING), (hidden, MORE_STARTS)):
+        known = min((e.evidence.error for e in (*ranked, *found)), default=math.inf)
+        if any(is_white(e) for e in found):
+            break
+        look = refit if some is hidden else refit.within(WINDOW)
+        seen = best_of_each([e for e in look.run(some, LOOK, tick) if e is not None], MORE_STARTS)
+        least = known if some is hidden else min((e.evidence.error for e in seen), default=math.inf)
+        best = [e for e in seen if e.evidence.error < HOPELESS * least][:most]
+        more = refit.run([Task(e.effects, e.system) for e in best], SECOND_LOOK, tick)
+        found += [e for e in more if e is not None]
+    return found
 
 
 def _further(

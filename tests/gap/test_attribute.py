@@ -23,9 +23,18 @@ from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import evidence
 from hybrid_id.gap.exchange import exchanges, without
 from hybrid_id.gap.probability import suspects, tied_explanations
-from hybrid_id.gap.refit import TO_THE_END
-from hybrid_id.gap.round import Round, _as_today, _further, _promises, _simpler, simplest_first
+from hybrid_id.gap.refit import LOOK, TO_THE_END, Task
+from hybrid_id.gap.round import (
+    SECOND_LOOK,
+    Round,
+    _from_afar,
+    _further,
+    _promises,
+    _simpler,
+    simplest_first,
+)
 from hybrid_id.gap.scales import scales
+from hybrid_id.gap.starts import as_today
 from hybrid_id.study.replays import batch_of
 
 
@@ -99,9 +108,9 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
 
 def test_values_of_today_that_cannot_stand_beside_an_effect_are_left_out() -> None:
     _, today = small_case()
-    assert _as_today(today, today) is not None
+    assert as_today(today, today) is not None
     F_c = replace(today.parameter("F_c").spec, value=1e-9, upper=1e-8)
-    assert _as_today(today.with_specs({"F_c": F_c}), today) is None  # out of its bounds
+    assert as_today(today.with_specs({"F_c": F_c}), today) is None  # out of its bounds
 
 
 def test_a_part_that_an_effect_has_replaced_counts_as_not_bent() -> None:
@@ -315,3 +324,47 @@ def test_beside_an_effect_nothing_is_fitted_to_the_end_that_may_not_be_believed(
     assert _promises(one(0.9, "gravity_load", "spring_load"), weight)
     assert not _promises(one(0.97, "gravity_load", "spring_load"), weight)
     assert _promises(one(0.99, "spring_load"), one(1.0))
+
+
+def test_models_are_looked_at_from_afar_over_windows_and_play_only_where_nothing_explains_the_records() -> (
+    None
+):
+    noise = np.random.default_rng(0).standard_normal((400, 1))
+    wave, asked = np.sin(0.01 * np.arange(400))[:, None], []
+
+    def model(name: str, error: float, residual: np.ndarray):
+        result = SimpleNamespace(cost=error, residual=[residual])
+        return SimpleNamespace(
+            effects=((name, "joint1/input"),),
+            evidence=SimpleNamespace(error=error),
+            result=result,
+            system=name,
+        )
+
+    class Fits:
+        def __init__(self, how: str, ends: dict[str, tuple[float, np.ndarray]]):
+            self.how, self.ends = how, ends
+
+        def within(self, _: float):
+            return Fits("windows", self.ends)
+
+        def records(self, _: object) -> None:
+            return None
+
+        def run(self, tasks, iterations, _):
+            asked.append((self.how, iterations, [task.system for task in tasks]))
+            return [model(task.system, *self.ends[task.system]) for task in tasks]
+
+    todo = [Task(((n, "joint1/input"),), n) for n in ("voltage_deadband", "delay", "backlash")]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hybrid_id.gap.round.hidden_links", lambda system, _: system == "backlash")
+        ends = {"voltage_deadband": (1.0, noise), "delay": (9.0, wave), "backlash": (2.0, wave)}
+        found = _from_afar(Fits("whole", ends), [model("drag", 8.0, wave)], todo, lambda: None)
+        assert [e.system for e in found] == ["voltage_deadband"]
+        assert asked == [
+            ("windows", LOOK, ["voltage_deadband", "delay"]),
+            ("whole", SECOND_LOOK, ["voltage_deadband"]),
+        ]
+        ends["voltage_deadband"] = (7.0, wave)
+        found = _from_afar(Fits("whole", ends), [model("drag", 8.0, wave)], todo, lambda: None)
+        assert [e.system for e in found] == ["voltage_deadband", "delay", "backlash"]

@@ -1,0 +1,51 @@
+"""Where the fits of a round start: every effect beside a model, at every place, from every start point."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
+from hybrid_id.errors import InputError
+from hybrid_id.gap.bent import bent_parameters
+from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.refit import Explanation, Name, Refit, Task
+from hybrid_id.gap.scales import scales
+from hybrid_id.gap.scan import Left
+from hybrid_id.systems.chain import System
+
+
+def tasks(
+    refit: Refit, before: Explanation, today: System, among: frozenset[Name] | None = None
+) -> tuple[list[Task], list[Task]]:
+    """A fit to start for every effect, place and start point, or for those of some effects.
+
+    Each starts where the model before has ended. Where that has bent its parameters to make up for what it lacks, each
+    may start from today's own values, too: the second list, for fits from afar.
+    """
+    batch = refit.records(before.system)
+    left = Left(before.result, batch)
+    taken, found, others = set(before.effects), [], []
+    bent = len(before.effects) < 2 and bool(bent_parameters(today, before.system))
+    least = before.result.cost
+    here = refit.slopes(before.system, least)
+    for size in scales(before.system, batch):
+        for effect in CATALOGUE.values():
+            for where, starts in effect.models(before.system, size, left).items():
+                name = effect.name, where
+                if name in taken or (among is not None and name not in among):
+                    continue
+                names = tuple(sorted((*before.effects, name)))
+                for start in starts:
+                    found.append(Task(names, start, here))
+                    if bent and (again := as_today(start, today)) is not None:
+                        others.append(Task(names, again))
+    return found, others
+
+
+def as_today(system: System, today: System) -> System | None:
+    """The system with today's own values of all that both have; None where they cannot stand beside the effect."""
+    names = {(info.component, info.symbol): info.name for info in system.table}
+    values = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
+    with suppress(InputError):  # no mass matrix, say, of inertias that a gear with play has divided
+        return system.with_values({names[key]: value for key, value in values.items() if key in names})
+    return None
