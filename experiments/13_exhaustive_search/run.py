@@ -6,7 +6,8 @@ from pathlib import Path
 
 from hybrid_id.gap.attribute import attribute
 from hybrid_id.gap.refit import TO_THE_END, Refit
-from hybrid_id.gap.round import best_of_each, simplest_first, tasks
+from hybrid_id.gap.round import best_of_each, simplest_first
+from hybrid_id.gap.starts import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
 

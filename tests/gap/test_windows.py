@@ -7,7 +7,7 @@ import torch
 from gapcase import small_case
 
 import hybrid_id.gap.attribute as module
-import hybrid_id.gap.round as rounds
+import hybrid_id.gap.starts as starts
 from hybrid_id.components import REGISTRY
 from hybrid_id.gap.attribute import attribute
 from hybrid_id.gap.catalogue import CATALOGUE
@@ -72,7 +72,7 @@ def test_search_over_windows_names_the_same_and_ends_with_whole_records(monkeypa
     monkeypatch.setattr(Refit, "strays", lambda *_: True)
     monkeypatch.setattr(module, "WINDOW", 0.3)
     few = ("spring_load", "thermal_derating", "stribeck_friction")
-    monkeypatch.setattr(rounds, "CATALOGUE", {name: CATALOGUE[name] for name in few})
+    monkeypatch.setattr(starts, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     found = attribute(Refit(dataset), today, most=1)
     assert found.window == 0.3
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
