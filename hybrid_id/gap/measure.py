@@ -68,7 +68,7 @@ def errors(
     run = simulate(system, engine or Engine(), batch)
     step = batch.step
     length = max(1, round(BLOCK / step))
-    blocks, by_record, noise, weighted = [], {}, [], []
+    blocks, by_record, over_noise, noise, weighted = [], {}, {}, [], []
     for r, name in enumerate(batch.names):
         row = []
         for c, output in enumerate(batch.outputs):
@@ -85,10 +85,6 @@ def errors(
             noise.append((declared or 0.0) / np.sqrt(variance))
         blocks.append(tuple(row))
         by_record[name] = float(np.mean([np.sqrt(b.mean()) for b in row]))
+        over_noise[name] = float(np.sqrt(np.square(np.concatenate(weighted[-len(row) :])).mean()))
     nrmse, floor = float(np.mean(list(by_record.values()))), float(np.mean(noise))
-    count = len(batch.outputs)
-    over = {
-        name: float(np.sqrt(np.mean(np.square(np.concatenate(weighted[r * count : (r + 1) * count])))))
-        for r, name in enumerate(batch.names)
-    }
-    return Errors(nrmse, by_record, tuple(blocks), floor, coloured(weighted), over)
+    return Errors(nrmse, by_record, tuple(blocks), floor, coloured(weighted), over_noise)

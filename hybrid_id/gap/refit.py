@@ -206,8 +206,8 @@ def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:
     states does not.
     """
     ends = _both_ways(task.system, batch, iterations, task.cost, task.x0)
-    rippled = over_angle(task.effects) and min(coloured(end.residual) for end in ends) > WHITE
-    if iterations == TO_THE_END and rippled:
+    last = iterations == TO_THE_END and over_angle(task.effects)
+    if last and min(coloured(end.residual) for end in ends) > WHITE:
         with suppress(InputError, RuntimeError):
             near = _within(task, windows(task.system, engine(), batch, WINDOW), WINDOW_LOOK)
             ends += _both_ways(near.system, batch, iterations, task.cost, None)

@@ -134,19 +134,24 @@ def _from_afar(
     Where the link is hidden behind play no window knows its state: where nothing else explains the records, looks at
     whole ones instead, of which those are let go that stay far behind what has been found.
     """
-    hidden = [t for t in tasks if hidden_links(t.system, refit.records(t.system))]
-    found: list[Explanation] = []
-    for some, most in (([t for t in tasks if t not in hidden], PROMISING), (hidden, MORE_STARTS)):
-        known = min((e.evidence.error for e in (*ranked, *found)), default=math.inf)
-        if any(is_white(e) for e in found):
-            break
-        look = refit if some is hidden else refit.within(WINDOW)
-        seen = best_of_each([e for e in look.run(some, LOOK, tick) if e is not None], MORE_STARTS)
-        least = known if some is hidden else min((e.evidence.error for e in seen), default=math.inf)
+    batch = refit.records(tasks[0].system)  # which links are seen is the same for every model
+    hidden = [hidden_links(task.system, batch) for task in tasks]
+
+    def looked(among: Refit, behind: bool) -> list[Explanation]:
+        some = [task for task, one in zip(tasks, hidden, strict=True) if one == behind]
+        return best_of_each([e for e in among.run(some, LOOK, tick) if e is not None], MORE_STARTS)
+
+    def further(seen: Sequence[Explanation], least: float, most: int) -> list[Explanation]:
         best = [e for e in seen if e.evidence.error < HOPELESS * least][:most]
         more = refit.run([Task(e.effects, e.system) for e in best], SECOND_LOOK, tick)
-        found += [e for e in more if e is not None]
-    return found
+        return [e for e in more if e is not None]
+
+    seen = looked(refit.within(WINDOW), False)
+    found = further(seen, seen[0].evidence.error if seen else math.inf, PROMISING)
+    if any(is_white(e) for e in found):
+        return found
+    known = min((e.evidence.error for e in (*ranked, *found)), default=math.inf)
+    return [*found, *further(looked(refit, True), known, MORE_STARTS)]
 
 
 def _further(
