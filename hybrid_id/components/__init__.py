@@ -51,7 +51,7 @@ from hybrid_id.components.motor import (
     TorqueMotor,
 )
 from hybrid_id.components.residual import ResidualNetwork
-from hybrid_id.components.sensor import LinkEncoder, MotorEncoder
+from hybrid_id.components.sensor import LateReading, LinkEncoder, MotorEncoder
 from hybrid_id.components.transmission import (
     Backlash,
     BacklashFlexibility,
@@ -91,6 +91,7 @@ __all__ = [
     "JointCoupling",
     "JointFlexibility",
     "KinematicError",
+    "LateReading",
     "LinearSpring",
     "LinkEncoder",
     "LinkInertia",

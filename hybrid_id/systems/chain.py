@@ -38,7 +38,7 @@ class System(nn.Module):
 
     Attributes:
         state_names: rows of the state, ``(n_x, B)``.
-        speed_rows, memory_rows: which of them are speeds, and which remember (bristles, windings, networks).
+        speed_rows, memory_rows: which of them are speeds, and which remember (bristles, windings, networks, readings).
         networks: the residual networks by component key.
         dry: whether dry friction acts on each speed, in the order of ``speed_rows``.
         table: the parameters, in a fixed order; ``theta`` vectors follow it.

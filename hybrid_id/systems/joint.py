@@ -14,7 +14,6 @@ from hybrid_id.components.base import (
     Inertia,
     LoadTorque,
     LoggedTorque,
-    Sensor,
 )
 from hybrid_id.components.bristle import Bristle
 from hybrid_id.errors import InputError
@@ -22,6 +21,7 @@ from hybrid_id.systems.balance import SpeedBalance
 from hybrid_id.systems.drive import Drive, only
 from hybrid_id.systems.gear import Gear
 from hybrid_id.systems.networks import LINK_PLACES, Networks
+from hybrid_id.systems.readings import Readings
 from hybrid_id.systems.terms import sum_if_any, sum_of
 
 Views = Mapping[str, SimpleNamespace]
@@ -30,7 +30,7 @@ Views = Mapping[str, SimpleNamespace]
 class Joint:
     """Paper, eq. (4) and (5): ``J_m a_m = tau_m - tau_s / r - tau_fm``, ``J_a a_a = tau_s - tau_fa``, by components.
 
-    State: ``q_m, v_m``, behind a spring ``q_a, v_a`` (x_1, x_2, x_4, x_5), then bristles, windings and networks.
+    State: ``q_m, v_m``, behind a spring ``q_a, v_a`` (x_1, x_2, x_4, x_5), then bristles, windings, networks, readings.
 
     Args:
         number: joint number, from 1.
@@ -59,7 +59,6 @@ class Joint:
         self.inertia = cast("tuple[str, Inertia]", masses)
         self.loads = cast("list[tuple[str, LoadTorque]]", of(LoadTorque))
         self.logged = cast("list[tuple[str, LoggedTorque]]", of(LoggedTorque))
-        self.sensors = cast("list[tuple[str, Sensor]]", of(Sensor))
         self.rigid = self.gear.rigid
         places = ("motor_friction", "link_friction")
         self.frictions = {w: cast("list[tuple[str, Friction]]", of(Friction, w)) for w in places}
@@ -81,6 +80,8 @@ class Joint:
         self.state_names += self.drive.state_names
         self.networks = self.drive.networks = Networks(self, parts, first_row + len(self.state_names))
         self.state_names += self.networks.state_names
+        self.readings = Readings(number, parts, first_row, first_row + len(self.state_names))
+        self.state_names += self.readings.state_names
         self.channels = [c for _, part in (self.drive.input, *self.logged) for c in part.channels]
         dry = [self._is_dry(place) for place in self.frictions]
         self.dry = [any(dry)] if self.rigid else dry
@@ -211,7 +212,8 @@ class Joint:
             v = v * self.gear.map(x[self.positions[0]], p)[1] if self.rigid and not motor else v
             level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype), x)
             found.append((row, *law.relaxation(p[key], v, level)))
-        return found + self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
+        found += self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
+        return found + self.readings.relaxations(x, p)
 
     def _load(
         self, x: Sequence[Tensor], angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views
@@ -228,11 +230,11 @@ class Joint:
 
     def output(self, channel: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """A measured output by channel name (``q_m``, ``v_m``, ``q_a``, ``v_a``, ``i``, ``tau``), ``(B,)``."""
-        row = self.positions[0]
+        row, seen = self.positions[0], 0.0
         if channel in ("q_m", "v_m"):
-            value = x[row + (channel == "v_m")]
+            value, seen = x[row + (channel == "v_m")], 1.0
         elif channel in ("q_a", "v_a"):
-            value = self.link_motion(x, p)[channel == "v_a"]
+            value, seen = self.link_motion(x, p)[channel == "v_a"], 1.0 / self.gear_ratio if self.rigid else 0.0
         elif channel == "tau":
             value = self.drive.torque(x, u, p)
         elif channel == "i":
@@ -244,7 +246,4 @@ class Joint:
                 f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau with the "
                 "joint's number."
             )
-        for key, sensor in self.sensors:
-            if sensor.channel == channel:
-                value = sensor.read(p[key], value)
-        return value
+        return self.readings.read(channel, value, seen, x, p)

@@ -9,7 +9,7 @@ import torch
 from drives import STEP
 from torch import Tensor
 
-from hybrid_id.components import PLACES, REGISTRY, Delay, KinematicError
+from hybrid_id.components import PLACES, REGISTRY, Delay, KinematicError, LateReading
 from hybrid_id.components.base import (
     Component,
     Friction,
@@ -81,6 +81,9 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["command"] = part.command(p, channels, 0.3 * q, v)
     if isinstance(part, Delay):
         found["held"] = part.held(p, [torch.sin(q + k) for k in range(4)], 0.002 * one)
+    if isinstance(part, LateReading):
+        found["drive"], found["rate"] = part.relaxation(p, v)
+        found["angle"], found["speed"] = part.motion(p, q, v, 0.1 * one)
     if isinstance(part, KinematicError):
         found["error"], found["slope"], found["bend"] = part.error(p, q)
     if isinstance(part, CommandMap):

@@ -22,6 +22,7 @@ from hybrid_id.components import (
     HardeningSpring,
     JointFlexibility,
     KinematicError,
+    LateReading,
     LoadDependent,
     LuGre,
     PositionDependent,
@@ -110,6 +111,7 @@ LEFT_OUT: dict[str, tuple[str, Component]] = {
     "angle": ("motor_friction", PositionDependent()),
     "constant ratio": ("transmission", KinematicError()),
     "--to torch": ("motor", ResidualNetwork()),
+    "in time": ("input", LateReading()),
     "whole number": ("motor", Cogging(n=2.5)),
     "motor has one": ("motor", Cogging(n=2.0, T_c2=1e-4, n_2=4.0)),
 }

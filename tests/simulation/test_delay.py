@@ -5,13 +5,14 @@ import pytest
 import torch
 from drives import STEP, measure, multisine, rigid_drive
 
-from hybrid_id.components import Delay
+from hybrid_id.components import Delay, LateReading
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
+from hybrid_id.systems import two_link
 
 DRIVE = rigid_drive()
 VOLTAGE = np.concatenate([np.zeros(20), 4.0 * np.sin(np.arange(200) / 9.0)])
@@ -50,3 +51,31 @@ def test_fit_finds_a_delay_from_none() -> None:
 def test_channels_without_a_past_are_refused() -> None:
     with pytest.raises(InputError, match="joint1 has a delay, but its channels have no past"):
         measure(delayed(STEP), {"u1": VOLTAGE})
+
+
+def test_late_reading_shows_what_was_there_before() -> None:
+    late = DRIVE.with_component("joint1/input", LateReading(T_r=4 * STEP))
+    # the phase of 9 Hz is right to (w T_r)^3 / 12, a sixtieth of it; corners of the speed are rounded
+    for channel, share in (("q_m1", 0.03), ("v_m1", 0.1)):
+        true, read = (measure(s, {"u1": VOLTAGE}, outputs=[channel])[channel] for s in (DRIVE, late))
+        shifted = np.concatenate([np.zeros(4), true[:-4]])
+        assert np.abs(read - shifted).max() < share * np.abs(true - shifted).max()
+
+
+def test_late_reading_of_one_joint_leaves_the_other_of_an_arm_alone() -> None:
+    arm = two_link((50.0, 40.0))
+    late = arm.with_component("joint1/input", LateReading(T_r=0.01))
+    channels, outputs = {"u1": VOLTAGE, "u2": 0.5 * VOLTAGE}, ["q_m1", "q_a1", "q_m2"]
+    before, after = (measure(system, channels, outputs=outputs) for system in (arm, late))
+    np.testing.assert_allclose(after["q_m2"], before["q_m2"], rtol=1e-9)
+    np.testing.assert_allclose(50.0 * after["q_a1"], after["q_m1"], rtol=1e-9)
+    assert np.abs(after["q_m1"] - before["q_m1"]).max() > 0.01 * np.ptp(before["q_m1"])
+
+
+def test_fit_finds_a_late_reading() -> None:
+    voltage = multisine(1, samples=400, amplitude=7.0)
+    truth, start = (DRIVE.with_component("joint1/input", LateReading(T_r=t)) for t in (2.6 * STEP, STEP))
+    y = run(truth, voltage) + 0.01 * np.random.default_rng(1).standard_normal(400)
+    record = Record("run", STEP * np.arange(400), {"u1": voltage}, {"q_m1": y})
+    (found,) = fit(start, make_batch(start, [record], noise_std={"q_m1": 0.01}))
+    assert found.values[found.names.index("T_r")] == pytest.approx(2.6 * STEP, abs=1e-4)

@@ -1,5 +1,6 @@
 """Sensors."""
 
 from hybrid_id.components.sensor.encoder import LinkEncoder, MotorEncoder
+from hybrid_id.components.sensor.late_reading import LateReading
 
-__all__ = ["LinkEncoder", "MotorEncoder"]
+__all__ = ["LateReading", "LinkEncoder", "MotorEncoder"]

@@ -7,10 +7,14 @@ SOFTEST = 0.3
 
 
 def _delay(system, s, place):
-    if has(system, f"joint{s.joint}/input", "delay"):
+    if has(system, f"joint{s.joint}/input", "delay", "late_reading"):
         return []
     longest = min(0.03, 15.0 * s.sample_time)
-    return [("delay", {"T_d": free(start * s.sample_time, 0.0, longest, "s")}) for start in (0.5, 3.0)]
+    late = [("delay", {"T_d": free(start * s.sample_time, 0.0, longest, "s")}) for start in (0.5, 3.0)]
+    if len(system.joints) > 1:  # of a single joint it is the same
+        read = free(3.0 * s.sample_time, 0.3 * s.sample_time, longest, "s")
+        late.append(("late_reading", {"T_r": read}))
+    return late
 
 
 def _deadband(system, s, place):
@@ -56,6 +60,7 @@ def _sag(system, s, place):
 register(Effect(
     "delay", ("input",), _delay, ("electrical_lag", "joint_flexibility"),
     "a fast sweep: a delay turns the phase in proportion to frequency, a lag bends and weakens the response too",
+    kinds=("delay", "late_reading"),
 ))  # fmt: skip
 register(Effect(
     "voltage_deadband", ("input",), _deadband, ("coulomb_friction", "stribeck_friction", "presliding_friction"),
