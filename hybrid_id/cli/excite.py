@@ -14,18 +14,18 @@ MAX_SAMPLES = 1_000_000
 
 def excite(
     file: Annotated[
-        Path, typer.Option("--out", "-o", help="CSV file to write: columns t [s] and u1.", show_default=False)
+        Path, typer.Option("--out", "-o", help="CSV file to write: columns t (s) and u1.", show_default=False)
     ],
-    band: Annotated[tuple[float, float], typer.Option(help="Lowest and highest frequency [Hz].")] = (
+    band: Annotated[tuple[float, float], typer.Option(help="Lowest and highest frequency in Hz.")] = (
         0.3,
         8.0,
     ),
-    duration: Annotated[float, typer.Option(help="Length [s].")] = 10.0,
-    sample_time: Annotated[float, typer.Option(help="Sample time [s].")] = 0.002,
+    duration: Annotated[float, typer.Option(help="Length in s.")] = 10.0,
+    sample_time: Annotated[float, typer.Option(help="Sample time in s.")] = 0.002,
     amplitude: Annotated[float, typer.Option(help="Peak, in the unit of the input (V).")] = 10.0,
     tones: Annotated[int, typer.Option(help="Number of tones, spread evenly over the band.", min=1)] = 20,
     rest: Annotated[
-        float, typer.Option(help="Rest at zero before the signal [s], so that the start is known.")
+        float, typer.Option(help="Rest at zero before the signal in s, so that the start is known.")
     ] = 0.1,
     starts: Annotated[int, typer.Option(help="Phase sets to start the search from.", min=1)] = 150,
     seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0)] = 0,

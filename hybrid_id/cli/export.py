@@ -52,12 +52,14 @@ def export(
     ] = None,
     sample_time: Annotated[
         float | None,
-        typer.Option(help="Of the torch program [s].", min=1e-6, max=1.0, show_default=str(SAMPLE_TIME)),
+        typer.Option(
+            help="Step of the torch program in s.", min=1e-6, max=1.0, show_default=str(SAMPLE_TIME)
+        ),
     ] = None,
     width: Annotated[
         float | None,
         typer.Option(
-            help="Speed over which the torch program smooths dry friction [rad/s].",
+            help="Speed in rad/s over which the torch program smooths dry friction.",
             min=1e-9,
             show_default=str(WIDTH),
         ),

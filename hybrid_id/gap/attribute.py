@@ -145,10 +145,7 @@ def _freed(refit: Refit, chosen: Explanation) -> Explanation:
     left = Left(chosen.result, refit.records(chosen.system))
     starts = [start for law, where in laws for start in law.freer(chosen.system, where, left)]
     for one in refit.run([Task(chosen.effects, start) for start in starts], TO_THE_END):
-        if one is None:
-            continue
-        ratio = (chosen.evidence.error / one.evidence.error) ** 0.5
-        if ratio >= LEAST_RATIO and one.evidence.z(chosen.evidence) >= LEAST_Z:
+        if one is not None and _sure(one, chosen) and one.evidence.gain(chosen.evidence) >= LEAST_RATIO:
             chosen = one
     return chosen
 
@@ -167,7 +164,7 @@ def _leaves_something(simpler: Explanation) -> bool:
 
 def _gains(richer: Explanation, simpler: Explanation) -> bool:
     """Whether a model predicts so much better that it might be believed, were it the right one."""
-    return COMPLETE_RATIO**2 * richer.evidence.error < simpler.evidence.error
+    return richer.evidence.gain(simpler.evidence) > COMPLETE_RATIO
 
 
 def _alive(rounds: Sequence[Round], chosen: Explanation) -> frozenset[Name] | None:

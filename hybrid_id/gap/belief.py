@@ -23,8 +23,8 @@ def better(richer: Explanation, simpler: Explanation, least: float | None = None
         simpler: with fewer.
         least: factor by which the RMS of the errors has to fall; by default as for one more effect.
     """
-    ratio = (simpler.evidence.error / richer.evidence.error) ** 0.5
-    z, least = richer.evidence.z(simpler.evidence), least_ratio(simpler) if least is None else least
+    ratio, z = richer.evidence.gain(simpler.evidence), richer.evidence.z(simpler.evidence)
+    least = least_ratio(simpler) if least is None else least
     if is_white(richer):
         least = min(least, COMPLETE_RATIO)
     return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)

@@ -32,6 +32,10 @@ class Evidence:
         """Mean square of the weighted errors of prediction."""
         return float(self.blocks.sum() / self.samples)
 
+    def gain(self, other: Evidence) -> float:
+        """Factor by which the RMS of the errors is lower here than another's."""
+        return float(np.sqrt(other.error / self.error))
+
     def z(self, other: Evidence) -> float:
         """How surely this one predicts better than another: the mean relative surplus of the other's error in a block.
 

@@ -198,7 +198,7 @@ def _simpler(ranked: Sequence[Explanation], finished: set[tuple[Name, ...]]) -> 
 
 def _promises(one: Explanation, before: Explanation) -> bool:
     """Whether a candidate may yet be believed, as far as it has been fitted; beside no other effect each may."""
-    return not before.effects or PROMISE**2 * one.evidence.error < before.evidence.error
+    return not before.effects or one.evidence.gain(before.evidence) > PROMISE
 
 
 def is_white(one: Explanation) -> bool:

@@ -3,22 +3,27 @@
 import csv
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import click
 import numpy as np
 import pandas as pd
 import pytest
+import typer
 import yaml
 from drives import make_record, rigid_drive
 
 from hybrid_id import __version__
+from hybrid_id.cli.app import app
 from hybrid_id.cli.folder import added_results, live_folder, results_folder
 from hybrid_id.cli.identify import fit_part
 from hybrid_id.cli.progress import FitProgress
@@ -46,6 +51,22 @@ def test_version_and_help(run) -> None:
     for command in ("check", "excite", "identify", "train", "simulate", "compare", "demo", "components"):
         assert command in words
         assert run(command, "--help").code == 0
+
+
+def helps(command: click.Command) -> Iterator[str]:
+    """Every help of a command and of those below it."""
+    yield command.help or ""
+    for parameter in command.params:
+        yield getattr(parameter, "help", None) or ""
+    for below in getattr(command, "commands", {}).values():
+        yield from helps(below)
+
+
+def test_no_help_has_what_the_terminal_takes_for_markup() -> None:
+    words = list(helps(typer.main.get_command(app)))
+    assert len(words) > 100
+    for one in words:
+        assert not re.search(r"\[[a-z/]", one), f"what stands in brackets is not printed: {one}"
 
 
 def test_module_is_the_console_script() -> None:

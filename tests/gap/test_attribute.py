@@ -1,6 +1,6 @@
 """An effect that is taken out again leaves nothing behind; the search stops at noise and starts where it should."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -20,7 +20,7 @@ from hybrid_id.gap.attribute import (
 from hybrid_id.gap.belief import better
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.evidence import evidence
+from hybrid_id.gap.evidence import Evidence, evidence
 from hybrid_id.gap.exchange import exchanges, without
 from hybrid_id.gap.probability import suspects, tied_explanations
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Task
@@ -36,6 +36,18 @@ from hybrid_id.gap.round import (
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.starts import as_today
 from hybrid_id.study.replays import batch_of
+
+
+def told_by(error: float, z: Callable[[Evidence], float] = lambda _: 0.0) -> Evidence:
+    """Evidence of an error and of how surely it is less than another's."""
+
+    class Told(Evidence):
+        error = property(lambda _: error)
+
+        def z(self, other: Evidence) -> float:
+            return z(other)
+
+    return Told(np.zeros(1), 1, 2.0)
 
 
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
@@ -88,7 +100,7 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
     def fitted(name: str, error: float, parameters: int, z: float = 0.0):
         effects = ((name, "joint1/load"),)
         result = SimpleNamespace(names=("x",) * parameters)
-        told = SimpleNamespace(error=error, z=lambda _: z)
+        told = told_by(error, lambda _: z)
         return SimpleNamespace(effects=effects, evidence=told, result=result)
 
     spring, bias, weight = (
@@ -218,7 +230,7 @@ def test_a_rival_of_the_first_effect_is_tried_again_beside_the_second() -> None:
 
 def test_a_simpler_candidate_that_may_be_as_good_is_fitted_to_the_end_too() -> None:
     def fitted(name: str, error: float, parameters: int):
-        result, told = SimpleNamespace(names=("x",) * parameters), SimpleNamespace(error=error)
+        result, told = SimpleNamespace(names=("x",) * parameters), told_by(error)
         return SimpleNamespace(effects=((name, "joint1/load"),), evidence=told, result=result)
 
     best, simple, far, rich = (
@@ -235,14 +247,13 @@ def test_a_law_that_contains_another_is_no_rival_of_it() -> None:
     """Friction over the angle with a mean explains whatever dry friction alone does."""
 
     def model(error: float, *effects: str):
-        told = SimpleNamespace(error=error, z=lambda other: 5.0 * (other.error - error))
+        told = told_by(error, lambda other: 5.0 * (other.error - error))
         system = SimpleNamespace(table=())
         result = SimpleNamespace(
             jacobian=(np.zeros((2, 1)),), names=(), values=(), noise_scale=1.0, n_samples=2, system=system,
             residual=[np.random.default_rng(0).standard_normal((400, 1))],
         )  # fmt: skip
         named = tuple((name, "joint1/motor_friction") for name in effects)
-        told.effective = 2.0
         return SimpleNamespace(effects=named, evidence=told, result=result, system=system)
 
     dry, waves, drop = (
@@ -263,7 +274,7 @@ def test_a_candidate_that_closes_most_of_a_large_gap_is_fitted_to_the_end() -> N
     """A spring whose fit is not through yet may stand behind a weight by more than what is hopeless of a small gap."""
 
     def fitted(name: str, error: float):
-        told = SimpleNamespace(error=error)
+        told = told_by(error)
         residual = np.sin(0.01 * np.arange(400))[:, None]
         result = SimpleNamespace(names=("x",), cost=error, residual=[residual], x0=None)
         effects = ((name, "joint1/load"),) if name else ()
@@ -291,7 +302,7 @@ def test_a_candidate_that_closes_most_of_a_large_gap_is_fitted_to_the_end() -> N
 
 def test_an_effect_that_made_the_first_needless_is_searched_on_from() -> None:
     def fitted(error: float, *names: str):
-        return SimpleNamespace(effects=tuple(names), evidence=SimpleNamespace(error=error))
+        return SimpleNamespace(effects=tuple(names), evidence=told_by(error))
 
     weight = fitted(8.0, "gravity_load")
     assert _in_their_place(fitted(2.0, "joint_flexibility"), weight)
@@ -318,7 +329,7 @@ def test_beside_two_effects_only_what_has_brought_anything_beside_one_is_looked_
 
 def test_beside_an_effect_nothing_is_fitted_to_the_end_that_may_not_be_believed() -> None:
     def one(error: float, *names: str):
-        return SimpleNamespace(effects=tuple(names), evidence=SimpleNamespace(error=error))
+        return SimpleNamespace(effects=tuple(names), evidence=told_by(error))
 
     weight = one(1.0, "gravity_load")
     assert _promises(one(0.9, "gravity_load", "spring_load"), weight)
@@ -336,7 +347,7 @@ def test_models_are_looked_at_from_afar_over_windows_and_play_only_where_nothing
         result = SimpleNamespace(cost=error, residual=[residual])
         return SimpleNamespace(
             effects=((name, "joint1/input"),),
-            evidence=SimpleNamespace(error=error),
+            evidence=told_by(error),
             result=result,
             system=name,
         )
