@@ -10,6 +10,7 @@ from hybrid_id.gap.belief import better
 from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task, new_effect
 from hybrid_id.gap.round import HOPELESS, LEAST_RATIO, SECOND_LOOK, Round
+from hybrid_id.gap.starts import without
 from hybrid_id.systems.chain import System
 
 RIVAL, RIVALS = 1.1, 3
@@ -69,16 +70,3 @@ def refitted_without(refit: Refit, base: Explanation, richer: Explanation, name:
     if found is None or found.evidence.error > HOPELESS * richer.evidence.error:
         return found
     return refit.run([Task(rest, found.system)], TO_THE_END)[0]
-
-
-def without(system: System, base: System, name: Name) -> System | None:
-    """The system less one of its effects; what the effect had replaced comes back."""
-    for kind in CATALOGUE[name[0]].kinds:
-        part = part_of(system, name[1], kind)
-        if part is None:
-            continue
-        family = part.family()
-        here = (p for key, p in base.components.items() if key.startswith(f"{name[1]}/"))
-        old = next((p for p in here if isinstance(p, family)), None)
-        return system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
-    return None

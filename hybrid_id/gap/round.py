@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from hybrid_id.gap.evidence import WHITE, coloured
 from hybrid_id.gap.refit import LOOK, TO_THE_END, WINDOW, Explanation, Name, Refit, Task
-from hybrid_id.gap.starts import tasks
+from hybrid_id.gap.starts import special_cases, tasks
 from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.systems.chain import System
 
@@ -106,6 +106,9 @@ def _ranked(
         left = [e for e in ranked[:keep] if e.effects not in finished]
         finished |= {e.effects for e in left}
         ranked = _further(refit, before, left, ranked, TO_THE_END, tick)
+    special = special_cases(refit, before, ranked[0]) if hope else []
+    finished |= {task.effects for task in special}
+    ranked = best_of_each([*ranked, *(e for e in refit.run(special, TO_THE_END) if e is not None)])
     simpler = _simpler(ranked, finished) if hope else []
     finished |= {e.effects for e in simpler}
     ranked = _further(refit, before, simpler, ranked, TO_THE_END, tick)

@@ -7,8 +7,8 @@ from contextlib import suppress
 import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.errors import InputError
 from hybrid_id.gap.bent import bent_parameters
-from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.refit import Explanation, Name, Refit, Task
+from hybrid_id.gap.catalogue import CATALOGUE, part_of
+from hybrid_id.gap.refit import Explanation, Name, Refit, Task, new_effect
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System
@@ -48,4 +48,35 @@ def as_today(system: System, today: System) -> System | None:
     values = {(i.component, i.symbol): i.spec.value for i in today.table if i.spec.estimate}
     with suppress(InputError):  # no mass matrix, say, of inertias that a gear with play has divided
         return system.with_values({names[key]: value for key, value in values.items() if key in names})
+    return None
+
+
+def special_cases(refit: Refit, before: Explanation, richer: Explanation) -> list[Task]:
+    """Fits of what an effect has as its special cases, each in its place and from where the fit with it has ended.
+
+    From the model before, which lacks both, the richer law may have found a way that the special case has not.
+    """
+    name, where = new_effect(richer, before)
+    rest = without(richer.system, before.system, (name, where)) if CATALOGUE[name].contains else None
+    if rest is None:
+        return []
+    (size,) = (s for s in scales(rest, refit.records(rest)) if where.startswith(f"joint{s.joint}/"))
+    others = tuple(effect for effect in richer.effects if effect != (name, where))
+    return [
+        Task(tuple(sorted((*others, (special, where)))), start)
+        for special in CATALOGUE[name].contains
+        for start in CATALOGUE[special].models(rest, size).get(where, [])
+    ]
+
+
+def without(system: System, base: System, name: Name) -> System | None:
+    """The system less one of its effects; what the effect had replaced comes back."""
+    for kind in CATALOGUE[name[0]].kinds:
+        part = part_of(system, name[1], kind)
+        if part is None:
+            continue
+        family = part.family()
+        here = (p for key, p in base.components.items() if key.startswith(f"{name[1]}/"))
+        old = next((p for p in here if isinstance(p, family)), None)
+        return system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
     return None

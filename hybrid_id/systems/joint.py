@@ -234,10 +234,8 @@ class Joint:
         if channel in ("q_m", "v_m"):
             value, seen = x[row + (channel == "v_m")], 1.0
         elif channel in ("q_a", "v_a"):
-            value, seen = (
-                self.link_motion(x, p)[channel == "v_a"],
-                1.0 / self.gear_ratio if self.rigid else 0.0,
-            )
+            value = self.link_motion(x, p)[channel == "v_a"]
+            seen = 1.0 / self.gear_ratio if self.rigid else 0.0
         elif channel == "tau":
             value = self.drive.torque(x, u, p)
         elif channel == "i":

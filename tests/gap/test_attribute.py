@@ -21,7 +21,7 @@ from hybrid_id.gap.belief import better
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import Evidence, evidence
-from hybrid_id.gap.exchange import exchanges, without
+from hybrid_id.gap.exchange import exchanges
 from hybrid_id.gap.probability import suspects, tied_explanations
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Task
 from hybrid_id.gap.round import (
@@ -34,7 +34,7 @@ from hybrid_id.gap.round import (
     simplest_first,
 )
 from hybrid_id.gap.scales import scales
-from hybrid_id.gap.starts import as_today
+from hybrid_id.gap.starts import as_today, without
 from hybrid_id.study.replays import batch_of
 
 
