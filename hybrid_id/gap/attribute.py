@@ -15,8 +15,9 @@ from hybrid_id.gap.belief import COMPLETE_RATIO, LEAST_Z, better
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.exchange import exchanges, refitted_without
+from hybrid_id.gap.ranking import LEAST_RATIO
 from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Name, Refit, Task, new_effect
-from hybrid_id.gap.round import IDLE, LEAST_RATIO, Progress, Round, one_round
+from hybrid_id.gap.round import IDLE, Progress, Round, one_round
 from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System
 

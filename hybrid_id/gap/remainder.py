@@ -6,8 +6,8 @@ from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
+from hybrid_id.gap.ranking import LEFT_OPEN
 from hybrid_id.gap.refit import STRAYED, Explanation
-from hybrid_id.gap.round import LEFT_OPEN
 
 COLOURED = 0.3
 """Share of what the chosen model leaves, of train or of test records, that is no white noise, from which something acts

@@ -6,7 +6,15 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hybrid_id.gap.evidence import WHITE, coloured
+from hybrid_id.gap.ranking import (
+    Variant,
+    best_of_each,
+    effects_of,
+    is_white,
+    simpler_ones,
+    simplest_first,
+    variant,
+)
 from hybrid_id.gap.refit import LOOK, TO_THE_END, WINDOW, Explanation, Name, Refit, Task
 from hybrid_id.gap.starts import special_cases, tasks
 from hybrid_id.identification.horizons import hidden_links
@@ -17,8 +25,8 @@ SECOND_LOOK = 10
 PROMISING, MORE_STARTS, FINALISTS, LATE = 16, 6, 4, 4
 """Candidates that get a second look, further starts of the best that do, candidates that are fitted to the end, and
 those that get a second look beside two effects."""
-SAME = 2e-3
-"""Costs that differ by less than this share are of one valley."""
+SHAPES = 2
+"""Further shapes of the leading effect that are fitted to the end: the period of its wave decides how far it gets."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted to the end, nor any further where the best
 leaves white noise or stands beside another effect."""
@@ -27,14 +35,6 @@ STILL_OPEN = 0.15
 IDLE, IDLERS = 0.99, 6
 """Cost relative to the model before from which a candidate has brought nothing yet, and how many of these get a second
 look; the best of them is fitted to the end."""
-SIMPLER = 1.1
-"""Mean square error over the best's up to which a candidate with fewer parameters is fitted to the end, too."""
-LEAST_RATIO = 1.015
-"""An effect, or a further parameter of one, must lower the RMS of the errors of prediction at least by this factor."""
-TOLD = 2.5
-"""Standard errors, block by block, from which records part two rivals."""
-LEFT_OPEN = 0.1
-"""A rival that leaves more than this share of the gap's mean square open, which another closes, is none."""
 NEAR = 1.15
 """Mean square error of a second look, relative to the model before, up to which an effect beside another may still win:
 that model has been fitted to the end."""
@@ -100,19 +100,24 @@ def _ranked(
     ranked = _second_looks(refit, before, refit.run(todo, LOOK, tick), LATE if late else PROMISING, tick)
     if more_todo and not (ranked and is_white(ranked[0])):
         ranked = best_of_each([*ranked, *_from_afar(refit, ranked, more_todo, tick)])
-    finished: set[tuple[Name, ...]] = set()
+    finished: set[Variant] = set()
+
+    def to_the_end(some: Sequence[Explanation]) -> list[Explanation]:
+        left = [e for e in some if variant(e) not in finished]
+        finished.update(variant(e) for e in left)
+        return _further(refit, before, left, ranked, TO_THE_END, tick)
+
     hope = any(_promises(e, before) for e in ranked)
     for keep in (FINALISTS, 1, 1) if hope else (1,):
-        left = [e for e in ranked[:keep] if e.effects not in finished]
-        finished |= {e.effects for e in left}
-        ranked = _further(refit, before, left, ranked, TO_THE_END, tick)
-    special = special_cases(refit, before, ranked[0]) if hope else []
-    finished |= {task.effects for task in special}
-    ranked = best_of_each([*ranked, *(e for e in refit.run(special, TO_THE_END) if e is not None)])
-    simpler = _simpler(ranked, finished) if hope else []
-    finished |= {e.effects for e in simpler}
-    ranked = _further(refit, before, simpler, ranked, TO_THE_END, tick)
-    return tuple(simplest_first(ranked, finished, before))
+        ranked = to_the_end(best_of_each(ranked, key=effects_of)[:keep])
+    if hope:
+        if not is_white(ranked[0]):
+            ranked = to_the_end([e for e in ranked if e.effects == ranked[0].effects][: 1 + SHAPES])
+        special = refit.run(special_cases(refit, before, ranked[0]), TO_THE_END)
+        finished.update(variant(e) for e in special if e is not None)
+        ranked = best_of_each([*ranked, *(e for e in special if e is not None)])
+        ranked = to_the_end(simpler_ones(ranked, finished))
+    return tuple(simplest_first(best_of_each(ranked, key=effects_of), finished, before))
 
 
 def _second_looks(
@@ -124,7 +129,7 @@ def _second_looks(
 ) -> list[Explanation]:
     """The most promising of first looks fitted further, and some more starts of the best."""
     seen = best_of_each([e for e in looked if e is not None], MORE_STARTS)
-    firsts = best_of_each(seen)
+    firsts = best_of_each(seen, key=effects_of)
     more_starts = [e for e in seen if e not in firsts][: MORE_STARTS if most > LATE else 0]
     return _further(refit, before, firsts[:most] + more_starts, firsts, SECOND_LOOK, tick)
 
@@ -188,53 +193,6 @@ def _further(
     return best_of_each([*(e for e in more if e is not None), *kept])
 
 
-def _simpler(ranked: Sequence[Explanation], finished: set[tuple[Name, ...]]) -> list[Explanation]:
-    """Candidates that may yet explain as much as the best, with fewer parameters than it has."""
-    return [
-        e
-        for e in ranked
-        if e.effects not in finished
-        and e.evidence.error < SIMPLER * ranked[0].evidence.error
-        and len(e.result.names) < len(ranked[0].result.names)
-    ][:FINALISTS]
-
-
 def _promises(one: Explanation, before: Explanation) -> bool:
     """Whether a candidate may yet be believed, as far as it has been fitted; beside no other effect each may."""
     return not before.effects or one.evidence.gain(before.evidence) > PROMISE
-
-
-def is_white(one: Explanation) -> bool:
-    """Whether a candidate leaves next to nothing but white noise: no other can do much better."""
-    return coloured(one.result.residual) < WHITE
-
-
-def simplest_first(
-    ranked: list[Explanation], finished: set[tuple[Name, ...]], before: Explanation
-) -> list[Explanation]:
-    """Of the candidates that predict as well as the best, the one with the fewest parameters leads (Occam)."""
-    if not ranked:
-        return []
-    best = ranked[0].evidence
-    closed = best.error + LEFT_OPEN * max(before.evidence.error - best.error, 0.0)
-    equals = [
-        e
-        for e in ranked
-        if e.effects in finished
-        and e.evidence.error < LEAST_RATIO**2 * best.error
-        and (e.evidence.error <= closed or best.z(e.evidence) < TOLD)
-    ]
-    first = min(equals, key=lambda e: len(e.result.names), default=ranked[0])
-    return [first, *(e for e in ranked if e is not first)]
-
-
-def best_of_each(found: Sequence[Explanation], each: int = 1) -> list[Explanation]:
-    """The best fits of each set of effects, best first; of those that have come to the same end only one."""
-    ends: dict[tuple[Name, ...], list[float]] = {}
-    best = []
-    for one in sorted(found, key=lambda e: e.evidence.error):
-        known = ends.setdefault(one.effects, [])
-        if len(known) < each and all(one.result.cost > (1.0 + SAME) * end for end in known):
-            known.append(one.result.cost)
-            best.append(one)
-    return best

@@ -23,6 +23,7 @@ from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import Evidence, evidence
 from hybrid_id.gap.exchange import exchanges
 from hybrid_id.gap.probability import suspects, tied_explanations
+from hybrid_id.gap.ranking import best_of_each, effects_of, simpler_ones, simplest_first, variant
 from hybrid_id.gap.refit import LOOK, TO_THE_END, Task
 from hybrid_id.gap.round import (
     SECOND_LOOK,
@@ -30,8 +31,6 @@ from hybrid_id.gap.round import (
     _from_afar,
     _further,
     _promises,
-    _simpler,
-    simplest_first,
 )
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.starts import as_today, without
@@ -106,16 +105,46 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
     spring, bias, weight = (
         fitted("spring_load", 1.0, 7), fitted("constant_torque", 1.02, 6), fitted("gravity_load", 1.2, 5)
     )  # fmt: skip
-    ranked, everyone = [spring, bias, weight], {e.effects for e in (spring, bias, weight)}
+    ranked, everyone = [spring, bias, weight], {variant(e) for e in (spring, bias, weight)}
     small, large = fitted("", 1.1, 5), fitted("", 2.0, 5)
     assert simplest_first(ranked, everyone, small) == [bias, spring, weight]  # the weight predicts worse
     # what was not fitted to the end does not lead
-    assert simplest_first(ranked, {spring.effects}, small) == ranked
+    assert simplest_first(ranked, {variant(spring)}, small) == ranked
     assert simplest_first([], everyone, small) == []
     # of a small gap the bias leaves a fifth open, and the records tell; of a large one next to nothing
     sure = [fitted("spring_load", 1.0, 7, z=4.0), bias, weight]
     assert simplest_first(sure, everyone, small) == sure
     assert simplest_first(sure, everyone, large) == [bias, sure[0], weight]
+
+
+def test_an_effect_is_where_it_usually_acts_where_the_records_cannot_tell() -> None:
+    def fitted(place: str, error: float, z: float = 0.0):
+        effects = (("asymmetric_friction", f"joint1/{place}"),)
+        result = SimpleNamespace(names=("x",))
+        return SimpleNamespace(effects=effects, evidence=told_by(error, lambda _: z), result=result)
+
+    at_link, at_rotor, before = fitted("link_friction", 1.0), fitted("motor_friction", 1.01), fitted("", 9.0)
+    everyone = {variant(at_link), variant(at_rotor)}
+    assert simplest_first([at_link, at_rotor], everyone, before) == [at_rotor, at_link]
+    worse = fitted("motor_friction", 1.1)
+    assert simplest_first([at_link, worse], everyone, before) == [at_link, worse]
+    assert simplest_first([at_rotor, fitted("link_friction", 1.02)], everyone, before)[0] is at_rotor
+
+
+def test_waves_of_different_periods_are_different_models() -> None:
+    _, today = small_case()
+    place = "joint1/motor"
+
+    def fitted(n: float, error: float):
+        system = today.with_component(place, Cogging(n=n))
+        result = SimpleNamespace(cost=error)
+        return SimpleNamespace(
+            effects=(("cogging", place),), evidence=told_by(error), result=result, system=system
+        )
+
+    three, four, worse = fitted(3.0, 1.0), fitted(4.0, 2.0), fitted(3.0, 3.0)
+    assert best_of_each([worse, four, three]) == [three, four]
+    assert best_of_each([worse, four, three], key=effects_of) == [three]
 
 
 def test_values_of_today_that_cannot_stand_beside_an_effect_are_left_out() -> None:
@@ -239,8 +268,8 @@ def test_a_simpler_candidate_that_may_be_as_good_is_fitted_to_the_end_too() -> N
         fitted("c", 1.3, 6),
         fitted("d", 1.01, 8),
     )
-    assert _simpler([best, rich, simple, far], {best.effects}) == [simple]
-    assert _simpler([best, simple], {best.effects, simple.effects}) == []
+    assert simpler_ones([best, rich, simple, far], {variant(best)}) == [simple]
+    assert simpler_ones([best, simple], {variant(best), variant(simple)}) == []
 
 
 def test_a_law_that_contains_another_is_no_rival_of_it() -> None:
