@@ -1,7 +1,7 @@
 """Which other effects explain a case as well as the true one does: they count as right answers.
 
-Each named effect is built into today's simulator in every place where it fits, and re-fitted with it to the train
-records. A rival counts when it predicts the test records within 6 % of the true effect's error and leaves less than a
+Each named effect is built into today's simulator in every place where it fits, and fitted with it to the train
+records, from the simulator's re-fitted values and from the true ones: a re-fit that has been bent is no place to start. A rival counts when it predicts the test records within 6 % of the true effect's error and leaves less than a
 tenth of the gap (mean square). Those that could close little of it even in the linear prediction are not re-fitted.
 """
 
@@ -63,7 +63,8 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
         own = case.truth().values
         model = replace(model, values={name: value for name, value in model.values.items() if name in own})
     rng = np.random.default_rng([seed, 2])
-    screen = _Screen(case, records, model, beside)
+    true = replace(model, values={name: float(np.mean(case.truth().values[name])) for name in model.values})
+    screens = [_Screen(case, records, values, beside) for values in (model, true)]
     found = []
     for kind in _candidates(case):
         for joint in range(case.robot.joints):
@@ -71,13 +72,15 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
                 continue
             if any((kind.name, joint) == (effect.name, effect.joint) for effect in beside):
                 continue
-            if joint and kind.place == "transmission" and "P_4" in screen.robot.lacks:
+            if joint and kind.place == "transmission" and "P_4" in screens[0].robot.lacks:
                 continue  # uncoupled, the second link has no inertia of its own that a gear could part from its rotor
-            start, left = screen.best_start(kind, joint, rng)
+            starts = [(*screen.best_start(kind, joint, rng), screen.model) for screen in screens]
+            start, left, _ = min(starts, key=lambda one: one[1])
             if left > WORTH:
                 found.append(Rival(start, left, False))
                 continue
-            fitted, values = fit_with(case, records, (start, *beside), model)
+            fits = [(*fit_with(case, records, (s, *beside), m), s) for s, left, m in starts if left <= WORTH]
+            fitted, values, start = min(fits, key=lambda one: one[0].train)
             rest = (fitted.test**2 - floor**2) / (model.test**2 - floor**2)
             counts = fitted.test <= CLOSE * floor and rest < REST
             found.append(Rival(type(start)(joint, {**start.values, **values[0]}), float(rest), bool(counts)))
@@ -146,7 +149,7 @@ class _Screen:
     """Linear prediction of what an effect would leave of the gap on the train records."""
 
     def __init__(self, case: Case, records: Records, model: Refit, beside: Sequence[Effect] = ()) -> None:
-        self.case, self.beside, robot = case, beside, case.truth()
+        self.case, self.model, self.beside, robot = case, model, beside, case.truth()
         robot = robot.with_values(dict.fromkeys(robot.lacks, 0.0)).with_values(model.values)
         self.robot, names = robot, free_parameters(case.truth())
         bench = Bench(case, records, lambda v: self._machine(robot.with_values(v)))
