@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import torch
@@ -57,12 +57,14 @@ def scales(system: System, batch: Batch) -> list[Scales]:
         system: fitted model.
         batch: records, prepared for it.
     """
+    known = system
     for joint in system.joints:
         if (
             f"{joint.name}/motor/electrical_lag" in system.components
         ):  # the current that lags was not measured
-            system = system.without_component(f"{joint.name}/motor", "electrical_lag")
-    return [_of_joint(system, joint, batch) for joint in system.joints]
+            known = known.without_component(f"{joint.name}/motor", "electrical_lag")
+    x = batch.x[..., [system.state_names.index(name) for name in known.state_names]]
+    return [_of_joint(known, joint, replace(batch, x=x)) for joint in known.joints]
 
 
 def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:

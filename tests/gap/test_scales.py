@@ -1,11 +1,16 @@
 """What start values are measured by does not depend on what has been added already."""
 
+import numpy as np
 import pytest
+from drives import STEP, multisine
 from gapcase import small_case
 
 from hybrid_id.components import Dahl, ElectricalLag
 from hybrid_id.gap.scales import scales
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.study.replays import batch_of
+from hybrid_id.systems import two_link
 
 
 @pytest.mark.parametrize(
@@ -17,3 +22,14 @@ def test_torque_is_known_beside_what_remembers(place, part) -> None:
     plain, known = (scales(s, batch_of(dataset, s, dataset.train, 0.1, "cpu"))[0] for s in (today, richer))
     assert known.torque == pytest.approx(plain.torque)
     assert known.dry == pytest.approx(plain.dry, rel=1e-3)
+
+
+def test_the_second_joint_of_an_arm_is_known_beside_a_lag_of_the_first() -> None:
+    arm, u = two_link((50.0, 40.0)), multisine(0, samples=400)
+    time = STEP * np.arange(400)
+    motion = {"q_m1": 3.0 * np.sin(5.0 * time), "q_m2": 7.0 * np.cos(3.0 * time)}
+    record = Record("moves", time, {"u1": u, "u2": 0.5 * u}, motion)
+    late = arm.with_component("joint1/motor", ElectricalLag(T_e=0.01))
+    plain, known = (scales(s, make_batch(s, [record])) for s in (arm, late))
+    assert known == plain
+    assert plain[1].turns > 2.0 * plain[0].turns
