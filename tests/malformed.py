@@ -301,6 +301,12 @@ def malformed_datasets() -> list[Malformed]:
             "gap", (csv, "0.198 s", "max_gap"), both(in_frame(three_times), set_key("resample", to=True))
         ),
         Malformed(
+            "step of a nanosecond",
+            (csv, "1e-09 s", "give a longer one"),
+            both(set_key("sample_time", to=None), set_key("resample", to={"sample_time": 1e-9})),
+        ),
+        Malformed("truth for a number", ("key 'sample_time' is true",), set_key("sample_time", to=True)),
+        Malformed(
             "absurd number",
             (csv, "row 12", "'u1'", "1e+300", "no sensor reads"),
             in_frame(lambda f: f.assign(u1=f["u1"].where(f.index != 10, 1e300))),

@@ -113,6 +113,11 @@ def malformed_models() -> list[MalformedModel]:
             ("'parameters.P_m1.nominal' must be a valid number, found 'strong'",),
             put("parameters", "P_m1", "nominal", to="strong"),
         ),
+        MalformedModel(
+            "truth for a number",
+            ("'parameters.P_m1.nominal' is true",),
+            put("parameters", "P_m1", "nominal", to=True),
+        ),
         MalformedModel("not a number", ("J", "nan", "finite"), put("parameters", "J", "nominal", to=float("nan"))),
         MalformedModel("nominal outside its range", ("J", "0.5", "bounds"), put("parameters", "J", "nominal", to=0.5)),
         MalformedModel("empty range", (": J has an empty range",), put("parameters", "J", "lower", to=1.0)),

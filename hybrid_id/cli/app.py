@@ -1,6 +1,7 @@
 """The commands by name, and the one place where errors become messages and exit codes."""
 
 import errno
+import io
 import re
 import sys
 from typing import Annotated, Any, NoReturn
@@ -82,7 +83,8 @@ def _plain(message: str) -> str:
 
 
 def _refuse(message: str, code: int = 2) -> int:
-    sentence = " ".join(message.split())
+    # what a file says may hold escape sequences, which a terminal obeys
+    sentence = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
     print(f"Error: {sentence}{'' if sentence.endswith(('.', '?')) else '.'}", file=sys.stderr)
     return code
 
@@ -121,5 +123,8 @@ app.add_typer(blind, name="blind")
 
 def main() -> NoReturn:
     """Entry point of the console script."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal in ASCII has no ±
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
     app()
     raise AssertionError("a command line ends with its exit code")

@@ -27,7 +27,9 @@ def excite(
     rest: Annotated[
         float, typer.Option(help="Rest at zero before the signal in s, so that the start is known.")
     ] = 0.1,
-    starts: Annotated[int, typer.Option(help="Phase sets to start the search from.", min=1)] = 150,
+    starts: Annotated[
+        int, typer.Option(help="Phase sets to start the search from.", min=1, max=10_000)
+    ] = 150,
     seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0)] = 0,
     plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.", show_default=False)] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
@@ -51,6 +53,10 @@ def excite(
         raise InputError(
             f"--duration {duration:g} s holds no 2 to {MAX_SAMPLES:,} samples of {sample_time:g} s; change one of them"
         )
+    if not rest / sample_time <= MAX_SAMPLES:
+        raise InputError(
+            f"--rest {rest:g} s holds over {MAX_SAMPLES:,} samples of {sample_time:g} s; shorten it"
+        )
     if not 0 <= band[0] <= band[1] < np.inf:
         raise InputError(
             f"--band is {band[0]:g} {band[1]:g}; give the lowest frequency first, none below 0 Hz"
@@ -64,6 +70,8 @@ def excite(
         table = files.enter_context(result_file(file, force=force))
         words = files.enter_context(result_file(beside, force=force))
         picture = files.enter_context(result_file(plot, force=force)) if plot else None
+        if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
+            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
         design = design_multisine(
             band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones,
             starts=starts, seed=seed,

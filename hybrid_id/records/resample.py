@@ -22,6 +22,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.record import UNIFORM_TOLERANCE, Record
 
 MAX_GAP = 3.0  # median steps
+MOST = 1000  # new samples for each old one: more are a slip of the step, and fill the memory
 
 
 @dataclass(frozen=True)
@@ -94,7 +95,8 @@ def resample_record(
         max_gap: Longest step that is bridged, in median steps.
 
     Raises:
-        InputError: when a step is longer than `max_gap` median steps, or the new grid has under 2 samples.
+        InputError: when a step is longer than `max_gap` median steps, or the new grid has under 2 samples or far more
+            than the record.
     """
     step = record.sample_time if sample_time is None else sample_time
     # The tolerance keeps a last stamp that misses its grid point by rounding or slight jitter.
@@ -102,6 +104,10 @@ def resample_record(
     if n_out < 2:
         raise InputError(
             f"{record.title} lasts {record.duration:g} s, under one step of {step:g} s; shorten the step"
+        )
+    if n_out > MOST * record.n_samples:
+        raise InputError(
+            f"{record.title}: a step of {step:g} s makes {n_out:,} samples of {record.n_samples:,}; give a longer one"
         )
     if gaps := find_gaps(record, max_gap):
         raise InputError(

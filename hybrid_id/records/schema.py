@@ -77,6 +77,8 @@ class RecordEntry(_Part):
     @field_validator("file")
     @classmethod
     def _inside(cls, value: str) -> str:
+        if not value.isprintable():
+            raise ValueError("must be a file's name without control characters")
         posix, windows = PurePosixPath(value), PureWindowsPath(value)
         if posix.is_absolute() or windows.anchor or ".." in (*posix.parts, *windows.parts):
             raise ValueError("must name a file inside the dataset's folder")

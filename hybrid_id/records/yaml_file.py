@@ -2,6 +2,7 @@
 
 import difflib
 import os
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -15,7 +16,8 @@ from hybrid_id.errors import InputError
 
 Schema = TypeVar("Schema", bound=BaseModel)
 MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser
-
+ODD_NUMBER = re.compile(r"[-+]?([1-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?|0[0-7_]+)")
+"""What YAML takes for a number to base 60 or 8, and nobody else does: ``1:40`` is 100, ``0100`` is 64."""
 KINDS = {"study": "dataset", "dataset": "records", "model": "system"}
 """Kinds of files, and a key that each must have."""
 
@@ -66,7 +68,9 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
         InputError: when a key is unknown, missing or has a value out of range.
     """
     try:
-        return schema.model_validate(values)
+        found = schema.model_validate(values)
+        _refuse_truth_as_number(values, found.model_dump(), "", path)
+        return found
     except ValidationError as error:
         _refuse_other_kind(schema, values, path)
         faults = _without_misspelt(error.errors(include_url=False))
@@ -90,7 +94,7 @@ def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
 
 
 def _refuse_aliases_and_repeats(text: str, path: Path) -> None:
-    """Raise InputError at the first alias, and at the first key that a mapping holds twice."""
+    """Raise InputError at the first alias, number to another base, and key that a mapping holds twice."""
     for token in yaml.scan(text, Loader=yaml.SafeLoader):
         if isinstance(token, yaml.AliasToken):
             row = token.start_mark.line + 1
@@ -98,6 +102,12 @@ def _refuse_aliases_and_repeats(text: str, path: Path) -> None:
     waiting = [yaml.compose(text, Loader=yaml.SafeLoader)]
     while waiting:
         node = waiting.pop()
+        if isinstance(node, yaml.ScalarNode) and node.style is None and ODD_NUMBER.fullmatch(node.value):
+            row = node.start_mark.line + 1
+            raise InputError(
+                f"{path}, row {row}: YAML reads '{node.value}' to base {60 if ':' in node.value else 8}; "
+                "write a decimal number, or put a name in quotes"
+            )
         if isinstance(node, yaml.SequenceNode):
             waiting.extend(node.value)
         elif isinstance(node, yaml.MappingNode):
@@ -108,6 +118,18 @@ def _refuse_aliases_and_repeats(text: str, path: Path) -> None:
                     raise InputError(f"{path}, row {row}: key '{key.value}' is given twice; keep one of them")
                 seen.add(str(key.value))
                 waiting.append(value)
+
+
+def _refuse_truth_as_number(given: Any, found: Any, key: str, path: str | Path) -> None:
+    """Raise InputError where a file says true or false for a number, which pydantic takes for 1 or 0."""
+    if isinstance(given, bool) and isinstance(found, int | float) and not isinstance(found, bool):
+        raise InputError(f"{path}: key '{key}' is {str(given).lower()}, but a number is needed; give one")
+    if isinstance(given, Mapping) and isinstance(found, Mapping):
+        for name in given.keys() & found.keys():
+            _refuse_truth_as_number(given[name], found[name], f"{key}.{name}".lstrip("."), path)
+    if isinstance(given, list) and isinstance(found, list | tuple):
+        for i, (one, other) in enumerate(zip(given, found, strict=False)):
+            _refuse_truth_as_number(one, other, f"{key}[{i}]", path)
 
 
 def _refuse_other_kind(schema: type[BaseModel], values: Mapping[str, Any], path: str | Path) -> None:

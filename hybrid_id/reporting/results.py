@@ -188,9 +188,9 @@ def write_replay(path: Path, replay: Replay) -> None:
     record = replay.record
     columns = {"t": record.time, **record.inputs, **record.outputs}
     columns |= {f"{name}_simulated": values for name, values in replay.outputs.items()}
-    _write_rows(
-        path, tuple(columns), ([f"{v:.10g}" for v in row] for row in zip(*columns.values(), strict=True))
-    )
+    rows = zip(*columns.values(), strict=True)
+    # stamps may count from 1970
+    _write_rows(path, tuple(columns), ([f"{t:.15g}", *(f"{v:.10g}" for v in row)] for t, *row in rows))
 
 
 def write_comparison(path: Path, comparison: Comparison) -> None:

@@ -168,6 +168,8 @@ ARGUMENTS: dict[str, tuple[str, Callable[[Path], None], tuple[str, ...]]] = {
     "no step": ("excite --sample-time 0 --out {out}", nothing, ("--sample-time",)),
     "step not a number": ("excite --sample-time nan --out {out}", nothing, ("--sample-time",)),
     "band not a number": ("excite --band nan 8 --out {out}", nothing, ("--band",)),
+    "picture of another kind": ("excite --out {out} --plot {out}.jpg", nothing, ("--plot", ".png")),
+    "endless rest": ("excite --rest 1e12 --out {out}", nothing, ("--rest", "1,000,000")),
     "no tone": ("excite --tones 0 --out {out}", nothing, ("--tones",)),
     "endless signal": ("excite --duration 1e9 --out {out}", nothing, ("--duration",)),
     "negative rest": ("excite --rest -1 --out {out}", nothing, ("--rest",)),

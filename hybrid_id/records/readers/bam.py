@@ -30,6 +30,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.readers.table import Table, require_columns
 
 FULL_DUTY = 885  # counts of the PWM register at 100 %
+LARGEST = 1e300
 _KEYS = {
     "t": "timestamp",
     "goal1": "goal_position",
@@ -86,10 +87,10 @@ def _column(path: Path, entries: list[Any], key: str) -> np.ndarray:
     """Gather one key of every entry, (T,)."""
     try:
         return np.array([float(entry[key]) for entry in entries])
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         for k, entry in enumerate(entries, start=1):
             value = entry.get(key) if isinstance(entry, dict) else None
-            if not isinstance(value, int | float):
-                found = "missing" if value is None else f"{value!r}, not a number"
+            if not isinstance(value, int | float) or abs(value) > LARGEST:
+                found = "missing" if value is None else f"{str(value)[:40]!r}, no number that a sensor reads"
                 raise InputError(f"{path}, entry {k}: key '{key}' is {found}; remove the entry") from None
         raise
