@@ -89,10 +89,11 @@ def _excitation(record: Record) -> Iterator[Finding]:
 
 def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Severity, str, str]]:
     """Yield (severity, code, words) for one output."""
-    if np.ptp(values) == 0 or values.std() == 0:  # squares of 1e-300 are nothing
+    spread = float(values.std())
+    if np.ptp(values) == 0 or spread == 0:  # squares of 1e-300 are nothing
         yield "error", "constant", f"it is {values[0]:g} throughout; check its column and its sensor"
         return
-    noise, quantum, spread = estimate_noise(values), quantisation_step(values), float(values.std())
+    noise, quantum = estimate_noise(values), quantisation_step(values)
     fine = max(noise, quantum)
     position = stem(name) in ("q_m", "q_a")
     resolution = f", resolution {quantum:.3g}" if quantum > 1e-3 * spread else ""

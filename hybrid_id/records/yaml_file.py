@@ -36,7 +36,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         if path.stat().st_size > MAX_BYTES:
             raise InputError(f"{path} is larger than 5 MB, so it is no settings file; give the right file")
         text = path.read_text(encoding="utf-8")
-        _refuse_aliases_and_repeats(text, path)
+        _refuse_what_misleads(text, path)
         values = yaml.safe_load(text)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct the path or write the file") from None
@@ -93,7 +93,7 @@ def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     os.replace(temporary, path)
 
 
-def _refuse_aliases_and_repeats(text: str, path: Path) -> None:
+def _refuse_what_misleads(text: str, path: Path) -> None:
     """Raise InputError at the first alias, number to another base, and key that a mapping holds twice."""
     for token in yaml.scan(text, Loader=yaml.SafeLoader):
         if isinstance(token, yaml.AliasToken):

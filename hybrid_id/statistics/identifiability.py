@@ -179,7 +179,7 @@ def _root(jacobian: Arrays | None, information: np.ndarray | None) -> tuple[np.n
         raise InputError("identifiability: there is neither a Jacobian nor an information matrix; give one")
     records = [jacobian] if isinstance(jacobian, np.ndarray) else jacobian
     # where a simulation has diverged, it tells nothing
-    told = [np.nan_to_num(np.reshape(j, (-1, np.shape(j)[-1])), posinf=0.0, neginf=0.0) for j in records]
+    told = (np.nan_to_num(np.reshape(j, (-1, np.shape(j)[-1])), posinf=0.0, neginf=0.0) for j in records)
     factors = [np.linalg.qr(j)[1] for j in told]
     return np.linalg.qr(np.concatenate(factors))[1], _NULL_JACOBIAN
 
