@@ -248,7 +248,7 @@ def malformed_datasets() -> list[Malformed]:
             ("sound", "'u1'"),
             set_key("inputs", to=[{"name": "u1", "unit": "V"}, {"name": "u1", "unit": "V"}]),
         ),
-        Malformed("record name twice", ("sound", "'rec_0'"), set_key("records", 1, "file", to=csv)),
+        Malformed("record name twice", ("sound", "'rec_0'", csv), set_key("records", 1, "file", to=csv)),
         Malformed("record name as path", ("../a", "name"), set_key("records", 0, "name", to="../a")),
         Malformed("wrong sample time", (csv, "sample_time", "0.001"), set_key("sample_time", to=0.001)),
         Malformed(

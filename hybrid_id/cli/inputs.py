@@ -65,6 +65,9 @@ def checked_records(config: StudyConfig) -> "Dataset":
         raise InputError(
             f"{config.model} does not exist; write it (docs/formats.md shows one), or name another one with --model"
         )
+    if not config.dataset.exists():
+        with config.at("dataset"):
+            raise InputError(f"{config.dataset} does not exist; correct the path")
     dataset = load_records(config.dataset, config.preprocessing)
     findings = check_dataset(dataset)
     refuse_errors(findings)

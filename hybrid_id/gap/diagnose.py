@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -13,7 +14,8 @@ from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import next_experiment
-from hybrid_id.gap.probability import suspects, tied_explanations, tied_sets
+from hybrid_id.gap.own_sets import OwnSets, own_sets
+from hybrid_id.gap.probability import Suspect, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.refit import Explanation, Refit, engine
 from hybrid_id.gap.remainder import no_noise, outside, worst_unseen
 from hybrid_id.gap.shrink import Shrink, shrink
@@ -28,6 +30,9 @@ PARAMETRIC = 1.1
 """Ratio of nominal to re-fitted error from which the parameters were wrong."""
 TOO_SHORT = 30.0
 """Independent samples below which no structure can be told."""
+
+NEEDLESS = 0.1
+"""Of the probability of an effect, what is left where each record's own parameters leave noise without it."""
 
 
 def diagnose(
@@ -45,7 +50,8 @@ def diagnose(
     Search and fits use the train records only; the test records are opened once, to measure the gap. Effects whose gain
     on them may as well be none (95 % interval) are withdrawn; one that is sure but small on the train records is
     believed where it explains what the test records leave open. Where the test records alone show something that no
-    effect explains, the worst of them joins the train records: what explains it there has to explain the others.
+    effect explains, the worst of them joins the train records: what explains it there has to explain the others. What
+    is left is no effect where each record's own parameters explain all of it.
 
     Args:
         dataset: train and test records.
@@ -106,10 +112,14 @@ def _diagnosed(
         borne_out = judged(small)
         if not borne_out.unknown and borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:
             withdrawn, now = (), borne_out
-    search, found = now.search, tuple(suspects(now.search))
+    own = own_sets(refit, now.search.chosen, system) if now.unknown else None
+    if own is not None:
+        now = replace(judged(replace(now.search, chosen=own.common)), unknown=False)
+        base = base if own.common.effects else own.common
+    search, found = now.search, tuple(_believed(suspects(now.search), own))
     return Diagnosis(
         case=dataset.name,
-        verdict=_verdict(base, search, nominal, first, now.unknown),
+        verdict=_verdict(base, search, nominal, first, now.unknown, own is not None),
         effects=found,
         ties=tuple(tied_sets(found)),
         unknown=now.unknown,
@@ -122,6 +132,7 @@ def _diagnosed(
         bent=tuple(bent_parameters(system, base.system)),
         experiments=tuple(next_experiment(dataset, tied_explanations(search))),
         withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
+        varying=() if own is None else own.words,
         untold=untold(dataset, search.chosen.system),
         together=tuple(inseparable(dataset.records)),
         beyond=tuple(beyond(dataset)),
@@ -156,13 +167,27 @@ def _judged(
     return _Judged(search, after, last, gap, outside(chosen, first, last))
 
 
+def _believed(found: Sequence[Suspect], own: OwnSets | None) -> list[Suspect]:
+    """The suspects; none but the selected ones is called for where the records' own parameters explain the rest."""
+    return [
+        s if own is None or s.selected else replace(s, probability=NEEDLESS * s.probability) for s in found
+    ]
+
+
 def _verdict(
-    base: Explanation, search: Attribution, nominal: Errors | None, refit: Errors | None, unknown: bool
+    base: Explanation,
+    search: Attribution,
+    nominal: Errors | None,
+    refit: Errors | None,
+    unknown: bool,
+    varying: bool,
 ) -> str:
     if unknown:
         return "outside_catalogue"
     if search.chosen is not base:
         return "effects"
+    if varying:
+        return "parameters_only"
     if base.evidence.effective < TOO_SHORT:
         return "inconclusive"
     if nominal is None or refit is None or nominal.nrmse < PARAMETRIC * refit.nrmse:

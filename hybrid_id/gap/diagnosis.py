@@ -30,6 +30,8 @@ class Diagnosis:
         before: torques that would explain what the re-fitted model leaves, best first.
         after: the same for the corrected model.
         bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
+        varying: parameters that differ from record to record, in words, where each record's own values leave noise and
+            one common set does not; the chosen model then has the middle of these.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
         untold: changes of the chosen model's parameters that these records do not see, in words.
         together: facts of the records (a controller's gain, the temperature) that change together, in words.
@@ -59,6 +61,7 @@ class Diagnosis:
     beyond: tuple[str, ...]
     search: Attribution = field(repr=False)
     opened: str | None = None
+    varying: tuple[str, ...] = ()
 
     @property
     def selected(self) -> tuple[Suspect, ...]:
@@ -114,6 +117,7 @@ class Diagnosis:
             ],
             "bent_parameters": list(self.bent),
             "withdrawn": list(self.withdrawn),
+            "varying_parameters": list(self.varying),
             "cannot_be_told": [*self.untold, *self.together],
             "beyond_training": list(self.beyond),
             "opened": self.opened,

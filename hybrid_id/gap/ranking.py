@@ -41,12 +41,12 @@ def variant(one: Explanation) -> Variant:
     )
 
 
-def simpler_ones(ranked: Sequence[Explanation], finished: set[Variant]) -> list[Explanation]:
+def simpler_ones(ranked: Sequence[Explanation]) -> list[Explanation]:
     """Candidates that may yet explain as much as the best, with fewer parameters than it has."""
     return [
         e
         for e in ranked
-        if variant(e) not in finished
+        if not e.finished
         and e.evidence.error < SIMPLER * ranked[0].evidence.error
         and len(e.result.names) < len(ranked[0].result.names)
     ][:SIMPLER_ONES]
@@ -57,9 +57,7 @@ def is_white(one: Explanation) -> bool:
     return coloured(one.result.residual) < WHITE
 
 
-def simplest_first(
-    ranked: list[Explanation], finished: set[Variant], before: Explanation
-) -> list[Explanation]:
+def simplest_first(ranked: list[Explanation], before: Explanation) -> list[Explanation]:
     """Of the candidates that predict as well as the best, the one with the fewest parameters leads (Occam).
 
     Where the records cannot tell on which side of a gear an effect acts, it is where it usually does.
@@ -71,7 +69,7 @@ def simplest_first(
     equals = [
         e
         for e in ranked
-        if variant(e) in finished
+        if e.finished
         and e.evidence.error < LEAST_RATIO**2 * best.error
         and (e.evidence.error <= closed or best.z(e.evidence) < TOLD)
     ]

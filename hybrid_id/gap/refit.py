@@ -56,11 +56,13 @@ class Explanation:
         effects: what has been added to today's model, in the order of their names.
         result: the fit.
         evidence: its errors on records left out.
+        finished: whether it has been fitted to the end.
     """
 
     effects: tuple[Name, ...]
     result: FitResult
     evidence: Evidence
+    finished: bool = True
 
     @property
     def system(self) -> System:
@@ -148,12 +150,7 @@ class Refit:
         return min(ends, key=lambda e: e.result.cost)
 
     def slopes(self, system: System, least: float) -> Slopes | None:
-        """Slopes of a model as it stands, which first looks at its neighbours begin with; windows need none.
-
-        Args:
-            system: the model.
-            least: cost that a neighbour has to get below to be of interest.
-        """
+        """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none."""
         if self.window is not None:
             return None
         return replace(slopes_at(system, self.records(system), engine()), least=least)
@@ -178,7 +175,7 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
     torch.set_num_threads(1)
     if multiprocessing.parent_process() is not None:  # Ctrl-C is for the first process to answer
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    step = min(record.sample_time for record in refit.dataset.train)
+    step, last = min(record.sample_time for record in refit.dataset.train), iterations == TO_THE_END
     try:
         batch = refit.batch(task.system)
         loose = refit.window is None and hidden_links(task.system, batch)
@@ -190,13 +187,13 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
             )
         else:
             result = _nearest(task, batch, iterations)
-        if loose and task.shake and iterations == TO_THE_END:
+        if loose and task.shake and last:
             result = shaken(result, batch)
     except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
         return None
     blind = result.residual if iterations <= LOOK else left_out(result, batch)
     found = evidence(blind, step)
-    return Explanation(task.effects, result, found) if found.error < float("inf") else None
+    return Explanation(task.effects, result, found, last) if found.error < float("inf") else None
 
 
 def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:

@@ -6,15 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hybrid_id.gap.ranking import (
-    Variant,
-    best_of_each,
-    effects_of,
-    is_white,
-    simpler_ones,
-    simplest_first,
-    variant,
-)
+from hybrid_id.gap.catalogue import over_angle
+from hybrid_id.gap.ranking import best_of_each, effects_of, is_white, simpler_ones, simplest_first
 from hybrid_id.gap.refit import LOOK, TO_THE_END, WINDOW, Explanation, Name, Refit, Task
 from hybrid_id.gap.starts import special_cases, tasks
 from hybrid_id.identification.horizons import hidden_links
@@ -25,8 +18,12 @@ SECOND_LOOK = 10
 PROMISING, MORE_STARTS, FINALISTS, LATE = 16, 6, 4, 4
 """Candidates that get a second look, further starts of the best that do, candidates that are fitted to the end, and
 those that get a second look beside two effects."""
-SHAPES = 2
-"""Further shapes of the leading effect that are fitted to the end: the period of its wave decides how far it gets."""
+STARTS, SHAPES = 2, 3
+"""Starts of each shape that are kept beside each other, and further ones of the leading effect, of any shape, that are
+fitted to the end where it leaves more than noise: the period of its wave and its phase decide how far it gets."""
+GO_ON = 4
+"""Times that the last fit of a torque over the angle is taken up again, from where it has ended, while it leaves more
+than noise: along the ripples of its cost each brings it a little further."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted to the end, nor any further where the best
 leaves white noise or stands beside another effect."""
@@ -99,13 +96,10 @@ def _ranked(
     late = len(before.effects) > 1
     ranked = _second_looks(refit, before, refit.run(todo, LOOK, tick), LATE if late else PROMISING, tick)
     if more_todo and not (ranked and is_white(ranked[0])):
-        ranked = best_of_each([*ranked, *_from_afar(refit, ranked, more_todo, tick)])
-    finished: set[Variant] = set()
+        ranked = best_of_each([*ranked, *_from_afar(refit, ranked, more_todo, tick)], STARTS)
 
     def to_the_end(some: Sequence[Explanation]) -> list[Explanation]:
-        left = [e for e in some if variant(e) not in finished]
-        finished.update(variant(e) for e in left)
-        return _further(refit, before, left, ranked, TO_THE_END, tick)
+        return _further(refit, before, [e for e in some if not e.finished], ranked, TO_THE_END, tick)
 
     hope = any(_promises(e, before) for e in ranked)
     for keep in (FINALISTS, 1, 1) if hope else (1,):
@@ -113,11 +107,11 @@ def _ranked(
     if hope:
         if not is_white(ranked[0]):
             ranked = to_the_end([e for e in ranked if e.effects == ranked[0].effects][: 1 + SHAPES])
+            ranked = best_of_each([*ranked, *_gone_on(refit, ranked[0])], STARTS)
         special = refit.run(special_cases(refit, before, ranked[0]), TO_THE_END)
-        finished.update(variant(e) for e in special if e is not None)
-        ranked = best_of_each([*ranked, *(e for e in special if e is not None)])
-        ranked = to_the_end(simpler_ones(ranked, finished))
-    return tuple(simplest_first(best_of_each(ranked, key=effects_of), finished, before))
+        ranked = best_of_each([*ranked, *(e for e in special if e is not None)], STARTS)
+        ranked = to_the_end(simpler_ones(ranked))
+    return tuple(simplest_first(best_of_each(ranked, key=effects_of), before))
 
 
 def _second_looks(
@@ -190,7 +184,18 @@ def _further(
     more = refit.run(todo, iterations, tick)
     # what has been fitted further counts, be it better or worse; the rest stays as it was seen
     kept = [e for e in (*everyone, *some) if e not in rivals]
-    return best_of_each([*(e for e in more if e is not None), *kept])
+    return best_of_each([*(e for e in more if e is not None), *kept], STARTS)
+
+
+def _gone_on(refit: Refit, one: Explanation) -> list[Explanation]:
+    """Further fits of a candidate whose torque acts over the angle, each from where the one before has ended."""
+    fits = [one]
+    while over_angle(one.effects) and not is_white(fits[-1]) and len(fits) <= GO_ON:
+        again = refit.run([Task(one.effects, fits[-1].system, x0=fits[-1].result.x0)], TO_THE_END)[0]
+        if again is None:
+            break
+        fits.append(again)
+    return fits[1:]
 
 
 def _promises(one: Explanation, before: Explanation) -> bool:

@@ -85,8 +85,10 @@ class Dataset:
         for kind, names in (("channel", channels), ("record", [record.name for record in self.records])):
             twice = next((name for name in names if names.count(name) > 1), None)
             if twice:
+                sources = [record.source for record in self.records if record.name == twice and record.source]
+                same = f", or leave {sources[0]} out of one entry" if len(sources) > len(set(sources)) else ""
                 raise InputError(
-                    f"{where}: {kind} name '{twice}' is used twice; give each {kind} its own name"
+                    f"{where}: {kind} name '{twice}' is used twice; give each {kind} its own name{same}"
                 )
         if self.sample_time is not None and not 0 < self.sample_time < np.inf:
             raise InputError(f"{where}: sample_time is {self.sample_time}; give seconds above 0")

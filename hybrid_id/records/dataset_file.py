@@ -213,6 +213,11 @@ def _to_channel(table: Table, column: ColumnEntry, unit: str, channel: str) -> n
     if column.unwrap:
         values = np.unwrap(values, period=column.unwrap)
     factor = column.scale * to_si(unit, channel)[1]
+    if column.column in table.stamps and factor != 1:
+        raise InputError(
+            f"{table.path}: column '{column.column}' holds dates, which are read as seconds; leave out its 'unit' and "
+            "'scale'"
+        )
     return values if factor == 1 else factor * values
 
 

@@ -166,6 +166,8 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
         close = difflib.get_close_matches(name, beside, n=1) or difflib.get_close_matches(name, others, n=1)
         hint = f"did you mean '{close[0]}'?" if close else "remove it"
         return f"key '{key}' is unknown; {hint}"
+    if fault["input"] is None:
+        return f"key '{key}' is empty; give a value"
     found = repr(fault["input"])
     found = f", found {found if len(found) <= 60 else found[:57] + '...'}"
     if fault["type"] in ("model_type", "dict_type"):

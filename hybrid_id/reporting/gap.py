@@ -16,6 +16,7 @@ from hybrid_id.reporting.gap_words import (
     place_words,
     untold_lines,
     values_of,
+    varying_lines,
     verdict_sentence,
     where_line,
     withdrawn_lines,
@@ -52,6 +53,7 @@ def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.
     parts.append(suspects_table(diagnosis, reach, level, TOP))
     remarks = (
         *tie_lines(diagnosis)[:2],
+        *varying_lines(diagnosis),
         *withdrawn_lines(diagnosis),
         *experiment_lines(diagnosis),
         *bent_lines(diagnosis, 4),

@@ -61,6 +61,11 @@ def _parameters_only(diagnosis: Diagnosis, _reach: float) -> str:
         f": on unseen records the normalised error falls from {_error(nominal.nrmse)} to {_error(refit.nrmse)} when "
         "today's model is fitted to the train records"
     )  # fmt: skip
+    if diagnosis.varying:
+        return (
+            "No effect is missing, but the parameters differ from record to record: each record's own values leave "
+            f"nothing but noise, one common set does not{errors}."
+        )
     return f"Wrong parameters explain the gap, and no effect is missing{errors}."
 
 
@@ -141,6 +146,16 @@ def withdrawn_lines(diagnosis: Diagnosis) -> list[str]:
     verb = "lowers" if len(diagnosis.withdrawn) == 1 else "lower"
     return [
         f"withdrawn: {words} {verb} the errors of the train records, but not surely those of the test records."
+    ]
+
+
+def varying_lines(diagnosis: Diagnosis) -> list[str]:
+    """How parameters differ from record to record, as one line; none where one set explains all records."""
+    if not diagnosis.varying:
+        return []
+    return [
+        f"differ from record to record (standard deviation): {_joined(list(diagnosis.varying))}. `identify` fits a set "
+        "a record; a simulator is drawn from such sets, not from one."
     ]
 
 

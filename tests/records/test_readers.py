@@ -1,5 +1,6 @@
 import gzip
 import json
+import os
 
 import numpy as np
 import pandas as pd
@@ -66,6 +67,24 @@ def test_parquet_with_time_of_day(tmp_path) -> None:
     np.testing.assert_array_equal(table.columns["u1"], COLUMNS["u1"])
     np.testing.assert_allclose(table.columns["clock"], COLUMNS["t"])
     np.testing.assert_array_equal(table.columns["on"], [1, 0, 1])
+
+
+def test_dates_have_no_unit_of_their_own(tmp_path) -> None:
+    frame = pd.DataFrame({"u1": np.arange(9.0), "q_m1": np.arange(9.0) ** 2})
+    frame["clock"] = pd.Timestamp("2026-11-20") + pd.to_timedelta(0.01 * np.arange(9), unit="s")
+    frame.to_parquet(tmp_path / "a.parquet")
+    text = "name: a\ninputs: [{name: u1, unit: V}]\noutputs: [{name: q_m1, unit: rad}]\nrecords: [{file: a.parquet}]\n"
+    (tmp_path / "dataset.yaml").write_text(text + "columns: {t: {column: clock}}\n")
+    np.testing.assert_allclose(Dataset.load(tmp_path)["a"].time, 0.01 * np.arange(9), atol=1e-9)
+    (tmp_path / "dataset.yaml").write_text(text + "columns: {t: {column: clock, unit: ms}}\n")
+    with pytest.raises(InputError, match="column 'clock' holds dates, which are read as seconds; leave out"):
+        Dataset.load(tmp_path)
+
+
+def test_a_pipe_is_no_record(tmp_path) -> None:
+    os.mkfifo(tmp_path / "a.csv")
+    with pytest.raises(InputError, match="is a pipe or a device"):
+        load_any(tmp_path / "a.csv", ["u1"])
 
 
 def test_emps_layout_needs_no_column_map(tmp_path) -> None:

@@ -46,6 +46,10 @@ def load_any(
     file_format = file_format or _ENDINGS.get(ending)
     if file_format not in READERS:
         raise InputError(f"{path}: ending '{ending}' is unknown; give its 'format' ({', '.join(READERS)})")
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise InputError(
+            f"{path} is a pipe or a device, which is read once only; write its contents to a file"
+        )
     try:
         if path.suffix == ".gz" or file_format == "mat":
             refuse_bomb(path)

@@ -1,6 +1,6 @@
 """Parquet tables; a column of time stamps of the day becomes seconds since the first one."""
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,7 +36,13 @@ def read_parquet(path: Path, wanted: Collection[str], window: Window | None = No
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
-    return Table(path, columns, lambda k: f"row {(k if kept is None else int(kept[k])) + 1} of the table")
+    stamps = frozenset(n for n in columns if pa.types.is_timestamp(file.schema_arrow.field(n).type))
+    return Table(path, columns, _row(kept), stamps=stamps)
+
+
+def _row(kept: np.ndarray | None) -> Callable[[int], str]:
+    """Words for the place of each sample, of a table or of the rows that were kept of it."""
+    return lambda k: f"row {(k if kept is None else int(kept[k])) + 1} of the table"
 
 
 def _pieces(

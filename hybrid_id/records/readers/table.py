@@ -20,12 +20,14 @@ class Table:
         columns: Column name -> values as the file holds them, float64, (T,).
         place: Sample k -> words for a message, such as `row 17` (1-based line of the file).
         meta: Facts from the file's header, name -> number or text.
+        stamps: Columns of dates, given in seconds since the first one.
     """
 
     path: Path
     columns: Mapping[str, np.ndarray]
     place: Callable[[int], str]
     meta: Mapping[str, float | str] = field(default_factory=dict)
+    stamps: frozenset[str] = frozenset()
 
 
 PIECE = 1_000_000

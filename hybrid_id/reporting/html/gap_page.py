@@ -17,6 +17,7 @@ from hybrid_id.reporting.gap_words import (
     gap_line,
     percent,
     untold_lines,
+    varying_lines,
     verdict_sentence,
     where_line,
     withdrawn_lines,
@@ -79,6 +80,7 @@ def gap_page(
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
     ties = (
         *tie_lines(diagnosis),
+        *varying_lines(diagnosis),
         *withdrawn_lines(diagnosis),
         *beyond_lines(diagnosis),
         *experiment_lines(diagnosis),

@@ -1,0 +1,77 @@
+"""Parameters that differ from record to record: no common set explains such records, and yet no effect is missing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.gap.evidence import WHITE, coloured
+from hybrid_id.gap.refit import TO_THE_END, Explanation, Refit, Task, engine
+from hybrid_id.gap.starts import as_today
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.result import FitResult
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.chain import System
+
+NAMED = 3
+"""Parameters that are named."""
+TOLD = 1e-6
+"""Eigenvalue of the information on relative changes, over the greatest, below which records do not tell a direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class OwnSets:
+    """One parameter set for each record, train and test, where these leave no more than white noise.
+
+    Attributes:
+        common: the model with the median of the records' sets.
+        words: the parameters whose differences matter most, each with its standard deviation over the records.
+    """
+
+    common: Explanation
+    words: tuple[str, ...]
+
+
+def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets | None:
+    """Fit a model to every record by itself.
+
+    A drive's friction is another one on every day: its parameters scatter, and what one common set leaves is no effect
+    of a name. An effect that a model lacks shows within a record, too, whatever its parameters are.
+
+    Args:
+        refit: holds the records.
+        explanation: the model, fitted to all train records together, which differences may have led astray.
+        today: today's model; each fit starts from its values.
+
+    Returns:
+        None where there is one record only, or a record is not explained by any set of its own.
+    """
+    dataset, system = refit.dataset, explanation.system
+    if len(dataset.records) < 2:
+        return None
+    batch = batch_of(dataset, system, dataset.records, refit.signal_share, "cpu")
+    options = Options(max_iterations=TO_THE_END, tolerance=0.05)
+    start = as_today(system, today) or system
+    sets = fit(start, batch, pooled=False, engine=engine(), options=options)
+    if max(coloured(one.residual) for one in sets) > WHITE:
+        return None
+    values = np.median([one.values for one in sets], axis=0)
+    middle = start.with_values(dict(zip(sets[0].names, values.tolist(), strict=True)))
+    common = refit.run([Task(explanation.effects, middle)], 0)[0]
+    return None if common is None else OwnSets(common, _scatter(sets))
+
+
+def _scatter(sets: list[FitResult]) -> tuple[str, ...]:
+    """Parameters by how much their differences move the outputs, along the directions that the records tell."""
+    values = np.array([one.values for one in sets])
+    relative = values / np.where(values.any(0), values.mean(0), 1.0) - 1.0
+    root = np.concatenate(
+        [np.reshape(j, (-1, len(one.values))) * one.values for one in sets for j in one.jacobian]
+    )
+    eigenvalues, directions = np.linalg.eigh(root.T @ root)
+    told = directions[:, eigenvalues > TOLD * eigenvalues[-1]]
+    scatter = (relative @ told @ told.T).std(0)
+    order = np.argsort(-scatter * np.sqrt(np.square(root).sum(0)))[:NAMED]
+    return tuple(f"{sets[0].names[i]} by {100 * scatter[i]:.2g} %" for i in order)

@@ -1,0 +1,73 @@
+"""Parameters that differ from record to record are no effect that a model lacks."""
+
+from dataclasses import replace
+
+import pytest
+from drives import make_record, multisine, rigid_drive
+from gapcase import NOISE, RATIO, SAMPLES, STEP, small_case
+
+import hybrid_id.gap.diagnose as module
+from hybrid_id.components import REGISTRY
+from hybrid_id.gap.attribute import Attribution
+from hybrid_id.gap.own_sets import own_sets
+from hybrid_id.gap.refit import Refit
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.gap import summary
+from hybrid_id.systems import System
+
+FRICTION = (0.0092, 0.0108, 0.0100, 0.0096)
+
+
+def drifting() -> tuple[Dataset, System]:
+    """A drive whose dry friction is another one on every record."""
+    dataset, today = small_case()
+    records = [
+        make_record(
+            rigid_drive(ratio=RATIO).with_values({"F_c": friction}),
+            multisine(k, samples=SAMPLES, amplitude=6.0 + k, rest=20, step=STEP),
+            seed=k, noise={"q_m1": NOISE}, name=one.name, step=STEP,
+        )
+        for k, (friction, one) in enumerate(zip(FRICTION, dataset.records, strict=True))
+    ]  # fmt: skip
+    roles = [replace(new, role=old.role) for new, old in zip(records, dataset.records, strict=True)]
+    return replace(dataset, records=tuple(roles)), today
+
+
+@pytest.fixture(scope="module")
+def drift() -> tuple[Dataset, System]:
+    return drifting()
+
+
+def test_friction_that_drifts_is_said_by_name_and_size(drift) -> None:
+    dataset, today = drift
+    refit = Refit(dataset)
+    own = own_sets(refit, refit.base(today), today)
+    assert own is not None
+    assert own.words[0].startswith("F_c by "), own.words
+    assert float(own.words[0].split()[2]) == pytest.approx(5.7, abs=2.0)
+    ratio = own.common.system.parameter("P_m1").spec.value / 0.019
+    assert own.common.system.parameter("F_c").spec.value == pytest.approx(0.0098 * ratio, rel=0.05)
+
+
+def test_what_is_missing_within_a_record_is_no_drift() -> None:
+    dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    refit = Refit(dataset)
+    base = refit.base(today)
+    assert own_sets(refit, base, today) is None
+    one = Refit(replace(dataset, records=dataset.records[:1]))
+    assert own_sets(one, base, today) is None  # a record alone says nothing of others
+
+
+def test_diagnosis_names_no_effect_but_the_drift(drift, monkeypatch) -> None:
+    monkeypatch.setattr(
+        module, "attribute", lambda refit, system, **_: (lambda b: Attribution(b, (), b))(refit.base(system))
+    )
+    found = module.diagnose(*drift)
+    assert found.verdict == "parameters_only" and not found.unknown
+    assert found.as_dict()["varying_parameters"][0].startswith("F_c by ")
+    assert found.as_dict()["no_gap"]
+    words = " ".join(summary(found).split())
+    assert words.startswith("No effect is missing, but the parameters differ from record to record")
+    assert "differ from record to record (standard deviation): F_c by" in words
+    still = module.diagnose(*small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3)))
+    assert still.verdict == "outside_catalogue" and not still.varying
