@@ -74,6 +74,11 @@ class FitResult:
         return self.status in ("converged", "target")
 
     @property
+    def left_early(self) -> bool:
+        """Whether the values are no optimum of anything, so that no interval may be claimed around them."""
+        return self.status in ("interrupted", "diverged")
+
+    @property
     def noise_scale(self) -> float:
         """RMS of the weighted residuals: 1 where the model misses no more than the weights say."""
         return float(np.sqrt(sum(np.sum(r**2) for r in self.residual) / max(self.n_samples, 1)))

@@ -86,7 +86,12 @@ class Study:
         return self.selected.system
 
     def standard_errors(self, index: int) -> np.ndarray:
-        """Standard errors of a set: the larger of plain and robust; inf where no interval may be claimed."""
+        """Standard errors of a set: the larger of plain and robust; inf where no interval may be claimed.
+
+        None may for a parameter that the records do not tell alone, nor for any of a set that was stopped on its way.
+        """
+        if self.sets[index].left_early:
+            return np.full(len(self.names), np.inf)
         larger = np.maximum(self.covariances[index].std_error, self.robust[index].std_error)
         return np.where(self.identifiability.claimable, larger, np.inf)
 
@@ -103,6 +108,7 @@ class Study:
                 ]
             ).reshape(shape)
         errors = np.where(np.isnan(errors), np.inf, errors)
+        errors[[result.left_early for result in self.sets]] = np.inf
         values = np.array([c.evaluate(self.values) for c in told]).reshape(shape[::-1]).T
         names = tuple(c.text for c in told)
         return Combinations(names, values, errors, variation(values, names) if len(self.sets) > 1 else None)

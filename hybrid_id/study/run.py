@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Literal
 
@@ -17,7 +18,7 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap
 from hybrid_id.statistics.jackknife import autocorrelation_robust
 from hybrid_id.statistics.selection import select
-from hybrid_id.statistics.trust import trust_grades
+from hybrid_id.statistics.trust import Trust, trust_grades
 from hybrid_id.statistics.uncertainty import Covariance, covariance
 from hybrid_id.statistics.variation import mean_interval, variation
 from hybrid_id.study.identifiable import told_by
@@ -111,6 +112,9 @@ def assess(
         at_bound=chosen.at_bound,
         held=held,
     )
+    if any(result.left_early for result in sets):
+        why = "a fit was stopped before its end, so that its values are no estimate; let it finish"
+        trust = tuple(Trust(name, "D", math.inf, why) for name in names)
     test = test_nrmse(dataset, chosen, signal_share)
     spread = variation(values, names, held=held) if len(sets) > 1 else None
     return Study(

@@ -22,7 +22,7 @@ from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, s
 from hybrid_id.reporting.tables import comparison_table, identifiability_table, study_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.statistics.residuals import whiteness
-from hybrid_id.study import Comparison, Study, check_fit, compare, identify, replay
+from hybrid_id.study import Comparison, Study, assess, check_fit, compare, identify, replay
 
 TRUTH = {"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.01, "F_v": 5e-5}
 
@@ -242,3 +242,14 @@ def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -
     for index in (0, 1):  # whichever is selected
         chosen = replace(bounded, selection=replace(study.selection, index=index))
         assert "at a bound: F_v (in 1 of 2 sets)" in text_of(study_table(chosen, 1.96, 0.95))
+
+
+def test_a_fit_that_was_stopped_claims_no_interval(dataset: Dataset, study: Study) -> None:
+    stopped = [replace(study.sets[0], status="interrupted"), *study.sets[1:]]
+    told = assess(dataset, study.system, stopped, pooled=False)
+    assert np.isinf(told.standard_errors(0)).all()
+    assert np.isinf(told.combinations.std_error[0]).all()
+    assert np.isfinite(told.combinations.std_error[1]).any()
+    assert {t.grade for t in told.trust} == {"D"}
+    assert "stopped before its end" in told.trust[0].reason
+    assert "stopped by the user" in " ".join(text_of(study_table(told, 1.96, 0.95)).split())

@@ -1,7 +1,7 @@
 """Plain text tables, `.csv`, `.tsv` and `.txt`, also gzip-compressed.
 
-The delimiter (comma, semicolon, tab or runs of blanks) is seen from the header line. Numbers beside a
-semicolon may have a decimal comma. Blanks around column names, quotes and a leading `#` (as
+The delimiter (comma, semicolon, tab or runs of blanks) is seen from the header line. Numbers beside
+semicolons or tabs may have a decimal comma. Blanks around column names, quotes and a leading `#` (as
 `numpy.savetxt` writes it) are ignored, lines that begin with `#` or `%` before the header are skipped. A
 file with no header line has columns called `1`, `2`, ...
 """
@@ -23,6 +23,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.readers.table import PIECE, Table, Window, require_columns
 
 HEADER_LIMIT = 200  # lines in which the header must come
+DECIMAL_COMMA = (";", "\t")  # delimiters beside which a comma may be the decimal sign
 
 
 def read_csv(path: Path, wanted: Collection[str], window: Window | None = None) -> Table:
@@ -80,14 +81,14 @@ class _Layout:
         delimiter = next((d for d in (";", "\t", ",") if d in text), " ")
         first = _cut(text, delimiter)
         decimal = "."
-        if not _is_number(first[0].replace(",", ".") if delimiter == ";" else first[0]):
+        if not _is_number(first[0].replace(",", ".") if delimiter in DECIMAL_COMMA else first[0]):
             names, has_header, skipped, text = first, True, number, ""
         elif remark and len(_cut(remark, delimiter)) == len(first):
             names, has_header, skipped = _cut(remark, delimiter), True, number - 1
         else:
             names, has_header, skipped = [str(i + 1) for i in range(len(first))], False, number - 1
         numbers = text + "".join(islice(file, HEADER_LIMIT))
-        if delimiter == ";" and "," in numbers and "." not in numbers:
+        if delimiter in DECIMAL_COMMA and "," in numbers and "." not in numbers:
             decimal = ","
         return cls(names, has_header, delimiter, skipped, decimal)
 
