@@ -63,6 +63,7 @@ def agreement(system: System, exported: Mjcf, dataset: Dataset) -> list[Agreemen
 def mujoco_replay(system: System, exported: Mjcf, record: Record) -> Mapping[str, np.ndarray]:
     """Outputs of the exported model under a record's commands, ``(T,)`` each, from the package's own start state.
 
+    MuJoCo tells true angles; they are read through the model's own encoders, whose zero may be elsewhere.
     MuJoCo's motors have no switch. One that is off is given the voltage that it induces itself, beyond its limits if
     need be, so that no current flows: an open circuit.
     """
@@ -98,7 +99,16 @@ def mujoco_replay(system: System, exported: Mjcf, record: Record) -> Mapping[str
             if tick == 0 or any(command.follows(k) for command in commands):
                 data.ctrl[: len(commands)] = [command(k, data) for command in commands]
             mujoco.mj_step(model, data)  # type: ignore[attr-defined]
-    return {name: np.array(values) for name, values in found.items()}
+    return {name: _read(system, name, np.array(values)) for name, values in found.items()}
+
+
+def _read(system: System, name: str, true: np.ndarray) -> np.ndarray:
+    """What an encoder reads of true angles."""
+    views, values = system.views([value.detach().reshape(1) for value in system.theta()]), torch.tensor(true)
+    for key, sensor in system.joints[int(name[-1]) - 1].readings.sensors:
+        if sensor.channel == name[:-1]:
+            values = sensor.read(views[key], values)
+    return values.numpy()
 
 
 def _fill_delay(mujoco: Any, model: Any, data: Any, joint: Joint, first: float) -> None:

@@ -48,9 +48,11 @@ def jackknife_covariance(
     information = hessians.sum(0) + prior
     inverse, determined = scaled_inverse(information)
     # axes in which the information is the identity: directions that the records do not tell are left out
-    values, vectors = np.linalg.eigh(inverse * np.sqrt(np.outer(np.diag(information), np.diag(information))))
+    scale = np.sqrt(np.diag(information))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(inverse * np.outer(scale, scale))
     kept = values > 1e-12 * values.max()
-    axes = vectors[:, kept] * np.sqrt(values[kept]) / np.sqrt(np.diag(information))[:, None]
+    axes = vectors[:, kept] * np.sqrt(values[kept]) / scale[:, None]
     rest = np.eye(axes.shape[1]) - np.einsum("ik,bij,jl->bkl", axes, hessians, axes, optimize=True)
     floor = 1e-3 * np.eye(axes.shape[1])  # a block that tells a direction alone leaves nothing of it
     steps = np.linalg.solve(rest + floor, (gradients @ axes)[..., None])[..., 0]

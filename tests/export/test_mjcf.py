@@ -23,8 +23,10 @@ from hybrid_id.components import (
     JointFlexibility,
     KinematicError,
     LateReading,
+    LinkEncoder,
     LoadDependent,
     LuGre,
+    MotorEncoder,
     PositionDependent,
     QuadraticDrag,
     ResidualNetwork,
@@ -157,6 +159,16 @@ def test_what_is_left_out_is_said(words: str) -> None:
     assert len(exported.notes) == 1
     assert words in exported.notes[0] and f"joint1/{place}" in exported.notes[0]
     assert exported.notes[0].replace("--", "- -") in exported.text
+
+
+def test_check_reads_true_angles_through_the_encoders() -> None:
+    pytest.importorskip("mujoco")
+    system = one_link(RATIO, vertical=True).with_values({"G_l": 0.8, "q_0": 0.4})
+    off = system.with_component("joint1/sensor", MotorEncoder(offset=3.0)).with_component(
+        "joint1/sensor", LinkEncoder(offset=-0.2)
+    )
+    assert any("true angles" in note for note in to_mjcf(off).notes)
+    assert apart(off, dataset(outputs=("q_m1", "q_a1"))) < 1e-2
 
 
 def test_arm_that_no_bodies_have_is_refused() -> None:

@@ -1,6 +1,7 @@
 """Delete-a-block jackknife: right for white residuals, and for slow ones, where plain is too confident."""
 
 import numpy as np
+import pytest
 
 from hybrid_id.statistics.jackknife import autocorrelation_robust, jackknife_covariance
 from hybrid_id.statistics.uncertainty import covariance, robust_covariance
@@ -44,6 +45,15 @@ def test_null_direction_and_prior(rng):
     assert np.isclose(np.ones(2) @ found.matrix @ np.ones(2), 1 / np.sum(column**2), rtol=0.6)
     held = jackknife_covariance(jacobian, residual, prior_information=np.array([100.0, 0.0]))
     assert np.isclose(held.std_error[0], 0.1, rtol=0.2)
+
+
+@pytest.mark.filterwarnings("error")
+def test_parameter_that_moves_nothing_is_not_told(rng):
+    jacobian = rng.normal(size=(200, 1, 3))
+    jacobian[..., 1] = 0.0
+    told = jackknife_covariance(jacobian, rng.normal(size=(200, 1)))
+    assert np.isinf(told.std_error[1])
+    assert np.isfinite(told.std_error[[0, 2]]).all()
 
 
 def test_the_larger_of_the_two_is_used(rng):
