@@ -14,7 +14,7 @@ from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import next_experiment
-from hybrid_id.gap.own_sets import OwnSets, own_sets
+from hybrid_id.gap.own_sets import own_sets
 from hybrid_id.gap.probability import Suspect, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.refit import Explanation, Refit, engine
 from hybrid_id.gap.remainder import no_noise, outside, worst_unseen
@@ -113,13 +113,14 @@ def _diagnosed(
         if not borne_out.unknown and borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:
             withdrawn, now = (), borne_out
     own = own_sets(refit, now.search.chosen, system) if now.unknown else None
+    varying = () if own is None else own.varying
     if own is not None:
         now = replace(judged(replace(now.search, chosen=own.common)), unknown=False)
         base = base if own.common.effects else own.common
-    search, found = now.search, tuple(_believed(suspects(now.search), own))
+    search, found = now.search, tuple(_believed(suspects(now.search), bool(varying)))
     return Diagnosis(
         case=dataset.name,
-        verdict=_verdict(base, search, nominal, first, now.unknown, own is not None),
+        verdict=_verdict(base, search, nominal, first, now.unknown, bool(varying)),
         effects=found,
         ties=tuple(tied_sets(found)),
         unknown=now.unknown,
@@ -132,7 +133,7 @@ def _diagnosed(
         bent=tuple(bent_parameters(system, base.system)),
         experiments=tuple(next_experiment(dataset, tied_explanations(search))),
         withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
-        varying=() if own is None else own.words,
+        varying=varying,
         untold=untold(dataset, search.chosen.system),
         together=tuple(inseparable(dataset.records)),
         beyond=tuple(beyond(dataset)),
@@ -167,10 +168,10 @@ def _judged(
     return _Judged(search, after, last, gap, outside(chosen, first, last))
 
 
-def _believed(found: Sequence[Suspect], own: OwnSets | None) -> list[Suspect]:
+def _believed(found: Sequence[Suspect], varying: bool) -> list[Suspect]:
     """The suspects; none but the selected ones is called for where the records' own parameters explain the rest."""
     return [
-        s if own is None or s.selected else replace(s, probability=NEEDLESS * s.probability) for s in found
+        replace(s, probability=NEEDLESS * s.probability) if varying and not s.selected else s for s in found
     ]
 
 

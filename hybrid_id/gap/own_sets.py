@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid_id.gap.evidence import WHITE, coloured
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Refit, Task, engine
+from hybrid_id.gap.remainder import COLOURED
 from hybrid_id.gap.starts import as_today
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
@@ -17,6 +18,8 @@ from hybrid_id.systems.chain import System
 
 NAMED = 3
 """Parameters that are named."""
+BEYOND = 4.0
+"""Variance of the sets along a direction, over that of their own errors, from which the records differ along it."""
 TOLD = 1e-6
 """Eigenvalue of the information on relative changes, over the greatest, below which records do not tell a direction."""
 
@@ -26,19 +29,22 @@ class OwnSets:
     """One parameter set for each record, train and test, where these leave no more than white noise.
 
     Attributes:
-        common: the model with the median of the records' sets.
-        words: the parameters whose differences matter most, each with its standard deviation over the records.
+        common: the model whose set stands for all records: as it was, or fitted again from the middle of the sets,
+            where it explains the train records together; otherwise with their median.
+        varying: then the parameters whose differences matter most, each with its standard deviation over the
+            records.
     """
 
     common: Explanation
-    words: tuple[str, ...]
+    varying: tuple[str, ...] = ()
 
 
 def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets | None:
     """Fit a model to every record by itself.
 
     A drive's friction is another one on every day: its parameters scatter, and what one common set leaves is no effect
-    of a name. An effect that a model lacks shows within a record, too, whatever its parameters are.
+    of a name. An effect that a model lacks shows within a record, too, whatever its parameters are. Nor is one shown by
+    a test record that the model explains with other values than the train records have told.
 
     Args:
         refit: holds the records.
@@ -57,21 +63,41 @@ def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets |
     sets = fit(start, batch, pooled=False, engine=engine(), options=options)
     if max(coloured(one.residual) for one in sets) > WHITE:
         return None
+    if _explained(explanation):
+        return OwnSets(explanation)
     values = np.median([one.values for one in sets], axis=0)
     middle = start.with_values(dict(zip(sets[0].names, values.tolist(), strict=True)))
-    common = refit.run([Task(explanation.effects, middle)], 0)[0]
-    return None if common is None else OwnSets(common, _scatter(sets))
+    task, words = Task(explanation.effects, middle), _scatter(sets)
+    there, fitted = refit.run([task], 0)[0], refit.run([task], TO_THE_END)[0]
+    if fitted is not None and _explained(fitted):
+        return OwnSets(fitted)
+    return None if there is None or not words else OwnSets(there, words)
+
+
+def _explained(one: Explanation) -> bool:
+    """Whether one set explains all train records."""
+    return coloured(one.result.residual) <= COLOURED
 
 
 def _scatter(sets: list[FitResult]) -> tuple[str, ...]:
-    """Parameters by how much their differences move the outputs, along the directions that the records tell."""
+    """Parameters by how much their differences move the outputs, along the directions that the records tell.
+
+    Directions along which the sets differ by little more than their own errors are left out, so that records that tell
+    little are not taken for others.
+    """
     values = np.array([one.values for one in sets])
     relative = values / np.where(values.any(0), values.mean(0), 1.0) - 1.0
-    root = np.concatenate(
-        [np.reshape(j, (-1, len(one.values))) * one.values for one in sets for j in one.jacobian]
-    )
-    eigenvalues, directions = np.linalg.eigh(root.T @ root)
+    roots = [
+        np.concatenate([np.reshape(j, (-1, len(v))) for j in one.jacobian]) * v
+        for one, v in zip(sets, values, strict=True)
+    ]
+    squares = np.array([root.T @ root for root in roots])
+    eigenvalues, directions = np.linalg.eigh(squares.sum(0))
     told = directions[:, eigenvalues > TOLD * eigenvalues[-1]]
-    scatter = (relative @ told @ told.T).std(0)
-    order = np.argsort(-scatter * np.sqrt(np.square(root).sum(0)))[:NAMED]
-    return tuple(f"{sets[0].names[i]} by {100 * scatter[i]:.2g} %" for i in order)
+    coordinates, information = relative @ told, told.T @ squares @ told
+    noise = np.array([max(one.noise_scale, 1e-300) ** 2 for one in sets])
+    own = np.diagonal(np.linalg.pinv(information / noise[:, None, None]), axis1=1, axis2=2).mean(0)
+    differ = told[:, coordinates.var(0, ddof=1) > BEYOND * own]
+    scatter = (relative @ differ @ differ.T).std(0, ddof=1)
+    order = np.argsort(-scatter * np.sqrt(np.diag(squares.sum(0))))[:NAMED]
+    return tuple(f"{sets[0].names[i]} by {100 * scatter[i]:.2g} %" for i in order if scatter[i] > 0)

@@ -43,10 +43,18 @@ def test_friction_that_drifts_is_said_by_name_and_size(drift) -> None:
     refit = Refit(dataset)
     own = own_sets(refit, refit.base(today), today)
     assert own is not None
-    assert own.words[0].startswith("F_c by "), own.words
-    assert float(own.words[0].split()[2]) == pytest.approx(5.7, abs=2.0)
+    assert own.varying[0].startswith("F_c by "), own.varying
+    assert float(own.varying[0].split()[2]) == pytest.approx(5.7, abs=2.0)
     ratio = own.common.system.parameter("P_m1").spec.value / 0.019
     assert own.common.system.parameter("F_c").spec.value == pytest.approx(0.0098 * ratio, rel=0.05)
+
+
+def test_records_that_one_set_explains_do_not_differ() -> None:
+    dataset, today = small_case()
+    refit = Refit(dataset)
+    base = refit.base(today)
+    own = own_sets(refit, base, today)
+    assert own is not None and own.common is base and not own.varying
 
 
 def test_what_is_missing_within_a_record_is_no_drift() -> None:
