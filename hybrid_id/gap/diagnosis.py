@@ -31,7 +31,7 @@ class Diagnosis:
         after: the same for the corrected model.
         bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
         varying: parameters that differ from record to record, in words, where each record's own values leave noise and
-            one common set does not; the chosen model then has the middle of these.
+            one common set does not; the chosen model then has the set of the record that fits the others best.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
         untold: changes of the chosen model's parameters that these records do not see, in words.
         together: facts of the records (a controller's gain, the temperature) that change together, in words.

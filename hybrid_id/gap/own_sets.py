@@ -13,7 +13,8 @@ from hybrid_id.gap.starts import as_today
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
-from hybrid_id.study.replays import batch_of
+from hybrid_id.statistics.selection import select
+from hybrid_id.study.replays import batch_of, cross_validate
 from hybrid_id.systems.chain import System
 
 NAMED = 3
@@ -29,8 +30,8 @@ class OwnSets:
     """One parameter set for each record, train and test, where these leave no more than white noise.
 
     Attributes:
-        common: the model whose set stands for all records: as it was, or fitted again from the middle of the sets,
-            where it explains the train records together; otherwise with their median.
+        common: the model whose set stands for all records: as it was, or fitted again from that of one record, where it
+            explains the train records together; otherwise with the train record's set that fits the others best.
         varying: then the parameters whose differences matter most, each with its standard deviation over the
             records.
     """
@@ -65,9 +66,10 @@ def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets |
         return None
     if _explained(explanation):
         return OwnSets(explanation)
-    values = np.median([one.values for one in sets], axis=0)
-    middle = start.with_values(dict(zip(sets[0].names, values.tolist(), strict=True)))
-    task, words = Task(explanation.effects, middle), _scatter(sets)
+    train = {record.name for record in dataset.train}
+    seen = [one for one in sets if one.records[0] in train]
+    best = seen[select(cross_validate(seen, refit.records(system), pooled=False)).index]
+    task, words = Task(explanation.effects, best.system), _scatter(sets)
     there, fitted = refit.run([task], 0)[0], refit.run([task], TO_THE_END)[0]
     if fitted is not None and _explained(fitted):
         return OwnSets(fitted)

@@ -127,7 +127,7 @@ def gap_line(diagnosis: Diagnosis) -> str:
     if diagnosis.nominal is None or diagnosis.shrink is None:
         return "there is no test record, so no unseen record says."
     gap, records = diagnosis.shrink, count(len(diagnosis.nominal.by_record), "test record")
-    corrected = f", corrected {_error(gap.with_effect)}" if diagnosis.selected else ""
+    corrected = f", corrected {_error(gap.with_effect)}" if diagnosis.selected or diagnosis.varying else ""
     window = diagnosis.search.window
     lost = f" Free runs lose these records: effects were compared over {window:g} s." if window else ""
     if diagnosis.opened is not None:

@@ -46,7 +46,9 @@ def test_friction_that_drifts_is_said_by_name_and_size(drift) -> None:
     assert own.varying[0].startswith("F_c by "), own.varying
     assert float(own.varying[0].split()[2]) == pytest.approx(5.7, abs=2.0)
     ratio = own.common.system.parameter("P_m1").spec.value / 0.019
-    assert own.common.system.parameter("F_c").spec.value == pytest.approx(0.0098 * ratio, rel=0.05)
+    own_friction = own.common.system.parameter("F_c").spec.value / ratio
+    # one of the train records' own values, whose scale nothing tells
+    assert min(abs(own_friction / friction - 1.0) for friction in FRICTION[:3]) < 0.01
 
 
 def test_records_that_one_set_explains_do_not_differ() -> None:
