@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from hybrid_id.gap.evidence import COLOURED, coloured
 from hybrid_id.gap.ranking import LEAST_RATIO, is_white
 from hybrid_id.gap.refit import Explanation
 
 MORE_RATIO = 1.15
 """Least fall of the RMS of the errors beside another effect, whose fit may leave what another can pick up."""
 COMPLETE_RATIO = 1.05
-"""The same for an effect that leaves white noise: what a wrong formula leaves, no other effect explains to the end."""
+"""The same for an effect that leaves white noise: what a wrong formula leaves, no other effect explains to the end. Or
+that leaves so little beside it that nothing from outside the catalogue is called for, where without it something is."""
 LEAST_Z = 3.0
 """An effect must also lower the errors of prediction by so many standard errors, block by block."""
 LARGE_RATIO, LARGE_Z = 1.2, 1.5
@@ -25,9 +27,14 @@ def better(richer: Explanation, simpler: Explanation, least: float | None = None
     """
     ratio, z = richer.evidence.gain(simpler.evidence), richer.evidence.z(simpler.evidence)
     least = least_ratio(simpler) if least is None else least
-    if is_white(richer):
+    if is_white(richer) or _explains(richer, simpler):
         least = min(least, COMPLETE_RATIO)
     return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
+
+
+def _explains(richer: Explanation, simpler: Explanation) -> bool:
+    """Whether nothing from outside the catalogue is called for any more."""
+    return coloured(richer.result.residual) <= COLOURED < coloured(simpler.result.residual)
 
 
 def least_ratio(simpler: Explanation) -> float:

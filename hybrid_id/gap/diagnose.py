@@ -11,6 +11,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure_though_small
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.gap.evidence import COLOURED
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import next_experiment
@@ -50,8 +51,9 @@ def diagnose(
     Search and fits use the train records only; the test records are opened once, to measure the gap. Effects whose gain
     on them may as well be none (95 % interval) are withdrawn; one that is sure but small on the train records is
     believed where it explains what the test records leave open. Where the test records alone show something that no
-    effect explains, the worst of them joins the train records: what explains it there has to explain the others. What
-    is left is no effect where each record's own parameters explain all of it.
+    effect explains, the worst of them joins the train records: what explains it there has to explain the others, or to
+    leave them as they are where they lack nothing. What is left is no effect where each record's own parameters explain
+    all of it.
 
     Args:
         dataset: train and test records.
@@ -81,7 +83,7 @@ def diagnose(
     if worst is None:
         return found
     seen = (replace(r, role="train") if r.name == worst else r for r in dataset.records)
-    again = search(replace(dataset, records=tuple(seen)))
+    again = search(replace(dataset, records=tuple(seen)), opened=True)
     return replace(again, opened=worst) if again.verdict == "effects" else found
 
 
@@ -94,8 +96,9 @@ def _diagnosed(
     seed: int,
     signal_share: float,
     progress: Progress | None,
+    opened: bool = False,
 ) -> Diagnosis:
-    """Search on the train records, judged by the test records."""
+    """Search on the train records, judged by the test records; ``opened``: one of these has joined them."""
     refit = Refit(dataset, jobs=jobs, signal_share=signal_share)
     say = progress or (lambda *_: None)
     say("today's model", 0, 1)
@@ -106,8 +109,12 @@ def _diagnosed(
     nominal, first = errors(dataset, system, engine()), errors(dataset, base.system, base.result.engine)
     judged = partial(_judged, refit, before, first, seed)
     now = judged(search)
-    if search.chosen is not base and now.gap is not None and now.gap.interval[0] <= 0.0:
+    # where the other test records lack nothing, it is enough that an effect does them no harm
+    silent = opened and first is not None and first.coloured <= COLOURED
+    if search.chosen is not base and now.gap is not None and now.gap.interval[silent] <= 0.0:
         withdrawn, now = search.chosen.effects, judged(replace(search, chosen=base))
+    if silent and now.gap is not None:
+        now = replace(now, gap=replace(now.gap, share=0.0, interval=(0.0, 1.0)))
     if now.unknown and (small := sure_though_small(now.search)) is not None:
         borne_out = judged(small)
         if not borne_out.unknown and borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:

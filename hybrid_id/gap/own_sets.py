@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.gap.evidence import WHITE, coloured
+from hybrid_id.gap.evidence import COLOURED, WHITE, coloured
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Refit, Task, engine
-from hybrid_id.gap.remainder import COLOURED
 from hybrid_id.gap.starts import as_today
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options

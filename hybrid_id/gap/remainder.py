@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 from hybrid_id.gap.catalogue import over_angle
-from hybrid_id.gap.evidence import coloured
+from hybrid_id.gap.evidence import COLOURED, coloured
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.ranking import LEFT_OPEN
 from hybrid_id.gap.refit import STRAYED, Explanation
-
-COLOURED = 0.3
-"""Share of what the chosen model leaves, of train or of test records, that is no white noise, from which something acts
-that the catalogue lacks. Small random torques alone leave a fifth at most in generated cases."""
 
 MOSTLY = 0.5
 """The same for test records, however small a part of the gap it is: more than half of what is left has a cause."""

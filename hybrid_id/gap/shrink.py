@@ -16,7 +16,8 @@ class Shrink:
     """Share of the closable gap that is closed.
 
     Attributes:
-        share: ``(refit - with_effect) / (refit - floor)``; 0 where nothing is left to close.
+        share: ``(refit - with_effect) / (refit - floor)``; 0 where nothing is left to close, with an interval from 0 to
+            1 where the one record that showed the gap is among those of the fit.
         interval: 95 % interval from blocks drawn with replacement; its lower end takes the floor for the measurements'
             noise alone, its upper end for ``floor``, either with the scatter of the error itself: more is not known of
             it. A model may do better on these records than the right one would, so that it may reach beyond 1.

@@ -91,6 +91,11 @@ def _falls(diagnosis: Diagnosis) -> str:
     gap = diagnosis.shrink
     if gap is None:
         return " (no test record says how far)"
+    if diagnosis.opened is not None and gap.share == 0.0:
+        return (
+            f" on record '{diagnosis.opened}'; the other test records lack nothing: normalised error "
+            f"{_error(gap.refit)} without it, {_error(gap.with_effect)} with it"
+        )
     low, high = (f"{100 * min(end, 1.0):.0f}" for end in gap.interval)
     return (
         f": normalised error on unseen records falls from {_error(gap.refit)} to {_error(gap.with_effect)}, "

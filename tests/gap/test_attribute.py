@@ -93,6 +93,9 @@ def test_a_second_effect_is_believed_at_a_small_gain_where_it_completes_the_expl
         model(0.92 * (noise + 0.6 * wave), two), first
     )  # as much smaller, and the same waves are left
     assert not better(model(0.98 * noise, two), model(noise, one))
+    # 1.07 times smaller each: here nothing from outside is called for any more, there it still is
+    assert better(model(noise + 0.85 * wave, two), model(noise + 1.05 * wave, one))
+    assert not better(model(noise + 1.1 * wave, two), model(noise + 1.3 * wave, one))
 
 
 def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:

@@ -121,3 +121,28 @@ def test_what_the_train_records_do_not_show_is_looked_for_on_a_test_record(diagn
     # what explains it there has to explain the other one; a diagnosis that leaves nothing open stands as it is
     assert diagnosed_as(unknown, replace(unknown, with_effect=None)) is unknown
     assert diagnosed_as(found).opened is None
+
+
+def test_an_opened_record_is_enough_where_the_others_lack_nothing(diagnosed, monkeypatch) -> None:
+    dataset, today, found = diagnosed
+    honest, measured = module.shrink, module.errors
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found.search)
+
+    def verdict(low: float, high: float, coloured: float) -> str:
+        def unsure(refit, with_effect, floor, *, seed):
+            told = honest(refit, with_effect, floor, seed=seed)
+            return told if with_effect is refit else replace(told, interval=(low, high))
+
+        monkeypatch.setattr(module, "shrink", unsure)
+        monkeypatch.setattr(module, "errors", lambda *a: replace(measured(*a), coloured=coloured))
+        settings = {"most": 1, "jobs": 1, "seed": 0, "signal_share": module.SIGNAL_SHARE, "progress": None}
+        told = module._diagnosed(dataset, system=today, opened=True, **settings)
+        if told.verdict == "effects":
+            assert told.shrink is not None and (told.shrink.share, told.shrink.interval) == (0.0, (0.0, 1.0))
+            words = " ".join(summary(replace(told, opened="run_9")).split())
+            assert "explains the gap on record 'run_9'; the other test records lack nothing" in words
+        return told.verdict
+
+    assert verdict(-0.1, 0.2, 0.0) == "effects"
+    assert verdict(-0.3, -0.1, 0.0) != "effects"  # it does them harm
+    assert verdict(-0.1, 0.2, 0.9) != "effects"  # they lack something that it does not explain
