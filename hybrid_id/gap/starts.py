@@ -11,6 +11,7 @@ from hybrid_id.gap.catalogue import CATALOGUE, part_of
 from hybrid_id.gap.refit import Explanation, Name, Refit, Task, new_effect
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import Left
+from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.systems.chain import System
 
 
@@ -27,7 +28,9 @@ def tasks(
     taken, found, others = set(before.effects), [], []
     bent = len(before.effects) < 2 and bool(bent_parameters(today, before.system))
     least = before.result.cost
-    here = refit.slopes(before.system, least)
+    here, there = refit.slopes(before.system, least), None
+    if bent and hidden_links(before.system, batch) and (own := as_today(before.system, today)) is not None:
+        there = refit.slopes(own, least)  # behind play even a look from afar is one at whole records
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
             for where, starts in effect.models(before.system, size, left).items():
@@ -38,7 +41,7 @@ def tasks(
                 for start in starts:
                     found.append(Task(names, start, here))
                     if bent and (again := as_today(start, today)) is not None:
-                        others.append(Task(names, again))
+                        others.append(Task(names, again, there))
     return found, others
 
 
