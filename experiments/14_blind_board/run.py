@@ -8,8 +8,6 @@ import sys
 import tarfile
 from pathlib import Path
 
-from hybrid_id.cli.provenance import commit
-
 PARTS, EACH = 20, 12
 METHODS = ("diagnose", "sparse", "network")
 ROOT = Path("runs/board")
@@ -25,13 +23,12 @@ def command(*words: object) -> None:
 def run(start: int, step: int, keep: Path) -> None:
     """Make and run every step-th part from the start on, as far as it is not kept yet."""
     keep.mkdir(parents=True, exist_ok=True)
-    seed = int(commit()[:8], 16)
     for k in range(start, PARTS, step):
         part, archive = ROOT / f"p{k:02d}", keep / f"p{k:02d}.tar.xz"
         if archive.exists():
             continue
         if not (part / "cases" / "manifest.json").exists():
-            options = ("--cases", EACH, "--first", k * EACH + 1, "--seed", seed)
+            options = ("--cases", EACH, "--first", k * EACH + 1, "--seed", "commit")
             command("blind", "make", "--out", part / "cases", "--answers", ROOT / f"p{k:02d}.tar", *options)
         methods = [word for method in METHODS for word in ("--method", method)]
         command("blind", "run", part / "cases", "--out", part / "run", *methods)

@@ -103,12 +103,10 @@ def mujoco_replay(system: System, exported: Mjcf, record: Record) -> Mapping[str
 
 
 def _read(system: System, name: str, true: np.ndarray) -> np.ndarray:
-    """What an encoder reads of true angles."""
-    views, values = system.views([value.detach().reshape(1) for value in system.theta()]), torch.tensor(true)
-    for key, sensor in system.joints[int(name[-1]) - 1].readings.sensors:
-        if sensor.channel == name[:-1]:
-            values = sensor.read(views[key], values)
-    return values.numpy()
+    """What an encoder reads of true angles, in time."""
+    views = system.views([value.detach().reshape(1) for value in system.theta()])
+    readings = system.joints[int(name[-1]) - 1].readings
+    return readings.read(name[:-1], torch.tensor(true), 0.0, (), views).numpy()
 
 
 def _fill_delay(mujoco: Any, model: Any, data: Any, joint: Joint, first: float) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from hybrid_id.gap.evidence import COLOURED, coloured
-from hybrid_id.gap.ranking import LEAST_RATIO, is_white
+from hybrid_id.gap.ranking import LEAST_RATIO, is_explained, is_white
 from hybrid_id.gap.refit import Explanation
 
 MORE_RATIO = 1.15
@@ -27,14 +26,9 @@ def better(richer: Explanation, simpler: Explanation, least: float | None = None
     """
     ratio, z = richer.evidence.gain(simpler.evidence), richer.evidence.z(simpler.evidence)
     least = least_ratio(simpler) if least is None else least
-    if is_white(richer) or _explains(richer, simpler):
+    if is_white(richer) or (is_explained(richer) and not is_explained(simpler)):
         least = min(least, COMPLETE_RATIO)
     return (ratio >= least and z >= LEAST_Z) or (ratio >= LARGE_RATIO and z >= LARGE_Z)
-
-
-def _explains(richer: Explanation, simpler: Explanation) -> bool:
-    """Whether nothing from outside the catalogue is called for any more."""
-    return coloured(richer.result.residual) <= COLOURED < coloured(simpler.result.residual)
 
 
 def least_ratio(simpler: Explanation) -> float:

@@ -113,8 +113,6 @@ def _diagnosed(
     silent = opened and first is not None and first.coloured <= COLOURED
     if search.chosen is not base and now.gap is not None and now.gap.interval[silent] <= 0.0:
         withdrawn, now = search.chosen.effects, judged(replace(search, chosen=base))
-    if silent and now.gap is not None:
-        now = replace(now, gap=replace(now.gap, share=0.0, interval=(0.0, 1.0)))
     if now.unknown and (small := sure_though_small(now.search)) is not None:
         borne_out = judged(small)
         if not borne_out.unknown and borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:
@@ -122,8 +120,10 @@ def _diagnosed(
     own = own_sets(refit, now.search.chosen, system) if now.unknown else None
     varying = () if own is None else own.varying
     if own is not None:
-        now = replace(judged(replace(now.search, chosen=own.common)), unknown=False)
+        same = own.common is now.search.chosen
+        now = replace(now if same else judged(replace(now.search, chosen=own.common)), unknown=False)
         base = base if own.common.effects else own.common
+    gap = replace(now.gap, share=0.0, interval=(0.0, 1.0)) if silent and now.gap is not None else now.gap
     search, found = now.search, tuple(_believed(suspects(now.search), bool(varying)))
     return Diagnosis(
         case=dataset.name,
@@ -134,7 +134,7 @@ def _diagnosed(
         nominal=nominal,
         refit=first,
         with_effect=now.last,
-        shrink=now.gap,
+        shrink=gap,
         before=before,
         after=now.after,
         bent=tuple(bent_parameters(system, base.system)),

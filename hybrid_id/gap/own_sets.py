@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.gap.evidence import COLOURED, WHITE, coloured
+from hybrid_id.gap.evidence import WHITE, coloured
+from hybrid_id.gap.ranking import is_explained
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Refit, Task, engine
 from hybrid_id.gap.starts import as_today
 from hybrid_id.identification.fit import fit
@@ -63,21 +64,16 @@ def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets |
     sets = fit(start, batch, pooled=False, engine=engine(), options=options)
     if max(coloured(one.residual) for one in sets) > WHITE:
         return None
-    if _explained(explanation):
+    if is_explained(explanation):
         return OwnSets(explanation)
     train = {record.name for record in dataset.train}
     seen = [one for one in sets if one.records[0] in train]
     best = seen[select(cross_validate(seen, refit.records(system), pooled=False)).index]
     task, words = Task(explanation.effects, best.system), _scatter(sets)
     there, fitted = refit.run([task], 0)[0], refit.run([task], TO_THE_END)[0]
-    if fitted is not None and _explained(fitted):
+    if fitted is not None and is_explained(fitted):
         return OwnSets(fitted)
     return None if there is None or not words else OwnSets(there, words)
-
-
-def _explained(one: Explanation) -> bool:
-    """Whether one set explains all train records."""
-    return coloured(one.result.residual) <= COLOURED
 
 
 def _scatter(sets: list[FitResult]) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.evidence import WHITE, coloured
+from hybrid_id.gap.evidence import COLOURED, WHITE, coloured
 from hybrid_id.gap.refit import Explanation, Name
 
 SAME = 2e-3
@@ -55,6 +55,11 @@ def simpler_ones(ranked: Sequence[Explanation]) -> list[Explanation]:
 def is_white(one: Explanation) -> bool:
     """Whether a candidate leaves next to nothing but white noise: no other can do much better."""
     return coloured(one.result.residual) < WHITE
+
+
+def is_explained(one: Explanation) -> bool:
+    """Whether what a candidate leaves of the train records calls for nothing from outside the catalogue."""
+    return coloured(one.result.residual) <= COLOURED
 
 
 def simplest_first(ranked: list[Explanation], before: Explanation) -> list[Explanation]:

@@ -6,7 +6,7 @@ from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import COLOURED, coloured
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
-from hybrid_id.gap.ranking import LEFT_OPEN
+from hybrid_id.gap.ranking import LEFT_OPEN, is_explained
 from hybrid_id.gap.refit import STRAYED, Explanation
 
 MOSTLY = 0.5
@@ -39,7 +39,7 @@ def outside(chosen: Explanation, first: Errors | None, last: Errors | None) -> b
     model follows, where no torque over the angle may halt it elsewhere.
     """
     unseen = 0.0 if last is None or _behind_play(chosen) else last.coloured
-    if max(coloured(chosen.result.residual), unseen) <= COLOURED:
+    if is_explained(chosen) and unseen <= COLOURED:
         return False
     if not chosen.effects or first is None or last is None:
         return True
@@ -54,7 +54,6 @@ def worst_unseen(chosen: Explanation, last: Errors | None) -> str | None:
     None where the train records show it, where there is no other test record to bear out what explains it, and behind
     play.
     """
-    shown = coloured(chosen.result.residual) > COLOURED
-    if shown or last is None or len(last.over_noise) < 2 or _behind_play(chosen):
+    if not is_explained(chosen) or last is None or len(last.over_noise) < 2 or _behind_play(chosen):
         return None
     return max(last.over_noise, key=last.over_noise.__getitem__)

@@ -8,6 +8,7 @@ from hybrid_id.statistics.uncertainty import (
     Arrays,
     Covariance,
     as_records,
+    diagonal_scale,
     prior_matrix,
     robust_covariance,
     scaled_inverse,
@@ -48,8 +49,7 @@ def jackknife_covariance(
     information = hessians.sum(0) + prior
     inverse, determined = scaled_inverse(information)
     # axes in which the information is the identity: directions that the records do not tell are left out
-    scale = np.sqrt(np.diag(information))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = diagonal_scale(information)
     values, vectors = np.linalg.eigh(inverse * np.outer(scale, scale))
     kept = values > 1e-12 * values.max()
     axes = vectors[:, kept] * np.sqrt(values[kept]) / scale[:, None]

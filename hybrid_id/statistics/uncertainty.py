@@ -120,13 +120,18 @@ def prior_matrix(prior_information: np.ndarray | None, size: int) -> np.ndarray:
     return np.diag(prior) if prior.ndim == 1 else prior
 
 
+def diagonal_scale(information: np.ndarray) -> np.ndarray:
+    """What a matrix of information is divided by for a unit diagonal (p,); 1 for a parameter that moves nothing."""
+    scale = np.sqrt(np.diag(information))
+    return np.where(scale > 0, scale, 1.0)
+
+
 def scaled_inverse(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pseudo-inverse (p, p) of an information matrix, and which parameters it determines (p,) bool.
 
     Eigenvalues are judged after scaling to a unit diagonal, so that units do not matter.
     """
-    scale = np.sqrt(np.diag(information))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = diagonal_scale(information)
     values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     kept = values > _NUMERICALLY_NULL * len(values)
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
