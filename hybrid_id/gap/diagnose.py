@@ -18,7 +18,7 @@ from hybrid_id.gap.next_experiment import next_experiment
 from hybrid_id.gap.own_sets import own_sets
 from hybrid_id.gap.probability import Suspect, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.refit import Explanation, Refit, engine
-from hybrid_id.gap.remainder import no_noise, outside, worst_unseen
+from hybrid_id.gap.remainder import halted_elsewhere, no_noise, outside, worst_unseen
 from hybrid_id.gap.shrink import Shrink, shrink
 from hybrid_id.gap.untold import untold
 from hybrid_id.records.dataset import Dataset
@@ -141,6 +141,7 @@ def _diagnosed(
         experiments=tuple(next_experiment(dataset, tied_explanations(search))),
         withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
         varying=varying,
+        halted=now.halted,
         untold=untold(dataset, search.chosen.system),
         together=tuple(inseparable(dataset.records)),
         beyond=tuple(beyond(dataset)),
@@ -150,12 +151,22 @@ def _diagnosed(
 
 @dataclass(frozen=True, eq=False)
 class _Judged:
-    """A search's chosen model on the test records: what it leaves, its errors, how far the gap shrinks."""
+    """A search's chosen model on the test records.
+
+    Attributes:
+        search: it.
+        after: torques that would explain what it leaves.
+        last: its errors.
+        gap: how far it shrinks.
+        halted: whether its free runs halt elsewhere than the machine.
+        unknown: whether it leaves something that the catalogue lacks.
+    """
 
     search: Attribution
     after: tuple[Location, ...]
     last: Errors | None
     gap: Shrink | None
+    halted: bool
     unknown: bool
 
 
@@ -172,7 +183,8 @@ def _judged(
     if first is not None and last is not None:
         floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(no_noise(chosen, after, last), 0.99)))
         gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
-    return _Judged(search, after, last, gap, outside(chosen, first, last))
+    halted = halted_elsewhere(refit, search.base, chosen, last)
+    return _Judged(search, after, last, gap, halted, outside(chosen, first, last, halted))
 
 
 def _believed(found: Sequence[Suspect], varying: bool) -> list[Suspect]:

@@ -32,6 +32,8 @@ class Diagnosis:
         bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
         varying: parameters that differ from record to record, in words, where each record's own values leave noise and
             one common set does not; the chosen model then has the set of the record that fits the others best.
+        halted: whether free runs over the test records halt at other detents than the machine, while the corrected
+            model follows them from measured states as closely as the train records.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
         untold: changes of the chosen model's parameters that these records do not see, in words.
         together: facts of the records (a controller's gain, the temperature) that change together, in words.
@@ -62,6 +64,7 @@ class Diagnosis:
     search: Attribution = field(repr=False)
     opened: str | None = None
     varying: tuple[str, ...] = ()
+    halted: bool = False
 
     @property
     def selected(self) -> tuple[Suspect, ...]:
@@ -121,6 +124,7 @@ class Diagnosis:
             "cannot_be_told": [*self.untold, *self.together],
             "beyond_training": list(self.beyond),
             "opened": self.opened,
+            "halted_elsewhere": self.halted,
             "window": self.search.window,
             "next_experiments": [
                 {"name": e.name, "joint": e.joint, "distance": e.distance, "distance_today": e.today}

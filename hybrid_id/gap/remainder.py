@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import COLOURED, coloured
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.ranking import LEFT_OPEN, is_explained
-from hybrid_id.gap.refit import STRAYED, Explanation
+from hybrid_id.gap.refit import STRAYED, WINDOW, Explanation, Refit, engine
+from hybrid_id.gap.windows import window_errors
+from hybrid_id.study.replays import batch_of
 
 MOSTLY = 0.5
 """The same for test records, however small a part of the gap it is: more than half of what is left has a cause."""
+SEEN = 4.0
+"""Standard errors of white noise's colour from which errors over windows show that a model lacks something."""
 
 
 def no_noise(chosen: Explanation, after: tuple[Location, ...], last: Errors) -> float:
@@ -30,15 +36,32 @@ def _behind_play(chosen: Explanation) -> bool:
     return any("backlash" in key for key in chosen.system.components)
 
 
-def outside(chosen: Explanation, first: Errors | None, last: Errors | None) -> bool:
+def halted_elsewhere(refit: Refit, base: Explanation, chosen: Explanation, last: Errors | None) -> bool:
+    """Whether free runs over the test records are lost, although the model is right about them.
+
+    A torque over the angle halts a free run at one detent or the next. Such a model is judged by windows that begin at
+    measured states: of what the re-fitted model leaves there, it has to leave next to nothing.
+    """
+    if last is None or last.coloured <= COLOURED or not over_angle(chosen.effects) or _behind_play(chosen):
+        return False
+    left = []
+    for system in (base.system, chosen.system):
+        batch = batch_of(refit.dataset, system, refit.dataset.test, refit.signal_share, "cpu")
+        found = window_errors(system, engine(), batch, WINDOW)
+        left.append(coloured(found) * sum(float(np.square(one).sum()) for one in found))
+    seen = SEEN * sum(one.size for one in found) ** 0.5
+    return left[0] > seen and left[1] < LEFT_OPEN * left[0]
+
+
+def outside(chosen: Explanation, first: Errors | None, last: Errors | None, halted: bool = False) -> bool:
     """Whether the chosen model leaves something that the catalogue lacks.
 
     The test records count, too: a wrong formula may pass for a right one on the records that it has been fitted to.
     Not so behind play, whose fits end in ripples of their cost and predict other records no better than that. Beside an
     effect, what is left has to be a part of the gap that is worth a name, or more than the noise on records that the
-    model follows, where no torque over the angle may halt it elsewhere.
+    model follows, where no torque over the angle may halt it elsewhere; nothing where that is known (``halted``).
     """
-    unseen = 0.0 if last is None or _behind_play(chosen) else last.coloured
+    unseen = 0.0 if last is None or halted or _behind_play(chosen) else last.coloured
     if is_explained(chosen) and unseen <= COLOURED:
         return False
     if not chosen.effects or first is None or last is None:

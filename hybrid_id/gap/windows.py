@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+import torch
+
 from hybrid_id.identification.fit import measured_windows
 from hybrid_id.identification.horizons import link_seen
+from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -41,3 +45,27 @@ def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Bat
         return batch
     cut[0].x0_std[:, hidden] = 0.0
     return cut[0]
+
+
+def window_errors(system: System, engine: Engine, batch: Batch, seconds: float) -> list[np.ndarray]:
+    """Weighted errors of a model over windows, ``(T, n_y)`` each; none where the records are too short for them.
+
+    The first state of each is moved by one Gauss-Newton step within its uncertainty: what the encoders' noise does to a
+    measured speed is no error of the model.
+
+    Args:
+        system: the model.
+        engine: how it is simulated.
+        batch: whole records, prepared for it.
+        seconds: length of a window.
+    """
+    short = windows(system, engine, batch, seconds)
+    if short is batch:
+        return []
+    theta = system.theta().detach()[:, None].expand(-1, short.rows)
+    at = evaluate(system, engine, short, short.x, theta, [], loss=Loss(), chunk=short.x.shape[1])
+    x = short.x.clone()
+    x[:, 0] -= torch.linalg.solve(at.hessian, at.gradient)
+    run = simulate(system, engine, replace(short, x=x))
+    found = ((run.y - short.y) * short.weight).numpy()
+    return [row[(weight > 0).any(1)] for row, weight in zip(found, short.weight.numpy(), strict=True)]

@@ -135,6 +135,8 @@ def gap_line(diagnosis: Diagnosis) -> str:
     corrected = f", corrected {_error(gap.with_effect)}" if diagnosis.selected or diagnosis.varying else ""
     window = diagnosis.search.window
     lost = f" Free runs lose these records: effects were compared over {window:g} s." if window else ""
+    if diagnosis.halted:
+        lost += " Free runs halt at another detent here; from measured states the model follows these records, too."
     if diagnosis.opened is not None:
         lost += f" Test record '{diagnosis.opened}' joined the train records, which show too little of it."
     return (

@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gapcase import small_case
 
+import hybrid_id.gap.remainder as module
 from hybrid_id.components import Backlash
-from hybrid_id.gap.refit import Explanation
-from hybrid_id.gap.remainder import no_noise, outside, worst_unseen
+from hybrid_id.gap.refit import Explanation, Refit
+from hybrid_id.gap.remainder import halted_elsewhere, no_noise, outside, worst_unseen
+from hybrid_id.reporting.gap_words import gap_line
 
 
 def test_what_only_unseen_records_show_is_outside_the_catalogue(diagnosed, sound) -> None:
@@ -29,6 +32,25 @@ def test_what_only_unseen_records_show_is_outside_the_catalogue(diagnosed, sound
     # without an effect there is no gap that could have closed
     assert lacks(sound[2].search.chosen, 0.2, 0.9)
     assert not lacks(sound[2].search.chosen, 0.2, 0.2)
+
+
+def test_free_runs_that_halt_at_another_detent_are_judged_from_measured_states(
+    diagnosed, monkeypatch
+) -> None:
+    dataset, _, found = diagnosed
+    spring, base, lost = found.search.chosen, found.search.base, replace(found.refit, coloured=0.9)
+    wave, refit = replace(spring, effects=(("cogging", "joint1/motor"),)), Refit(dataset)
+    assert not halted_elsewhere(refit, base, wave, lost)  # records of less than four windows tell nothing
+    monkeypatch.setattr(module, "WINDOW", 0.3)
+    assert halted_elsewhere(refit, base, wave, lost)
+    assert not outside(wave, found.refit, lost, halted=True)
+    assert not halted_elsewhere(refit, base, spring, lost)  # a spring has no detents
+    assert not halted_elsewhere(refit, base, wave, replace(lost, coloured=0.2))
+    assert not halted_elsewhere(refit, wave, wave, lost)  # where nothing is missing, nothing can be closed
+    # a machine that the model does not follow from measured states either
+    other = Refit(replace(dataset, records=(*dataset.train, small_case()[0].test[0])))
+    assert not halted_elsewhere(other, base, wave, lost)
+    assert "another detent" in gap_line(replace(found, halted=True))
 
 
 def test_behind_play_test_errors_lower_the_claim_and_not_the_verdict(diagnosed) -> None:
