@@ -237,6 +237,11 @@ def malformed_datasets() -> list[Malformed]:
         Malformed(
             "unknown unit", (settings, "outputs[0]", "furlong"), set_key("outputs", 0, "unit", to="furlong")
         ),
+        Malformed(
+            "scale of nothing",
+            (settings, "columns.u1", "0 leaves nothing"),
+            set_key("columns", to={"u1": {"column": "u1", "scale": 0}}),
+        ),
         Malformed("map to no channel", (settings, "columns.u2"), set_key("columns", to={"u2": "x"})),
         Malformed(
             "wrong unit of a column",

@@ -51,6 +51,13 @@ class ColumnEntry(_Part):
         default=None, gt=0
     )  # period of a counter or angle that jumps, in the file's numbers
 
+    @field_validator("scale")
+    @classmethod
+    def _leaves_something(cls, value: float) -> float:
+        if value == 0:
+            raise ValueError("of 0 leaves nothing of the column; use -1 to turn its sign")
+        return value
+
 
 class ResampleEntry(_Part):
     """Options of `resample_record`."""

@@ -22,6 +22,7 @@ from hybrid_id.reporting.style import (
     scaled_unit,
     symbol,
 )
+from hybrid_id.reporting.tables import count
 from hybrid_id.study import Comparison, Replay
 
 MAX_INPUTS = 3
@@ -54,7 +55,7 @@ def excitation_figure(design: Multisine, name: str = "u1") -> Figure:
         right.vlines(design.frequencies, 0, design.amplitudes, color=COLOURS[0])
         right.plot(design.frequencies, design.amplitudes, "o", ms=3, color=COLOURS[0])
         right.set(xlabel="frequency [Hz]", ylabel="amplitude [V]", ylim=(0, None))
-        right.set_title(f"{len(design.frequencies)} tones", loc="left")
+        right.set_title(count(len(design.frequencies), "tone"), loc="left")
         return figure
 
 
