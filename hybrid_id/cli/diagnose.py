@@ -42,8 +42,9 @@ def diagnose(
 ) -> None:
     """Find out why records and today's model disagree: where the gap lies, which effect causes it, how far it shrinks.
 
-    Searches on the train records; the test records measure the gap. Writes report.html, diagnosis.json, model.yaml
-    (with the effects), refit.yaml (today's model, re-fitted), pictures and TensorBoard events.
+    Searches on the train records; the test records measure the gap (where they alone show it, the worst of them joins
+    the train records, and it is said). Writes report.html, diagnosis.json, model.yaml (with the effects), refit.yaml
+    (today's model, re-fitted), pictures and TensorBoard events.
     """
     config = study_config(
         source,

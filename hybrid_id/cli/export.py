@@ -195,5 +195,5 @@ def _judges(rows: list[dict[str, Any]]) -> str:
     """The gap to what was measured, over the test records where there are any."""
     test = [row for row in rows if row["role"] == "test"]
     means = (fmean(row[name] for row in test or rows) for name in ("there", "here"))
-    what = "test records, which no fit has seen" if test else "records"
+    what = "test records" if test else "records"
     return "measured against MuJoCo {:.3g}, against ours {:.3g} (mean over the {})".format(*means, what)

@@ -45,7 +45,8 @@ def identify(
         int | None, typer.Option(help="Start points; the best end counts.", min=1, show_default="1")
     ] = None,
     loss: Annotated[
-        Literal["l2", "huber", "l1"] | None, typer.Option(help="huber and l1 bear spikes.", show_default="l2")
+        Literal["l2", "huber", "l1"] | None,
+        typer.Option(help="huber and l1 tolerate spikes.", show_default="l2"),
     ] = None,
     seed: SeedOption = None,
     device: DeviceOption = None,

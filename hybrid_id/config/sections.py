@@ -56,7 +56,7 @@ class Identification(Section):
 
     Attributes:
         pooled: one set over all train records instead of one a record.
-        loss: of the weighted residuals; `huber` and `l1` bear spikes.
+        loss: of the weighted residuals; `huber` and `l1` tolerate spikes.
         threshold: weighted residual from which `huber` grows linearly.
         starts: start points; the best end counts.
         max_iterations, tolerance: of the fit; converged when a step is under `tolerance` standard errors.

@@ -34,7 +34,8 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
     values, half_widths = selected.get("values") or {}, selected.get("half_widths") or {}
     if result is not None and not values:
         raise InputError(
-            "the result holds no identified values; give a folder that 'identify' or 'train' has written"
+            "the result holds no identified values; give a folder that 'identify', or 'train' without networks, has "
+            "written"
         )
     if foreign := set(values) - {info.name for info in system.table}:
         raise InputError(

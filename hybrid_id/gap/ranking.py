@@ -79,7 +79,7 @@ def simplest_first(ranked: list[Explanation], before: Explanation) -> list[Expla
         and (e.evidence.error <= closed or best.z(e.evidence) < TOLD)
     ]
     first = min(equals, key=lambda e: len(e.result.names), default=ranked[0])
-    twins = [e for e in equals if _joints(e) == _joints(first)]
+    twins = [e for e in equals if _joints(e) == _joints(first) and first.evidence.z(e.evidence) < TOLD]
     first = min(twins, key=_unusual, default=first)
     return [first, *(e for e in ranked if e is not first)]
 

@@ -49,7 +49,8 @@ def identifiability_table(told: Identifiability) -> RenderableType:
     """What cannot be told in words, the combinations that can be, and which parameters stand alone."""
     parts: list[RenderableType] = []
     if told.directions:
-        words = f"{count(len(told.directions), 'direction')} of {len(told.names)} cannot be told from these records:"
+        number = f"{count(len(told.directions), 'direction')} of {len(told.names)}"
+        words = f"{number} cannot be determined from these records:"
         parts.append(Text(words, style="yellow"))
         parts += [Text(f"  {k}. {d.text}") for k, d in enumerate(told.directions, start=1)]
     else:

@@ -18,6 +18,7 @@ PAGES = {page.name: FENCE.findall(page.read_text(encoding="utf-8")) for page in 
 @pytest.fixture
 def workplace(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     shutil.copytree(drive, tmp_path / "my_robot")
+    shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / "model_priors.yaml")  # the demo has one
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

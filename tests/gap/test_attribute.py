@@ -134,6 +134,8 @@ def test_an_effect_is_where_it_usually_acts_where_the_records_cannot_tell() -> N
     worse = fitted("motor_friction", 1.1)
     assert simplest_first([at_link, worse], before) == [at_link, worse]
     assert simplest_first([at_rotor, fitted("link_friction", 1.02)], before)[0] is at_rotor
+    sure = fitted("link_friction", 1.0, z=3.0)
+    assert simplest_first([sure, at_rotor], before) == [sure, at_rotor]
 
 
 def test_waves_of_different_periods_are_different_models() -> None:

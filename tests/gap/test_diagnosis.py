@@ -21,6 +21,13 @@ def test_missing_spring_is_named(diagnosed) -> None:
     assert abs(rest - 0.3) < 5 * error + 1e-3
 
 
+def test_wrong_values_are_told_without_a_test_record_too(sound) -> None:
+    dataset, today, found = sound
+    alone = replace(dataset, records=dataset.train)
+    assert module._wrong_values(alone, today, found.search.base)
+    assert not module._wrong_values(alone, found.search.base.system, found.search.base)
+
+
 def test_gap_closes_on_the_unseen_record(diagnosed) -> None:
     found: Diagnosis = diagnosed[2]
     assert found.nominal is not None and found.refit is not None and found.with_effect is not None

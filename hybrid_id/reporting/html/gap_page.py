@@ -31,10 +31,10 @@ from hybrid_id.systems.chain import System
 SHOWN = 6
 """Effects that the table shows at least."""
 _HOW = (
-    "Search and fits use the train records only; the test records are opened once, to measure the gap. Each effect is "
-    "added to today's model and fitted with its parameters; the error of prediction is that on parts of the train "
-    "records left out, each in turn. A probability is that of the effect being at work at this place, so they "
-    "need not sum to one."
+    "Search and fits use the train records; the test records measure the gap. Where these alone show something, the "
+    "worst of them joins the train records, and it is said. Each effect is added to today's model and fitted with its "
+    "parameters; the error of prediction is that on parts of the train records left out, each in turn. A probability "
+    "is that of the effect being at work at this place, so they need not sum to one."
 )
 _NOWHERE = f"No torque over one signal explains {percent(LEAST_SHARE)} of what the re-fitted model leaves."
 _CAPTIONS = {
