@@ -17,21 +17,29 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
     Torques, inertias and frictions may all be multiplied by one number without a change of the motion; the median of
     their changes is taken for it.
     """
-    change, kind = {}, {}
+    change, power = {}, {}
     now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
     for info in nominal.table:
         value = now.get((info.component, info.symbol))  # none where an effect has taken the component's place
         if not info.spec.estimate or info.spec.value <= 0 or value is None:
             continue
         change[info.name] = math.log(max(value, 1e-12 * info.spec.value) / info.spec.value)
-        kind[info.name] = "kg" in info.spec.unit or "N" in info.spec.unit
-    scaled = sorted(change[n] for n in change if kind[n])
+        power[info.name] = _power(info.spec.unit)
+    scaled = sorted(change[n] / power[n] for n in change if power[n])
     middle = scaled[len(scaled) // 2] if scaled else 0.0
     words = []
     for name, moved in change.items():
-        own = moved - (middle if kind[name] else 0.0)
+        own = moved - power[name] * middle
         if own < -3.0:
             words.append(f"{name} is driven to zero")
-        elif abs(own) > (BENT_TORQUE if kind[name] else BENT):
+        elif abs(own) > (BENT_TORQUE if power[name] else BENT):
             words.append(f"{name} is {math.exp(own):.2f} times its nominal value")
     return words
+
+
+def _power(unit: str) -> int:
+    """Power of torque in a unit: 1 of ``N m s/rad`` or ``kg m^2``, -1 of ``rad/(N m)``, -2 of ``1/(N m)^2``."""
+    over, _, under = unit.partition("/")
+    if "N" in under:
+        return -2 if ")^2" in under else -1
+    return int("N" in over or "kg" in over)

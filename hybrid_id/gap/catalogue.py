@@ -33,7 +33,6 @@ class Effect:
         mistaken_for: effects that records easily confuse with it.
         separated_by: the excitation that tells them apart.
         splits: components of it that need the split of inertia between rotor and link, which is then estimated.
-        on_link: whether a joint with a compliant gear can tell its second place from its first.
         kinds: components that model it, where they are not called as it is.
         scan: looks in what a fit leaves for start points, by (what is left, joint, place); ``starts`` takes what it
             returns as a further argument.
@@ -50,7 +49,6 @@ class Effect:
     mistaken_for: tuple[str, ...]
     separated_by: str
     splits: tuple[str, ...] = ()
-    on_link: bool = True
     kinds: tuple[str, ...] = ()
     scan: Callable[[Left, int, str], Sequence[object]] | None = None
     shape: Mapping[str, str] = field(default_factory=dict)
@@ -70,7 +68,7 @@ class Effect:
             left: what the model's fit leaves, for an effect that looks for its start points there.
         """
         joint = system.joints[scales.joint - 1]
-        places = self.places if not joint.rigid and self.on_link else self.places[:1]
+        places = self.places[:1] if joint.rigid else self.places
         found: dict[str, list[System]] = {}
         for place in places:
             where = f"{joint.name}/{place}"
@@ -108,9 +106,11 @@ class Effect:
         share = next(
             (i for i in system.table if i.symbol == "rotor_share" and i.component.startswith(where[:6])), None
         )
-        lighter = [] if share is None else [system.with_values({share.name: x}) for x in ROTOR_SHARES]
-        for start in (system, *lighter):
+        for lighter in (None, *(ROTOR_SHARES if share is not None else ())):
             with suppress(InputError):  # too heavy a rotor leaves the links of an arm no mass matrix
+                start = (
+                    system if lighter is None or share is None else system.with_values({share.name: lighter})
+                )
                 richer = start.with_component(where, REGISTRY[kind](**_inside(kind, values)))
                 if share is None or kind not in self.splits:
                     return richer

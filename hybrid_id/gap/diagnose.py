@@ -106,7 +106,8 @@ def _diagnosed(
     base, withdrawn = search.base, ()
     say("location", 0, 1)
     before = tuple(locate(refit, base))
-    nominal, first = errors(dataset, system, engine()), errors(dataset, base.system, base.result.engine)
+    measured = partial(errors, dataset, signal_share=signal_share)
+    nominal, first = measured(system, engine()), measured(base.system, base.result.engine)
     judged = partial(_judged, refit, before, first, seed)
     now = judged(search)
     # where the other test records lack nothing, it is enough that an effect does them no harm
@@ -178,7 +179,8 @@ def _judged(
     if chosen is search.base:
         after, last = before, first
     else:
-        after, last = tuple(locate(refit, chosen)), errors(refit.dataset, chosen.system, chosen.result.engine)
+        after = tuple(locate(refit, chosen))
+        last = errors(refit.dataset, chosen.system, chosen.result.engine, signal_share=refit.signal_share)
     gap = None
     if first is not None and last is not None:
         floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(no_noise(chosen, after, last), 0.99)))

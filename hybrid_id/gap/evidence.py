@@ -76,6 +76,8 @@ def coloured(residuals: Sequence[np.ndarray]) -> float:
     """
     total = sum(float(np.square(r).sum()) for r in residuals)
     steps = sum(float(np.square(np.diff(r, axis=0)).sum()) for r in residuals)
+    if not np.isfinite(total):  # a run that has diverged is no noise
+        return 1.0
     return max(0.0, 1.0 - 0.5 * steps / total) if total > 0 else 0.0
 
 

@@ -115,7 +115,7 @@ def _late(signal: Tensor, samples: int) -> Tensor:
 
 
 def _remembered(opened: Probe, v: Tensor, sign: Tensor) -> Tensor:
-    """Low-passed direction and speed, and the angle since the last reversal."""
+    """Direction and speed less what they were on average of late."""
     step = opened.batch.step
     found = []
     for constant in MEMORY:

@@ -9,7 +9,9 @@ import numpy as np
 
 from hybrid_id.gap.refit import Explanation
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.measures import DRIVES
 from hybrid_id.records.record import Record
+from hybrid_id.records.units import stem
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 
@@ -96,7 +98,11 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
         amplitude = max(float(np.abs(record.inputs[name]).max()) for record in dataset.train)
         for title, signal in signals(amplitude, 0.15 * amplitude).items():
             command = np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
-            inputs = {other: np.zeros_like(time) for other in reference.inputs} | {name: command}
+            # a supply, a loop's gain and a switch stay as they were; the other joints' drives rest
+            inputs = {
+                other: np.full_like(time, 0.0 if stem(other) in DRIVES else float(np.median(values)))
+                for other, values in reference.inputs.items()
+            } | {name: command}
             outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
             record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
             distance = _distance(dataset, [record], tied, noise)

@@ -62,7 +62,7 @@ def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets |
     options = Options(max_iterations=TO_THE_END, tolerance=0.05)
     start = as_today(system, today) or system
     sets = fit(start, batch, pooled=False, engine=engine(), options=options)
-    if max(coloured(one.residual) for one in sets) > WHITE:
+    if any(one.status == "diverged" or coloured(one.residual) > WHITE for one in sets):
         return None
     if is_explained(explanation):
         return OwnSets(explanation)

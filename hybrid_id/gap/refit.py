@@ -132,7 +132,7 @@ class Refit:
     def strays(self, explanation: Explanation) -> bool:
         """Whether a model's free runs lose the records."""
         batch = self.records(explanation.system)
-        scale = batch.y.std(1) * batch.weight.amax(1)
+        scale = batch.std(batch.y) * batch.weight.amax(1)
         square = [np.square(r).mean(0) for r in explanation.result.residual]
         return float(np.sqrt(square / np.square(scale.numpy())).mean()) > STRAYED
 

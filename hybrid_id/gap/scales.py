@@ -51,7 +51,7 @@ class Scales:
 
 
 def scales(system: System, batch: Batch) -> list[Scales]:
-    """Scales of every joint.
+    """Scales of every joint; 1 in place of what never differs from nothing.
 
     Args:
         system: fitted model.
@@ -90,19 +90,20 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         highest = float(level.max())
     moving = command[command.abs() > 0.02 * command.abs().max()]
     link = q / joint.gear_ratio
+    fast = float(v.abs().quantile(0.95)) if v.numel() < 2**24 else float(v.abs().max())
     return Scales(
         joint=joint.number,
         ratio=joint.gear_ratio,
         sample_time=batch.step,
         duration=float(batch.dt.sum(1).max()),
-        command=float(command.abs().max()),
-        command_rms=float(moving.square().mean().sqrt()) if moving.numel() else 0.0,
-        speed=float(v.abs().quantile(0.95)) if v.numel() < 2**24 else float(v.abs().max()),
-        turns=float(q.max() - q.min()),
-        angle=float(link.max() - link.min()),
+        command=float(command.abs().max()) or 1.0,
+        command_rms=float(moving.square().mean().sqrt()) if moving.numel() else 1.0,
+        speed=fast or 1.0,
+        turns=float(q.max() - q.min()) or 1.0,
+        angle=float(link.max() - link.min()) or 1.0,
         middle=0.5 * float(link.max() + link.min()),
-        torque=torque,
-        dry=highest if highest > 1e-9 * torque else 0.1 * torque,
+        torque=torque or 1.0,
+        dry=highest if highest > 1e-9 * torque else 0.1 * (torque or 1.0),
         inertia=total,
         rotor=rotor,
     )

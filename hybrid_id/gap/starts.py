@@ -81,5 +81,19 @@ def without(system: System, base: System, name: Name) -> System | None:
         family = part.family()
         here = (p for key, p in base.components.items() if key.startswith(f"{name[1]}/"))
         old = next((p for p in here if isinstance(p, family)), None)
-        return system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
+        rest = system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
+        return _joined(rest, base, name[1][:6])
     return None
+
+
+def _joined(system: System, base: System, joint: str) -> System:
+    """The system with the rotor's share of a joint as it was, where no effect is left that tells it."""
+    share = next(
+        (i for i in system.table if i.symbol == "rotor_share" and i.component.startswith(joint)), None
+    )
+    telling = {
+        f"{joint}/{place}/{kind}" for e in CATALOGUE.values() for place in e.places for kind in e.splits
+    }
+    if share is None or any(key in telling and key not in base.components for key in system.components):
+        return system
+    return system.with_specs({share.name: base.parameter(share.name).spec})

@@ -225,7 +225,9 @@ def _results(problem: Problem, state: State, interrupted: bool, finished: bool) 
         problem.system, engine, batch, nodes.nan_to_num(0.0), theta[:, sets], free, loss=problem.loss, chunk=1
     )
     cost = problem.bounds.prior_cost(theta[free].T).index_add(0, sets, at.cost)
-    status = ["interrupted" if interrupted and s == "running" else s for s in state.status]
+    # a set that had settled over windows has not seen whole records
+    left = {"running"} if finished else {"running", "converged", "stalled", "max_iterations"}
+    status = ["interrupted" if interrupted and s in left else s for s in state.status]
     outcome = least_squares.Outcome(theta, cost, state.steps, status, at, state.history)
     settings = least_squares.Options(loss=problem.loss)
     return [

@@ -30,7 +30,7 @@ def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> 
         known.update(repr((key, sorted(part.options().items()))).encode())
     for batch in batches:
         known.update(repr((batch.names, batch.outputs)).encode())
-        for channel in (batch.dt, batch.y, *batch.u.values()):
+        for channel in (batch.dt, batch.y, batch.weight, *batch.u.values()):
             known.update(channel.detach().cpu().contiguous().numpy().tobytes())
     return known.hexdigest()
 
@@ -60,7 +60,8 @@ def read_checkpoint(path: Path, identity: list[str], make: Callable[[dict[str, A
     if not path.is_file():
         raise InputError(f"There is no checkpoint {path}; start without resuming.")
     try:
-        content = torch.load(path, weights_only=True)
+        device = None if torch.cuda.is_available() else "cpu"
+        content = torch.load(path, weights_only=True, map_location=device)
         found, course = content["identity"], make(dict(content["state"]))
     except Exception as error:
         raise InputError(

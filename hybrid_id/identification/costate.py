@@ -71,9 +71,11 @@ def gradient(
     loss = loss or Loss()
     for weight in extra:
         weight.requires_grad_(False)  # neither the simulation nor A needs their gradients
-    x, lin, closed = free_run(system, engine, batch, guess, theta)
-    for weight in extra:
-        weight.requires_grad_(True)
+    try:
+        x, lin, closed = free_run(system, engine, batch, guess, theta)
+    finally:  # Ctrl-C, too, leaves them as they were
+        for weight in extra:
+            weight.requires_grad_(True)
     residual = (batch.y - lin.y) * batch.weight
     slope = -loss.factor(residual) * residual * batch.weight
     costate = _costates(lin, (lin.c.transpose(2, 3) @ slope[..., None])[..., 0])

@@ -215,7 +215,7 @@ def measured_windows(
     if length is None:
         return None
     noise = dict(zip(batch.outputs, (1.0 / batch.weight.amax(1)).unbind(1), strict=True))
-    x0_std = 0.1 * batch.x.std(1)
+    x0_std = 0.1 * batch.std(batch.x)
     x0_std[:, system.memory_rows] = 0.0
     for joint in system.joints:
         # behind a rigid gear either encoder tells both sides

@@ -91,7 +91,8 @@ def grow(
 
     theta, cost = run(FIRST, theta, shared=True)
     theta = theta[:, cost.argmin()][:, None].expand(-1, count).clone()
-    seconds = FIRST
+    seconds = FIRST * GROWTH
+    theta, cost = run(seconds, theta, shared=False)
     while seconds < LAST and round(seconds / step) < samples:
         seconds *= GROWTH
         theta, cost = run(seconds, theta, shared=False)

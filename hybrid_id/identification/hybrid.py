@@ -124,7 +124,7 @@ def train_hybrid(
             f"The prices {list(prices)} are no ladder; give falling numbers that are not negative."
         )
     settings = (engine, options.augmentation, options.optimizer, options.precision, options.windows)
-    settings += (options.prices, options.loss, options.worth)
+    settings += (options.prices, options.loss, options.worth, options.starts, options.seed)
     identity = ["hybrid", fingerprint(system, [batch, validation], *settings)]
     physics = fit_physics(system, batch, engine, options)
     values = {name: physics.system.parameter(name).spec.value for name in physics.names}
@@ -208,7 +208,11 @@ def choose(losses: Sequence[Tensor], worth: float) -> int:
 def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
     """A rung as a system of its own, with standard errors from the Gauss-Newton matrix of all that it trained."""
     system, theta = trainer.whole.system, found.theta.double()
-    values = {info.name: float(theta[k, 0]) for k, info in enumerate(system.table) if info.spec.estimate}
+    values = {  # single precision rounds bounds, too
+        i.name: min(max(float(theta[k, 0]), i.spec.lower), i.spec.upper)
+        for k, i in enumerate(system.table)
+        if i.spec.estimate
+    }
     engine = replace(trainer.whole.engine, gradient="backprop")
     batch, course = trainer.whole.batch, Course(0, theta, found.weights.double())
     torch.nn.utils.vector_to_parameters(course.weights, trainer.whole.extra)

@@ -83,8 +83,12 @@ class Trainer:
         _, lin, closed = free_run(self.whole.system, engine, batch, batch.x, theta.expand(-1, batch.rows))
         loss = self.whole.loss.value((batch.y - lin.y) * batch.weight).sum(2)
         loss = loss.where(closed[:, None], torch.inf).nan_to_num(torch.inf, torch.inf)
-        scale = PARTS * batch.rows / (batch.weight > 0).sum()
-        return torch.stack([part.sum(1) * scale for part in loss.tensor_split(PARTS, 1)])
+        number = (batch.weight > 0).sum(2)
+        seen = number.cumsum(1)
+        part = ((seen - number) * PARTS // seen[:, -1:].clamp_min(1)).clamp_max(PARTS - 1)
+        total = loss.new_zeros(batch.rows, PARTS).scatter_add(1, part, loss.where(number > 0, 0.0))
+        count = loss.new_zeros(batch.rows, PARTS).scatter_add(1, part, number.to(loss.dtype))
+        return (total / count).where(count > 0, (total.sum(1) / count.sum(1))[:, None]).T
 
     def run(self, course: Course) -> bool:
         """Run all stages that are left; returns whether the training was stopped."""

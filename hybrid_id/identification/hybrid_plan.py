@@ -106,7 +106,8 @@ def excess(losses: Tensor, reference: Tensor) -> tuple[float, float]:
         losses: in each part of each record, ``(n_parts, R)``.
         reference: the same of what they are compared with.
     """
-    ratio = (losses / reference).clamp_min(1e-300).log()
+    # both may be infinite where a run is lost
+    ratio = torch.where(losses == reference, 1.0, losses / reference).clamp_min(1e-300).log()
     ways = [ratio.flatten()] + ([ratio.mean(0)] if ratio.shape[1] > 1 else [])
     return float(ratio.mean()), max(float(way.std()) / len(way) ** 0.5 for way in ways)
 

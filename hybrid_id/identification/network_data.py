@@ -67,8 +67,8 @@ def with_scales(system: System, batch: Batch, width: float = 0.5) -> System:
 def with_price(system: System, batch: Batch, price: float) -> Batch:
     """The batch with each network's output as one more measurement, which reads zero.
 
-    Its weight makes a mean square of ``(r / S)^2 = 1`` cost as much as a mean square output error of ``price`` noise
-    variances: the least-norm augmentation of APHYNITY (Yin et al., ICLR 2021, eq. 4) as a penalty.
+    Its weight makes a mean square of ``(r / S)^2 = 1`` cost as much as a mean square error of ``price`` noise
+    variances in one output: the least-norm augmentation of APHYNITY (Yin et al., ICLR 2021, eq. 4) as a penalty.
     """
     if price == 0.0:
         return batch

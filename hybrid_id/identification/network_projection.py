@@ -66,7 +66,7 @@ class Projection:
                 self._flat(torch.autograd.grad(p, self.weights, retain_graph=True, allow_unused=True))
                 for p in parts
             ]
-        jacobian = torch.stack(rows) if rows else torch.zeros(0, 1)
+        jacobian = torch.stack(rows)
         return jacobian.T @ jacobian
 
     def _flat(self, grads: tuple[Tensor | None, ...]) -> Tensor:
@@ -92,7 +92,7 @@ def projection(
     u = {name: channel.reshape(-1)[used] for name, channel in batch.u.items()}
     values = list(theta.detach())
     found = effects(system, width, x, u, values)
-    free = [found[info.name] for info in system.table if info.spec.estimate]
+    free = [found[name] for name in physical_names(system)]
     basis = span(torch.stack(free, 1)) if free else x[0].new_zeros(len(x[0]), 0)
     if price == 0.0 or basis.shape[1] == 0:
         return None
@@ -126,8 +126,8 @@ def effects(
     values, leaves = list(values), {}
     for k, info in enumerate(system.table):
         if info.spec.estimate or info.symbol == "b_0":
-            place = info.component.rpartition("/")[0]
             values[k] = values[k].expand_as(x[0]).clone().requires_grad_()
+            place = info.component.rpartition("/")[0]
             leaves[f"b_0 {place}" if info.symbol == "b_0" else info.name] = values[k]
     p = system.views(values)
     for key, part in system.networks.items():
@@ -143,6 +143,11 @@ def effects(
             )
             rows.append([torch.zeros_like(x[0]) if g is None else g / size for g in grads])
     return {name: torch.cat([row[k] for row in rows]) for k, name in enumerate(leaves)}
+
+
+def physical_names(system: System) -> list[str]:
+    """The estimated parameters, without those that belong to a network."""
+    return [info.name for info in system.table if info.spec.estimate and info.symbol != "b_0"]
 
 
 def span(columns: Tensor) -> Tensor:

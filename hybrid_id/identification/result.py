@@ -16,7 +16,6 @@ from hybrid_id.systems.chain import System
 
 MESSAGES = {
     "converged": "converged: the next step would be shorter than a hundredth of a standard error",
-    "target": "stopped at the requested cost",
     "stalled": "no step lowers the cost any more; check the start values, or try more starts",
     "max_iterations": "iterations used up before convergence; raise max_iterations or try more starts",
     "interrupted": "stopped by the user; the values are those of the last step",
@@ -33,7 +32,7 @@ class FitResult:
         names: names of the estimated parameters.
         values: estimates in physical units, ``(n_f,)``.
         units: their units.
-        status: "converged", "target", "stalled", "max_iterations", "interrupted" or "diverged".
+        status: "converged", "stalled", "max_iterations", "interrupted" or "diverged".
         message: what the status means and what to do next.
         records: names of the records it was fitted to.
         cost: loss with priors at the end.
@@ -71,7 +70,7 @@ class FitResult:
     @property
     def ok(self) -> bool:
         """Whether the estimates may be used."""
-        return self.status in ("converged", "target")
+        return self.status == "converged"
 
     @property
     def left_early(self) -> bool:

@@ -110,7 +110,8 @@ class Problem:
     def theta(self, q: Tensor) -> Tensor:
         """All parameters of each set, ``(n_p, G)``."""
         theta = self.base.clone()
-        theta[self.free] = (self.unit * q[:, : len(self.free)]).T
+        # the box of q and this product are rounded each
+        theta[self.free] = self.bounds.clip(self.unit * q[:, : len(self.free)]).T
         return theta
 
     def first_states(self, q: Tensor) -> Tensor:

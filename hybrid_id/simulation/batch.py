@@ -43,6 +43,13 @@ class Batch:
         """Median sample time [s]."""
         return float(self.dt[self.dt > 0].median())
 
+    def std(self, values: Tensor) -> Tensor:
+        """Standard deviation over the samples that each row has, ``(R, n)``, of values ``(R, T, n)``."""
+        own = (self.weight > 0).any(2, keepdim=True).to(values.dtype)
+        count = own.sum(1).clamp_min(2.0)
+        mean = (own * values).sum(1) / count
+        return ((own * (values - mean[:, None])).square().sum(1) / (count - 1.0)).sqrt()
+
     def take(self, rows: Tensor) -> Batch:
         """The batch of some rows (indices may repeat); itself where they are all of them in order."""
         if len(rows) == self.rows and bool((rows == torch.arange(self.rows, device=rows.device)).all()):

@@ -44,10 +44,8 @@ def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
     if found is None:
         raise InputError("Compiled steps need a C compiler; install gcc, or leave 'compiled' off.")
     kept = _shelf() / f"{_key(source, found, *flags)}.so"
-    try:
-        return ctypes.CDLL(str(kept))
-    except OSError:  # not there yet, or damaged
-        pass
+    if (known := _loaded(kept)) is not None:
+        return known
     with tempfile.TemporaryDirectory() as folder:
         code, built = Path(folder) / "steps.c", Path(folder) / "steps.so"
         code.write_text(source)
@@ -60,13 +58,28 @@ def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
             if done.returncode == 0:
                 with contextlib.suppress(OSError):  # a shelf that cannot be written to is no shelf
                     _put(built, kept)
-                return ctypes.CDLL(str(built))
+                if (made := _loaded(kept) or _loaded(built)) is not None:
+                    return made
+                raise InputError(
+                    f"Nothing compiled may be run from {folder}; set TMPDIR, or leave 'compiled' off."
+                )
         raise InputError(f"The C compiler {found} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}")
 
 
+def _loaded(path: Path) -> ctypes.CDLL | None:
+    """A library; None where it is not there, is damaged, or lies where nothing may be run."""
+    try:
+        return ctypes.CDLL(str(path))
+    except OSError:
+        return None
+
+
 def _shelf() -> Path:
-    """Folder of compiled steps, in the user's cache."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hybrid_id"
+    """Folder of compiled steps, in the user's cache; one that cannot be for a user without a home."""
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hybrid_id"
+    except RuntimeError:
+        return Path(os.devnull) / "hybrid_id"
 
 
 @functools.cache

@@ -53,6 +53,8 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
                         jacobian[:, i, j] = grad
         # what remembers couples back through its drive (a bristle that sticks is a spring); its own rate is exact
         for row, drive, _ in system.relaxations(leaves, u, p):
+            if not drive.requires_grad:  # a current that lags behind the command alone
+                continue
             grads = torch.autograd.grad(drive.sum(), leaves, retain_graph=True, allow_unused=True)
             for j, grad in enumerate(grads):
                 if grad is not None:

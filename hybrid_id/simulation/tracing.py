@@ -34,7 +34,7 @@ OPERATIONS: dict[str, str] = {
     "logical_and": "{0} && {1}", "logical_or": "{0} || {1}", "logical_not": "!{0}",
     "bitwise_and": "{0} && {1}", "bitwise_or": "{0} || {1}", "bitwise_not": "!{0}",
     "zeros_like": "0.0", "new_zeros": "0.0", "ones_like": "1.0", "new_ones": "1.0", "fill": "{1}", "zero": "0.0",
-    "scalar_tensor": "{0}", "full_like": "{1}", "full": "{1}", "new_full": "{2}",
+    "scalar_tensor": "{0}", "full_like": "{1}", "full": "{0}", "new_full": "{1}",
     "detach": "{0}", "alias": "{0}", "clone": "{0}", "expand": "{0}", "view": "{0}", "_to_copy": "{0}", "copy": "{1}",
     "_unsafe_view": "{0}", "reshape": "{0}",
 }  # fmt: skip

@@ -77,7 +77,7 @@ def _compare(errors: Mapping[str, float], estimate: float) -> tuple[str, str]:
     if not np.isfinite(largest) or largest > _VAGUE * abs(estimate):
         share = 100 * largest / abs(estimate) if estimate else np.inf
         return "D", f"its standard error is {share:.0f} % of its value ({largest_way})"
-    others = {way: error for way, error in errors.items() if way != "plain"}
+    others = {way: error for way, error in errors.items() if way != "plain" and error > 0.0}
     if not others:
         return "C", "only the plain covariance is known, and nothing checks it"
     smallest_way = min(others, key=lambda way: others[way])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.identification.network_data import networks_of
-from hybrid_id.identification.network_projection import effects, span
+from hybrid_id.identification.network_projection import effects, physical_names, span
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -65,7 +65,7 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
     values = list(system.theta().detach().to(batch.x)[:, None])
     p, found = system.views(values), []
     accelerations = effects(system, engine.width, x, u, values)
-    free = [info.name for info in system.table if info.spec.estimate]
+    free = physical_names(system)
     empty = x[0].new_zeros(len(x[0]) * len(system.speed_rows), 0)
     physical = torch.stack([accelerations[name] for name in free], 1) if free else empty
     basis = span(physical)

@@ -17,7 +17,8 @@ Directions = Sequence[Tensor | None]
 class SpeedBalance:
     """Forces on one speed: ``inertia * a = smooth - direction * (level + factor |transmitted|)``.
 
-    ``transmitted = link_share * inertia * a + load`` is the torque through a rigid gear; with a spring the chain
+    ``transmitted = link_share * inertia * a + load`` is the torque through a rigid gear, dry friction at the link left
+    out, which no record parts from that at the motor there; with a spring the chain
     knows it beforehand, puts its friction into ``level`` and leaves ``factor`` empty.
     """
 

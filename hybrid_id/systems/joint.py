@@ -8,13 +8,7 @@ from typing import cast
 
 from torch import Tensor
 
-from hybrid_id.components.base import (
-    Component,
-    Friction,
-    Inertia,
-    LoadTorque,
-    LoggedTorque,
-)
+from hybrid_id.components.base import Component, Friction, Inertia, LoadTorque, LoggedTorque
 from hybrid_id.components.bristle import Bristle
 from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import SpeedBalance
@@ -159,11 +153,12 @@ class Joint:
         key, inertia = self.inertia
         if self.rigid:
             angle, slope, bend = self.gear.map(q, p)
-            total, level, load = inertia.total(p[key], r), motor_level, v.new_zeros(1)
+            total, level, load, turned = inertia.total(p[key], r), motor_level, v.new_zeros(1), 0.0
             if bend is not None:
                 carried = inertia.link(p[key], r)
                 total = inertia.rotor(p[key], r) + carried * slope**2
-                drive = drive - carried * slope * bend * v.square()
+                turned = carried * slope * bend * v.square()  # the link's, while the rotor turns evenly
+                drive = drive - turned
             network = any(place in self.networks.by_place for place in LINK_PLACES)
             if self.frictions["link_friction"] or self.loads or self.logged or network:
                 link_smooth, link_level = self.friction(
@@ -174,7 +169,7 @@ class Joint:
             if factor is None:
                 return [SpeedBalance(total, drive, level)]
             share = inertia.link(p[key], r) * slope**2 / total
-            return [SpeedBalance(total, drive, level, factor, share, load)]
+            return [SpeedBalance(total, drive, level, factor, share, load + turned)]
         rotor, link = inertia.rotor(p[key], r), inertia.link(p[key], r)
         qa, va = x[self.positions[1]], x[self.positions[1] + 1]
         torque = self.spring_torque(x, p)

@@ -5,6 +5,7 @@ from dataclasses import replace
 from gapcase import RATIO
 
 import hybrid_id.gap.diagnose as module
+from hybrid_id.components import JointFlexibility
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.diagnosis import Diagnosis
@@ -101,6 +102,12 @@ def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
     assert bent_parameters(nominal, nominal.with_values(scaled)) == []
     words = bent_parameters(nominal, nominal.with_values({"F_c": 0.0}))
     assert words == ["F_c is driven to zero"]
+    # what has torque below the line falls as torques rise
+    soft = nominal.with_component("joint1/transmission", JointFlexibility(compliance=0.05, zeta=0.3))
+    flexible = {i.name: i.spec.value for i in soft.table if i.spec.estimate}
+    torques = {name: v * (1.0 if name in ("P_m2", "zeta") else 1.7) for name, v in flexible.items()}
+    torques["compliance"] = flexible["compliance"] / 1.7
+    assert bent_parameters(soft, soft.with_values(torques)) == []
 
 
 def test_what_the_train_records_do_not_show_is_looked_for_on_a_test_record(diagnosed, monkeypatch) -> None:

@@ -51,3 +51,7 @@ def test_white_noise_has_no_colour_and_what_is_smooth_is_all_colour(rng: np.rand
     assert coloured(smooth) > 0.99
     assert coloured([a + 1.0 * np.sqrt(2.0) * smooth[0] for a in long]) == pytest.approx(0.5, abs=0.03)
     assert coloured([np.zeros((10, 1))]) == 0.0
+
+
+def test_a_run_that_diverged_is_no_noise() -> None:
+    assert coloured([np.array([[0.1], [np.nan], [0.2]])]) == 1.0

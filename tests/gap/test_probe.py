@@ -51,3 +51,7 @@ def test_response_equals_a_simulated_torque(rng: np.random.Generator, kind: str,
 def test_bumps_are_flat_together() -> None:
     signal = torch.linspace(-2.0, 2.0, 81, dtype=torch.float64)
     torch.testing.assert_close(bumps(signal, 7, -2.0, 2.0).sum(-1), torch.ones_like(signal))
+
+
+def test_a_command_that_is_never_given_makes_no_bumps_of_nothing() -> None:
+    assert torch.isfinite(bumps(torch.zeros(5, dtype=torch.float64), 9, 0.0, 0.0)).all()

@@ -1,7 +1,10 @@
 """What start values are measured by does not depend on what has been added already."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 from drives import STEP, multisine
 from gapcase import small_case
 
@@ -33,3 +36,13 @@ def test_the_second_joint_of_an_arm_is_known_beside_a_lag_of_the_first() -> None
     plain, known = (scales(s, make_batch(s, [record])) for s in (arm, late))
     assert known == plain
     assert plain[1].turns > 2.0 * plain[0].turns
+
+
+def test_a_drive_that_never_moves_has_scales_to_divide_by() -> None:
+    dataset, today = small_case()
+    batch = batch_of(dataset, today, dataset.train, 0.004, "cpu")
+    still = replace(
+        batch, x=torch.zeros_like(batch.x), u={k: torch.zeros_like(v) for k, v in batch.u.items()}
+    )
+    (size,) = scales(today, still)
+    assert min(size.speed, size.turns, size.angle, size.torque, size.command, size.command_rms) == 1.0

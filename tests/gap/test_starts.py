@@ -1,12 +1,15 @@
 """Where fits of a round start."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, PositionDependent
+from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.refit import Refit
-from hybrid_id.gap.starts import special_cases
+from hybrid_id.gap.scales import scales
+from hybrid_id.gap.starts import special_cases, without
 
 PLACE = "joint1/motor_friction"
 
@@ -31,3 +34,15 @@ def test_a_law_without_special_cases_has_none() -> None:
     before = SimpleNamespace(effects=(), system=today)
     richer = SimpleNamespace(effects=(("asymmetric_friction", PLACE),), system=ended)
     assert not special_cases(Refit(dataset), before, richer)
+
+
+def test_the_rotor_has_its_share_again_once_nothing_tells_it() -> None:
+    _, today = small_case()
+    share = replace(today.parameter("rotor_share").spec, lower=0.05, upper=0.6)
+    today = today.with_specs({"rotor_share": share})  # below the shares that are tried: no error either
+    (size,) = scales(today, Refit(small_case()[0]).records(today))
+    loaded = CATALOGUE["load_dependent_friction"].models(today, size)[PLACE]
+    freed = next(s for s in loaded if f"{PLACE}/load_dependent_friction" in s.components)
+    assert freed.parameter("rotor_share").spec.estimate
+    rest = without(freed, today, ("load_dependent_friction", PLACE))
+    assert rest is not None and rest.parameter("rotor_share").spec == share

@@ -14,7 +14,7 @@ from torch import nn
 from hybrid_id import __version__
 from hybrid_id.components.base import LoadTorque
 from hybrid_id.errors import InputError
-from hybrid_id.identification import adjoint
+from hybrid_id.identification import adjoint, costate
 from hybrid_id.identification.adjoint import Snapshot, TrainOptions
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.objective import Loss
@@ -189,6 +189,8 @@ def test_checkpoint_of_another_training_is_refused(tmp_path: Path, batch: Batch)
     train(START, batch, options=QUICK, checkpoint=saved, progress=lambda _, k, cost, run: k >= 2)
     with pytest.raises(InputError, match="other records"):
         train(START, batch.take(torch.tensor([1])), options=QUICK, resume=saved)
+    with pytest.raises(InputError, match="other records"):  # other noise, other numbers
+        train(START, replace(batch, weight=2.0 * batch.weight), options=QUICK, resume=saved)
     J = START.parameter("J").spec
     with pytest.raises(InputError, match="another model"):
         prior = START.with_specs({"J": replace(J, prior_mean=J.value, prior_std=0.1 * J.value)})
@@ -286,3 +288,25 @@ def test_gradient_by_backprop_ends_at_the_same_place(batch: Batch, trained: list
     found = train(START, batch, options=QUICK, engine=replace(ADJOINT, gradient="backprop"))
     for a, b in zip(found, trained, strict=True):
         assert np.abs(in_standard_errors(a, b)).max() < 0.02
+
+
+def test_a_set_that_settled_over_windows_is_not_converged_where_the_training_was_stopped(
+    batch: Batch,
+) -> None:
+    def stop(stage: str, _iteration: int, _cost: Any, going: torch.Tensor) -> bool:
+        return stage == "windows" and going.numel() == 0
+
+    options = replace(QUICK, window_tolerance=1e6)
+    assert all(r.status == "interrupted" for r in train(START, batch, options=options, progress=stop))
+
+
+def test_ctrl_c_leaves_the_weights_free(batch: Batch, monkeypatch: pytest.MonkeyPatch) -> None:
+    def pressed(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(costate, "free_run", pressed)
+    weight = nn.Parameter(torch.ones(1, dtype=torch.float64))
+    theta = START.theta().detach()[:, None].expand(-1, batch.rows)
+    with pytest.raises(KeyboardInterrupt):
+        costate.gradient(START, OdeEngine(), batch, batch.x, theta, [], extra=[weight])
+    assert weight.requires_grad

@@ -42,3 +42,10 @@ def test_where_there_are_several_records_one_alone_chooses_no_network() -> None:
         choose([alone.T.reshape(-1, 1), gains_in_one.T.reshape(-1, 1)], 0.02) == 1
     )  # were it a single record
     assert choose([alone, alone / 2.0], 0.02) == 1
+
+
+def test_a_record_that_every_rung_loses_says_nothing() -> None:
+    lost = [parts(math.inf, 1.0, 1.0, 0.0), parts(math.inf, 0.4, 0.5, 0.0)]
+    assert choose(lost, 0.02) == 0  # physics alone has the benefit of the doubt
+    one_lost = [parts(1.0, 1.0, 0.0), parts(0.5, 0.4, 0.0)]
+    assert choose(one_lost, 0.02) == 1

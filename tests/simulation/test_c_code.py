@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from hybrid_id.errors import InputError
 from hybrid_id.simulation.c_code import library
 
 SOURCE = "double twice(double x) { return 2.0 * x; }\n"
@@ -54,3 +55,21 @@ def test_shelf_that_cannot_be_written_is_done_without(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
     assert twice(library(SOURCE)) == 3.0
     assert not shelf.exists()
+
+
+def test_where_nothing_may_be_run_it_is_said(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(_: str) -> None:
+        raise OSError("failed to map segment from shared object")
+
+    monkeypatch.setattr(ctypes, "CDLL", refused)
+    with pytest.raises(InputError, match="TMPDIR"):
+        library(SOURCE)
+
+
+def test_a_user_without_a_home_has_no_shelf(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> None:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(Path, "home", homeless)
+    assert twice(library(SOURCE)) == 3.0

@@ -11,6 +11,7 @@ from hybrid_id.components import MotorEncoder
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.record import Record
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -192,3 +193,11 @@ def test_output_that_never_changes_takes_its_weight_from_other_records() -> None
 def test_record_of_a_few_samples_is_refused_by_name(samples: int) -> None:
     with pytest.raises(InputError, match=rf"record 'r0' has {samples} samples; give at least 5"):
         make_batch(rigid_drive(), [record().between(0.2, 0.2 + 0.002 * (samples - 0.5))])
+
+
+def test_padding_is_no_part_of_a_record() -> None:
+    values = torch.tensor([[[1.0], [3.0], [3.0], [3.0]], [[1.0], [2.0], [3.0], [4.0]]], dtype=torch.float64)
+    weight = torch.tensor([[[1.0], [1.0], [0.0], [0.0]], [[1.0]] * 4], dtype=torch.float64)
+    empty = torch.zeros(2, 4, dtype=torch.float64)
+    batch = Batch({}, empty, values, weight, values, empty[:, :1], ("q_m1",), ("short", "long"))
+    torch.testing.assert_close(batch.std(values)[:, 0], torch.stack([values[0, :2].std(), values[1].std()]))

@@ -7,7 +7,15 @@ import pytest
 import torch
 from drives import STEP, batch_of, flexible_drive, multisine, rigid_drive, stored
 
-from hybrid_id.components import Coulomb, Dahl, LuGre, ResidualNetwork
+from hybrid_id.components import (
+    Coulomb,
+    CurrentCommand,
+    CurrentMotor,
+    Dahl,
+    ElectricalLag,
+    LuGre,
+    ResidualNetwork,
+)
 from hybrid_id.simulation.solvers import memory_rate
 from hybrid_id.simulation.stability import LIMIT, MAX_SUBSTEPS, fastest_rate, with_substeps
 from hybrid_id.simulation.step import Engine
@@ -90,3 +98,12 @@ def test_hidden_states_of_a_network_share_their_cell() -> None:
     assert rate(system, Engine()) == pytest.approx(rate(rigid_drive(), Engine()), rel=1e-6)
     batch = batch_of(system, {"u1": multisine(1, samples=200)}, start={"v_m1": 40.0})
     assert memory_rate(system, batch, stored(system)) == pytest.approx(100.0)
+
+
+def test_a_lag_behind_a_current_command_adds_no_coupling() -> None:
+    drive = rigid_drive().with_component("joint1/input", CurrentCommand())
+    drive = drive.with_component("joint1/motor", CurrentMotor()).with_component(
+        "joint1/motor", ElectricalLag()
+    )
+    batch = batch_of(drive, {"i1": 0.1 * multisine(1, samples=200)}, start={"v_m1": 40.0})
+    assert math.isfinite(fastest_rate(drive, Engine(), batch, stored(drive)))

@@ -55,3 +55,12 @@ def test_not_identifiable_has_no_interval_at_all():
 @given(st.dictionaries(st.sampled_from(["plain", "robust", "bootstrap"]), st.floats(1e-6, 10), min_size=1))
 def test_the_error_to_use_is_never_below_any_way(errors):
     assert grade(errors).std_error == max(errors.values())
+
+
+def test_records_that_agree_to_the_last_digit_are_no_way_to_tell():
+    (grade,) = trust_grades(
+        ["J"],
+        np.array([1.0]),
+        {"plain": np.array([0.02]), "robust": np.array([0.01]), "between records": np.array([0.0])},
+    )
+    assert np.isfinite(grade.std_error) and "e+" not in grade.reason

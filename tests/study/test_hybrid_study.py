@@ -50,6 +50,13 @@ def test_a_network_that_is_viscous_friction_is_said_to_be_that(batch: Batch) -> 
     assert 0.1 < found.share < 0.4 and found.unit == "N m" and found.where == PLACE
 
 
+def test_a_constant_part_that_is_estimated_is_the_networks_own(batch: Batch) -> None:
+    system = with_scales(DRIVE.with_component(PLACE, ResidualNetwork(inputs=("speed",), hidden=())), batch)
+    freed = system.with_specs({"b_0": replace(system.parameter("b_0").spec, estimate=True)})
+    (found,) = network_roles(freed, ENGINE, batch)
+    assert "J" in found.room and "b_0" not in found.room
+
+
 def test_a_network_of_the_angle_overlaps_little(batch: Batch) -> None:
     found = role(batch, ("sin 7",), [0.2])
     assert found.overlap < 0.3

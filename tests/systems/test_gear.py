@@ -1,6 +1,7 @@
 """A gear whose ratio is not constant carries the link as its map says; friction may follow the joint's angle."""
 
 import numpy as np
+import pytest
 import torch
 from drives import STEP
 from scipy.integrate import solve_ivp
@@ -10,6 +11,7 @@ from hybrid_id.components import (
     Coulomb,
     EffortDependent,
     KinematicError,
+    LoadDependent,
     PositionDependent,
 )
 from hybrid_id.records.record import Record
@@ -99,3 +101,19 @@ def test_asymmetric_friction_takes_either_sign() -> None:
     for excess, expected in ((3e-3, [3e-3, 0.0]), (-3e-3, [0.0, 3e-3])):
         law = AsymmetricFriction(F_a=excess, D_a=0.0)
         assert law.dry(law.view(), speed.abs(), forward).tolist() == expected
+
+
+def test_friction_by_load_counts_what_the_gear_error_makes_the_link_pull() -> None:
+    # the link is accelerated by slope q'' + bend q'^2: at constant speed the second term alone
+    error = KinematicError(E_c=4e-3, E_s=0.0, n=1.0)
+    system = FREE.with_component("joint1/transmission", error)
+    system = system.with_component("joint1/motor_friction", LoadDependent(mu=0.1))
+    p = system.views([value[None] for value in system.theta().detach()])
+    angle, speed = torch.tensor([0.3], dtype=torch.float64), torch.tensor([200.0], dtype=torch.float64)
+    volts = {"u1": torch.zeros(1, dtype=torch.float64)}
+    (balance,) = system.joints[0].balances([angle, speed], volts, p, [speed], [torch.ones(1)])
+    acceleration = balance.acceleration(torch.ones(1, dtype=torch.float64))
+    slope, bend = 1.0 / RATIO - 4e-3 * np.sin(0.3), -4e-3 * np.cos(0.3)
+    link = (1.0 - SHARE) * J * RATIO**2
+    pulled = link * slope * (slope * float(acceleration) + bend * 200.0**2)
+    assert float(balance.transmitted(acceleration, torch.zeros(1))) == pytest.approx(pulled)
