@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from hybrid_id.errors import InputError
+from hybrid_id.gap.arbiter import decide
 from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure_though_small
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.diagnosis import Diagnosis
@@ -48,9 +49,9 @@ def diagnose(
 ) -> Diagnosis:
     """Find out why records and simulator disagree.
 
-    Search and fits use the train records only; the test records are opened once, to measure the gap. Effects whose gain
-    on them may as well be none (95 % interval) are withdrawn; one that is sure but small on the train records is
-    believed where it explains what the test records leave open. Where the test records alone show something that no
+    Search and fits use the train records; the test records measure the gap, and decide between effects that explain the
+    train records alike. Effects whose gain on them may as well be none (95 % interval) are withdrawn; one that is sure
+    but small on the train records is believed where it explains what the test records leave open. Where the test records alone show something that no
     effect explains, the worst of them joins the train records: what explains it there has to explain the others, or to
     leave them as they are where they lack nothing. What is left is no effect where each record's own parameters explain
     all of it.
@@ -102,7 +103,8 @@ def _diagnosed(
     refit = Refit(dataset, jobs=jobs, signal_share=signal_share)
     say = progress or (lambda *_: None)
     say("today's model", 0, 1)
-    search = attribute(refit, system, most=most, progress=progress)
+    decision = decide(refit, attribute(refit, system, most=most, progress=progress))
+    search = decision.search
     base, withdrawn = search.base, ()
     say("location", 0, 1)
     before = tuple(locate(refit, base))
@@ -125,7 +127,8 @@ def _diagnosed(
         now = replace(now if same else judged(replace(now.search, chosen=own.common)), unknown=False)
         base = base if own.common.effects else own.common
     gap = replace(now.gap, share=0.0, interval=(0.0, 1.0)) if silent and now.gap is not None else now.gap
-    search, found = now.search, tuple(_believed(suspects(now.search), bool(varying)))
+    search = now.search
+    found = tuple(_believed(decision.weighed(suspects(search)), bool(varying)))
     return Diagnosis(
         case=dataset.name,
         verdict=_verdict(base, search, _wrong_values(dataset, system, base), now.unknown, bool(varying)),
@@ -139,8 +142,11 @@ def _diagnosed(
         before=before,
         after=now.after,
         bent=tuple(bent_parameters(system, base.system)),
-        experiments=tuple(next_experiment(dataset, tied_explanations(search))),
+        experiments=tuple(
+            next_experiment(dataset, [e for e in tied_explanations(search) if not decision.against(e)])
+        ),
         withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
+        outvoted=tuple(f"{name} at {where}" for name, where in decision.outvoted),
         varying=varying,
         halted=now.halted,
         untold=untold(dataset, search.chosen.system),

@@ -35,6 +35,8 @@ class Diagnosis:
         halted: whether free runs over the test records halt at other detents than the machine, while the corrected
             model follows them from measured states as closely as the train records.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
+        outvoted: effects that explain the train records as well as the selected ones, in words, and predict the test
+            records surely worse.
         untold: changes of the chosen model's parameters that these records do not see, in words.
         together: facts of the records (a controller's gain, the temperature) that change together, in words.
         beyond: test records that go where no train record has been, in words.
@@ -65,6 +67,7 @@ class Diagnosis:
     opened: str | None = None
     varying: tuple[str, ...] = ()
     halted: bool = False
+    outvoted: tuple[str, ...] = ()
 
     @property
     def selected(self) -> tuple[Suspect, ...]:
@@ -120,6 +123,7 @@ class Diagnosis:
             ],
             "bent_parameters": list(self.bent),
             "withdrawn": list(self.withdrawn),
+            "outvoted": list(self.outvoted),
             "varying_parameters": list(self.varying),
             "cannot_be_told": [*self.untold, *self.together],
             "beyond_training": list(self.beyond),

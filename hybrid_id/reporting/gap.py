@@ -8,7 +8,7 @@ from rich.text import Text
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.reporting.gap_ties import experiment_lines, tie_lines
+from hybrid_id.reporting.gap_ties import experiment_lines, outvoted_lines, tie_lines
 from hybrid_id.reporting.gap_words import (
     bent_lines,
     gap_line,
@@ -53,6 +53,7 @@ def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.
     parts.append(suspects_table(diagnosis, reach, level, TOP))
     remarks = (
         *tie_lines(diagnosis)[:2],
+        *outvoted_lines(diagnosis),
         *varying_lines(diagnosis),
         *withdrawn_lines(diagnosis),
         *experiment_lines(diagnosis),

@@ -19,6 +19,18 @@ def tie_lines(diagnosis: Diagnosis) -> list[str]:
     return lines
 
 
+def outvoted_lines(diagnosis: Diagnosis) -> list[str]:
+    """Effects that the test records decide against, as one line; none where there is none."""
+    if not diagnosis.outvoted:
+        return []
+    pairs = [words.split(" at ") for words in diagnosis.outvoted]
+    names = [f"{words_of(name)} ({joint_words(where)}, {place_words(where)})" for name, where in pairs]
+    verb = "explains" if len(names) == 1 else "explain"
+    return [
+        f"test records decide: {', '.join(names)} {verb} the train records as well, but not the test records."
+    ]
+
+
 def experiment_lines(diagnosis: Diagnosis) -> list[str]:
     """The record that would part the tied models most, as one line; none where nothing is tied."""
     if not diagnosis.experiments:

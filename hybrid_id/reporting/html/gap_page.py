@@ -10,7 +10,7 @@ from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
 from hybrid_id.reporting.gap import UNLIKELY, beyond_lines, parameters_table, suspects_table
-from hybrid_id.reporting.gap_ties import experiment_lines, tie_lines
+from hybrid_id.reporting.gap_ties import experiment_lines, outvoted_lines, tie_lines
 from hybrid_id.reporting.gap_words import (
     LEAST_SHARE,
     bent_lines,
@@ -31,8 +31,9 @@ from hybrid_id.systems.chain import System
 SHOWN = 6
 """Effects that the table shows at least."""
 _HOW = (
-    "Search and fits use the train records; the test records measure the gap. Where these alone show something, the "
-    "worst of them joins the train records, and it is said. Each effect is added to today's model and fitted with its "
+    "Search and fits use the train records; the test records measure the gap, and decide between effects that explain "
+    "the train records alike. Where they alone show something, the worst of them joins the train records. Both are "
+    "said where they happen. Each effect is added to today's model and fitted with its "
     "parameters; the error of prediction is that on parts of the train records left out, each in turn. A probability "
     "is that of the effect being at work at this place, so they need not sum to one."
 )
@@ -80,6 +81,7 @@ def gap_page(
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
     ties = (
         *tie_lines(diagnosis),
+        *outvoted_lines(diagnosis),
         *varying_lines(diagnosis),
         *withdrawn_lines(diagnosis),
         *beyond_lines(diagnosis),

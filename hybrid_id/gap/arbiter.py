@@ -1,0 +1,126 @@
+"""Test records decide between effects that explain the train records alike."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hybrid_id.gap.attribute import Attribution
+from hybrid_id.gap.belief import better
+from hybrid_id.gap.catalogue import over_angle
+from hybrid_id.gap.evidence import Evidence
+from hybrid_id.gap.measure import errors
+from hybrid_id.gap.probability import TIE, Suspect
+from hybrid_id.gap.ranking import LEAST_RATIO, LEFT_OPEN, TOLD
+from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task, new_effect
+from hybrid_id.gap.round import Round
+
+RIVALS = 4
+"""Rivals that are held against the test records at most."""
+
+
+@dataclass(frozen=True, eq=False)
+class Decision:
+    """What the test records say of models that explain the train records alike.
+
+    Attributes:
+        search: the search, which stands by the model that they bear out.
+        outvoted: effects that explain the train records as well and predict the test records surely worse, by how many
+            standard errors.
+    """
+
+    search: Attribution
+    outvoted: Mapping[Name, float]
+
+    def against(self, one: Explanation) -> bool:
+        """Whether a model has an effect that they outvote."""
+        return any(name in self.outvoted for name in one.effects)
+
+    def weighed(self, found: Sequence[Suspect]) -> list[Suspect]:
+        """Suspects with the test records' word: what they outvote is less probable, and tied with none."""
+        lost, names = 0.0, {f"{name}@{where}" for name, where in self.outvoted}
+        weighed = []
+        for one in found:
+            z = self.outvoted.get((one.name, one.where), 0.0)
+            share = one.probability * (1.0 - math.exp(-0.5 * z * z))
+            lost += share
+            ties = () if z else tuple(tie for tie in one.tied_with if tie not in names)
+            weighed.append(replace(one, probability=one.probability - share, tied_with=ties))
+        first = next((k for k, one in enumerate(weighed) if one.selected), None)
+        if first is not None:
+            weighed[first] = replace(weighed[first], probability=min(1.0, weighed[first].probability + lost))
+        return weighed
+
+
+def decide(refit: Refit, search: Attribution) -> Decision:
+    """Let the test records decide between the chosen model and those that explain the train records as well.
+
+    Which of two effects acts may show only where the records go elsewhere. Where a torque over the angle or play may
+    send a free run elsewhere, and over windows, the test records have no word.
+
+    Args:
+        refit: holds the records, and fits rivals to the end.
+        search: of the train records.
+    """
+    last = next((one for one in reversed(search.rounds) if _of(one, search)), None)
+    if last is None or search.window is not None or not refit.dataset.test:
+        return Decision(search, {})
+    rivals = _rivals(refit, search.chosen, last)
+    if any(_astray(one) for one in (search.chosen, *rivals)):
+        return Decision(search, {})
+    told = {one: _on_test(refit, one) for one in (search.chosen, *rivals)}
+    best = min(told, key=lambda one: told[one].error)
+    today = told[search.chosen]
+    if not (told[best].gain(today) >= LEAST_RATIO and told[best].z(today) >= TOLD):
+        best = search.chosen
+    worse = {new_effect(one, last.before): told[best].z(told[one]) for one in told if one is not best}
+    outvoted = {name: z for name, z in worse.items() if z >= TOLD}
+    return Decision(search if best is search.chosen else _with(search, best), outvoted)
+
+
+def _of(one: Round, search: Attribution) -> bool:
+    """Whether a round is the one that has brought the chosen effects."""
+    return one.best is not None and one.best.effects == search.chosen.effects
+
+
+def _rivals(refit: Refit, chosen: Explanation, last: Round) -> list[Explanation]:
+    """Other candidates of a round that explain the train records as well, fitted to the end."""
+    least = min(e.evidence.error for e in last.candidates)
+    allowed = min(TIE**2 * least, least + LEFT_OPEN * max(last.before.evidence.error - least, 0.0))
+    alike = [
+        e
+        for e in last.candidates
+        if e.effects != chosen.effects and e.evidence.error < allowed and better(e, last.before)
+    ]
+    found = [
+        e if e.finished else refit.run([Task(e.effects, e.system, x0=e.result.x0)], TO_THE_END)[0]
+        for e in alike[:RIVALS]
+    ]
+    return [e for e in found if e is not None]
+
+
+def _astray(one: Explanation) -> bool:
+    """Whether a model's free runs may be lost for no fault of its own."""
+    return over_angle(one.effects) or any("backlash" in key for key in one.system.components)
+
+
+def _on_test(refit: Refit, one: Explanation) -> Evidence:
+    """Errors on the test records, block by block."""
+    found = errors(refit.dataset, one.system, one.result.engine, signal_share=refit.signal_share)
+    assert found is not None  # there are test records
+    blocks = np.concatenate([block for row in found.blocks for block in row])
+    return Evidence(blocks, len(blocks), float(len(blocks)))
+
+
+def _with(search: Attribution, best: Explanation) -> Attribution:
+    """The search that stands by another of its candidates."""
+    rounds = [
+        replace(one, candidates=(best, *(e for e in one.candidates if e.effects != best.effects)))
+        if _of(one, search)
+        else one
+        for one in search.rounds
+    ]
+    return replace(search, rounds=tuple(rounds), chosen=best)
