@@ -51,10 +51,10 @@ def diagnose(
 
     Search and fits use the train records; the test records measure the gap, and decide between effects that explain the
     train records alike. Effects whose gain on them may as well be none (95 % interval) are withdrawn; one that is sure
-    but small on the train records is believed where it explains what the test records leave open. Where the test records alone show something that no
-    effect explains, the worst of them joins the train records: what explains it there has to explain the others, or to
-    leave them as they are where they lack nothing. What is left is no effect where each record's own parameters explain
-    all of it.
+    but small on the train records is believed where it explains what the test records leave open. Where the test
+    records alone show something that no effect explains, the worst of them joins the train records: what explains it
+    there has to explain the others, or to leave them as they are where they lack nothing. What is left is no effect
+    where each record's own parameters explain all of it.
 
     Args:
         dataset: train and test records.

@@ -148,7 +148,7 @@ def test_an_opened_record_is_enough_where_the_others_lack_nothing(diagnosed, mon
             return told if with_effect is refit else replace(told, interval=(low, high))
 
         monkeypatch.setattr(module, "shrink", unsure)
-        monkeypatch.setattr(module, "errors", lambda *a: replace(measured(*a), coloured=coloured))
+        monkeypatch.setattr(module, "errors", lambda *a, **k: replace(measured(*a, **k), coloured=coloured))
         settings = {"most": 1, "jobs": 1, "seed": 0, "signal_share": module.SIGNAL_SHARE, "progress": None}
         told = module._diagnosed(dataset, system=today, opened=True, **settings)
         if told.verdict == "effects":
