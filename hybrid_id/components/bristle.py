@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 
 import torch
@@ -13,19 +14,21 @@ from hybrid_id.components.base import Friction
 class Bristle(Friction):
     """A friction with memory: it turns the dry interval of its speed into the deflection of a bristle.
 
-    Its one state replaces the projection: the dry laws on the same speed tell the steady-state level.
+    Its states replace the projection: the dry laws on the same speed tell the steady-state level.
     """
 
     states = ("bristle",)
 
-    def relaxation(self, p: SimpleNamespace, speed: Tensor, level: Tensor) -> tuple[Tensor, Tensor]:
-        """Drive and rate [1/s] of the state, ``dz/dt = drive - rate z``, ``(B,)`` each.
+    def relaxations(
+        self, p: SimpleNamespace, states: Sequence[Tensor], speed: Tensor, level: Tensor
+    ) -> list[tuple[Tensor, Tensor]]:
+        """Drive and rate [1/s] of each state, ``dz/dt = drive - rate z``, ``(B,)`` each.
 
-        It is stepped exactly at constant speed and level, which is stable however stiff the bristle.
+        It is stepped exactly at constant drive and rate, which is stable however stiff the bristle.
         """
         raise NotImplementedError
 
-    def torque(self, p: SimpleNamespace, state: Tensor, speed: Tensor, level: Tensor) -> Tensor:
+    def torque(self, p: SimpleNamespace, states: Sequence[Tensor], speed: Tensor, level: Tensor) -> Tensor:
         """Friction torque [N m], ``(B,)``."""
         raise NotImplementedError
 

@@ -59,7 +59,7 @@ class Joint:
         self.state_names = [f"q_m{number}", f"v_m{number}"]
         self.state_names += [] if self.rigid else [f"q_a{number}", f"v_a{number}"]
         self.positions = [first_row + row for row in range(0, len(self.state_names), 2)]
-        self.bristles: dict[str, tuple[str, Bristle, int]] = {}
+        self.bristles: dict[str, tuple[str, Bristle, range]] = {}
         for place, laws in self.frictions.items():
             for key, law in laws:
                 if isinstance(law, Bristle):
@@ -67,8 +67,9 @@ class Joint:
                         raise InputError(
                             f"{self.name} has two bristle frictions on one speed; keep one of them."
                         )
-                    self.bristles[place] = (key, law, first_row + len(self.state_names))
-                    self.state_names.append(f"{law.states[0]}_{place[0].replace('l', 'a')}{number}")
+                    row, side = first_row + len(self.state_names), place[0].replace("l", "a")
+                    self.bristles[place] = (key, law, range(row, row + len(law.states)))
+                    self.state_names += [f"{state}_{side}{number}" for state in law.states]
 
         self.drive = Drive(number, parts, first_row, first_row + len(self.state_names))
         self.state_names += self.drive.state_names
@@ -119,8 +120,8 @@ class Joint:
         terms.append(self.networks.output(place, x, u, p))
         level = self.dry_level(place, p, magnitude, forward, x)
         if place in self.bristles:
-            key, law, row = self.bristles[place]
-            terms.append(law.torque(p[key], x[row], speed, level))
+            key, law, rows = self.bristles[place]
+            terms.append(law.torque(p[key], [x[row] for row in rows], speed, level))
             level = speed.new_zeros(1)
         return sum_of(terms, speed), level
 
@@ -201,12 +202,13 @@ class Joint:
     ) -> list[tuple[int, Tensor, Tensor]]:
         """Row, drive and rate [1/s] of each state that remembers, ``dz/dt = drive - rate z``."""
         found = []
-        for place, (key, law, row) in self.bristles.items():
+        for place, (key, law, rows) in self.bristles.items():
             motor = place == "motor_friction"
             v = x[self.positions[0] + 1] if motor or self.rigid else x[self.positions[1] + 1]
             v = v * self.gear.map(x[self.positions[0]], p)[1] if self.rigid and not motor else v
             level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype), x)
-            found.append((row, *law.relaxation(p[key], v, level)))
+            pairs = law.relaxations(p[key], [x[row] for row in rows], v, level)
+            found += [(row, *pair) for row, pair in zip(rows, pairs, strict=True)]
         found += self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
         return found + self.readings.relaxations(x, p)
 

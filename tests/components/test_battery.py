@@ -73,9 +73,11 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["over the angle"] = part.dry_over(p, q)
     if isinstance(part, Bristle):
         state, level = 0.01 * torch.cos(q), 0.02 + 0.01 * torch.sin(q)
-        found["drive"], found["rate"] = part.relaxation(p, v, level)
-        found["advance"] = relax(state, *part.relaxation(p, v, level), STEP * one)
-        found["bristle torque"] = part.torque(p, state, v, level)
+        states = [state / len(part.states)] * len(part.states)
+        for name, own, pair in zip(part.states, states, part.relaxations(p, states, v, level), strict=True):
+            found[f"drive of {name}"], found[f"rate of {name}"] = pair
+            found[f"advance of {name}"] = relax(own, *pair, STEP * one)
+        found["bristle torque"] = part.torque(p, states, v, level)
     if isinstance(part, Input):
         channels = {name: CHANNELS[name] * (0.5 + 0.1 * q) for name in part.channels}
         found["command"] = part.command(p, channels, 0.3 * q, v)
@@ -190,8 +192,10 @@ def test_gradient_to_the_speed_is_finite_at_rest(kind: str) -> None:
     one = torch.ones_like(v)
     found = [part.smooth(part.view(), v), part.dry(part.view(), v.abs(), one)]
     if isinstance(part, Bristle):
-        found += [relax(0.01 * one, *part.relaxation(part.view(), v, 0.02 * one), STEP * one)]
-        found += [part.torque(part.view(), 0.01 * one, v, 0.02 * one)]
+        states = [0.01 * one / len(part.states)] * len(part.states)
+        pairs = part.relaxations(part.view(), states, v, 0.02 * one)
+        found += [relax(own, *pair, STEP * one) for own, pair in zip(states, pairs, strict=True)]
+        found += [part.torque(part.view(), states, v, 0.02 * one)]
     for value in found:
         if value is not None and value.requires_grad:
             grads = torch.autograd.grad(value.sum(), v, allow_unused=True)
@@ -215,14 +219,17 @@ def test_friction_is_odd_and_dissipates(kind: str) -> None:
     for factor in (part.load_factor(p), part.effort_factor(p)):
         assert factor is None or bool((factor >= 0).all())
     if isinstance(part, Bristle):
-        state, level = 0.01 * torch.cos(ANGLE), 0.02 + 0.01 * torch.sin(ANGLE)
+        level = 0.02 + 0.01 * torch.sin(ANGLE)
+        states = [0.01 * torch.cos(ANGLE) / len(part.states)] * len(part.states)
+        turned = [-state for state in states]
         torch.testing.assert_close(
-            part.torque(p, -state, -SPEED, level), -part.torque(p, state, SPEED, level)
+            part.torque(p, turned, -SPEED, level), -part.torque(p, states, SPEED, level)
         )
-        for back, forth, side in zip(
-            part.relaxation(p, -SPEED, level), part.relaxation(p, SPEED, level), (-1.0, 1.0), strict=True
+        for back, forth in zip(
+            part.relaxations(p, turned, -SPEED, level), part.relaxations(p, states, SPEED, level), strict=True
         ):
-            torch.testing.assert_close(back, side * forth)
+            torch.testing.assert_close(back[0], -forth[0])
+            torch.testing.assert_close(back[1], forth[1])
 
 
 @bristles
@@ -232,11 +239,14 @@ def test_bristle_takes_energy_over_a_cycle(kind: str) -> None:
     assert isinstance(part, Bristle)
     p, step = part.view(), 1e-3
     level = torch.full((1,), 0.02, dtype=torch.float64)
-    state, energy, cycles = torch.zeros(1, dtype=torch.float64), 0.0, []
+    states, energy, cycles = [torch.zeros(1, dtype=torch.float64)] * len(part.states), 0.0, []
     for k in range(4000):
         v = torch.tensor([0.5 * math.sin(2 * math.pi * k * step)], dtype=torch.float64)
-        state = relax(state, *part.relaxation(p, v, level), torch.full_like(v, step))
-        energy += float(part.torque(p, state, v, level) * v) * step
+        pairs = part.relaxations(p, states, v, level)
+        states = [
+            relax(own, *pair, torch.full_like(v, step)) for own, pair in zip(states, pairs, strict=True)
+        ]
+        energy += float(part.torque(p, states, v, level) * v) * step
         if k % 1000 == 999:
             cycles.append(energy)
     assert all(b > a for a, b in zip([0.0, *cycles], cycles, strict=False))
@@ -249,13 +259,15 @@ def test_exact_update_follows_the_rate(kind: str) -> None:
     assert isinstance(part, Bristle)
     p, steps = part.view(), 20000
     v = torch.tensor([-2.0, 0.3, 5.0], dtype=torch.float64)
-    level, start = torch.full_like(v, 0.02), torch.full_like(v, 0.004)
-    state, (drive, rate) = start, part.relaxation(p, v, level)
-    for _ in range(steps):  # Euler in steps of 1 microsecond
-        state = state + 1e-6 * (drive - rate * state)
-    exact = relax(start, drive, rate, torch.full_like(v, 1e-6 * steps))
-    torch.testing.assert_close(exact, state, rtol=2e-4, atol=1e-7)
-    stiff = relax(start, drive, rate, torch.full_like(v, 1e6))
+    level, stiff = torch.full_like(v, 0.02), []
+    starts = [torch.full_like(v, 0.004 / len(part.states))] * len(part.states)
+    for start, (drive, rate) in zip(starts, part.relaxations(p, starts, v, level), strict=True):
+        state = start
+        for _ in range(steps):  # Euler in steps of 1 microsecond
+            state = state + 1e-6 * (drive - rate * state)
+        exact = relax(start, drive, rate, torch.full_like(v, 1e-6 * steps))
+        torch.testing.assert_close(exact, state, rtol=2e-4, atol=1e-7)
+        stiff.append(relax(start, drive, rate, torch.full_like(v, 1e6)))
     torch.testing.assert_close(part.torque(p, stiff, v, level), level * v.sign())
 
 

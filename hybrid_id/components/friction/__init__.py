@@ -8,6 +8,7 @@ from hybrid_id.components.friction.dahl import Dahl
 from hybrid_id.components.friction.effort_dependent import EffortDependent
 from hybrid_id.components.friction.load_dependent import LoadDependent
 from hybrid_id.components.friction.lugre import LuGre
+from hybrid_id.components.friction.maxwell_slip import MaxwellSlip
 from hybrid_id.components.friction.position_dependent import PositionDependent
 from hybrid_id.components.friction.quadratic_drag import QuadraticDrag
 from hybrid_id.components.friction.stribeck import Stribeck
@@ -24,6 +25,7 @@ __all__ = [
     "EffortDependent",
     "LoadDependent",
     "LuGre",
+    "MaxwellSlip",
     "PositionDependent",
     "QuadraticDrag",
     "Stribeck",

@@ -20,8 +20,8 @@ class Dahl(Bristle):
     states = ("F",)
     sigma = Parameter(1.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="stiffness at rest")
 
-    def relaxation(self, p, speed, level):
-        return p.sigma * speed, p.sigma * speed.abs() / level
+    def relaxations(self, p, states, speed, level):
+        return [(p.sigma * speed, p.sigma * speed.abs() / level)]
 
-    def torque(self, p, state, speed, level):
-        return state
+    def torque(self, p, states, speed, level):
+        return states[0]

@@ -12,7 +12,7 @@ DRY = (
     "asymmetric_stribeck_eq8",
     "asymmetric_tanh",
 )
-BRISTLES = ("dahl", "lugre")
+BRISTLES = ("dahl", "lugre", "maxwell_slip")
 
 
 def _side(s, place):
@@ -78,10 +78,11 @@ def _presliding(system, s, place):
     if has(system, where, *BRISTLES) or not has(system, where, *DRY):
         return []
     r = _side(s, place)
-    sliding = [share * s.turns / r for share in (0.001, 0.01)]
+    starts = (("dahl", 0.001), ("dahl", 0.01), ("maxwell_slip", 0.01))
     return [
-        ("dahl", {"sigma": free(s.dry * r / z, 0.02 * s.dry * r / z, 50.0 * s.dry * r / z, "N m/rad")})
-        for z in sliding
+        (kind, {"sigma": free(stiffness, 0.02 * stiffness, 50.0 * stiffness, "N m/rad")})
+        for kind, share in starts
+        for stiffness in [s.dry * r**2 / (share * s.turns)]
     ]
 
 
@@ -148,7 +149,7 @@ register(Effect(
 register(Effect(
     "presliding_friction", BOTH, _presliding, ("backlash", "joint_flexibility", "stribeck_friction"),
     "small reversals from rest of growing size: a bristle springs back, play does not",
-    kinds=("dahl",),
+    kinds=("dahl", "maxwell_slip"),
 ))  # fmt: skip
 register(Effect(
     "quadratic_drag", BOTH, _drag, ("voltage_saturation", "stribeck_friction", "thermal_derating"),
