@@ -12,6 +12,7 @@ from hybrid_id.statistics.long_run import lag_one_correlation
 from hybrid_id.statistics.uncertainty import (
     Arrays,
     as_records,
+    diagonal_scale,
     prior_matrix,
     scaled_inverse,
 )
@@ -120,8 +121,7 @@ def one_step_bootstrap(
     pull = (centre - estimate) @ prior + rng.standard_normal((replicates, n_parameters)) @ root.T
 
     information = blocks.hessians.sum(axis=0) + prior
-    scale = np.sqrt(np.diag(information))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = diagonal_scale(information)
     directions = np.linalg.eigh(information / np.outer(scale, scale))
     kept = directions.eigenvectors[:, directions.eigenvalues > 1e-10] / scale[:, None]
     gradient = (counts @ blocks.gradients + pull) @ kept

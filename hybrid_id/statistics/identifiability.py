@@ -140,10 +140,9 @@ def identifiability(
     moves = np.column_stack([simple_basis(vectors[:, hopeless]), weak])
     basis = np.column_stack([moves[:, : hopeless.sum()], *(normalise(v, _SMALL_ENTRY) for v in weak.T)])
 
-    at = np.where(values == 0, size, values)
-    combinations = identifiable_combinations(basis, at, names, references)
+    combinations = identifiable_combinations(basis, size, names, references)
     seen = vectors[:, ~hopeless] / singular[~hopeless]
-    gradients = [c.gradient(at) / c.evaluate(at) for c in combinations]
+    gradients = [c.gradient(size) / c.evaluate(size) for c in combinations]
     data = (vectors[:, ~hopeless] * singular[~hopeless] ** 2) @ vectors[:, ~hopeless].T
     prior = prior_matrix(prior_information, len(values)) * np.outer(size, size)
     relative_std = _marginal(data + prior)

@@ -9,6 +9,7 @@ from hybrid_id.statistics.uncertainty import (
     Covariance,
     as_records,
     diagonal_scale,
+    noise_variance_of,
     prior_matrix,
     robust_covariance,
     scaled_inverse,
@@ -36,9 +37,7 @@ def jackknife_covariance(
     """
     records = as_records(jacobian, residual)
     samples = sum(len(r) for _, r in records)
-    count = sum(np.count_nonzero(r) for _, r in records)
-    n_parameters = records[0][0].shape[-1]
-    variance = max(sum(float(np.sum(r**2)) for _, r in records) / max(count - n_parameters, 1), 1e-300)
+    n_parameters, variance = records[0][0].shape[-1], noise_variance_of(records)
     pieces = []
     for j, r in records:
         share = max(1, round(blocks * len(r) / samples))

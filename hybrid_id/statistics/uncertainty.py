@@ -59,7 +59,7 @@ def covariance(
         noise_variance: s², where it is known; ``Σr² / (N - p)`` otherwise.
     """
     records = as_records(jacobian, residual)
-    variance = _noise_variance(records) if noise_variance is None else noise_variance
+    variance = noise_variance_of(records) if noise_variance is None else noise_variance
     hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
     information = hessian / variance + prior_matrix(prior_information, len(hessian))
     matrix, determined = scaled_inverse(information)
@@ -83,13 +83,12 @@ def robust_covariance(
         prior_information: As in `covariance`; the prior's mean counts as one more measurement.
     """
     records = as_records(jacobian, residual)
-    variance = _noise_variance(records)
+    variance = noise_variance_of(records)
     hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
     prior = prior_matrix(prior_information, len(hessian))
     inverse, determined = scaled_inverse(hessian / variance + prior)
     # principal axes of the information: along a null direction the scores are zero, and must stay zero
-    scale = np.sqrt(np.diag(hessian))
-    scale = np.where(scale > 0, scale, 1.0)
+    scale = diagonal_scale(hessian)
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
     kept = values > _NUMERICALLY_NULL * len(values)
     root = np.sqrt(values[kept])
@@ -143,8 +142,11 @@ def _std_error(matrix: np.ndarray, determined: np.ndarray) -> np.ndarray:
     return np.where(determined, np.sqrt(np.maximum(np.diag(matrix), 0.0)), np.inf)
 
 
-def _noise_variance(records: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    # Residuals with weight zero stand for samples that are not there.
+def noise_variance_of(records: list[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Mean square of the weighted residuals per degree of freedom; 1 where there is nothing left.
+
+    Residuals with weight zero stand for samples that are not there.
+    """
     count = sum(np.count_nonzero(r) for _, r in records) - records[0][0].shape[-1]
     total = sum(float(np.sum(r**2)) for _, r in records)
     return total / max(count, 1) if total > 0 else 1.0

@@ -79,7 +79,7 @@ class MeanInterval:
     """Mean over experiments with its confidence interval.
 
     Attributes:
-        mean, std_error, lower, upper: (p,); nan where fewer than two experiments are left.
+        mean, std_error, lower, upper: (p,); nan where fewer than two experiments are left (the mean: fewer than one).
         level: Confidence.
         n_sets: Number of experiments.
     """
