@@ -100,7 +100,11 @@ def secant_fit(
     if jacobian is None or near is None:
         jacobian = cost.slopes(point, left, STEPS[-1])
     shape, count, n_f = batch.y.shape, batch.y.numel(), len(free)
-    runs, tangents = left[:count].reshape(shape), -jacobian[:count, :n_f].reshape(*shape, n_f)
+    # the first states follow the parameters
+    starts = jacobian[:, n_f:]
+    follow = np.linalg.solve(starts.T @ starts, starts.T @ jacobian[:, :n_f])
+    tangents = (starts[:count] @ follow - jacobian[:count, :n_f]).reshape(*shape, n_f)
+    runs = left[:count].reshape(shape)
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
     names = tuple(system.table[i].name for i in free)
     return FitResult(

@@ -10,6 +10,7 @@ from drives import batch_of, multisine, rigid_drive
 
 from hybrid_id.components import Backlash, Delay, Gravity, Saturation, Viscous
 from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import fit
 from hybrid_id.identification.left_out import PARTS, _parts, left_out
 from hybrid_id.identification.rollouts import Rollouts
 from hybrid_id.identification.secant import secant_fit, shaken, slopes_at
@@ -202,3 +203,17 @@ def test_a_fit_leaves_its_records_as_they_were_and_goes_on_from_where_it_has_end
     again = secant_fit(found.system, batch, engine=DRY, iterations=2, x0=found.x0)
     assert again.history[0] == pytest.approx(found.cost, rel=1e-9)
     assert torch.equal(batch.x, before)
+
+
+def test_sensitivities_are_those_of_a_fit_whose_first_states_follow() -> None:
+    truth = rigid_drive()
+    batch = measured(truth, DRY)
+    loose = replace(batch, x0_std=torch.tensor([[0.5, 5.0]], dtype=torch.float64).expand(2, -1))
+    exact = fit(truth, loose, pooled=True, engine=DRY, warm=False)[0]
+    again = secant_fit(exact.system, loose, engine=DRY, iterations=0, x0=exact.x0)
+    held = secant_fit(exact.system, batch, engine=DRY, iterations=0)
+    for k, name in enumerate(exact.names):
+        size = np.sqrt(sum(np.square(j[..., k]).sum() for j in exact.jacobian))
+        own = np.sqrt(sum(np.square(j[..., k]).sum() for j in again.jacobian))
+        assert own == pytest.approx(size, rel=0.05), name
+        assert own < np.sqrt(sum(np.square(j[..., k]).sum() for j in held.jacobian))
