@@ -27,7 +27,7 @@ class Delay(Component):
     kind = "delay"
     places = ("input",)
     single = True
-    T_d = Parameter(0.002, upper=0.03, unit="s", doc="dead time")
+    T_d = Parameter(0.002, upper=0.15, unit="s", doc="dead time")
 
     def lags(self, sample_time: float) -> int:
         """Number of past samples that the longest delay reaches back to."""

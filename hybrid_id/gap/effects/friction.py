@@ -78,7 +78,7 @@ def _presliding(system, s, place):
     if has(system, where, *BRISTLES) or not has(system, where, *DRY):
         return []
     r = _side(s, place)
-    starts = (("dahl", 0.001), ("dahl", 0.01), ("maxwell_slip", 0.01))
+    starts = ((kind, share) for kind in ("dahl", "maxwell_slip") for share in (0.001, 0.01))
     return [
         (kind, {"sigma": free(stiffness, 0.02 * stiffness, 50.0 * stiffness, "N m/rad")})
         for kind, share in starts

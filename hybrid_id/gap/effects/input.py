@@ -2,6 +2,8 @@
 
 from hybrid_id.gap.catalogue import Effect, free, has, part_of, register
 
+SOFTEST_LIMIT = 3.0
+"""Least exponent of a soft limit: at half of it 4 % of the command are lost. What bends more is no supply's limit."""
 SOFTEST = 0.3
 """Largest resistance of a supply over that of the winding: a stalled motor at full duty lets it fall by a quarter."""
 
@@ -9,8 +11,12 @@ SOFTEST = 0.3
 def _delay(system, s, place):
     if has(system, f"joint{s.joint}/input", "delay", "late_reading"):
         return []
+    # a long history costs time, and few drives need one
     longest = min(0.03, 15.0 * s.sample_time)
-    late = [("delay", {"T_d": free(start * s.sample_time, 0.0, longest, "s")}) for start in (0.5, 3.0)]
+    late = [
+        ("delay", {"T_d": free(start * s.sample_time, 0.0, most, "s")})
+        for start, most in ((0.5, longest), (3.0, longest), (25.0, 5.0 * longest))
+    ]
     if len(system.joints) > 1:  # of a single joint it is the same
         read = free(3.0 * s.sample_time, 0.3 * s.sample_time, longest, "s")
         late.append(("late_reading", {"T_r": read}))
@@ -36,7 +42,10 @@ def _saturation(system, s, place):
     low, high = 0.2 * s.command, s.command
     hard = [("voltage_saturation", {"V_max": free(x * high, low, high, "V")}) for x in (0.95, 0.75, 0.55)]
     soft = [
-        ("soft_saturation", {"V_max": free(x * high, low, 2.0 * high, "V"), "n": free(6.0, 1.0, 30.0)})
+        (
+            "soft_saturation",
+            {"V_max": free(x * high, low, 2.0 * high, "V"), "n": free(6.0, SOFTEST_LIMIT, 30.0)},
+        )
         for x in (0.95, 0.65)
     ]
     return [*hard, *soft]
