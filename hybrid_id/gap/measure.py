@@ -54,7 +54,7 @@ class Errors:
 def errors(
     dataset: Dataset, system: System, engine: Engine | None = None, *, signal_share: float = SIGNAL_SHARE
 ) -> Errors | None:
-    """Errors of a model on the test records, None where there is no test record.
+    """Errors of a model on the test records, None where none of them moves.
 
     Args:
         dataset: its test records are replayed from their first state.
@@ -74,17 +74,23 @@ def errors(
         for c, output in enumerate(batch.outputs):
             valid = (batch.weight[r, :, c] > 0).numpy()
             measured, simulated = batch.y[r, valid, c].numpy(), run.y[r, valid, c].numpy()
+            if not measured.size or np.ptp(measured) <= 1e-12 * np.abs(measured).max():
+                continue  # nothing to explain
             error = np.nan_to_num(simulated - measured, nan=1e6, posinf=1e6, neginf=-1e6)
             weighted.append((error * batch.weight[r, valid, c].numpy())[:, None])
             square = np.square(error)
             starts = np.arange(0, len(square), length)
             size = np.add.reduceat(np.ones(len(square)), starts)
-            variance = max(float(measured.var()), 1e-300)
+            variance = float(measured.var())
             row.append(np.add.reduceat(square, starts) / size / variance)
             declared = next((ch.noise_std for ch in dataset.outputs if ch.name == output), None)
             noise.append((declared or 0.0) / np.sqrt(variance))
+        if not row:
+            continue
         blocks.append(tuple(row))
         by_record[name] = float(np.mean([np.sqrt(b.mean()) for b in row]))
         over_noise[name] = float(np.sqrt(np.square(np.concatenate(weighted[-len(row) :])).mean()))
+    if not blocks:
+        return None
     nrmse, floor = float(np.mean(list(by_record.values()))), float(np.mean(noise))
     return Errors(nrmse, by_record, tuple(blocks), floor, coloured(weighted), over_noise)

@@ -107,7 +107,9 @@ def advance(problem: Problem, state: Descent, rate: float, clip: float, max_iter
     cost, slope, run = problem.value(q, state.nodes)
     state = replace(state, iteration=state.iteration + 1, substeps=engine.substeps, fine=engine.fine)
     if not bool(torch.isfinite(cost).all() and torch.isfinite(slope).all()):
-        return replace(state, rate=0.5 * state.rate, history=[*state.history, state.cost])
+        # the averages count every gradient, as the correction of their beginning does
+        halved = replace(state, rate=0.5 * state.rate, history=[*state.history, state.cost])
+        return replace(halved, mean=mean, square=square)
     return replace(
         state, q=q, slope=slope, cost=cost, mean=mean, square=square, nodes=run.x, y=run.y,
         distance=slope.norm(dim=1) / problem.data, history=[*state.history, cost],

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 from gapcase import RATIO
 
 import hybrid_id.gap.diagnose as module
@@ -9,6 +10,7 @@ from hybrid_id.components import JointFlexibility
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.gap.measure import errors
 from hybrid_id.reporting.gap import summary
 
 
@@ -27,6 +29,16 @@ def test_wrong_values_are_told_without_a_test_record_too(sound) -> None:
     alone = replace(dataset, records=dataset.train)
     assert module._wrong_values(alone, today, found.search.base)
     assert not module._wrong_values(alone, found.search.base.system, found.search.base)
+
+
+def test_a_record_that_stands_still_has_no_error_over_its_spread(sound) -> None:
+    dataset, today, _ = sound
+    (moving,) = dataset.test
+    still = {name: np.full_like(values, 0.3) for name, values in moving.outputs.items()}
+    resting = replace(moving, outputs=still, name="still")
+    both = errors(replace(dataset, records=(*dataset.train, moving, resting)), today)
+    assert both is not None and set(both.by_record) == {moving.name}
+    assert errors(replace(dataset, records=(*dataset.train, resting)), today) is None
 
 
 def test_gap_closes_on_the_unseen_record(diagnosed) -> None:
