@@ -68,10 +68,12 @@ def decide(refit: Refit, search: Attribution) -> Decision:
     last = next((one for one in reversed(search.rounds) if _of(one, search)), None)
     if last is None or search.window is not None or not refit.dataset.test:
         return Decision(search, {})
-    rivals = _rivals(refit, search.chosen, last)
-    if any(_astray(one) for one in (search.chosen, *rivals)):
+    models = (search.chosen, *_rivals(refit, search.chosen, last))
+    if any(_astray(one) for one in models):
         return Decision(search, {})
-    told = {one: _on_test(refit, one) for one in (search.chosen, *rivals)}
+    told = {one: _on_test(refit, one) for one in models}
+    if not told[search.chosen].samples:
+        return Decision(search, {})
     best = min(told, key=lambda one: told[one].error)
     today = told[search.chosen]
     if not (told[best].gain(today) >= LEAST_RATIO and told[best].z(today) >= TOLD):
@@ -108,9 +110,10 @@ def _astray(one: Explanation) -> bool:
 
 
 def _on_test(refit: Refit, one: Explanation) -> Evidence:
-    """Errors on the test records, block by block."""
+    """Errors on the test records, block by block; no block where none of them moves."""
     found = errors(refit.dataset, one.system, one.result.engine, signal_share=refit.signal_share)
-    assert found is not None  # there are test records
+    if found is None:
+        return Evidence(np.empty(0), 0, 0.0)
     blocks = np.concatenate([block for row in found.blocks for block in row])
     return Evidence(blocks, len(blocks), float(len(blocks)))
 

@@ -71,6 +71,14 @@ def test_free_runs_that_may_be_lost_and_windows_have_no_word(monkeypatch: pytest
     assert decided(monkeypatch, test).search is SEARCH
 
 
+def test_test_records_that_stand_still_have_no_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "errors", lambda *_, **__: None)
+    refit: Any = SimpleNamespace(dataset=SimpleNamespace(test=(1,)), signal_share=0.004)
+    for one in (BIAS, WEIGHT):
+        one.result.engine = None
+    assert decide(refit, SEARCH).search is SEARCH
+
+
 def test_what_is_outvoted_hands_its_probability_on() -> None:
     def suspect(
         name: str, probability: float, *, selected: bool = False, ties: tuple[str, ...] = ()
