@@ -11,7 +11,7 @@ import yaml
 from drives import make_record, multisine, rigid_drive
 from scipy.optimize import least_squares
 
-from hybrid_id.components import Stribeck
+from hybrid_id.components import Backlash, Stribeck
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit, start_points
 from hybrid_id.identification.least_squares import Options
@@ -339,3 +339,13 @@ def test_a_start_state_that_no_measurement_sees_takes_up_nothing() -> None:
     seen, own = flat[:, :1], flat[:, 2:]
     expected = own - seen @ torch.linalg.lstsq(seen, own).solution
     torch.testing.assert_close(torch.tensor(found[0][:, 0]), expected)
+
+
+def test_sets_behind_play_grow_on_records_of_less_than_half_a_second() -> None:
+    loose = rigid_drive().with_component("joint1/transmission", Backlash(gap=0.02))
+    made = [
+        make_record(loose, multisine(k, samples=150, rest=20), seed=k, noise={"q_m1": 0.01}) for k in range(2)
+    ]
+    batch = make_batch(loose, made, noise_std={"q_m1": 0.01})
+    ends = fit(loose, batch, starts=5, options=Options(max_iterations=2))
+    assert len(ends) == 2 and all(np.isfinite(end.values).all() for end in ends)

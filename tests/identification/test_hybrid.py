@@ -19,6 +19,7 @@ from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.first_order import clipped
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_physics, train_hybrid
+from hybrid_id.identification.hybrid_course import Trainer
 from hybrid_id.identification.network_data import networks_of, with_memory, with_price, with_scales
 from hybrid_id.identification.network_metric import linearise_with_weights
 from hybrid_id.identification.network_projection import projection
@@ -375,3 +376,27 @@ def test_faults_are_told(made: list) -> None:
     for prices in ((), (0.1, 1.0), (1.0, 1.0), (1.0, -1.0)):
         with pytest.raises(InputError, match="no ladder"):
             train_hybrid(hybrid(), *data, options=HybridOptions(prices=prices))
+
+
+def test_losses_of_a_short_record_are_those_of_its_own_parts() -> None:
+    system, wave = drive(), records(WITHHELD, count=1, samples=300)[0]
+    short = Record(
+        "short", wave.time[:150], {"u1": wave.inputs["u1"][:150]}, {"q_m1": wave.outputs["q_m1"][:150]}
+    )
+    both = make_batch(system, [wave, short], noise_std=NOISE, signal_share=0.0)
+    alone = make_batch(system, [short], noise_std=NOISE, signal_share=0.0)
+    trainer = Trainer(problem_of(system, both, 0.0), both, QUICK, [])
+    theta = system.theta().detach()[:, None]
+    found = trainer.losses(theta, both)
+    torch.testing.assert_close(found[:, 1:], trainer.losses(theta, alone), rtol=1e-6, atol=1e-9)
+    assert (found > 0).all()
+
+
+def test_a_parameter_at_its_bound_is_not_rounded_beyond_it(made: list) -> None:
+    narrow = drive()
+    narrow = narrow.with_specs({"F_v": replace(narrow.parameter("F_v").spec, value=0.1507, upper=0.95)})
+    problem = problem_of(narrow, batches(narrow, made)[0], 0.0)
+    row = narrow.estimated.index([i.name for i in narrow.table].index("F_v"))
+    q = problem.start(problem.base)
+    q[:, row] = 0.95 / problem.unit[row] * (1.0 + 1e-15)
+    assert float(problem.theta(q).max(1).values[narrow.estimated[row]]) <= 0.95
