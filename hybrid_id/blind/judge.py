@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations, permutations
 from typing import Any
 
 Sheet = Mapping[str, Any]
@@ -103,7 +104,7 @@ def judge(case: str, sheet: Sheet, said: Said | None) -> Judged:
         top_1=any(named[:1]) if single else None,
         top_3=any(named) if single else None,
         place=placed if single else None,
-        top_1_at_place=(placed and any(named[:1])) if single else None,
+        top_1_at_place=bool(first and _right(first, truth[0])) if single else None,
         pair=(hits, len(chosen), len(truth)) if family == "pair" else None,
         whole=not broken and (unknown if not known else not unknown and hits == len(chosen) == len(truth)),
         false_alarm=(bool(chosen) or unknown) if family == "none" and not broken else None,
@@ -120,15 +121,19 @@ def _named(effect: Said, truth: Sheet) -> bool:
     return effect["name"] in truth["accept"]
 
 
+def _right(effect: Said, truth: Sheet) -> bool:
+    """Whether an effect is accepted at its place; sheets that do not say which name goes where accept all pairs."""
+    if "right" in truth:
+        return f"{effect['name']}@{effect['where']}" in truth["right"]
+    return _named(effect, truth) and effect["where"] in truth["accept_where"]
+
+
 def _hits(chosen: Sequence[Said], truth: Sequence[Sheet]) -> int:
     """How many of the true effects are among the chosen ones, each of which serves once."""
-    left, hits = list(chosen), 0
-    for one in truth:
-        found = next((e for e in left if _named(e, one) and e["where"] in one["accept_where"]), None)
-        if found is not None:
-            left.remove(found)
-            hits += 1
-    return hits
+    if len(truth) > len(chosen):
+        return max((_hits(chosen, some) for some in combinations(truth, len(chosen))), default=0)
+    orders = permutations(chosen, len(truth))
+    return max(sum(map(_right, order, truth)) for order in orders)
 
 
 def _in_a_word(family: str, truth: Sequence[Sheet], chosen: Sequence[Said], unknown: bool) -> str:
@@ -150,6 +155,8 @@ def _shrink(said: Said, sheet: Sheet) -> tuple[float | None, bool | None]:
     gap = said.get("gap") or {}
     before, after, claimed = gap.get("refit"), gap.get("with_effect"), gap.get("shrink")
     closes = any(e["selected"] for e in said.get("effects", [])) and sheet["family"] in ("single", "pair")
+    if said.get("opened"):  # its errors are those of other test records than the answers'
+        return None, None
     if not closes or before is None or after is None or claimed is None:
         return None, None
     closable = before - sheet["oracle"]["noise_floor"]
@@ -165,7 +172,7 @@ def _closed(said: Said, sheet: Sheet) -> float | None:
     """Share of the oracle's closable gap that is closed; nothing where there is no corrected model."""
     oracle = sheet["oracle"]
     closable = oracle["refit"] - oracle["with_effect"]
-    if sheet["family"] not in ("single", "pair") or closable <= 0:
+    if sheet["family"] not in ("single", "pair") or closable <= 0 or said.get("opened"):
         return None
     after = (said.get("gap") or {}).get("with_effect")
     return 0.0 if after is None or not math.isfinite(after) else (oracle["refit"] - after) / closable

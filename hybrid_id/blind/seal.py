@@ -104,13 +104,20 @@ def refuse_reachable(cases: Path, runs: Path, sha256: str) -> None:
         runs: folder of the diagnoses; need not exist.
         sha256: hash of the archive, which is found under any name.
     """
-    for folder in dict.fromkeys(p.absolute() for p in (cases, cases.parent, runs, runs.parent)):
+    cases, runs = cases.resolve(), runs.resolve()
+    for folder in dict.fromkeys((cases, cases.parent, runs, runs.parent)):
         for path in sorted(folder.iterdir()) if folder.is_dir() else ():
             named = path.name.split(".")[0] == ANSWERS
-            if named or (path.is_file() and path.suffix == ".tar" and _hash(path) == sha256):
+            if named or (path.is_file() and _is_archive(path) and _hash(path) == sha256):
                 raise InputError(
                     f"{path} can be read by the run, which must not see answers; move it to another folder"
                 )
+
+
+def _is_archive(path: Path) -> bool:
+    """Whether a file, whatever its name, begins as an archive does."""
+    with path.open("rb") as file:
+        return file.read(262)[257:] == b"ustar"
 
 
 def open_answers(archive: Path, sha256: str) -> dict[str, Sheet]:

@@ -62,12 +62,14 @@ def _answer(effect: Effect, rivals: list[Rival], robot: Robot) -> dict[str, Any]
     """One effect on the answer sheet, with all that counts as right."""
     right = [effect, *(rival.effect for rival in rivals if rival.counts)]
     places = [place for one in right for place in _places(one, robot)]
+    pairs = [f"{one.name}@{place}" for one in right for place in _places(one, robot) if one.name != UNKNOWN]
     names = [one.name for one in right if one.name != UNKNOWN]
     return {
         "name": effect.name,
         "where": effect.where,
         "accept": list(dict.fromkeys(names)),
         "accept_where": list(dict.fromkeys(places)),
+        "right": list(dict.fromkeys(pairs)),
         "size": effect.size(),
     }
 

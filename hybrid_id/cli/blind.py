@@ -31,6 +31,9 @@ def _blind() -> None:
 
 
 CountOption = Annotated[int, typer.Option("--cases", help="Number of cases.", min=1)]
+FirstOption = Annotated[
+    int, typer.Option(help="Number of the first case: a large set may be made and run in parts.", min=1)
+]
 SeedOption = Annotated[
     str,
     typer.Option(help="Seed of case 1, the others count up; 'commit' takes it from the hash of this commit."),
@@ -65,10 +68,7 @@ def make(
         bool, typer.Option("--open-answers", help="Leave the answers in answers/, for development.")
     ] = False,
     cases: CountOption = 24,
-    first: Annotated[
-        int,
-        typer.Option(help="Number of the first case: a large set may be made and run in parts.", min=1),
-    ] = 1,
+    first: FirstOption = 1,
     seed: SeedOption = "0",
     system: SystemOption = None,
     family: FamilyOption = None,
@@ -163,6 +163,7 @@ def _make(
 def reproduce(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for all of it.", show_default=False)],
     cases: CountOption = 24,
+    first: FirstOption = 1,
     seed: SeedOption = "0",
     system: SystemOption = None,
     family: FamilyOption = None,
@@ -185,9 +186,9 @@ def reproduce(
     made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
     options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
     if archive.exists():
-        _check_same(made, cases, _seed(seed), options)
+        _check_same(made, cases, _seed(seed), options, first)
     else:
-        make_sealed(made, archive, cases, _seed(seed), options, jobs)
+        make_sealed(made, archive, cases, _seed(seed), options, jobs, first)
     runs.parent.mkdir(parents=True, exist_ok=True)
     broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler, command)
     if Method.diagnose in (method or [Method.diagnose]):
@@ -202,12 +203,13 @@ def reproduce(
         raise typer.Exit(1)
 
 
-def _check_same(made: Path, cases: int, seed: int, options: dict[str, str | None]) -> None:
+def _check_same(made: Path, cases: int, seed: int, options: dict[str, str | None], first: int) -> None:
     """Refuse to go on with cases that were made otherwise."""
     from hybrid_id.blind.seal import read_manifest
 
     manifest = read_manifest(made)
-    if (manifest["asked"], manifest["seed"], manifest["options"]) != (cases, seed, options):
+    same = manifest["asked"], manifest["seed"], manifest["options"], manifest.get("first", 1)
+    if same != (cases, seed, options, first):
         raise InputError(f"{made} holds cases of another seed, number or kind; give another --out")
 
 

@@ -86,8 +86,10 @@ def gathered(runs: Sequence[Path], archives: Sequence[Path], *, partial: bool = 
     _check_parts(runs, parts, manifests)
     judged: dict[str, list[Judged]] = {method: [] for method in told}
     for folder, archive in zip(runs, archives, strict=True):
-        for method, cases in judged.items():
-            cases += judge_run(folder / method, archive, partial=partial)
+        part = {method: judge_run(folder / method, archive, partial=partial) for method in told}
+        shared = set.intersection(*({one.case for one in cases} for cases in part.values()))
+        for method, cases in part.items():  # of an unfinished run, what all contenders have taken
+            judged[method] += [one for one in cases if one.case in shared]
     methods = {}
     for method, cases in judged.items():
         found = scores(cases)
@@ -213,6 +215,7 @@ def _order() -> list[str]:
 def _command(manifest: dict[str, Any], told: dict[str, dict[str, Any]]) -> str:
     """The command that makes, runs and scores the same cases again."""
     options = {"--seed": manifest["seed"], "--cases": manifest["asked"]}
+    options["--first"] = manifest.get("first", 1) if manifest.get("first", 1) > 1 else None
     options |= {f"--{name}": value for name, value in manifest["options"].items()}
     options["--train-records"] = next(iter(told.values()))["train_records"]
     options["--command"] = next((run["command"] for run in told.values() if run.get("command")), None)

@@ -41,6 +41,7 @@ def ties(
 
 def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str | None) -> dict[str, Any]:
     """Simulate and diagnose; returns what `resolved` does."""
+    from hybrid_id.cli.folder import sole_writer
     from hybrid_id.contenders.keep import is_done, key_of, load, read_run, save, write_json
     from hybrid_id.contenders.run import Settings, run_cases
 
@@ -52,11 +53,14 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     richer = _extended(cases, tied, sheets, about["cases"]["options"], jobs)
     keys = {case.name: key_of(case, settings, __version__, at) for case in richer}
     left = [case for case in richer if not is_done(load(folder, case.name), keys[case.name])]
-    with counting("ties") as bar:
-        task = bar.add_task("ties", total=len(left))
-        for number, said in run_cases(settings, left, jobs=jobs, scheduler=scheduler):
-            save(folder, said | {"run": said["run"] | {"commit": at}}, keys[left[number].name])
-            bar.advance(task)
+    try:
+        with sole_writer(folder), counting("ties") as bar:
+            task = bar.add_task("ties", total=len(left))
+            for number, said in run_cases(settings, left, jobs=jobs, scheduler=scheduler):
+                save(folder, said | {"run": said["run"] | {"commit": at}}, keys[left[number].name])
+                bar.advance(task)
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"stopped; the same command goes on with the cases in {folder}") from None
     found = resolved({name: load(folder, name) for name in tied}, sheets) | {"commit": at}
     write_json(runs / f"{TIES}.json", found)
     return found
@@ -87,7 +91,8 @@ def resolved(again: Mapping[str, Any], sheets: Mapping[str, Any]) -> dict[str, A
     rows = {}
     for name, said in again.items():
         one = judge(name, sheets[name], said)
-        parted = not one.broken and said is not None and not said["ties"]
+        told = said if said is not None and not one.broken else {"effects": [], "ties": []}
+        parted = any(e["selected"] for e in told["effects"]) and not told["ties"]
         rows[name] = {"resolved": parted, "right": parted and one.whole, "broken": one.broken}
     return of_ties(rows)
 

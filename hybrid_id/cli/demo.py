@@ -1,11 +1,13 @@
 """`demo`: the main job on records whose truth is known."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hybrid_id.cli.console import out as stdout
+from hybrid_id.cli.console import remark
 from hybrid_id.cli.console import show as print_all
 from hybrid_id.cli.folder import refuse_taken, results_folder
 from hybrid_id.cli.options import ForceOption, JsonOption, ThreadsOption, use_threads
@@ -67,7 +69,7 @@ def demo(
         show("", "3. So the data sheet's motor constants go in as priors. One parameter set a record:")
         changes = {"model": str(folder / DATA / "model_priors.yaml"), "identification.seed": seed}
         config = study_config(folder / DATA, changes)
-        study, _ = run(dataset, load_model(config.model), config)
+        study, stopped = run(dataset, load_model(config.model), config)
         home = out.absolute()
         placed = config.model_copy(
             update={"dataset": home / DATA, "model": home / DATA / "model_priors.yaml"}
@@ -84,18 +86,22 @@ def demo(
     show("", f"4. The truth of {study.selected.records[0]} beside its estimates:")
     show(truth_table(study, truth, reach_of(config), config.statistics.level))
     show("", *_conclusion(study, truth, reach_of(config), out))
+    if stopped:
+        remark("stopped by Ctrl-C: the sets are those of the last iteration, and claim no interval")
+        raise typer.Exit(130)
 
 
 def _conclusion(study: "Study", truth: dict[str, float], reach: float, out: Path) -> list[str]:
     errors = reach * study.standard_errors(study.selection.index)
-    hits = sum(
+    claims = [
         abs(value - truth[name]) <= error
         for name, value, error in zip(study.names, study.selected.values, errors, strict=True)
-    )
+        if math.isfinite(error)
+    ]
     fit, test = study.selection.mean[study.selection.index], list(study.test_nrmse.values())
     held = f", {100 * (1 - test[0]):.2f} % on the record that was held back" if test else ""
     return [
-        f"Found: {len(study.names)} parameters; {hits} of {len(study.names)} intervals hold the truth.",
+        f"Found: {len(study.names)} parameters; {sum(claims)} of {len(claims)} intervals hold the truth.",
         f"Replayed over all records the selected set {study.selection.name} fits {fit:.2f} %{held}.",
         f"Pictures: {out}/truth.png, {out}/fit_*.png, {out}/parameters.png, {out}/cross_validation.png, "
         f"{out}/residuals.png",

@@ -8,7 +8,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from hybrid_id.cli.console import err, show
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.folder import DIAGNOSIS, refuse_taken, required, results_folder
+from hybrid_id.cli.folder import DIAGNOSIS, page_and_pictures, refuse_taken, required, results_folder
 from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import (
     ForceOption,
@@ -70,8 +70,8 @@ def diagnose(
     from hybrid_id.reporting.gap import diagnosis_table
 
     show(diagnosis_table(diagnosis, reach_of(config), config.statistics.level))
-    page = "report.html, " if config.output.report else ""
-    show(f"results are in {home}: {page}{DIAGNOSIS}, model.yaml, refit.yaml, pictures, config.yaml")
+    page, pictures = page_and_pictures(config)
+    show(f"results are in {home}: {page}{DIAGNOSIS}, model.yaml, refit.yaml, {pictures}config.yaml")
 
 
 def run(dataset: "Dataset", system: "System", config: StudyConfig) -> "Diagnosis":

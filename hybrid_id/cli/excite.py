@@ -63,6 +63,8 @@ def excite(
         )
     if not 0 < amplitude < np.inf:
         raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")
+    if file.is_dir():
+        raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
     beside = file.with_suffix(".json")
     if beside == file:
         raise InputError(f"{file} would also be the name of the description beside it; take another ending")

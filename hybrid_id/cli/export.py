@@ -148,7 +148,7 @@ def _program(system: "System", sample_time: float, width: float) -> tuple[bytes,
 def _ranges(system: "System", model: Path) -> str:
     from hybrid_id.export.ranges import read_result, to_ranges
 
-    file = model / RESULT
+    file = (model if model.is_dir() else model.parent) / RESULT
     if not file.is_file():
         remark(
             "there is no result of an identification beside this model: only its priors tell how far it may be off"

@@ -101,6 +101,11 @@ def go_on(path: Path) -> str:
     return f"'hybrid-id train {path / 'config.yaml'} --out {path} --resume' goes on"
 
 
+def page_and_pictures(config: StudyConfig) -> tuple[str, str]:
+    """The page and the pictures, as far as the config asks for them, for a list of what was written."""
+    return "report.html, " if config.output.report else "", "pictures, " if config.output.figures else ""
+
+
 def stopped(path: Path) -> str:
     """What to say of a training that Ctrl-C has ended with results."""
     if (path / CHECKPOINT).exists():
@@ -135,7 +140,10 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
             raise InputError(f"{aside} is in the way, the place for the results that are replaced; remove it")
         path.replace(aside)
     path.mkdir(exist_ok=True)
-    with sole_writer(path), _until_complete(path, aside if replaced else None, made):
+    with (
+        sole_writer(path),
+        _until_complete(path, aside if replaced or (resume and aside.exists()) else None, made),
+    ):
         if not resume:
             config.save(path / "config.yaml")
         yield
@@ -143,7 +151,7 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
 
 @contextmanager
 def _until_complete(path: Path, aside: Path | None, made: list[Path]) -> Iterator[None]:
-    """Bring back what was put aside when a run fails before its first checkpoint, remove it when it is complete."""
+    """Bring back what was put aside when a run ends before its first checkpoint, remove it when one is complete."""
     try:
         yield
     except BaseException:

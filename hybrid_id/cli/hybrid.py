@@ -9,7 +9,7 @@ import typer
 
 from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, stopped
+from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, page_and_pictures, stopped
 from hybrid_id.cli.inputs import check_windows
 from hybrid_id.config import Hybrid, StudyConfig
 
@@ -46,16 +46,15 @@ def train_with_networks(
         text = to_json("train", {"dataset": dataset.name} | hybrid_result(study))
         with added_results(home) as folder:
             _write(folder, home, config, dataset, study, text)
-    if as_json:
-        stdout().print(text, markup=False, soft_wrap=True)
-    else:
-        show(hybrid_tables(study, dataset))
-        show(
-            f"results are in {home}: report.html, result.json, model.yaml, physics.yaml, pictures, config.yaml"
-        )
-    if study.result.interrupted:
-        remark(stopped(home))
-        raise typer.Exit(130)
+        if as_json:
+            stdout().print(text, markup=False, soft_wrap=True)
+        else:
+            page, pictures = page_and_pictures(config)
+            show(hybrid_tables(study, dataset))
+            show(f"results are in {home}: {page}result.json, model.yaml, physics.yaml, {pictures}config.yaml")
+        if study.result.interrupted:  # what this one replaces is kept
+            remark(stopped(home))
+            raise typer.Exit(130)
 
 
 def with_networks(system: "System", config: StudyConfig) -> "System":

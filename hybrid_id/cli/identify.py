@@ -144,18 +144,20 @@ def _fit_in_processes(
     from joblib import Parallel, delayed
 
     records = dataset.train
-    parts = [records[k::jobs] for k in range(min(jobs, len(records)))]
+    shares = [range(k, len(records), jobs) for k in range(min(jobs, len(records)))]
+    parts = [[records[i] for i in share] for share in shares]
     with TemporaryDirectory() as folder:
         progress.flag = stop = Path(folder) / "stop"
         found = Parallel(n_jobs=jobs)(
-            delayed(fit_part)(dataset, part, system, config, stop) for part in parts
+            delayed(fit_part)(dataset, part, numbers, system, config, stop)
+            for part, numbers in zip(parts, shares, strict=True)
         )
     by_record = {result.records[0]: result for results in found for result in results}  # type: ignore[union-attr]
     return [by_record[record.name] for record in records]
 
 
 def fit_part(
-    dataset: "Dataset", records: Any, system: "System", config: StudyConfig, stop: Path
+    dataset: "Dataset", records: Any, numbers: Any, system: "System", config: StudyConfig, stop: Path
 ) -> list[Any]:
     """The share of one process; it ends early when the file `stop` is there."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the first process decides
@@ -166,4 +168,5 @@ def fit_part(
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
     batch = make_batch(system, records, noise_std=noise, signal_share=config.preprocessing.signal_share)
     device = config.identification.device
-    return fit(system.to(device), batch.to(device), **fit_settings(config, lambda *_: stop.exists()))
+    settings = fit_settings(config, lambda *_: stop.exists())
+    return fit(system.to(device), batch.to(device), numbers=numbers, **settings)

@@ -22,7 +22,7 @@ def load_records(path: Path, preprocessing: Preprocessing | None = None) -> "Dat
     from dataclasses import replace
 
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.records.dataset_file import common_sample_time
+    from hybrid_id.records.dataset_file import usual_step
     from hybrid_id.records.resample import resample_record
 
     dataset, wish = Dataset.load(path), preprocessing or Preprocessing()
@@ -33,12 +33,7 @@ def load_records(path: Path, preprocessing: Preprocessing | None = None) -> "Dat
         records = tuple(record.between(*wish.between) for record in records)
     if wish.resample is None:
         return replace(dataset, records=records)
-    step = (
-        wish.resample.sample_time
-        or dataset.sample_time
-        or common_sample_time(records)
-        or records[0].sample_time
-    )
+    step = wish.resample.sample_time or dataset.sample_time or usual_step(records)
     pairs = [
         resample_record(record, step, inputs=wish.resample.inputs, max_gap=wish.resample.max_gap)
         for record in records

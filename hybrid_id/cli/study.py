@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import RESULT
+from hybrid_id.cli.folder import RESULT, page_and_pictures
 from hybrid_id.config import StudyConfig
 
 if TYPE_CHECKING:
@@ -126,5 +126,5 @@ def show_study(study: "Study", config: StudyConfig, home: Path, text: str, *, as
     from hybrid_id.reporting.tables import study_table
 
     show(study_table(study, reach_of(config), config.statistics.level))
-    page = "report.html, " if config.output.report else ""
-    show(f"results are in {home}: {page}parameters.csv, result.json, model.yaml, pictures, config.yaml")
+    page, pictures = page_and_pictures(config)
+    show(f"results are in {home}: {page}parameters.csv, result.json, model.yaml, {pictures}config.yaml")

@@ -78,6 +78,10 @@ def train(
         system = load_system(config)
         use_device(config.identification.device)
         if config.hybrid is not None:
+            if pooled is False:
+                raise InputError(
+                    "--per-record has no meaning with networks, which all records share; leave it out"
+                )
             from hybrid_id.cli.hybrid import train_with_networks
 
             return train_with_networks(
@@ -94,14 +98,15 @@ def train(
             study = assess(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
             with added_results(home) as folder:
                 text = write_study(folder, home, "train", config, dataset, study)
-        show_study(study, config, home, text, as_json=as_json)
-        remark(
-            f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; 'identify' takes "
-            "it as it is, so small differences between their estimates are the smoothing's"
-        )
-        if any(result.status == "interrupted" for result in sets):
-            remark(stopped(home))
-            raise typer.Exit(130)
+            show_study(study, config, home, text, as_json=as_json)
+            if any(system.dry):
+                remark(
+                    f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; "
+                    "'identify' takes it as it is, so small differences between their estimates are the smoothing's"
+                )
+            if any(result.status == "interrupted" for result in sets):  # what this one replaces is kept
+                remark(stopped(home))
+                raise typer.Exit(130)
 
 
 def _run(

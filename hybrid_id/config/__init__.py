@@ -93,7 +93,8 @@ class StudyConfig(Section):
             home: Folder that the file will lie in at last, to which paths are relative; its folder by default.
         """
         values = self.model_dump(mode="json", exclude={"output": {"folder"}})
-        write_yaml(path, _with_paths(values, lambda p: os.path.relpath(p, home or path.parent)))
+        place = (home or path.parent).resolve()  # '..' leaves the folder that a link stands for
+        write_yaml(path, _with_paths(values, lambda p: os.path.relpath(Path(p).resolve(), place)))
 
 
 def load_config(path: Path, changes: Mapping[str, Any] | None = None) -> StudyConfig:

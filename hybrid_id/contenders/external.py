@@ -61,7 +61,16 @@ def external(folder: Path, command: str | None) -> dict[str, Any]:
             effect["probability"] = float(effect["probability"])
             effect["selected"] = bool(effect["selected"])
             effect["name"], effect["where"] = str(effect["name"]), str(effect["where"])
+            if not 0.0 <= effect["probability"] <= 1.0:
+                raise ValueError(f"probability {effect['probability']} is none")
         said["unknown"] = bool(said["unknown"])
+        gap = said.get("gap") or {}
+        for key in ("refit", "with_effect", "shrink"):
+            gap[key] = None if gap.get(key) is None else float(gap[key])
+        if gap.get("shrink_interval") is not None:
+            low, high = gap["shrink_interval"]
+            gap["shrink_interval"] = [float(low), float(high)]
+        said["gap"] = gap
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise InputError(
             f"the answer of {words[0]} cannot be read ({type(error).__name__}: {error})"

@@ -191,9 +191,6 @@ class _Document:
             fixed = ET.SubElement(self.tendons, "fixed", {"name": f"gear{n}_{k + 1}"} | band)
             ET.SubElement(fixed, "joint", joint=f"gear{n}", coef="1")
         self.notes += found.notes
-        self.notes += [
-            left_out(error, "MuJoCo's gears have a constant ratio") for error, _ in joint.gear.errors
-        ]
 
     def _loads(self, joint: Joint, at_link: Attributes) -> None:
         for key, part in joint.loads:

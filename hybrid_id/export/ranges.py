@@ -31,7 +31,9 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
         InputError: the result is not one of an identification of this model.
     """
     selected = (result or {}).get("selected") or {}
-    values, half_widths = selected.get("values") or {}, selected.get("half_widths") or {}
+    values, half_widths = selected.get("values") or {}, dict(selected.get("half_widths") or {})
+    for name in _at_bound(result or {}):  # nothing is claimed there
+        half_widths.pop(name, None)
     if result is not None and not values:
         raise InputError(
             "the result holds no identified values; give a folder that 'identify', or 'train' without networks, has "
@@ -57,6 +59,14 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
             "component": info.component,
         }
     return {"level": (result or {}).get("level", 0.95), "parameters": ranges}
+
+
+def _at_bound(result: Mapping[str, Any]) -> list[str]:
+    """Parameters of the selected set that lie at a bound."""
+    name = (result.get("selected") or {}).get("set")
+    return next(
+        (s["at_bound"] for s in result.get("sets", []) if name is not None and s.get("set") == name), []
+    )
 
 
 def _range(spec: Bounded, half_width: float | None, spread: list[float]) -> tuple[float, float, str]:

@@ -80,7 +80,7 @@ def decide(refit: Refit, search: Attribution) -> Decision:
         best = search.chosen
     worse = {new_effect(one, last.before): told[best].z(told[one]) for one in told if one is not best}
     outvoted = {name: z for name, z in worse.items() if z >= TOLD}
-    return Decision(search if best is search.chosen else _with(search, best), outvoted)
+    return Decision(search if best is search.chosen else _with(search, last, best), outvoted)
 
 
 def _of(one: Round, search: Attribution) -> bool:
@@ -118,12 +118,7 @@ def _on_test(refit: Refit, one: Explanation) -> Evidence:
     return Evidence(blocks, len(blocks), float(len(blocks)))
 
 
-def _with(search: Attribution, best: Explanation) -> Attribution:
-    """The search that stands by another of its candidates."""
-    rounds = [
-        replace(one, candidates=(best, *(e for e in one.candidates if e.effects != best.effects)))
-        if _of(one, search)
-        else one
-        for one in search.rounds
-    ]
-    return replace(search, rounds=tuple(rounds), chosen=best)
+def _with(search: Attribution, last: Round, best: Explanation) -> Attribution:
+    """The search that stands by another candidate of a round."""
+    first = replace(last, candidates=(best, *(e for e in last.candidates if e.effects != best.effects)))
+    return replace(search, rounds=tuple(first if one is last else one for one in search.rounds), chosen=best)

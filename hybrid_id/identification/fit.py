@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -15,6 +14,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import grow, hidden_links
 from hybrid_id.identification.least_squares import Bounds, Options, minimise
 from hybrid_id.identification.result import FitResult, make_result
+from hybrid_id.identification.start_points import start_points
 from hybrid_id.simulation.memory import keep_freed_memory
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import rollout, simulate
@@ -40,6 +40,7 @@ def fit(
     seed: int = 0,
     warm: bool = True,
     start_values: Tensor | None = None,
+    numbers: Sequence[int] | None = None,
     progress: Progress | None = None,
 ) -> list[FitResult]:
     """Identify one parameter set for each row of a batch, or one for all of them.
@@ -61,6 +62,7 @@ def fit(
         seed: of the start points.
         warm: whether to fit windows first; switch it off to start a richer model at a simpler one's optimum.
         start_values: start values of all parameters for each set, ``(n_p, G)``, instead of the system's.
+        numbers: of the sets among all, where others are fitted elsewhere: each draws start points of its own.
         progress: called with (stage, iteration, cost of each set, sets still running); where it returns true, the
             fit ends with the values that it has.
 
@@ -77,7 +79,8 @@ def fit(
     sets = torch.zeros_like(rows) if pooled else rows
     count = 1 if pooled else batch.rows
     bounds = make_bounds(system, free, device)
-    theta = start_points(system, free, bounds, count, starts, spread, seed, start_values).to(device)
+    drawn_as = numbers or range(count)
+    theta = start_points(system, free, bounds, drawn_as, starts, spread, seed, start_values).to(device)
     start = theta[:, :count]
     many = batch.take(rows.repeat(starts)) if starts > 1 else batch
     many_sets = torch.cat([sets + k * count for k in range(starts)])
@@ -100,9 +103,7 @@ def fit(
             )
     engine = with_substeps(system, engine, many, theta[:, many_sets])
     nodes, alive, each = None, starts, torch.arange(count, device=device)
-    if hidden_links(
-        system, batch
-    ):  # no spring is loaded in the batch's guess, from which Newton's method goes astray
+    if hidden_links(system, batch):  # the guess loads no spring, from which Newton's method goes astray
         nodes = rollout(system, engine, many, theta[:, many_sets])
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
@@ -155,33 +156,6 @@ def make_bounds(system: System, free: Sequence[int], device: torch.device | str 
         column([0.0 if s.prior_std is None else s.prior_std**-2 for s in specs]),
         0.1 * column(scale),
     )
-
-
-def start_points(
-    system: System,
-    free: Sequence[int],
-    bounds: Bounds,
-    count: int,
-    starts: int,
-    spread: float,
-    seed: int,
-    given: Tensor | None = None,
-) -> Tensor:
-    """Start values of all parameters, ``(n_p, starts * count)``: the given point, then points spread around it."""
-    base = system.theta().detach()[:, None].expand(-1, count) if given is None else given
-    generator = np.random.default_rng(seed)
-    points = [base.clone()]
-    limits = [limit.to(base.device)[:, None] for limit in (bounds.lower, bounds.upper)]
-    reach = 10.0 * bounds.scale.to(base.device)[:, None]
-    for _ in range(starts - 1):
-        point = base.clone()
-        part = torch.tensor(generator.uniform(-1.0, 1.0, (len(free), count))).to(base.device)
-        here = point[list(free)]
-        # no factor moves a zero: such a parameter is drawn from the range that its steps are measured by
-        moved = torch.where(here == 0, part * reach, here * (1.0 + spread * part))
-        point[list(free)] = torch.maximum(torch.minimum(moved, limits[1]), limits[0])
-        points.append(point)
-    return torch.cat(points, 1)
 
 
 def window_samples(samples: int, step: float, seconds: float) -> int | None:

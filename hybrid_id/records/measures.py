@@ -53,7 +53,7 @@ def estimate_noise(values: np.ndarray) -> float:
 def rest_samples(record: Record) -> int:
     """Count the first samples that are taken at rest; at least 1.
 
-    At rest means: every voltage, duty, torque or current is zero (or its motor is switched off) and no
+    At rest means: every voltage, duty, torque or current is zero and no
     output leaves its noise. Where a motion ends that stretch (an arm let go), only its first quarter counts,
     in which such a motion has gone a sixteenth of the way. The sample at which the input sets in still
     shows the rest, but it is left out, since its stamp may lag behind the input.

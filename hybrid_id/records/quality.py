@@ -154,11 +154,12 @@ def _merged(findings: list[Finding]) -> Iterator[Finding]:
     for finding in findings:
         groups.setdefault((finding.code, finding.channel), []).append(finding)
     for first, *others in groups.values():
-        if len(others) < 2:
+        more = list(dict.fromkeys(other.record for other in others if other.record != first.record))
+        if len(more) < 2:
             yield from (first, *others)
         else:
-            names = ", ".join(other.record for other in others[:5]) + (", ..." if len(others) > 5 else "")
-            yield replace(first, message=f"{first.message} [likewise in {len(others)} more records: {names}]")
+            names = ", ".join(more[:5]) + (", ..." if len(more) > 5 else "")
+            yield replace(first, message=f"{first.message} [likewise in {len(more)} more records: {names}]")
 
 
 def _roles(dataset: Dataset) -> Iterator[Finding]:

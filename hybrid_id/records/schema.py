@@ -86,6 +86,8 @@ class RecordEntry(_Part):
     def _inside(cls, value: str) -> str:
         if not value.isprintable():
             raise ValueError("must be a file's name without control characters")
+        if any("**" in part and part != "**" for part in value.split("/")):
+            raise ValueError("has '**' beside other characters; '*' stands for any of them within a name")
         posix, windows = PurePosixPath(value), PureWindowsPath(value)
         if posix.is_absolute() or windows.anchor or ".." in (*posix.parts, *windows.parts):
             raise ValueError("must name a file inside the dataset's folder")

@@ -33,6 +33,7 @@ def parameters_table(rows: Sequence[ParameterRow]) -> Table:
     for row in rows:
         held = row.role == "stage"
         inside = Text("yes", style="green") if row.covered else Text("no", style="yellow")
+        inside = inside if np.isfinite(row.interval) else Text("none claimed")
         spread = Text(f"{row.percent:.2f} %")
         if row.role == "free" and not row.below:
             spread.stylize("yellow")

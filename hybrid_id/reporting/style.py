@@ -68,11 +68,11 @@ def new_figure(height: float, width: float = WIDTH) -> Figure:
 
 def symbol(name: str) -> str:
     """A parameter's or signal's name as it is printed, ``f_11`` with its index set low."""
-    found = re.fullmatch(r"([A-Za-z]+)_?([A-Za-z]*\d+|[a-z]+)", name)
+    greek = {letter: rf"\{letter}" for letter in ("alpha", "beta", "mu", "rho", "sigma", "tau", "zeta")}
+    found = re.fullmatch(r"([A-Za-z]+)(?:_([A-Za-z]*\d+|[a-z]+)|(\d+))", name)
     if found is None or len(name) == 1:
-        return f"${name}$" if len(name) == 1 else name
-    stem, index = found.groups()
-    greek = {"sigma": r"\sigma", "tau": r"\tau", "mu": r"\mu", "v": "v"}
+        return f"${greek.get(name, name)}$" if len(name) == 1 or name in greek else name
+    stem, index = found[1], found[2] or found[3]
     stem = greek.get(stem, stem if len(stem) == 1 else rf"\mathrm{{{stem}}}")
     return rf"${stem}_{{\mathrm{{{index}}}}}$"
 

@@ -69,8 +69,8 @@ class ParameterRow:
 
     @property
     def covered(self) -> bool:
-        """Whether the interval holds the truth."""
-        return abs(self.value - self.truth) <= self.interval
+        """Whether the interval that is claimed holds the truth."""
+        return bool(np.isfinite(self.interval)) and abs(self.value - self.truth) <= self.interval
 
     @property
     def below(self) -> bool:

@@ -21,7 +21,7 @@ def answer(result: Ablation) -> str:
     """
     best = result.best
     if best is not None and best.diverged("test"):
-        return PHYSICS
+        return PHYSICS if not result.physics.diverged("test") else OPEN
     if best is None or not math.isfinite(best.change["test"].upper):
         return OPEN
     change, worth = best.change["test"], math.log1p(-result.worth)
@@ -35,6 +35,11 @@ def verdict(result: Ablation) -> list[str]:
     best, found = result.best, answer(result)
     if best is None:
         return ["No network beside the whole physics was trained to its end, so that nothing can be said."]
+    if best.diverged("test") and found == OPEN:
+        return [
+            f"Open: test runs diverged in {best.diverged('test')} of {len(best.seeds)} repeats with the "
+            f"{best.arm.name}, and in {result.physics.diverged('test')} with physics only."
+        ]
     if best.diverged("test"):
         return [
             f"Physics only: with the {best.arm.name} the test runs diverged in {best.diverged('test')} of "

@@ -135,7 +135,7 @@ TWINS: dict[str, type[Twin]] = {twin.kind.system: twin for twin in (LinkTwin, Fl
 def read_settings(config: Mapping[str, Any]) -> Twin:
     """Check the settings of a twin; the first fault is an InputError that names its key."""
     machine = config.get("machine", "one_link")
-    if machine not in TWINS:
+    if not isinstance(machine, str) or machine not in TWINS:
         raise InputError(f"{SOURCE}: key 'machine' is {machine!r}; use one of {', '.join(TWINS)}")
     return validate(TWINS[machine], config, SOURCE)
 

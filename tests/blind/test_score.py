@@ -107,6 +107,31 @@ def test_one_answer_serves_one_effect_of_a_pair() -> None:
     assert one.pair == (1, 1, 2)
 
 
+def test_a_rivals_name_is_right_at_the_rivals_place_only() -> None:
+    both = truth("stribeck_friction", also=("tight_spot",))
+    both |= {"accept_where": [FRICTION, "joint2/motor_friction"]}
+    both["right"] = [f"stribeck_friction@{FRICTION}", "tight_spot@joint2/motor_friction"]
+    crossed = said(effect("stribeck_friction", "joint2/motor_friction", selected=True))
+    assert not judge("c1", sheet("single", both), crossed).whole
+    assert judge(
+        "c1", sheet("single", both), said(effect("tight_spot", "joint2/motor_friction", selected=True))
+    ).whole
+
+
+def test_a_pair_is_matched_as_well_as_it_can_be() -> None:
+    first, second = truth("delay", also=("cogging",)), truth("backlash", also=("cogging",))
+    named = said(effect("cogging", selected=True), effect("delay", selected=True))
+    assert judge("c1", sheet("pair", first, second), named).pair == (2, 2, 2)
+
+
+def test_errors_on_other_test_records_than_the_answers_are_not_compared() -> None:
+    gap = {"refit": 0.03, "with_effect": 0.03, "shrink": 0.0, "shrink_interval": [0.0, 1.0]}
+    found = judge(
+        "c1", STRIBECK, said(effect("stribeck_friction", selected=True), gap=gap) | {"opened": "rec_06"}
+    )
+    assert (found.closed, found.shrink_error, found.covered) == (None, None, None) and found.whole
+
+
 def test_nothing_at_work() -> None:
     quiet = judge("c1", NONE, said(effect("delay", p=0.1)))
     assert quiet.false_alarm is False and quiet.whole and quiet.said == "none" and quiet.closed is None

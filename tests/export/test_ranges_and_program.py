@@ -30,6 +30,15 @@ def test_ranges_say_where_they_come_from() -> None:
     assert found["P_m1"]["from"] == "held" and found["P_m1"]["lower"] == found["P_m1"]["upper"]
 
 
+def test_nothing_is_claimed_of_a_parameter_at_a_bound() -> None:
+    ends = [
+        {"set": "a", "values": [2e-5, 0.008], "at_bound": ["J"]},
+        {"set": "b", "values": [2.1e-5, 0.013], "at_bound": []},
+    ]
+    result = RESULT | {"selected": RESULT["selected"] | {"set": "a"}, "sets": ends}
+    assert to_ranges(one_link(100.0), result)["parameters"]["J"]["from"] == "spread"
+
+
 def test_range_stays_within_bounds() -> None:
     wide = RESULT | {"selected": {"values": {"J": 2e-5}, "half_widths": {"J": 1.0}}}
     assert to_ranges(one_link(100.0), wide)["parameters"]["J"]["lower"] == 1e-12

@@ -13,10 +13,11 @@ from scipy.optimize import least_squares
 
 from hybrid_id.components import Backlash, Stribeck
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import fit, start_points
+from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import sensitivities
+from hybrid_id.identification.start_points import start_points
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
@@ -119,13 +120,16 @@ def test_start_points_stay_inside_and_begin_with_the_given_one() -> None:
 
     free = [k for k, i in enumerate(TRUTH.table) if i.spec.estimate]
     system = boxed("J", 2e-5, 1.8e-5, 2.1e-5)
-    points = start_points(system, free, make_bounds(system, free), 2, 4, 0.5, 0)
+    points = start_points(system, free, make_bounds(system, free), range(2), 4, 0.5, 0)
     assert points.shape == (len(system.table), 8)
     torch.testing.assert_close(points[:, :2], system.theta().detach()[:, None].expand(-1, 2))
     j = [i.name for i in system.table].index("J")
     assert (points[j] >= 1.8e-5).all() and (points[j] <= 2.1e-5).all()
     fixed = [k for k in range(len(system.table)) if k not in free]
     assert (points[fixed] == points[fixed, :1]).all()
+    # a set that another process fits starts where it would have started beside the others
+    alone = start_points(system, free, make_bounds(system, free), [1], 4, 0.5, 0)
+    torch.testing.assert_close(alone, points[:, 1::2])
 
 
 def test_order_of_the_free_parameters_does_not_matter(batch: Batch) -> None:

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.finding import Finding
 from hybrid_id.records.measures import count_turns, quantisation_step, rest_samples
-from hybrid_id.records.quality import check_dataset, check_record, estimate_noise, start_position
+from hybrid_id.records.quality import _merged, check_dataset, check_record, estimate_noise, start_position
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import resample_record
 
@@ -197,3 +198,5 @@ def test_what_many_records_share_is_said_once() -> None:
     noise = [finding for finding in check_dataset(data) if finding.code == "noise"]
     assert len(noise) == 1
     assert "likewise in 3 more records: b, c, d" in noise[0].message
+    twice = list(_merged([Finding("warning", "clipped", "cut", name, "u1") for name in "aabbc"]))
+    assert len(twice) == 1 and "likewise in 2 more records: b, c" in twice[0].message
