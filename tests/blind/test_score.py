@@ -8,6 +8,7 @@ import pytest
 from hybrid_id.blind.judge import Judged, judge
 from hybrid_id.blind.score import confusion, figures, median, reliability, scores, share
 from hybrid_id.blind.targets import against_targets
+from hybrid_id.cli.blind_ties import resolved
 
 FRICTION = "joint1/motor_friction"
 ORACLE = {"nominal": 0.4, "refit": 0.11, "with_effect": 0.01, "noise_floor": 0.01}
@@ -226,3 +227,12 @@ def test_targets_say_what_fell_short_and_where_to_look() -> None:
     assert rows["false alarms where the structure is right"]["met"]
     assert rows["95 % intervals that hold the true shrink"]["target"] == "90-99 %"
     assert all(math.isfinite(row["seen"]["value"]) for row in rows.values() if row["seen"])
+
+
+def test_a_tie_is_not_parted_by_naming_nothing() -> None:
+    named = said(effect("stribeck_friction", selected=True)) | {"ties": []}
+    silent = said(effect("stribeck_friction")) | {"ties": []}
+    tied = named | {"ties": [["stribeck_friction@a", "delay@b"]]}
+    sheets = dict.fromkeys(("named", "silent", "tied", "broken"), STRIBECK)
+    found = resolved({"named": named, "silent": silent, "tied": tied, "broken": None}, sheets)
+    assert [name for name, one in found["cases"].items() if one["resolved"]] == ["named"]
