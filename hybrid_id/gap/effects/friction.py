@@ -77,13 +77,15 @@ def _presliding(system, s, place):
     where = f"joint{s.joint}/{place}"
     if has(system, where, *BRISTLES) or not has(system, where, *DRY):
         return []
-    r = _side(s, place)
-    starts = ((kind, share) for kind in ("dahl", "maxwell_slip") for share in (0.001, 0.01))
-    return [
-        (kind, {"sigma": free(stiffness, 0.02 * stiffness, 50.0 * stiffness, "N m/rad")})
-        for kind, share in starts
-        for stiffness in [s.dry * r**2 / (share * s.turns)]
-    ]
+    r, found = _side(s, place), []
+    for stiffness in (s.dry * r**2 / (share * s.turns) for share in (0.001, 0.01)):
+        spring = free(stiffness, 0.02 * stiffness, 50.0 * stiffness, "N m/rad")
+        # a tenth of what would damp the rotor on its bristle aperiodically
+        damping = 0.2 * (stiffness * s.rotor * r**2) ** 0.5
+        damper = free(damping, 0.0, 100.0 * damping, "N m s/rad")
+        found += [("dahl", {"sigma": spring}), ("maxwell_slip", {"sigma": spring})]
+        found.append(("lugre", {"sigma_0": spring, "sigma_1": damper}))
+    return found
 
 
 def _drag(system, s, place):
@@ -149,7 +151,7 @@ register(Effect(
 register(Effect(
     "presliding_friction", BOTH, _presliding, ("backlash", "joint_flexibility", "stribeck_friction"),
     "small reversals from rest of growing size: a bristle springs back, play does not",
-    kinds=("dahl", "maxwell_slip"),
+    kinds=("dahl", "maxwell_slip", "lugre"),
 ))  # fmt: skip
 register(Effect(
     "quadratic_drag", BOTH, _drag, ("voltage_saturation", "stribeck_friction", "thermal_derating"),
