@@ -7,12 +7,15 @@ from hybrid_id.parameters import Parameter
 class RotorBias(RotorTorque):
     """``tau = T_0`` at the rotor, driving: an amplifier's offset, where a gear parts it from a load on the link.
 
+    It may stand among the loads, too, as the bias that it is.
+
     | symbol | unit | meaning |
     | --- | --- | --- |
     | T_0 | N m | torque, of either sign |
     """
 
     kind = "rotor_bias"
+    places = ("motor", "load")
     T_0 = Parameter(0.0, lower=-1e3, upper=1e3, unit="N m", doc="torque of either sign")
 
     def torque(self, p, angle, speed):

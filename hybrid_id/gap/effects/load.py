@@ -35,10 +35,13 @@ def _spring(system, s, place):
 
 
 def _constant(system, s, place):
-    if has(system, f"joint{s.joint}/load", "constant_torque"):
+    if has(system, f"joint{s.joint}/load", "constant_torque", "rotor_bias"):
         return []
-    torque = s.torque * s.ratio
-    return [("constant_torque", {"T_0": free(0.0, -3.0 * torque, 3.0 * torque, "N m")})]
+    at_link = s.torque * s.ratio
+    found = [("constant_torque", {"T_0": free(0.0, -3.0 * at_link, 3.0 * at_link, "N m")})]
+    if not system.joints[s.joint - 1].rigid:  # a gear that gives way parts it from an amplifier's offset
+        found.append(("rotor_bias", {"T_0": free(0.0, -3.0 * s.torque, 3.0 * s.torque, "N m")}))
+    return found
 
 
 def _coupling(system, s, place):
@@ -71,6 +74,7 @@ register(Effect(
 register(Effect(
     "constant_torque", ("load",), _constant, ("asymmetric_friction", "gravity_load"),
     "standstill and slow motion both ways: a bias torque acts at rest, too",
+    kinds=("constant_torque", "rotor_bias"),
 ))  # fmt: skip
 register(Effect(
     "joint_coupling", ("load",), _coupling, ("gravity_load",),
