@@ -14,7 +14,7 @@ from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import Evidence
 from hybrid_id.gap.measure import errors
 from hybrid_id.gap.probability import TIE, Suspect
-from hybrid_id.gap.ranking import LEAST_RATIO, LEFT_OPEN, TOLD
+from hybrid_id.gap.ranking import LEFT_OPEN, TOLD
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task, new_effect
 from hybrid_id.gap.round import Round
 
@@ -74,12 +74,15 @@ def decide(refit: Refit, search: Attribution) -> Decision:
     told = {one: _on_test(refit, one) for one in models}
     if not told[search.chosen].samples:
         return Decision(search, {})
+
+    def clearly(one: Explanation, other: Explanation) -> bool:
+        """Whether one predicts them better than what a law's formula may be off."""
+        return told[one].gain(told[other]) >= TIE and told[one].z(told[other]) >= TOLD
+
     best = min(told, key=lambda one: told[one].error)
-    today = told[search.chosen]
-    if not (told[best].gain(today) >= LEAST_RATIO and told[best].z(today) >= TOLD):
-        best = search.chosen
-    worse = {new_effect(one, last.before): told[best].z(told[one]) for one in told if one is not best}
-    outvoted = {name: z for name, z in worse.items() if z >= TOLD}
+    best = best if clearly(best, search.chosen) else search.chosen
+    worse = [one for one in models if clearly(best, one)]
+    outvoted = {new_effect(one, last.before): told[best].z(told[one]) for one in worse}
     return Decision(search if best is search.chosen else _with(search, last, best), outvoted)
 
 

@@ -59,6 +59,8 @@ def test_it_stays_where_they_are_not_and_its_rival_goes_where_they_are(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert decided(monkeypatch, {BIAS: 1.01, WEIGHT: 1.0}).search is SEARCH
+    alike = decided(monkeypatch, {BIAS: 1.04, WEIGHT: 1.0})  # no more than a formula may be off
+    assert alike.search is SEARCH and not alike.outvoted
     kept = decided(monkeypatch, {BIAS: 1.0, WEIGHT: 2.0})
     assert kept.search is SEARCH and set(kept.outvoted) == {("gravity_load", WHERE)}
 
