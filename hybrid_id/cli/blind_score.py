@@ -214,8 +214,12 @@ def _order() -> list[str]:
 
 def _command(manifest: dict[str, Any], told: dict[str, dict[str, Any]]) -> str:
     """The command that makes, runs and scores the same cases again."""
-    options = {"--seed": manifest["seed"], "--cases": manifest["asked"]}
-    options["--first"] = manifest.get("first", 1) if manifest.get("first", 1) > 1 else None
+    first = manifest.get("first", 1)
+    options = {
+        "--seed": manifest["seed"],
+        "--cases": manifest["asked"],
+        "--first": first if first > 1 else None,
+    }
     options |= {f"--{name}": value for name, value in manifest["options"].items()}
     options["--train-records"] = next(iter(told.values()))["train_records"]
     options["--command"] = next((run["command"] for run in told.values() if run.get("command")), None)

@@ -1,7 +1,7 @@
 """`identify`: from records and a model to parameters with statistics."""
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -145,28 +145,27 @@ def _fit_in_processes(
 
     records = dataset.train
     shares = [range(k, len(records), jobs) for k in range(min(jobs, len(records)))]
-    parts = [[records[i] for i in share] for share in shares]
     with TemporaryDirectory() as folder:
         progress.flag = stop = Path(folder) / "stop"
         found = Parallel(n_jobs=jobs)(
-            delayed(fit_part)(dataset, part, numbers, system, config, stop)
-            for part, numbers in zip(parts, shares, strict=True)
+            delayed(fit_part)(dataset, share, system, config, stop) for share in shares
         )
     by_record = {result.records[0]: result for results in found for result in results}  # type: ignore[union-attr]
     return [by_record[record.name] for record in records]
 
 
 def fit_part(
-    dataset: "Dataset", records: Any, numbers: Any, system: "System", config: StudyConfig, stop: Path
+    dataset: "Dataset", share: Sequence[int], system: "System", config: StudyConfig, stop: Path
 ) -> list[Any]:
-    """The share of one process; it ends early when the file `stop` is there."""
+    """The share of one process, train records by number; it ends early when the file `stop` is there."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the first process decides
     use_threads(1)
     from hybrid_id.identification.fit import fit
     from hybrid_id.simulation.prepare import make_batch
 
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    records = [dataset.train[number] for number in share]
     batch = make_batch(system, records, noise_std=noise, signal_share=config.preprocessing.signal_share)
     device = config.identification.device
     settings = fit_settings(config, lambda *_: stop.exists())
-    return fit(system.to(device), batch.to(device), numbers=numbers, **settings)
+    return fit(system.to(device), batch.to(device), numbers=share, **settings)

@@ -16,6 +16,7 @@ from hybrid_id.gap.measure import errors
 from hybrid_id.gap.probability import TIE, Suspect
 from hybrid_id.gap.ranking import LEFT_OPEN, TOLD
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task, new_effect
+from hybrid_id.gap.remainder import behind_play
 from hybrid_id.gap.round import Round
 
 RIVALS = 4
@@ -69,7 +70,7 @@ def decide(refit: Refit, search: Attribution) -> Decision:
     if last is None or search.window is not None or not refit.dataset.test:
         return Decision(search, {})
     models = (search.chosen, *_rivals(refit, search.chosen, last))
-    if any(_astray(one) for one in models):
+    if any(over_angle(one.effects) or behind_play(one) for one in models):
         return Decision(search, {})
     told = {one: _on_test(refit, one) for one in models}
     if not told[search.chosen].samples:
@@ -105,11 +106,6 @@ def _rivals(refit: Refit, chosen: Explanation, last: Round) -> list[Explanation]
         for e in alike[:RIVALS]
     ]
     return [e for e in found if e is not None]
-
-
-def _astray(one: Explanation) -> bool:
-    """Whether a model's free runs may be lost for no fault of its own."""
-    return over_angle(one.effects) or any("backlash" in key for key in one.system.components)
 
 
 def _on_test(refit: Refit, one: Explanation) -> Evidence:

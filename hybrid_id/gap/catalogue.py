@@ -12,7 +12,7 @@ from hybrid_id.components.base import REGISTRY, Component
 from hybrid_id.errors import InputError
 from hybrid_id.gap.scales import Scales
 from hybrid_id.gap.scan import Left
-from hybrid_id.parameters import Bounded
+from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.systems.chain import System
 
 ROTOR_SHARES = (0.1, 0.02)
@@ -103,9 +103,7 @@ class Effect:
 
     def _model(self, system: System, where: str, kind: str, values: Values) -> System | None:
         """The model at one start point; None where it cannot be built."""
-        share = next(
-            (i for i in system.table if i.symbol == "rotor_share" and i.component.startswith(where[:6])), None
-        )
+        share = rotor_share(system, where[:6])
         for lighter in (None, *(ROTOR_SHARES if share is not None else ())):
             with suppress(InputError):  # too heavy a rotor leaves the links of an arm no mass matrix
                 start = (
@@ -173,6 +171,13 @@ def _inside(kind: str, values: Values) -> dict[str, float | Bounded]:
             )
         kept[symbol] = value
     return kept
+
+
+def rotor_share(system: System, joint: str) -> ParameterInfo | None:
+    """The rotor's share of a joint's inertia; None where the model has two inertias."""
+    return next(
+        (i for i in system.table if i.symbol == "rotor_share" and i.component.startswith(joint)), None
+    )
 
 
 def over_angle(effects: Sequence[tuple[str, str]]) -> bool:

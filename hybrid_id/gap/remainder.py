@@ -25,13 +25,13 @@ def no_noise(chosen: Explanation, after: tuple[Location, ...], last: Errors) -> 
     That is what a torque of no name explains, or all that has colour where small random torques would leave less of it,
     or where no torque can be looked for: behind play.
     """
-    if last.coloured > COLOURED or _behind_play(chosen):
+    if last.coloured > COLOURED or behind_play(chosen):
         return last.coloured
     share = max((one.share for one in after), default=0.0)
     return min(max(share, 0.0), coloured(chosen.result.residual))
 
 
-def _behind_play(chosen: Explanation) -> bool:
+def behind_play(chosen: Explanation) -> bool:
     """Whether a model has play, behind which nobody has measured where the link is."""
     return any("backlash" in key for key in chosen.system.components)
 
@@ -42,7 +42,7 @@ def halted_elsewhere(refit: Refit, base: Explanation, chosen: Explanation, last:
     A torque over the angle halts a free run at one detent or the next. Such a model is judged by windows that begin at
     measured states: of what the re-fitted model leaves there, it has to leave next to nothing.
     """
-    if last is None or last.coloured <= COLOURED or not over_angle(chosen.effects) or _behind_play(chosen):
+    if last is None or last.coloured <= COLOURED or not over_angle(chosen.effects) or behind_play(chosen):
         return False
     left = []
     for system in (base.system, chosen.system):
@@ -61,7 +61,7 @@ def outside(chosen: Explanation, first: Errors | None, last: Errors | None, halt
     effect, what is left has to be a part of the gap that is worth a name, or more than the noise on records that the
     model follows, where no torque over the angle may halt it elsewhere; nothing where that is known (``halted``).
     """
-    unseen = 0.0 if last is None or halted or _behind_play(chosen) else last.coloured
+    unseen = 0.0 if last is None or halted or behind_play(chosen) else last.coloured
     if is_explained(chosen) and unseen <= COLOURED:
         return False
     if not chosen.effects or first is None or last is None:
@@ -77,6 +77,6 @@ def worst_unseen(chosen: Explanation, last: Errors | None) -> str | None:
     None where the train records show it, where there is no other test record to bear out what explains it, and behind
     play.
     """
-    if not is_explained(chosen) or last is None or len(last.over_noise) < 2 or _behind_play(chosen):
+    if not is_explained(chosen) or last is None or len(last.over_noise) < 2 or behind_play(chosen):
         return None
     return max(last.over_noise, key=last.over_noise.__getitem__)

@@ -7,7 +7,7 @@ from contextlib import suppress
 import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.errors import InputError
 from hybrid_id.gap.bent import bent_parameters
-from hybrid_id.gap.catalogue import CATALOGUE, part_of
+from hybrid_id.gap.catalogue import CATALOGUE, part_of, rotor_share
 from hybrid_id.gap.refit import Explanation, Name, Refit, Task, new_effect
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import Left
@@ -88,9 +88,7 @@ def without(system: System, base: System, name: Name) -> System | None:
 
 def _joined(system: System, base: System, joint: str) -> System:
     """The system with the rotor's share of a joint as it was, where no effect is left that tells it."""
-    share = next(
-        (i for i in system.table if i.symbol == "rotor_share" and i.component.startswith(joint)), None
-    )
+    share = rotor_share(system, joint)
     telling = {
         f"{joint}/{place}/{kind}" for e in CATALOGUE.values() for place in e.places for kind in e.splits
     }

@@ -126,8 +126,8 @@ def effects(
     values, leaves = list(values), {}
     for k, info in enumerate(system.table):
         if info.spec.estimate or info.symbol == "b_0":
-            values[k] = values[k].expand_as(x[0]).clone().requires_grad_()
             place = info.component.rpartition("/")[0]
+            values[k] = values[k].expand_as(x[0]).clone().requires_grad_()
             leaves[f"b_0 {place}" if info.symbol == "b_0" else info.name] = values[k]
     p = system.views(values)
     for key, part in system.networks.items():

@@ -12,7 +12,7 @@ def tie_lines(diagnosis: Diagnosis) -> list[str]:
     lines = []
     for group in diagnosis.ties:
         pairs = [member.split("@") for member in group]
-        names = [f"{words_of(name)} ({joint_words(where)}, {place_words(where)})" for name, where in pairs]
+        names = [_at(name, where) for name, where in pairs]
         known = CATALOGUE.get(pairs[0][0])
         told = f" What would: {known.separated_by}." if known is not None else ""
         lines.append(f"these records do not tell apart: {', '.join(names)}.{told}")
@@ -23,12 +23,15 @@ def outvoted_lines(diagnosis: Diagnosis) -> list[str]:
     """Effects that the test records decide against, as one line; none where there is none."""
     if not diagnosis.outvoted:
         return []
-    pairs = [words.split(" at ") for words in diagnosis.outvoted]
-    names = [f"{words_of(name)} ({joint_words(where)}, {place_words(where)})" for name, where in pairs]
+    names = [_at(*words.split(" at ")) for words in diagnosis.outvoted]
     verb = "explains" if len(names) == 1 else "explain"
     return [
         f"test records decide: {', '.join(names)} {verb} the train records as well, but not the test records."
     ]
+
+
+def _at(name: str, where: str) -> str:
+    return f"{words_of(name)} ({joint_words(where)}, {place_words(where)})"
 
 
 def experiment_lines(diagnosis: Diagnosis) -> list[str]:

@@ -402,7 +402,7 @@ def test_interrupt_reaches_the_other_processes(drive: Path, tmp_path: Path, monk
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # as in a process of its own
     data, config = Dataset.load(drive), study_config(drive, {})
     (tmp_path / "stop").touch()
-    (found,) = fit_part(data, data.train[:1], [0], load_model(config.model), config, tmp_path / "stop")
+    (found,) = fit_part(data, [0], load_model(config.model), config, tmp_path / "stop")
     assert found.status == "interrupted"
 
 
