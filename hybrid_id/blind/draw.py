@@ -81,6 +81,8 @@ def draw_case(
     effects = [kind.draw(rng, robot, int(rng.integers(robot.joints))) for kind in kinds]
     if len({e.where for e in effects}) < len(effects) or len({e.name for e in effects}) < len(effects):
         return None
+    if not all(one.has_inertia(other.alter(robot), one.joint) for one in effects for other in effects):
+        return None
     campaign = draw_campaign(rng, robot)
     wish = engine or ("mujoco" if rng.random() < IN_MUJOCO else "in_house")
     if wish == "mujoco" and not runs_in_mujoco(robot, effects):

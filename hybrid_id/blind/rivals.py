@@ -73,8 +73,8 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
                 continue
             if any((kind.name, joint) == (effect.name, effect.joint) for effect in beside):
                 continue
-            if joint and kind.place == "transmission" and "P_4" in screens[0].robot.lacks:
-                continue  # uncoupled, the second link has no inertia of its own that a gear could part from its rotor
+            if not kind.has_inertia(screens[0].robot, joint):
+                continue
             starts = [(*screen.best_start(kind, joint, rng), screen.model) for screen in screens]
             start, left, _ = min(starts, key=lambda one: one[1])
             if left > WORTH:

@@ -5,6 +5,8 @@ import pytest
 
 from hybrid_id.blind.case import build
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE, Effect
+from hybrid_id.blind.effects.load import WithheldCoupling
+from hybrid_id.blind.effects.transmission import SoftGear
 from hybrid_id.blind.physics.bench import replay
 from hybrid_id.blind.robots import SYSTEMS, Robot, draw_robot
 
@@ -91,3 +93,10 @@ def test_formulas_of_one_name_differ() -> None:
                 assert np.abs(motion(robot, effect) - motion(robot, other)).max() > 1e-4
             except KeyError:
                 pass  # they do not share their values
+
+
+def test_an_uncoupled_second_link_has_no_inertia_to_be_parted_from_its_rotor() -> None:
+    robot = draw_robot(np.random.default_rng(0), "two_link")
+    uncoupled = WithheldCoupling.draw(np.random.default_rng(0), robot, 0).alter(robot)
+    assert not SoftGear.has_inertia(uncoupled, 1)
+    assert SoftGear.has_inertia(uncoupled, 0) and SoftGear.has_inertia(robot, 1)

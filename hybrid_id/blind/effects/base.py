@@ -64,6 +64,11 @@ class Effect:
         """Whether a robot can have it."""
         return robot.system in cls.systems
 
+    @classmethod
+    def has_inertia(cls, robot: Robot, joint: int) -> bool:
+        """Whether it parts no rotor from nothing: uncoupled, a second link has no inertia beyond its gear."""
+        return not (joint and cls.place == "transmission" and "P_4" in robot.lacks)
+
     @property
     def where(self) -> str:
         """Joint and place."""
