@@ -96,8 +96,8 @@ def free_run(
     """
     x, tolerance = guess.clone(), max(tolerance, 64.0 * torch.finfo(guess.dtype).eps)
     cheap = replace(engine, gradient="backprop")
-    opened, closed = torch.arange(batch.rows, device=x.device), torch.zeros(batch.rows, dtype=torch.bool)
-    closed = closed.to(x.device)
+    opened = torch.arange(batch.rows, device=x.device)
+    closed = torch.zeros(batch.rows, dtype=torch.bool, device=x.device)
     for _ in range(NEWTON_STEPS):
         part = batch.take(opened)
         step = condense(linearise_sorted(system, cheap, part, x[opened], theta[:, opened]), x[opened])[

@@ -41,9 +41,8 @@ def start_points(
     reach = 10.0 * bounds.scale.to(base.device)[:, None]
     for _ in range(starts - 1):
         point = base.clone()
-        part = torch.tensor(np.stack([g.uniform(-1.0, 1.0, len(free)) for g in generators], 1)).to(
-            base.device
-        )
+        drawn = np.stack([generator.uniform(-1.0, 1.0, len(free)) for generator in generators], 1)
+        part = torch.tensor(drawn, device=base.device)
         here = point[list(free)]
         # no factor moves a zero: such a parameter is drawn from the range that its steps are measured by
         moved = torch.where(here == 0, part * reach, here * (1.0 + spread * part))
