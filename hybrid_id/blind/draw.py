@@ -55,7 +55,9 @@ def same_case(
 def family_and_level(seed: int, family: str | None, effect: str | None, level: str | None) -> tuple[str, str]:
     """Family and level, drawn where they are not given."""
     rng = np.random.default_rng([seed, 0])
-    family = family or ("single" if effect else str(rng.choice(list(FAMILIES), p=list(FAMILIES.values()))))
+    if family is None and effect:
+        family = "unknown" if effect in {kind.__name__ for kind in OUTSIDE} else "single"
+    family = family or str(rng.choice(list(FAMILIES), p=list(FAMILIES.values())))
     return family, level or str(rng.choice(list(LEVELS), p=list(LEVELS.values())))
 
 

@@ -150,6 +150,18 @@ def _check(**given: str | None) -> None:
             close = difflib.get_close_matches(value, known[option], n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"use one of {', '.join(known[option])}"
             raise InputError(f"blind make: {option} '{value}' is not known; {hint}")
+    outside = given["effect"] in {kind.__name__ for kind in OUTSIDE}
+    if (
+        given["effect"]
+        and given["family"] not in (None, "none")
+        and outside != (given["family"] == "unknown")
+    ):
+        where = (
+            "outside the catalogue; leave family out"
+            if outside
+            else "in the catalogue; give family single or pair"
+        )
+        raise InputError(f"blind make: effect '{given['effect']}' is {where}")
     for option in ("effect", "level") if given["family"] == "none" else ():
         if given[option] is not None:
             raise InputError(f"blind make: family 'none' has nothing at work; leave {option} out")

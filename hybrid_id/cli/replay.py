@@ -64,6 +64,10 @@ def _replay(
     if twice is not None:
         raise InputError(f"model {twice} is given twice; give every model once")
     dataset = load_records(path)
+    if command == "simulate" and any(record.name == "comparison" for record in dataset.records):
+        raise InputError(
+            f"{path}: record 'comparison' is named as the table that simulate writes; give it another name"
+        )
     use_threads(threads)
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.results import comparison_result

@@ -10,7 +10,7 @@ from hybrid_id.blind import campaign as plans
 from hybrid_id.blind import levels
 from hybrid_id.blind.campaign import noise_std
 from hybrid_id.blind.case import record as measured_again
-from hybrid_id.blind.draw import same_case
+from hybrid_id.blind.draw import family_and_level, same_case
 from hybrid_id.blind.further import further_record
 from hybrid_id.blind.make import make_case, make_cases
 from hybrid_id.blind.physics.bench import replay
@@ -90,12 +90,25 @@ def test_several_cases_are_numbered(tmp_path: Path) -> None:
     [
         ({"effect": "backlsh"}, "effect 'backlsh' is not known"),
         ({"system": "three_link"}, "system 'three_link' is not known"),
+        (
+            {"effect": "CubicDrag", "family": "single"},
+            "'CubicDrag' is outside the catalogue; leave family out",
+        ),
+        (
+            {"effect": "cogging", "family": "unknown"},
+            "'cogging' is in the catalogue; give family single or pair",
+        ),
         ({"effect": "viscous_friction", "system": "two_link"}, "cannot be met on a two_link machine"),
     ],
 )
 def test_unknown_name_is_refused(tmp_path: Path, options: dict, message: str) -> None:
     with pytest.raises(InputError, match=message):
         make_case(1, tmp_path, **options)
+
+
+def test_an_effect_outside_the_catalogue_says_its_family() -> None:
+    assert family_and_level(1, None, "CubicDrag", "strong") == ("unknown", "strong")
+    assert family_and_level(1, None, "cogging", "strong") == ("single", "strong")
 
 
 def test_existing_case_is_kept(tmp_path: Path) -> None:

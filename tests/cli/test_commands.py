@@ -422,3 +422,12 @@ def test_config_round_trip(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"level"):
         load_config(tmp_path / "study.yaml", {"statistics.level": 2})
     assert set(StudyConfig.model_fields) >= {"dataset", "model", "identification", "statistics", "output"}
+
+
+def test_a_record_that_is_named_as_the_table_is_refused(run, drive: Path, tmp_path: Path) -> None:
+    dataset = Dataset.load(drive)
+    named = replace(dataset.records[0], name="comparison"), *dataset.records[1:]
+    copy = replace(dataset, records=named).save(tmp_path / "copy")
+    shutil.copy(drive / "model.yaml", copy)
+    outcome = run("simulate", copy, "--out", tmp_path / "out")
+    assert outcome.code == 2 and "record 'comparison' is named as the table" in outcome.err
