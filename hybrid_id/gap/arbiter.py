@@ -15,9 +15,9 @@ from hybrid_id.gap.evidence import Evidence
 from hybrid_id.gap.measure import errors
 from hybrid_id.gap.probability import TIE, Suspect
 from hybrid_id.gap.ranking import LEFT_OPEN, TOLD
-from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task, new_effect
+from hybrid_id.gap.refit import Explanation, Name, Refit, new_effect
 from hybrid_id.gap.remainder import behind_play
-from hybrid_id.gap.round import Round
+from hybrid_id.gap.round import Round, finished
 
 RIVALS = 4
 """Rivals that are held against the test records at most."""
@@ -101,11 +101,7 @@ def _rivals(refit: Refit, chosen: Explanation, last: Round) -> list[Explanation]
         for e in last.candidates
         if e.effects != chosen.effects and e.evidence.error < allowed and better(e, last.before)
     ]
-    found = [
-        e if e.finished else refit.run([Task(e.effects, e.system, x0=e.result.x0)], TO_THE_END)[0]
-        for e in alike[:RIVALS]
-    ]
-    return [e for e in found if e is not None]
+    return finished(refit, alike[:RIVALS])
 
 
 def _on_test(refit: Refit, one: Explanation) -> Evidence:

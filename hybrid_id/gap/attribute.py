@@ -8,7 +8,7 @@ with it has ended.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from hybrid_id.gap.belief import COMPLETE_RATIO, LEAST_Z, better
@@ -17,7 +17,7 @@ from hybrid_id.gap.evidence import coloured
 from hybrid_id.gap.exchange import exchanges, refitted_without
 from hybrid_id.gap.ranking import LEAST_RATIO
 from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Name, Refit, Task, new_effect
-from hybrid_id.gap.round import IDLE, Progress, Round, one_round
+from hybrid_id.gap.round import FINALISTS, IDLE, Progress, Round, finished, one_round
 from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System
 
@@ -71,18 +71,42 @@ def attribute(
     return Attribution(found.base, within.rounds, ends[0] if ends else found.base, WINDOW)
 
 
-def _search(refit: Refit, system: System, most: int, progress: Progress | None) -> Attribution:
-    """Forward selection with backward deletion."""
-    base = refit.base(system)
+def search_on(
+    refit: Refit, system: System, found: Attribution, *, most: int = MOST, progress: Progress | None = None
+) -> Attribution | None:
+    """The search held again without the effects that it stands by; None where no other has been looked at.
+
+    For test records that refuse these: the train records may have liked them best by chance, and others nearly as much.
+    """
+    refused, first = found.chosen.effects, found.rounds[0]
+    others = [e for e in first.candidates if not set(e.effects) & set(refused)]
+    if not others or found.window is not None:
+        return None
+    ends = finished(refit, others[:FINALISTS])
+    ends.sort(key=lambda e: e.evidence.error)
+    again = Round(first.before, (*ends, *others[FINALISTS:]))
+    return _search(refit, system, most, progress, again, refused)
+
+
+def _search(
+    refit: Refit,
+    system: System,
+    most: int,
+    progress: Progress | None,
+    first: Round | None = None,
+    refused: Collection[Name] = (),
+) -> Attribution:
+    """Forward selection with backward deletion, from a first round on, without refused effects."""
+    base = refit.base(system) if first is None else first.before
     chosen, rounds, restarted = base, [], False
     while (
         len(chosen.effects) < most
         and sum(not one.again for one in rounds) < MOST_ROUNDS
         and _leaves_something(chosen)
     ):
-        found = one_round(
-            refit, chosen, system, f"effect {len(chosen.effects) + 1}", _alive(rounds, chosen), progress
-        )
+        stage, alive = f"effect {len(chosen.effects) + 1}", _alive(rounds, chosen)
+        found = first or one_round(refit, chosen, system, stage, alive, refused, progress)
+        first = None
         rounds.append(found)
         best, again = found.best, []
         if best is not None and chosen.effects and _gains(best, chosen):

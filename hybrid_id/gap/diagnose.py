@@ -9,7 +9,14 @@ from functools import partial
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.arbiter import decide
-from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure_though_small
+from hybrid_id.gap.attribute import (
+    MOST,
+    Attribution,
+    Progress,
+    attribute,
+    search_on,
+    sure_though_small,
+)
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.evidence import COLOURED
@@ -50,11 +57,11 @@ def diagnose(
     """Find out why records and simulator disagree.
 
     Search and fits use the train records; the test records measure the gap, and decide between effects that explain the
-    train records alike. Effects whose gain on them may as well be none (95 % interval) are withdrawn; one that is sure
-    but small on the train records is believed where it explains what the test records leave open. Where the test
-    records alone show something that no effect explains, the worst of them joins the train records: what explains it
-    there has to explain the others, or to leave them as they are where they lack nothing. What is left is no effect
-    where each record's own parameters explain all of it.
+    train records alike. Effects whose gain on them may as well be none (95 % interval) are withdrawn, and others are
+    searched for in their place; one that is sure but small on the train records is believed where it explains what the
+    test records leave open. Where the test records alone show something that no effect explains, the worst of them
+    joins the train records: what explains it there has to explain the others, or to leave them as they are where they
+    lack nothing. What is left is no effect where each record's own parameters explain all of it.
 
     Args:
         dataset: train and test records.
@@ -116,6 +123,12 @@ def _diagnosed(
     silent = opened and first is not None and first.coloured <= COLOURED
     if search.chosen is not base and now.gap is not None and now.gap.interval[silent] <= 0.0:
         withdrawn, now = search.chosen.effects, judged(replace(search, chosen=base))
+        others = search_on(refit, system, search, most=most, progress=progress)
+        if others is not None and others.chosen.effects:
+            instead = decide(refit, others)
+            borne_out = judged(instead.search)
+            if borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:
+                decision, now = instead, borne_out
     if now.unknown and (small := sure_though_small(now.search)) is not None:
         borne_out = judged(small)
         if not borne_out.unknown and borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:

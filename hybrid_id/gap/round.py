@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from hybrid_id.gap.catalogue import over_angle
@@ -68,10 +68,22 @@ def one_round(
     today: System,
     stage: str,
     among: frozenset[Name] | None = None,
+    refused: Collection[Name] = (),
     progress: Progress | None = None,
 ) -> Round:
-    """Every effect of the catalogue, or some of them, added to a model, one at a time."""
-    return Round(before, _ranked(refit, before, *tasks(refit, before, today, among), stage, progress))
+    """Every effect of the catalogue, or some of them, but for refused ones, added to a model, one at a time."""
+    return Round(
+        before, _ranked(refit, before, *tasks(refit, before, today, among, refused), stage, progress)
+    )
+
+
+def finished(refit: Refit, some: Sequence[Explanation]) -> list[Explanation]:
+    """Candidates fitted to the end, as far as they can be."""
+    found = [
+        e if e.finished else refit.run([Task(e.effects, e.system, x0=e.result.x0)], TO_THE_END)[0]
+        for e in some
+    ]
+    return [e for e in found if e is not None]
 
 
 def _ranked(

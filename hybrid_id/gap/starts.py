@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from contextlib import suppress
 
 import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
@@ -16,9 +17,13 @@ from hybrid_id.systems.chain import System
 
 
 def tasks(
-    refit: Refit, before: Explanation, today: System, among: frozenset[Name] | None = None
+    refit: Refit,
+    before: Explanation,
+    today: System,
+    among: frozenset[Name] | None = None,
+    refused: Collection[Name] = (),
 ) -> tuple[list[Task], list[Task]]:
-    """A fit to start for every effect, place and start point, or for those of some effects.
+    """A fit to start for every effect, place and start point, or for those of some effects, but for refused ones.
 
     Each starts where the model before has ended. Where that has bent its parameters to make up for what it lacks, each
     may start from today's own values, too: the second list, for fits from afar.
@@ -35,7 +40,7 @@ def tasks(
         for effect in CATALOGUE.values():
             for where, starts in effect.models(before.system, size, left).items():
                 name = effect.name, where
-                if name in taken or (among is not None and name not in among):
+                if name in taken or name in refused or (among is not None and name not in among):
                     continue
                 names = tuple(sorted((*before.effects, name)))
                 for start in starts:

@@ -88,6 +88,25 @@ def test_what_the_test_records_do_not_bear_out_is_withdrawn(diagnosed, monkeypat
     assert "withdrawn: spring_load at joint1/load lowers" in summary(again)
 
 
+def test_others_are_searched_for_in_the_place_of_what_is_withdrawn(diagnosed, monkeypatch) -> None:
+    dataset, today, found = diagnosed
+    honest, refused = module.shrink, []
+
+    def unsure_of_the_first(refit, with_effect, floor, *, seed):
+        told = honest(refit, with_effect, floor, seed=seed)
+        if with_effect is refit or refused:
+            return told
+        refused.append(with_effect)
+        return replace(told, interval=(-0.1, 0.9))
+
+    monkeypatch.setattr(module, "shrink", unsure_of_the_first)
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found.search)
+    again = module.diagnose(dataset, today, most=1)
+    assert again.withdrawn == ("spring_load at joint1/load",)
+    assert [s.name for s in again.selected] == ["gravity_load"]  # the nearest to a spring that is left
+    assert not any(s.name == "spring_load" for s in again.effects)
+
+
 def test_the_common_scale_of_torques_is_said_to_be_unknown(diagnosed) -> None:
     found = diagnosed[2]
     assert any("P_m1" in words and "one number" in words for words in found.untold), found.untold
