@@ -50,6 +50,12 @@ def identify(
     ] = None,
     seed: SeedOption = None,
     device: DeviceOption = None,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Parameter whose interval is found by fits of all others; may be given several times."
+        ),
+    ] = None,
     jobs: Annotated[int, typer.Option(help="Processes that share the records.", min=1)] = 1,
     force: ForceOption = False,
     as_json: JsonOption = False,
@@ -69,6 +75,7 @@ def identify(
             "identification.loss": loss,
             "identification.seed": seed,
             "identification.device": device,
+            "statistics.profile": profile or None,
         },
     )
     home = required(config.output.folder)
@@ -81,8 +88,11 @@ def identify(
         )
     dataset = checked_records(config)
     use_threads(threads)
+    from hybrid_id.study.profiles import check_names
+
     system = load_system(config)
     use_device(config.identification.device)
+    check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
     study, stopped = run(dataset, system, config, jobs=jobs)
     if stopped and (home / RESULT).exists():
         raise KeyboardInterrupt(f"stopped; the earlier results in {home} stay as they are")
@@ -105,19 +115,39 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int 
 
     wish = config.identification
     n_sets = (1 if wish.pooled else len(dataset.train)) * wish.starts
+    share = config.preprocessing.signal_share
     with FitProgress(n_sets, wish.max_iterations) as progress:
         if jobs > 1:
             progress.say(f"fitting {len(dataset.train)} records in {jobs} processes")
             sets = _fit_in_processes(dataset, system, config, jobs, progress)
             progress.say("statistics")
-            share = config.preprocessing.signal_share
             study = assess(dataset, system, sets, pooled=False, seed=wish.seed, signal_share=share)
-            return study, progress.stopped
-        settings = fit_settings(config, progress)
-        study = identify_all(
-            dataset, system, device=wish.device, signal_share=config.preprocessing.signal_share, **settings
-        )
+        else:
+            settings = fit_settings(config, progress)
+            study = identify_all(dataset, system, device=wish.device, signal_share=share, **settings)
+        if config.statistics.profile and not progress.stopped:
+            study = _profiled(dataset, study, config, progress)
         return study, progress.stopped
+
+
+def _profiled(dataset: "Dataset", study: "Study", config: StudyConfig, progress: "FitProgress") -> "Study":
+    """The study with the profiles that the config asks for, each of which Ctrl-C cuts off."""
+    from dataclasses import replace
+
+    from hybrid_id.study import profiles
+
+    wish = config.statistics
+    options, share = fit_settings(config)["options"], config.preprocessing.signal_share
+
+    def say(words: str) -> None:
+        progress.say(words)
+        if progress.stopped:
+            raise KeyboardInterrupt
+
+    found = profiles(
+        dataset, study, wish.profile, level=wish.level, options=options, signal_share=share, progress=say
+    )
+    return replace(study, profiles=found)
 
 
 def fit_settings(config: StudyConfig, progress: Callable[..., bool] | None = None) -> dict[str, Any]:

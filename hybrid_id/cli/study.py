@@ -105,6 +105,10 @@ def study_images(
     figures["residuals"] = residual_figure(
         study, whiteness(chosen.residual), dataset[chosen.records[0]].sample_time
     )
+    if study.profiles:
+        from hybrid_id.reporting.profile_plot import profile_figure
+
+        figures["profiles"] = profile_figure(study, reach)
     for run in runs:
         title = f"{run.record.name} ({run.record.role})"
         with_set = f"{title}, parameter set {study.selection.name}"

@@ -196,9 +196,11 @@ class Statistics(Section):
 
     Attributes:
         level: confidence of the intervals.
+        profile: names of parameters whose interval `identify` finds by fits of all others, symmetric or not.
     """
 
     level: float = Field(default=0.95, gt=0, lt=1)
+    profile: list[str] = []
 
 
 class Output(Section):

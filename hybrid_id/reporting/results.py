@@ -73,6 +73,18 @@ def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
         },
         "test_nrmse": study.test_nrmse,
         "engine_error": study.engine_error,
+        "profiles": {
+            name: {
+                "lower": one.lower,
+                "upper": one.upper,
+                "closed": one.closed,
+                "message": one.message,
+                "values": one.values,
+                "costs": one.costs,
+                "threshold": one.threshold,
+            }
+            for name, one in study.profiles.items()
+        },
     }
 
 

@@ -145,6 +145,9 @@ def _remarks(study: Study) -> list[str]:
             f"test: normalised RMSE {mean:.4g} on {count(len(study.test_nrmse), 'record')} that no fit has seen"
         )
     lines.append(f"integration error (step halved): {study.engine_error:.2g} standard errors at most")
+    lines += [
+        f"profile of {n}: {p.lower:.5g} to {p.upper:.5g}, {p.message}" for n, p in study.profiles.items()
+    ]
     return lines
 
 

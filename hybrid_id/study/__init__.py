@@ -3,6 +3,7 @@
 from hybrid_id.study.comparison import Comparison, Replay, compare, replay
 from hybrid_id.study.identifiable import preflight
 from hybrid_id.study.plausibility import check_fit, check_start_values
+from hybrid_id.study.profiles import profiles
 from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import assess, identify
 
@@ -17,5 +18,6 @@ __all__ = [
     "compare",
     "identify",
     "preflight",
+    "profiles",
     "replay",
 ]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hybrid_id.identification.result import FitResult
 from hybrid_id.statistics.cross_validation import CrossValidation
 from hybrid_id.statistics.identifiability import Identifiability
+from hybrid_id.statistics.profile import Profile
 from hybrid_id.statistics.selection import Selection
 from hybrid_id.statistics.trust import Trust
 from hybrid_id.statistics.uncertainty import Covariance
@@ -50,6 +52,7 @@ class Study:
         selection: the set to use.
         test_nrmse: normalised RMSE of the selected set on each test record, by name; empty without test records.
         engine_error: largest change of an estimate in standard errors when the step is halved.
+        profiles: profile likelihoods of the selected set's parameters, by name, as far as they were asked for.
     """
 
     system: System
@@ -64,6 +67,7 @@ class Study:
     selection: Selection
     test_nrmse: dict[str, float]
     engine_error: float
+    profiles: Mapping[str, Profile] = field(default_factory=dict)
 
     @property
     def names(self) -> tuple[str, ...]:

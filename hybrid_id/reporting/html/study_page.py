@@ -22,6 +22,8 @@ from hybrid_id.study import Study
 _CAPTIONS = {
     "parameters": "Each parameter over the experiments, with its interval where one may be claimed.",
     "cross_validation": "Fit of every parameter set on every record.",
+    "profiles": "Profile likelihoods: the least cost over all other parameters, above the least of all; the interval "
+    "is where it stays below the dashed line. The grey parabola is what the standard error says.",
     "residuals": "What the selected set leaves: its residuals, their distribution and their autocorrelation.",
 }
 
@@ -56,7 +58,7 @@ def study_page(
         records.add(findings_list(findings))
     statistics, fits = page.section("Statistics"), page.section("Measured and simulated")
     for name, image in images.items():
-        if name == "parameters":
+        if name in ("parameters", "profiles"):
             told.picture(image, _CAPTIONS[name], plots.get(name))
         elif name in _CAPTIONS:
             statistics.picture(image, _CAPTIONS[name], plots.get(name))
