@@ -62,7 +62,7 @@ def make_drive(folder: Path, records: int) -> None:
 def training(folder: Path) -> Job:
     """A training by the adjoint; the result is every identified value."""
     make_drive(folder, 2)
-    study = {"dataset": ".", "model": "model.yaml", "output": QUIET}
+    study = {"dataset": ".", "model": "model.yaml", "output": QUIET, "training": {"width": 2.0, "fine": 4}}
     (folder / "study.yaml").write_text(yaml.safe_dump(study))
 
     def command(out: Path) -> list[str]:
@@ -91,9 +91,9 @@ def ablation(folder: Path) -> Job:
 
 
 def blind(folder: Path) -> Job:
-    """Five cases taken by sparse regression; the result is every answer, the time that it took apart."""
+    """Three cases taken by sparse regression; the result is every answer, the time that it took apart."""
     cases, sealed = folder / "cases", folder / "elsewhere" / "answers.tar"
-    words = ["blind", "make", "--out", str(cases), "--answers", str(sealed), "--cases", "5", "--seed", "3"]
+    words = ["blind", "make", "--out", str(cases), "--answers", str(sealed), "--cases", "3", "--seed", "3"]
     words += ["--system", "one_link", "--engine", "in_house", "--level", "strong"]
     subprocess.run([sys.executable, "-m", "hybrid_id", *words], check=True, capture_output=True)
 
@@ -112,14 +112,14 @@ def blind(folder: Path) -> Job:
 JOBS = {"train": training, "ablate": ablation, "blind": blind}
 
 
-def run(job: Job, out: Path, longest: float, draw: random.Random) -> int:
-    """Run with kills until it ends by itself; returns how many kills it took."""
+def run(job: Job, out: Path, longest: float, draw: random.Random, most: int = MOST_KILLS) -> int:
+    """Run with so many kills at most until it ends by itself; returns how many it took."""
     kills = 0
     while True:
         words = [sys.executable, "-m", "hybrid_id", *job.command(out)]
         process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         try:
-            _, said = process.communicate(timeout=draw.uniform(0.2, longest) if kills < MOST_KILLS else None)
+            _, said = process.communicate(timeout=draw.uniform(0.2, longest) if kills < most else None)
         except subprocess.TimeoutExpired:
             process.kill()
             process.communicate()
@@ -130,7 +130,7 @@ def run(job: Job, out: Path, longest: float, draw: random.Random) -> int:
         return kills
 
 
-def soak(name: str, trials: int, seed: int) -> int:
+def soak(name: str, trials: int, seed: int, most: int = MOST_KILLS) -> int:
     """Trials of one kind; returns how many results differ from that of a run which nobody has touched."""
     draw, kills, failures = random.Random(seed), 0, 0
     with tempfile.TemporaryDirectory() as folder:
@@ -141,7 +141,7 @@ def soak(name: str, trials: int, seed: int) -> int:
         longest, whole = time.monotonic() - start, job.result(home / "whole")
         for k in range(trials):
             out = home / f"trial_{k}"
-            met = run(job, out, longest, draw)
+            met = run(job, out, longest, draw, most)
             same = job.result(out) == whole
             left = [path.name for path in home.iterdir() if path.name.startswith(".")]
             kills, failures = kills + met, failures + (not same)

@@ -145,9 +145,10 @@ def _search(
 def sure_though_small(found: Attribution) -> Attribution | None:
     """The search with the effect that it would add next, where its gain is sure but too small to be believed alone.
 
-    The train records may be slow where others are fast. None where no such effect is there.
+    The train records may be slow where others are fast. None where no such effect is there, and over windows, in which
+    errors are no errors of whole records.
     """
-    last = found.rounds[-1] if found.rounds else None
+    last = found.rounds[-1] if found.rounds and found.window is None else None
     if last is None or last.best is None or last.before.effects != found.chosen.effects:
         return None
     small = _sure(last.best, found.chosen) and not better(last.best, found.chosen)

@@ -351,5 +351,5 @@ def test_sets_behind_play_grow_on_records_of_less_than_half_a_second() -> None:
         make_record(loose, multisine(k, samples=150, rest=20), seed=k, noise={"q_m1": 0.01}) for k in range(2)
     ]
     batch = make_batch(loose, made, noise_std={"q_m1": 0.01})
-    ends = fit(loose, batch, starts=5, options=Options(max_iterations=2))
+    ends = fit(loose, batch, starts=2, options=Options(max_iterations=2))
     assert len(ends) == 2 and all(np.isfinite(end.values).all() for end in ends)
