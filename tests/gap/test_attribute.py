@@ -185,7 +185,7 @@ def test_an_effect_that_is_sure_but_small_waits_for_the_test_records() -> None:
     assert sure_though_small(found(0.5)) is None  # large enough to be believed without them
     assert sure_though_small(found(0.01)) is None  # not sure
     assert sure_though_small(Attribution(found(0.15).base, (), found(0.15).base)) is None
-    assert sure_though_small(replace(found(0.15), window=0.4)) is None  # errors over windows beside those of whole records
+    assert sure_though_small(replace(found(0.15), window=0.4)) is None  # no errors of whole records
 
 
 BIAS, UNEVEN = ("constant_torque", "joint1/load"), ("asymmetric_friction", "joint1/motor_friction")
