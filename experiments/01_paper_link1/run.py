@@ -8,7 +8,8 @@ from score import CLAIMS, Campaign
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
 from hybrid_id.study import identify, preflight
 from hybrid_id.systems.model_file import ModelFile, build_model
-from hybrid_id.twin.paper import make_link1_seeds, model_description
+from hybrid_id.twin.campaign import make_campaigns
+from hybrid_id.twin.model import model_description
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--config", default="configs/twin_link1.yaml")
@@ -19,7 +20,7 @@ torch.set_num_threads(1)
 
 config = read_yaml(options.config)
 campaigns = {"without priors": Campaign(), "with data-sheet priors": Campaign()}
-for seed, (dataset, truths) in enumerate(make_link1_seeds(config, range(options.seeds))):
+for seed, (dataset, truths) in enumerate(make_campaigns(config, range(options.seeds))):
     for name, campaign in campaigns.items():
         description = model_description(config, seed, priors=name.startswith("with "))
         system = build_model(ModelFile.model_validate(description))

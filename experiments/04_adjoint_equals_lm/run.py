@@ -15,14 +15,15 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.model_file import ModelFile, build_model
-from hybrid_id.twin.paper import make_link1, model_description
+from hybrid_id.twin.campaign import make_campaign
+from hybrid_id.twin.model import model_description
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--config", default=Path(__file__).with_name("config.yaml"))
 config = read_yaml(parser.parse_args().config)
 torch.set_num_threads(1)
 out, width, twin = Path(config["out"]), config["width"], read_yaml(config["twin"])
-dataset, _ = make_link1(twin, config["seed"])
+dataset, _ = make_campaign(twin, config["seed"])
 report = {}
 for name, priors in (("with data-sheet priors", True), ("without priors", False)):
     system = build_model(ModelFile.model_validate(model_description(twin, config["seed"], priors=priors)))

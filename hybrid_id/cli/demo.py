@@ -53,11 +53,13 @@ def demo(
     from hybrid_id.reporting.tables import count, identifiability_table, truth_table
     from hybrid_id.study import preflight
     from hybrid_id.systems.model_file import load_model
+    from hybrid_id.twin.campaign import write_campaign
     from hybrid_id.twin.demo import DEMO
-    from hybrid_id.twin.paper import write_link1
 
     with results_folder(out, force=force) as folder:
-        dataset, truths = write_link1(folder / DATA, DEMO if settings is None else read_yaml(settings), seed)
+        dataset, truths = write_campaign(
+            folder / DATA, DEMO if settings is None else read_yaml(settings), seed
+        )
         tests = f", {count(len(dataset.test), 'record')} to test with" if dataset.test else ""
         show(
             f"1. {count(len(dataset.train), 'record')} of a simulated drive{tests}: voltage in, motor angle out."

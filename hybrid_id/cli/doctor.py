@@ -84,15 +84,15 @@ def self_test() -> dict[str, Any]:
     """Identify a small simulated drive, pooled over two records, and hold the estimates against its truth."""
     from hybrid_id.study import identify
     from hybrid_id.systems.model_file import load_model
+    from hybrid_id.twin.campaign import write_campaign
     from hybrid_id.twin.demo import DEMO
-    from hybrid_id.twin.paper import write_link1
 
     runs = [DEMO["excitation"]["experiments"][k] | {"tones": 6} for k in (1, 3, 5)]
     settings = DEMO | {"duration": 2.0, "excitation": DEMO["excitation"] | {"starts": 2, "experiments": runs}}
     settings["disturbances"] = DEMO["disturbances"] | {"friction_drift": 0.0}
     start = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:
-        dataset, truths = write_link1(folder, settings, 0)
+        dataset, truths = write_campaign(folder, settings, 0)
         study = identify(dataset, load_model(f"{folder}/model_priors.yaml"), pooled=True)
     values = dict(zip(study.names, study.selected.values, strict=True))
     errors = dict(zip(study.names, study.standard_errors(study.selection.index), strict=True))

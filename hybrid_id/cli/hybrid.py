@@ -11,6 +11,7 @@ from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, page_and_pictures, stopped
 from hybrid_id.cli.inputs import check_windows
+from hybrid_id.cli.study import reach_of
 from hybrid_id.config import Hybrid, StudyConfig
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def train_with_networks(
             stdout().print(text, markup=False, soft_wrap=True)
         else:
             page, pictures = page_and_pictures(config)
-            show(hybrid_tables(study, dataset))
+            show(hybrid_tables(study, dataset, reach_of(config), config.statistics.level))
             show(f"results are in {home}: {page}result.json, model.yaml, physics.yaml, {pictures}config.yaml")
         if study.result.interrupted:  # what this one replaces is kept
             remark(stopped(home))
@@ -174,6 +175,7 @@ def _write(
         from hybrid_id.reporting.html.made import how_made
 
         words = (folder / "config.yaml").read_text(encoding="utf-8")
-        page = how_made(hybrid_page(dataset, study, pictures), "train", words)
+        page = hybrid_page(dataset, study, pictures, reach=reach_of(config), level=config.statistics.level)
+        page = how_made(page, "train", words)
         page.write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")

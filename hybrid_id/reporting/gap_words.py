@@ -130,7 +130,7 @@ def where_line(diagnosis: Diagnosis) -> str:
 def gap_line(diagnosis: Diagnosis) -> str:
     """Normalised errors on the test records, from today's model down to what the right one would leave."""
     if diagnosis.nominal is None or diagnosis.shrink is None:
-        return "there is no test record, so no unseen record says."
+        return "there is no test record with motion, so no unseen record says."
     gap, records = diagnosis.shrink, count(len(diagnosis.nominal.by_record), "test record")
     corrected = f", corrected {_error(gap.with_effect)}" if diagnosis.selected or diagnosis.varying else ""
     window = diagnosis.search.window

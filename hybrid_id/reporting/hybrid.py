@@ -65,16 +65,21 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def hybrid_tables(study: HybridStudy, dataset: Dataset) -> RenderableType:
+def hybrid_tables(study: HybridStudy, dataset: Dataset, reach: float, level: float) -> RenderableType:
     """Parameters, the ladder of prices, the networks and the errors, with the warnings in words."""
-    parts: list[RenderableType] = [drift_table(study), ladder_table(study), role_table(study.roles)]
+    parts: list[RenderableType] = [
+        drift_table(study, reach, level),
+        ladder_table(study),
+        role_table(study.roles),
+    ]
     parts += [error_table(study, dataset), *(Text(warning, style="yellow") for warning in study.warnings)]
     return Group(*parts)
 
 
-def drift_table(study: HybridStudy) -> Table:
-    """Parameters without and with the networks."""
-    table = open_table("parameter", "physics alone>", "±>", "hybrid>", "± >", "unit", "drift [σ]>")
+def drift_table(study: HybridStudy, reach: float, level: float) -> Table:
+    """Parameters without and with the networks; intervals of a level, ``reach`` standard errors to each side."""
+    sides = f"± ({100 * level:g} %)>", "± >"
+    table = open_table("parameter", "physics alone>", sides[0], "hybrid>", sides[1], "unit", "drift [σ]>")
     rows = zip(
         study.names, study.physics, study.physics_error, study.hybrid, study.hybrid_error, study.units, study.drift,
         strict=True,
@@ -82,7 +87,7 @@ def drift_table(study: HybridStudy) -> Table:
     for name, before, error, after, other, unit, drift in rows:
         moved = f"{drift:+.1f}" if math.isfinite(drift) else "0"
         table.add_row(
-            name, f"{before:.5g}", f"{1.96 * error:.2g}", f"{after:.5g}", f"{1.96 * other:.2g}", unit, moved
+            name, f"{before:.5g}", f"{reach * error:.2g}", f"{after:.5g}", f"{reach * other:.2g}", unit, moved
         )
     return table
 

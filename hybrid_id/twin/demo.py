@@ -1,10 +1,6 @@
 """A small data set with known truth for `hybrid-id demo`, made in a second or two."""
 
-from pathlib import Path
 from typing import Any
-
-from hybrid_id.records.dataset import Dataset
-from hybrid_id.twin.paper import write_link1
 
 #: A 24 V gear motor with an arm: five runs of 5 s for the fit, one to test with.
 DEMO: dict[str, Any] = {
@@ -61,8 +57,3 @@ DEMO: dict[str, Any] = {
         },
     },
 }
-
-
-def write_demo(folder: str | Path, seed: int = 0) -> tuple[Dataset, list[dict[str, float]]]:
-    """Make the demonstration data set in a folder: records, `model.yaml`, `model_priors.yaml` and `truth.yaml`."""
-    return write_link1(folder, DEMO, seed)

@@ -7,13 +7,6 @@ parameters that Tables 6, 7 and 10 call by the motor (f_11m2), the name is kept;
 
 from typing import NamedTuple
 
-# Names of before there was more than one machine.
-from hybrid_id.twin.campaign import make_campaign as make_link1  # noqa: F401
-from hybrid_id.twin.campaign import make_campaigns as make_link1_seeds  # noqa: F401
-from hybrid_id.twin.campaign import replay  # noqa: F401
-from hybrid_id.twin.campaign import write_campaign as write_link1  # noqa: F401
-from hybrid_id.twin.model import model_description  # noqa: F401
-
 
 class Variation(NamedTuple):
     """One row of Tables 2, 4, 6, 7 and 10.

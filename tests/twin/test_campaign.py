@@ -11,7 +11,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.systems.model_file import ModelFile, build_model
 from hybrid_id.twin.campaign import make_campaign, make_campaigns, replay, write_campaign
-from hybrid_id.twin.demo import write_demo
+from hybrid_id.twin.demo import DEMO
 from hybrid_id.twin.machines import DRIFTING
 from hybrid_id.twin.model import model_description
 from hybrid_id.twin.settings import PARAMETERS, LinkTwin, read_settings
@@ -211,7 +211,7 @@ def test_start_values_are_off_but_inside_their_bounds(seed: int) -> None:
 
 
 def test_demo_is_ready_to_identify(tmp_path: Path) -> None:
-    dataset, truths = write_demo(tmp_path / "demo")
+    dataset, truths = write_campaign(tmp_path / "demo", DEMO, 0)
     assert len(dataset.train) == 5 and len(dataset.test) == 1 and len(truths) == 6
     assert {path.name for path in (tmp_path / "demo").iterdir()} >= {
         "dataset.yaml",

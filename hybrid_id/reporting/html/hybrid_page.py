@@ -42,12 +42,14 @@ def _lead(study: HybridStudy) -> str:
     )
 
 
-def hybrid_page(dataset: Dataset, study: HybridStudy, pictures: Mapping[str, Drawn]) -> Page:
-    """The page of a hybrid training."""
+def hybrid_page(
+    dataset: Dataset, study: HybridStudy, pictures: Mapping[str, Drawn], *, reach: float, level: float
+) -> Page:
+    """The page of a hybrid training; intervals of a level, ``reach`` standard errors to each side."""
     result = study.result
     page = Page(f"Physics and networks on {dataset.name}", _lead(study))
     warnings = (Text(f"{words[0].upper()}{words[1:]}.", style="yellow") for words in study.warnings)
-    parameters = page.section("Parameters").add(drift_table(study), *warnings)
+    parameters = page.section("Parameters").add(drift_table(study, reach, level), *warnings)
     networks = page.section("Networks")
     if result.chosen:
         parameters.figure(
