@@ -4,21 +4,29 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hybrid_id.blind.case import Case, Records, record, record_sizes
-from hybrid_id.blind.refit import nominal_error, refit_model
+from hybrid_id.blind.case import Case, Records, build, record, record_sizes
+from hybrid_id.blind.refit import Bench, nominal_error, refit_model
 
 BANDS = {"strong": (3.2, 9.0), "medium": (1.6, 2.8), "weak": (1.18, 1.45)}
 """Ratio of re-fit to noise floor that is aimed at; a level's own limits are a little wider."""
+QUICK = 3
+"""Steps of the re-fits by which a size is found."""
 FACTORS = np.geomspace(0.03, 8.0, 10)
 """Sizes that are tried, relative to the one drawn."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Normalised RMSE of today's simulator on the test records, as it stands and re-fitted on the train records."""
+    """Normalised RMSE of today's simulator on the test records, as it stands and re-fitted on the train records.
+
+    Attributes:
+        nominal, refit: these.
+        train: RMS error of the re-fit on the train records over that of the machine itself.
+    """
 
     nominal: float
     refit: float
+    train: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +63,9 @@ def level_of(ratio: float) -> str:
 
 def errors_of(case: Case, records: Records) -> Errors:
     """Errors of today's simulator."""
-    return Errors(nominal_error(case, records), refit_model(case, records).test)
+    found = refit_model(case, records)
+    clean = float(np.mean(Bench(case, records, lambda _: build(case.robot, case.effects)).clean_error() ** 2))
+    return Errors(nominal_error(case, records), found.test, float(np.sqrt(found.train / clean)))
 
 
 def grade(case: Case) -> Graded:
@@ -75,9 +85,10 @@ def scale_to_level(case: Case, wanted: str) -> Graded:
     while above - below > 1:
         i = (below + above) // 2
         scaled = case.with_effects([effect.scaled(float(FACTORS[i])) for effect in case.effects])
-        tried[i] = Graded(scaled, made[i], errors_of(scaled, made[i]))
-        if BANDS[wanted][0] <= tried[i].ratio <= BANDS[wanted][1]:
+        tried[i] = refit_model(scaled, made[i], rounds=QUICK).test / made[i].noise_floor
+        if BANDS[wanted][0] <= tried[i] <= BANDS[wanted][1]:
             break
-        below, above = (i, above) if tried[i].ratio < goal else (below, i)
-    best = min(tried.values(), key=lambda graded: abs(np.log(graded.ratio / goal)))
-    return best if case.engine == "in_house" else grade(best.case)
+        below, above = (i, above) if tried[i] < goal else (below, i)
+    i = min(tried, key=lambda i: abs(np.log(tried[i] / goal)))
+    best = case.with_effects([effect.scaled(float(FACTORS[i])) for effect in case.effects])
+    return Graded(best, made[i], errors_of(best, made[i])) if case.engine == "in_house" else grade(best)

@@ -2,6 +2,7 @@
 
 import difflib
 import tempfile
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -66,7 +67,7 @@ def make_case(
         case, records, rivals, alone = graded.case, graded.records, [], {}
         if grading and len(case.effects) > 1:
             alone = with_only(case, records)
-        if any(ratio < NEEDED for ratio in alone.values()):
+        if not all(ratio >= NEEDED for ratio in alone.values()):
             continue
         if grading:
             rivals = [find_rivals(case, records, seed, number) for number in range(len(case.effects))]
@@ -118,6 +119,11 @@ def _attempt(seed: int, folder: str | Path, name: str, options: Mapping[str, Any
     try:
         return make_case(seed, folder, name=name, **options)
     except InputError:
+        return None
+    except Exception as error:  # a fault of ours, which is to lose this case alone, and to be seen
+        warnings.warn(
+            f"case {name} of seed {seed} is left out: {type(error).__name__}: {error}", stacklevel=2
+        )
         return None
 
 

@@ -14,8 +14,8 @@ from hybrid_id.blind.case import Case, Records, nrmse
 from hybrid_id.blind.physics.bench import Plant, replay
 from hybrid_id.blind.robots import Robot
 
-ROUNDS = 3
-"""Steps of the method."""
+ROUNDS = 12
+"""Steps of the method, at most."""
 ENOUGH = 1e-3
 """Relative fall of the cost below which it ends."""
 STEP = 0.01
@@ -48,7 +48,12 @@ class Refit:
 
 
 def refit_model(
-    case: Case, records: Records, *, lacks: frozenset[str] | None = None, substeps: int = 1
+    case: Case,
+    records: Records,
+    *,
+    lacks: frozenset[str] | None = None,
+    substeps: int = 1,
+    rounds: int = ROUNDS,
 ) -> Refit:
     """Re-fit today's simulator of a case, without the effects.
 
@@ -57,6 +62,7 @@ def refit_model(
         records: what is fitted.
         lacks: parameters that it does without; by default those that the case's effects withhold.
         substeps: steps a sample.
+        rounds: steps of the method.
     """
     robot = case.truth()
     if lacks is not None:
@@ -66,7 +72,9 @@ def refit_model(
     def build(values: Mapping[str, np.ndarray]) -> Plant:
         return robot.with_values({**dict.fromkeys(robot.lacks, 0.0), **values}).assemble(substeps=substeps)
 
-    return refit(build, {name: float(np.mean(robot.values[name])) for name in free}, case, records)
+    return refit(
+        build, {name: float(np.mean(robot.values[name])) for name in free}, case, records, rounds=rounds
+    )
 
 
 def nominal_error(case: Case, records: Records) -> float:

@@ -2,8 +2,8 @@
 
 Each named effect is built into today's simulator in every place where it fits, and fitted with it to the train
 records, from the simulator's re-fitted values and from the true ones: a re-fit that has been bent is no place to start.
-A rival counts when it predicts the test records within 6 % of the true effect's error and leaves less than a tenth of
-the gap (mean square). Those that could close little of it even in the linear prediction are not fitted.
+A rival counts when it predicts the test records within 6 % of the true effect's error, fitted alike, and leaves less
+than a tenth of the gap (mean square). Those that could close little of it even in the linear prediction are not fitted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,9 +20,11 @@ from hybrid_id.blind.robots import Robot
 
 CLOSE, REST = 1.06, 0.1
 """Largest error relative to the true effect's, and largest share of the gap left, of a rival that counts."""
+FARTHEST = 1.15
+"""Largest error of the true effect, fitted as its rivals are, over the noise floor, by which these are judged."""
 WORTH = 0.65
 """Share of the gap that a rival may leave in the linear prediction and still be re-fitted."""
-DRAWS, SIZES = 5, (0.2, 1.5)
+DRAWS, SIZES = 8, (0.2, 1.5)
 """Starts of a rival: draws of its shape, and their sizes."""
 
 
@@ -65,11 +67,15 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
         model = replace(model, values={name: value for name, value in model.values.items() if name in own})
     rng = np.random.default_rng([seed, 2])
     true = replace(model, values={name: float(np.mean(case.truth().values[name])) for name in model.values})
+    # the truth itself, simulated and fitted as its rivals are, does not always come down to the floor
+    if type(truth).alter is Effect.alter:
+        own = fit_with(case, records, (truth, *beside), true)[0].test
+        floor = min(max(floor, own), FARTHEST * floor)
     screens = [_Screen(case, records, values, beside) for values in (model, true)]
     found = []
     for kind in _candidates(case):
         for joint in range(case.robot.joints):
-            if kind.name == truth.name and (joint == truth.joint or case.robot.joints == 1):
+            if (kind.name, kind.place, joint) == (truth.name, truth.place, truth.joint):
                 continue
             if any((kind.name, joint) == (effect.name, effect.joint) for effect in beside):
                 continue

@@ -121,12 +121,17 @@ class Robot:
 
     def model(self, rng: np.random.Generator, error: float) -> dict[str, Any]:
         """Today's simulator as the content of a model file, its nominal values wrong by up to `error`."""
+        wrong = {name: float(value) * (1 + rng.uniform(-error, error)) for name, value in self.values.items()}
+        while self.system == "two_link" and not _has_mass(wrong):
+            wrong |= {
+                n: float(self.values[n]) * (1 + rng.uniform(-error, error))
+                for n in ("P_1", "P_2", "P_3", "P_4")
+            }
         parameters = {}
         for name, value in self.values.items():
-            off = rng.uniform(-error, error)
             if name in self.lacks or not float(value) > 0:
                 continue
-            nominal = _rounded(float(value) * (1 + off), 4)
+            nominal = _rounded(wrong[name], 4)
             parameters[name] = {
                 "nominal": nominal,
                 "lower": _rounded(nominal / 4, 3),
@@ -139,6 +144,12 @@ class Robot:
             "gravity": "vertical" if self.vertical else "none",
             "parameters": parameters,
         }
+
+
+def _has_mass(values: Mapping[str, float]) -> bool:
+    """Whether an arm's inertias have a rotor at the second joint and a mass matrix at every angle."""
+    P_1, P_2, P_3, P_4 = (values[f"P_{k}"] for k in (1, 2, 3, 4))
+    return P_4 < 0.95 * P_2 and all((P_1 + 2 * s * P_3) * P_2 > 1.05 * (P_4 + s * P_3) ** 2 for s in (-1, 1))
 
 
 def draw_robot(rng: np.random.Generator, system: str) -> Robot:

@@ -8,7 +8,15 @@ from typing import Annotated, Any
 import typer
 
 from hybrid_id import __version__
-from hybrid_id.cli.blind_run import CommandOption, Method, MethodsOption, RecordsOption, run, run_methods
+from hybrid_id.cli.blind_run import (
+    BROKEN,
+    CommandOption,
+    Method,
+    MethodsOption,
+    RecordsOption,
+    run,
+    run_methods,
+)
 from hybrid_id.cli.blind_score import AppendOption, gathered, score, write_scores
 from hybrid_id.cli.blind_ties import run_ties, ties
 from hybrid_id.cli.console import remark, show
@@ -200,7 +208,7 @@ def reproduce(
     show(markdown(content))
     show(f"results are in {runs}")
     if broken:
-        raise typer.Exit(1)
+        raise typer.Exit(BROKEN)
 
 
 def _check_same(made: Path, cases: int, seed: int, options: dict[str, str | None], first: int) -> None:

@@ -15,6 +15,9 @@ from hybrid_id.cli.progress import counting
 from hybrid_id.cli.provenance import commit
 from hybrid_id.errors import InputError
 
+BROKEN = 3
+"""Exit code where a case has broken off, all others being done."""
+
 if TYPE_CHECKING:
     from hybrid_id.contenders.run import Settings
 
@@ -76,7 +79,7 @@ def run(
     broken = run_methods(cases, out, method or [Method.diagnose], train_records, jobs, scheduler, command)
     show(f"diagnoses are in {out}; 'hybrid-id blind score {out} --answers ARCHIVE' scores them")
     if broken:
-        raise typer.Exit(1)
+        raise typer.Exit(BROKEN)
 
 
 def run_methods(

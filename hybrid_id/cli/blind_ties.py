@@ -13,6 +13,7 @@ from hybrid_id.cli.console import show
 from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
 from hybrid_id.cli.progress import counting
 from hybrid_id.cli.provenance import commit
+from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.contenders.run import Case
@@ -138,6 +139,12 @@ def extended(
 
     seed = source["seed"]
     machine = same_case(seed, source["draw"], name=folder.name, **options)
+    again = {"engine": machine.engine, "formulas": [type(effect).__name__ for effect in machine.effects]}
+    if any(source.get(key, value) != value for key, value in again.items()):
+        raise InputError(
+            f"case {folder.name} cannot be made again here: its answers name {source['engine']} and "
+            f"{', '.join(source['formulas'])}; install MuJoCo, and take the version that made the cases"
+        )
     record = further_record(
         machine, experiment["joint"], experiment["command"], experiment["sample_time"], seed=seed
     )

@@ -32,7 +32,7 @@ def bic(dataset: Dataset, system: System) -> dict[str, Any]:
     criteria = np.array([criterion(base), *(criterion(one) for one in ranked)])
     weights = np.exp(-0.5 * (criteria - criteria.min()))
     weights = weights / weights.sum()
-    found = bool(ranked) and criteria[1] < criteria[0]
+    found = bool(ranked) and bool(criteria[1] < criteria[0])
     effects = [
         suspect(*one.effects[0], weight, selected=found and k == 0)
         for k, (one, weight) in enumerate(zip(ranked, weights[1:], strict=True))

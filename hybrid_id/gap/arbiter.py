@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hybrid_id.gap.attribute import Attribution
+from hybrid_id.gap.attribute import MOST, Attribution, Progress, search_on
 from hybrid_id.gap.belief import better
 from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import Evidence
@@ -18,6 +18,7 @@ from hybrid_id.gap.ranking import LEFT_OPEN, TOLD
 from hybrid_id.gap.refit import Explanation, Name, Refit, new_effect
 from hybrid_id.gap.remainder import behind_play
 from hybrid_id.gap.round import Round, finished
+from hybrid_id.systems.chain import System
 
 RIVALS = 4
 """Rivals that are held against the test records at most."""
@@ -31,10 +32,12 @@ class Decision:
         search: the search, which stands by the model that they bear out.
         outvoted: effects that explain the train records as well and predict the test records surely worse, by how many
             standard errors.
+        borne_out: the effect that they decide for; None where nothing is outvoted.
     """
 
     search: Attribution
     outvoted: Mapping[Name, float]
+    borne_out: Name | None = None
 
     def against(self, one: Explanation) -> bool:
         """Whether a model has an effect that they outvote."""
@@ -50,7 +53,7 @@ class Decision:
             lost += share
             ties = () if z else tuple(tie for tie in one.tied_with if tie not in names)
             weighed.append(replace(one, probability=one.probability - share, tied_with=ties))
-        first = next((k for k, one in enumerate(weighed) if one.selected), None)
+        first = next((k for k, one in enumerate(weighed) if (one.name, one.where) == self.borne_out), None)
         if first is not None:
             weighed[first] = replace(weighed[first], probability=min(1.0, weighed[first].probability + lost))
         return weighed
@@ -84,7 +87,35 @@ def decide(refit: Refit, search: Attribution) -> Decision:
     best = best if clearly(best, search.chosen) else search.chosen
     worse = [one for one in models if clearly(best, one)]
     outvoted = {new_effect(one, last.before): told[best].z(told[one]) for one in worse}
-    return Decision(search if best is search.chosen else _with(search, last, best), outvoted)
+    kept = new_effect(best, last.before) if outvoted else None
+    return Decision(search if best is search.chosen else _with(search, last, best), outvoted, kept)
+
+
+def others(
+    refit: Refit, system: System, decision: Decision, *, most: int = MOST, progress: Progress | None = None
+) -> Iterator[Decision]:
+    """What the test records may bear out where they refuse a search's effects: fewer of them, then others.
+
+    Args:
+        refit: fits models to the train records.
+        system: today's model.
+        decision: whose search's effects are refused.
+        most: effects at most.
+        progress: called with (stage, done, total).
+    """
+    search, chosen = decision.search, set(decision.search.chosen.effects)
+    if search.window is not None:
+        return
+    fewer = {
+        r.before.effects: r.before
+        for r in search.rounds
+        if r.before.effects and set(r.before.effects) < chosen
+    }
+    for simpler in sorted(fewer.values(), key=lambda e: -len(e.effects)):
+        yield replace(decision, search=replace(search, chosen=simpler))
+    again = search_on(refit, system, search, most=most, progress=progress)
+    if again is not None and again.chosen.effects:
+        yield decide(refit, again)
 
 
 def _of(one: Round, search: Attribution) -> bool:

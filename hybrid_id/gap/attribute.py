@@ -62,8 +62,10 @@ def attribute(
     best = min(
         (e for r in found.rounds for e in r.candidates), key=lambda e: e.evidence.error, default=found.base
     )
-    long = all(record.duration > 4 * WINDOW for record in refit.dataset.train)
-    if not long or not refit.strays(min(best, found.chosen, key=lambda e: e.evidence.error)):
+    if not refit.strays(min(best, found.chosen, key=lambda e: e.evidence.error)):
+        return found
+    fitted = found.base.system
+    if refit.within(WINDOW).batch(fitted).rows == refit.records(fitted).rows:  # too short for windows
         return found
     within = _search(refit.within(WINDOW), system, most, progress)
     tasks = [Task(within.chosen.effects, within.chosen.system)] if within.chosen.effects else []
@@ -80,7 +82,7 @@ def search_on(
     """
     refused, first = found.chosen.effects, found.rounds[0]
     others = [e for e in first.candidates if not set(e.effects) & set(refused)]
-    if not others or found.window is not None:
+    if not others:
         return None
     ends = finished(refit, others[:FINALISTS])
     ends.sort(key=lambda e: e.evidence.error)
@@ -123,9 +125,10 @@ def _search(
         before = chosen
         if set(chosen.effects) < set(best.effects):
             before = _second_chance(refit, base, chosen, best)
+        base = base if before.effects else before
+        rounds[-1] = replace(rounds[-1], before=before)
         if not better(best, before):
             once_more, chosen = before is not chosen and not restarted, before
-            base = base if before.effects else before
             if not once_more:
                 break
             # the fit before had not found its best: the round is held again from there
@@ -184,8 +187,7 @@ def _in_their_place(chosen: Explanation, before: Explanation) -> bool:
 
 def _leaves_something(simpler: Explanation) -> bool:
     """Whether another effect could be believed at all beside the first: none explains white noise."""
-    reachable = (1.0 - coloured(simpler.result.residual)) ** -0.5
-    return not simpler.effects or reachable >= COMPLETE_RATIO
+    return not simpler.effects or coloured(simpler.result.residual) >= 1.0 - COMPLETE_RATIO**-2
 
 
 def _gains(richer: Explanation, simpler: Explanation) -> bool:

@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from hybrid_id.errors import InputError
-from hybrid_id.gap.arbiter import decide
+from hybrid_id.gap.arbiter import decide, others
 from hybrid_id.gap.attribute import (
     MOST,
     Attribution,
     Progress,
     attribute,
-    search_on,
     sure_though_small,
 )
 from hybrid_id.gap.bent import bent_parameters
@@ -24,7 +23,7 @@ from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import next_experiment
 from hybrid_id.gap.own_sets import own_sets
-from hybrid_id.gap.probability import Suspect, suspects, tied_explanations, tied_sets
+from hybrid_id.gap.probability import NEEDLESS, Suspect, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.refit import Explanation, Refit, engine
 from hybrid_id.gap.remainder import halted_elsewhere, no_noise, outside, worst_unseen
 from hybrid_id.gap.shrink import Shrink, shrink
@@ -39,9 +38,6 @@ PARAMETRIC = 1.1
 """Ratio of nominal to re-fitted error from which the parameters were wrong."""
 TOO_SHORT = 30.0
 """Independent samples below which no structure can be told."""
-
-NEEDLESS = 0.1
-"""Of the probability of an effect, what is left where each record's own parameters leave noise without it."""
 
 
 def diagnose(
@@ -121,18 +117,19 @@ def _diagnosed(
     now = judged(search)
     # where the other test records lack nothing, it is enough that an effect does them no harm
     silent = opened and first is not None and first.coloured <= COLOURED
-    if search.chosen is not base and now.gap is not None and now.gap.interval[silent] <= 0.0:
-        withdrawn, now = search.chosen.effects, judged(replace(search, chosen=base))
-        others = search_on(refit, system, search, most=most, progress=progress)
-        if others is not None and others.chosen.effects:
-            instead = decide(refit, others)
-            borne_out = judged(instead.search)
-            if borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:
-                decision, now = instead, borne_out
+    refused = now.gap is not None and not now.halted and now.gap.interval[silent] <= 0.0
+    if search.chosen is not base and refused:
+        called_for, now = search.chosen.effects, judged(replace(search, chosen=base))
+        for other in others(refit, system, decision, most=most, progress=progress):
+            instead = judged(other.search)
+            if instead.borne_out:
+                decision, now = other, instead
+                break
+        withdrawn = tuple(name for name in called_for if name not in now.search.chosen.effects)
     if now.unknown and (small := sure_though_small(now.search)) is not None:
-        borne_out = judged(small)
-        if not borne_out.unknown and borne_out.gap is not None and borne_out.gap.interval[0] > 0.0:
-            withdrawn, now = (), borne_out
+        added = judged(small)
+        if not added.unknown and added.borne_out:
+            now = added
     own = own_sets(refit, now.search.chosen, system) if now.unknown else None
     varying = () if own is None else own.varying
     if own is not None:
@@ -188,6 +185,11 @@ class _Judged:
     gap: Shrink | None
     halted: bool
     unknown: bool
+
+    @property
+    def borne_out(self) -> bool:
+        """Whether the test records surely gain by it, or by all that a free run may tell."""
+        return self.halted or (self.gap is not None and self.gap.interval[0] > 0.0)
 
 
 def _judged(

@@ -90,8 +90,8 @@ def effective_samples(residuals: Sequence[np.ndarray]) -> float:
         residuals: of each record, ``(T, n_y)``.
     """
     total = sum(r.size for r in residuals)
-    longest = min(len(r) for r in residuals)
-    size = 1 << (2 * max(len(r) for r in residuals) - 1).bit_length()
+    longest = max(len(r) for r in residuals)
+    size = 1 << (2 * longest - 1).bit_length()
     spectrum = np.sum([np.square(np.abs(np.fft.rfft(r, size, axis=0))).sum(1) for r in residuals], 0)
     correlation = np.fft.irfft(spectrum)[:longest]
     if correlation[0] <= 0:

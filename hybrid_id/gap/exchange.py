@@ -7,13 +7,15 @@ from contextlib import suppress
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.belief import better
-from hybrid_id.gap.catalogue import CATALOGUE, part_of
+from hybrid_id.gap.catalogue import CATALOGUE, part_of, rotor_share
 from hybrid_id.gap.ranking import LEAST_RATIO
 from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task, new_effect
 from hybrid_id.gap.round import HOPELESS, SECOND_LOOK, Round
 from hybrid_id.gap.starts import without
 from hybrid_id.systems.chain import System
 
+SPRINGS = ("backlash", "joint_flexibility", "hardening_flexibility")
+"""Effects of which a gear has one."""
 RIVAL, RIVALS = 1.1, 3
 """Mean square error over that of its round's best up to which an effect is tried in its place beside a later one, and
 how many are."""
@@ -43,19 +45,28 @@ def _tasks(rest: System, effects: tuple[Name, ...], one: Round) -> list[Task]:
     best, tasks = one.candidates[0].evidence.error, []
     for rival in [e for e in one.candidates[1:] if e.evidence.error < RIVAL * best][:RIVALS]:
         name = new_effect(rival, one.before)
-        start = None if name in effects else _with(rest, rival.system, name)
+        start = None if name in effects or _sprung(name, effects) else _with(rest, rival.system, name)
         if start is not None:
             tasks.append(Task(tuple(sorted((*effects, name))), start))
     return tasks
 
 
+def _sprung(name: Name, effects: Sequence[Name]) -> bool:
+    """Whether an effect would take the place of another one that makes the same gear give way."""
+    return name[0] in SPRINGS and any(where == name[1] and other in SPRINGS for other, where in effects)
+
+
 def _with(system: System, other: System, name: Name) -> System | None:
     """The system with an effect as another one has it; None where it cannot stand there."""
-    for kind in CATALOGUE[name[0]].kinds:
+    effect, share = CATALOGUE[name[0]], rotor_share(other, name[1][:6])
+    for kind in effect.kinds:
         part = part_of(other, name[1], kind)
         if part is not None:
             with suppress(InputError):
-                return system.with_component(name[1], part)
+                found = system.with_component(name[1], part)
+                if share is None or kind not in effect.splits:
+                    return found
+                return found.with_specs({share.name: share.spec})
     return None
 
 

@@ -10,10 +10,13 @@ from hybrid_id.gap.evidence import coloured
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
+LOST = 1e6
+"""Largest error of a run that has diverged, in the output's unit."""
 BLOCK = 0.5
 """Length [s] of the blocks that are drawn for intervals."""
 
@@ -65,7 +68,8 @@ def errors(
     if not dataset.test:
         return None
     batch = batch_of(dataset, system, dataset.test, signal_share, "cpu")
-    run = simulate(system, engine or Engine(), batch)
+    theta = system.theta().detach()[:, None].expand(-1, batch.rows)
+    run = simulate(system, with_substeps(system, engine or Engine(), batch, theta), batch)
     step = batch.step
     length = max(1, round(BLOCK / step))
     blocks, by_record, over_noise, noise, weighted = [], {}, {}, [], []
@@ -76,7 +80,7 @@ def errors(
             measured, simulated = batch.y[r, valid, c].numpy(), run.y[r, valid, c].numpy()
             if not measured.size or np.ptp(measured) <= 1e-12 * np.abs(measured).max():
                 continue  # nothing to explain
-            error = np.nan_to_num(simulated - measured, nan=1e6, posinf=1e6, neginf=-1e6)
+            error = np.clip(np.nan_to_num(simulated - measured, nan=LOST), -LOST, LOST)
             weighted.append((error * batch.weight[r, valid, c].numpy())[:, None])
             square = np.square(error)
             starts = np.arange(0, len(square), length)

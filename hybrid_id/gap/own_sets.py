@@ -32,8 +32,8 @@ class OwnSets:
     Attributes:
         common: the model whose set stands for all records: as it was, or fitted again from that of one record, where it
             explains the train records together; otherwise with the train record's set that fits the others best.
-        varying: then the parameters whose differences matter most, each with its standard deviation over the
-            records.
+        varying: the parameters whose differences matter most, each with its standard deviation over the records; none
+            where they do not differ surely, or one set explains all train records that no common one had explained.
     """
 
     common: Explanation
@@ -61,11 +61,14 @@ def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets |
     batch = batch_of(dataset, system, dataset.records, refit.signal_share, "cpu")
     options = Options(max_iterations=TO_THE_END, tolerance=0.05)
     start = as_today(system, today) or system
-    sets = fit(start, batch, pooled=False, engine=engine(), options=options)
+    try:
+        sets = fit(start, batch, pooled=False, engine=engine(), options=options)
+    except RuntimeError:  # one of them breaks off
+        return None
     if any(one.status == "diverged" or coloured(one.residual) > WHITE for one in sets):
         return None
     if is_explained(explanation):
-        return OwnSets(explanation)
+        return OwnSets(explanation, _scatter(sets))
     train = {record.name for record in dataset.train}
     seen = [one for one in sets if one.records[0] in train]
     best = seen[select(cross_validate(seen, refit.records(system), pooled=False)).index]

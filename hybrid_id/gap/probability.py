@@ -14,6 +14,9 @@ from hybrid_id.gap.ranking import LEFT_OPEN, TOLD
 from hybrid_id.gap.refit import Explanation, Name, new_effect
 from hybrid_id.gap.round import Round
 
+NEEDLESS = 0.1
+"""Of the probability of an effect, what is left where other effects, the test records or each record's own parameters
+have made it needless."""
 TIE = 1.06
 """Rivals whose RMS errors differ by less than this factor are told apart by no record here, where fewer than ``TOLD``
 standard errors part them."""
@@ -43,6 +46,10 @@ class Suspect:
 def suspects(found: Attribution) -> list[Suspect]:
     """Every effect that was tried: the selected ones as they were found, then the most probable first."""
     chosen = set(found.chosen.effects)
+    believed = {
+        new_effect(r.best, r.before) for r in found.rounds if r.best is not None and better(r.best, r.before)
+    }
+    needless = believed - chosen
     best: dict[Name, Suspect] = {}
     found_in: dict[Name, int] = {}
     for number, one in enumerate(found.rounds):
@@ -51,8 +58,9 @@ def suspects(found: Attribution) -> list[Suspect]:
         weights, present = _weights(one), _present(one, found.chosen)
         for explanation, weight in zip(one.candidates, weights, strict=True):
             name = new_effect(explanation, one.before)
+            left = NEEDLESS if name in needless else 1.0
             suspect = Suspect(
-                name[0], name[1], float(present * weight), name in chosen, _ties(explanation, one, name),
+                name[0], name[1], float(left * present * weight), name in chosen, _ties(explanation, one, name),
                 _parameters(found.chosen if name in chosen else explanation, name),
             )  # fmt: skip
             if name not in best or one.again or suspect.probability > best[name].probability:
@@ -132,6 +140,8 @@ def _parameters(explanation: Explanation, name: Name) -> dict[str, tuple[float, 
     information = jacobian.T @ jacobian / scale
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     covariance = np.linalg.pinv(information / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
+    unseen = np.diag(information) == 0.0  # no measurement depends on it
+    covariance[unseen, unseen] = np.inf
     keys = {f"{name[1]}/{kind}" for kind in effect(name[0]).kinds}
     found = {}
     for k, parameter in enumerate(result.names):

@@ -130,11 +130,11 @@ class Refit:
         return batch if self.window is None else windows(system, engine(), batch, self.window)
 
     def strays(self, explanation: Explanation) -> bool:
-        """Whether a model's free runs lose the records."""
+        """Whether a model's free runs lose the records; what is noise loses none, however little an output moves."""
         batch = self.records(explanation.system)
         scale = batch.std(batch.y) * batch.weight.amax(1)
-        square = [np.square(r).mean(0) for r in explanation.result.residual]
-        return float(np.sqrt(square / np.square(scale.numpy())).mean()) > STRAYED
+        square = [np.maximum(np.square(r).mean(0) - 1.0, 0.0) for r in explanation.result.residual]
+        return float(np.sqrt(square / np.maximum(np.square(scale.numpy()), 1.0)).mean()) > STRAYED
 
     def base(self, system: System) -> Explanation:
         """Today's model, fitted from its nominal values and from a fit in windows, whichever ends lower."""
@@ -161,8 +161,7 @@ class Refit:
         """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted."""
         if not tasks:
             return []
-        found: list[Explanation | None] = []
-        jobs = min(self.jobs, len(tasks))
+        found, jobs = [], min(self.jobs, len(tasks))
         calls = (delayed(_fit)(self, task, iterations) for task in tasks)
         for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
             found.append(outcome)
@@ -189,10 +188,14 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
             result = _nearest(task, batch, iterations)
         if loose and task.shake and last:
             result = shaken(result, batch)
-    except (InputError, RuntimeError):  # a start that the physics refuses is no candidate
+        blind = result.residual if iterations <= LOOK else left_out(result, batch)
+        found = evidence(blind, step)
+    except (
+        InputError,
+        RuntimeError,
+        np.linalg.LinAlgError,
+    ):  # a start that the physics refuses is no candidate
         return None
-    blind = result.residual if iterations <= LOOK else left_out(result, batch)
-    found = evidence(blind, step)
     return Explanation(task.effects, result, found, last) if found.error < float("inf") else None
 
 

@@ -116,7 +116,7 @@ def _ranked(
     hope = any(_promises(e, before) for e in ranked)
     for keep in (FINALISTS, 1, 1) if hope else (1,):
         ranked = to_the_end(best_of_each(ranked, key=effects_of)[:keep])
-    if hope:
+    if hope and ranked:  # the last fits of all may have failed
         if not is_white(ranked[0]):
             ranked = to_the_end([e for e in ranked if e.effects == ranked[0].effects][: 1 + SHAPES])
             ranked = best_of_each([*ranked, *_gone_on(refit, ranked[0])], STARTS)

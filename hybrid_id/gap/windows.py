@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from hybrid_id.identification.horizons import link_seen
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -31,7 +33,9 @@ def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Bat
     hidden = list(system.memory_rows)
     loose = [j for j in system.joints if not j.rigid and not link_seen(batch, j.number)]
     if hidden or loose:
-        x, run = batch.x.clone(), simulate(system, engine, batch).x.nan_to_num(0.0, 0.0, 0.0)
+        theta = system.theta().detach()[:, None].expand(-1, batch.rows)
+        fine = with_substeps(system, engine, batch, theta)
+        x, run = batch.x.clone(), simulate(system, fine, batch).x.nan_to_num(0.0, 0.0, 0.0)
         x[..., hidden] = run[..., hidden]
         for joint in loose:
             motor, link = joint.positions
@@ -60,12 +64,14 @@ def window_errors(system: System, engine: Engine, batch: Batch, seconds: float) 
         seconds: length of a window.
     """
     short = windows(system, engine, batch, seconds)
-    if short is batch:
+    if short.rows == batch.rows:
         return []
     theta = system.theta().detach()[:, None].expand(-1, short.rows)
+    engine = with_substeps(system, engine, short, theta)
     at = evaluate(system, engine, short, short.x, theta, [], loss=Loss(), chunk=short.x.shape[1])
     x = short.x.clone()
-    x[:, 0] -= torch.linalg.solve(at.hessian, at.gradient)
+    with suppress(RuntimeError):  # states that nothing tells stay as they were measured
+        x[:, 0] -= torch.linalg.solve(at.hessian, at.gradient)
     run = simulate(system, engine, replace(short, x=x))
     found = ((run.y - short.y) * short.weight).numpy()
     return [row[(weight > 0).any(1)] for row, weight in zip(found, short.weight.numpy(), strict=True)]

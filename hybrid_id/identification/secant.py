@@ -158,7 +158,9 @@ def _steps(
 ) -> np.ndarray:
     """Points that minimise the linearised residuals inside the box, one for each damping (Marquardt's scaling)."""
     hessian, slope = jacobian.T @ jacobian, jacobian.T @ left
-    size = np.sqrt(np.maximum(np.diag(hessian), 1e-12 * hessian.diagonal().max(initial=1e-300)))
+    # first states that are known exactly in some rows are as stiff as that, and say nothing of the parameters' sizes
+    own = hessian.diagonal()[: cost.n_f].max(initial=1e-300)
+    size = np.sqrt(np.maximum(np.diag(hessian), 1e-12 * own))
     hessian, slope = hessian / np.outer(size, size), slope / size
     margin = 1e-12 * np.maximum(cost.high - cost.low, 1e-300) * size
     box = (cost.low - point) * size - margin, (cost.high - point) * size + margin

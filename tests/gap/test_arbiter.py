@@ -93,6 +93,6 @@ def test_what_is_outvoted_hands_its_probability_on() -> None:
         ),
         suspect("constant_torque", 0.4, ties=(f"gravity_load@{WHERE}",)),
     ]
-    first, other = Decision(SEARCH, {("constant_torque", WHERE): 5.0}).weighed(found)
+    first, other = Decision(SEARCH, {("constant_torque", WHERE): 5.0}, ("gravity_load", WHERE)).weighed(found)
     assert first.probability == pytest.approx(0.9, abs=1e-4) and other.probability < 1e-4
     assert first.tied_with == (f"spring_load@{WHERE}",) and other.tied_with == ()

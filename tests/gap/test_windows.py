@@ -15,6 +15,7 @@ from hybrid_id.gap.refit import Refit, engine
 from hybrid_id.gap.untold import untold
 from hybrid_id.gap.windows import windows
 from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replays import batch_of
 
 
@@ -36,7 +37,8 @@ def test_measured_states_begin_as_measured_and_may_move() -> None:
 def test_heat_begins_as_in_the_free_run_and_is_held() -> None:
     system, batch, found = cut("joint1/motor", "thermal_derating", T_w=1.0, c=1e4)
     (row,) = system.memory_rows
-    run = simulate(system, engine(), batch).x
+    fine = with_substeps(system, engine(), batch, system.theta().detach()[:, None].expand(-1, batch.rows))
+    run = simulate(system, fine, batch).x
     assert run[0, 250, row] > 0.0
     assert found.x[5, 0, row] == pytest.approx(float(run[0, 250, row]))
     assert (found.x0_std[:, row] == 0).all()

@@ -144,7 +144,9 @@ class UnevenBoth(UnevenDry):
     def install(self, machine, robot):
         most = 1.9 * dry(robot, self.joint)
         excess = np.clip(self.values["excess"], -most, most)
-        self.drive(machine).rotor_laws.append(Uneven(excess, self.values["slope"]))
+        steepest = 1.9 * robot.value(self.joint, "F_v")
+        slope = np.clip(self.values["slope"], -steepest, steepest)
+        self.drive(machine).rotor_laws.append(Uneven(excess, slope))
 
 
 class PreslidingDahl(Effect):

@@ -184,4 +184,6 @@ class Wind(Outside):
         return cls(joint, {"c": c, "wind": wind})
 
     def law(self, robot):
-        return load.Windage(self.values["c"], self.values["wind"])
+        most = 0.9 * dry(robot, self.joint) * robot.ratio[self.joint]  # the joint still starts at rest
+        wind = self.values["wind"]
+        return load.Windage(np.minimum(self.values["c"], most / wind**2), wind)

@@ -5,6 +5,7 @@ import numpy as np
 from hybrid_id.blind.physics.bristle import LuGre
 from hybrid_id.blind.physics.drive import Drive
 from hybrid_id.blind.physics.friction import Coulomb, Power, Viscous
+from hybrid_id.blind.physics.input import SupplySag
 from hybrid_id.blind.physics.integrator import Machine
 from hybrid_id.blind.physics.links import OneLink
 from hybrid_id.blind.physics.load import ConstantTorque, Gravity, RestSpring
@@ -147,6 +148,8 @@ def _motor(drive: Drive, i: int) -> str:
     motor, r = drive.motor, drive.gear.ratio
     if motor.weakening is not None:
         raise Unsupported("field weakening")
+    if any(isinstance(law, SupplySag) for law in drive.amplifier):
+        raise Unsupported("a supply that feels the motor's torque")
     K = float(motor.P_2)
     R = K / float(motor.P_1)
     text = f'<dcmotor name="motor{i}" joint="rotor{i}" gear="{r}" motorconst="{K} {K}" resistance="{R}"'

@@ -58,7 +58,7 @@ class MujocoMachine:
             if k % 200 == 19 and np.abs(first.qvel).max() < 1e-5:
                 break
         for run in self._runs:
-            run.qpos[:] = first.qpos
+            run.qpos[:], run.act[:] = first.qpos, first.act
             run.qvel[:] = 0.0
 
     def advance(self, commands: np.ndarray, disturbance: np.ndarray) -> None:

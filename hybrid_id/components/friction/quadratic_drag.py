@@ -8,7 +8,7 @@ class QuadraticDrag(Friction):
     """``tau = F_q v |v|`` with F_q [N m s^2/rad^2] and v [rad/s]; source: turbulent drag, e.g. of a fan."""
 
     kind = "quadratic_drag"
-    F_q = Parameter(1e-7, upper=1.0, unit="N m s^2/rad^2", doc="drag coefficient")
+    F_q = Parameter(1e-7, upper=1e4, unit="N m s^2/rad^2", doc="drag coefficient")
 
     def smooth(self, p, speed):
         return p.F_q * speed * speed.abs()

@@ -35,7 +35,8 @@ def _flexibility(system, s, place):
 
 def _backlash(system, s, place):
     where = f"joint{s.joint}/transmission"
-    if has(system, where, "backlash", "backlash_flexibility", "hardening_flexibility"):
+    # play has a compliance of its own, and would take the place of one that another effect has brought
+    if has(system, where, "backlash", "backlash_flexibility", "hardening_flexibility", "joint_flexibility"):
         return []
     gaps = [free(share * s.angle, 0.0, 0.3 * s.angle, "rad") for share in GAPS]
     spring = part_of(system, where, "linear_spring")

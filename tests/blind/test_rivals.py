@@ -1,0 +1,60 @@
+"""What a case asks of its effects, and that a draw that goes wrong loses no other."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybrid_id.blind import make as module
+from hybrid_id.blind.case import build, runs_in_mujoco
+from hybrid_id.blind.effects.friction import UnevenBoth
+from hybrid_id.blind.effects.outside import Wind
+from hybrid_id.blind.effects.outside_drive import WeakSupply
+from hybrid_id.blind.make import make_cases
+from hybrid_id.blind.robots import draw_robot
+
+RNG = np.random.default_rng(0)
+ROBOT = draw_robot(RNG, "one_link")
+
+
+def test_friction_of_any_size_takes_energy() -> None:
+    machine = build(ROBOT, [UnevenBoth.draw(RNG, ROBOT, 0).scaled(8.0)])
+    uneven = machine.drives[0].rotor_laws[-1]
+    assert abs(uneven.slope) < 2.0 * ROBOT.value(0, "F_v")
+
+
+def test_wind_of_any_size_lets_the_joint_rest() -> None:
+    law = build(ROBOT, [Wind.draw(RNG, ROBOT, 0).scaled(8.0)]).drives[0].link_laws[-1]
+    assert law.c * law.wind**2 <= 0.9 * ROBOT.value(0, "F_c") * ROBOT.ratio[0] * (1 + 1e-9)
+
+
+def test_mujoco_knows_no_supply_that_sags() -> None:
+    pytest.importorskip("mujoco")
+    assert runs_in_mujoco(ROBOT, [])
+    assert not runs_in_mujoco(ROBOT, [WeakSupply.draw(RNG, ROBOT, 0)])
+
+
+def test_nominal_arms_have_a_mass_matrix() -> None:
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        arm = draw_robot(rng, "two_link").model(rng, 0.3)["parameters"]
+        P_1, P_2, P_3, P_4 = (arm[f"P_{k}"]["nominal"] for k in (1, 2, 3, 4))
+        assert P_4 < P_2
+        for cosine in (-1.0, 0.0, 1.0):
+            assert (P_1 + 2 * cosine * P_3) * P_2 > (P_4 + cosine * P_3) ** 2
+
+
+def test_a_fault_in_one_case_is_told_and_loses_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    honest = module.draw_case
+
+    def broken_once(rng, name, *rest):
+        if name == "c001":
+            raise ZeroDivisionError("float division by zero")
+        return honest(rng, name, *rest)
+
+    monkeypatch.setattr(module, "draw_case", broken_once)
+    with pytest.warns(UserWarning, match="case c001 of seed 7 is left out: ZeroDivisionError"):
+        made = make_cases(2, 7, tmp_path, family="none", system="one_link", engine="in_house")
+    assert [path.name for path in made] == ["c002"]
