@@ -30,7 +30,9 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
     words = []
     for name, moved in change.items():
         own = moved - power[name] * middle
-        if own < -3.0:
+        if now[nominal.parameter(name).component, nominal.parameter(name).symbol] < 0.0:
+            words.append(f"{name} has changed its sign")
+        elif own < -3.0:
             words.append(f"{name} is driven to zero")
         elif abs(own) > (BENT_TORQUE if power[name] else BENT):
             words.append(f"{name} is {math.exp(own):.2f} times its nominal value")

@@ -145,7 +145,7 @@ def calibrate(
 
 def _threshold(peaks: np.ndarray, seconds: float, rate: float) -> float:
     """Height that peaks with an exponential tail exceed at that rate [1/s]."""
-    start = float(np.quantile(peaks, TAIL))
+    start = float(np.quantile(peaks, TAIL)) if len(peaks) else 0.0
     above = peaks[peaks > start]
     if len(above) == 0:
         raise InputError(
@@ -167,6 +167,8 @@ def _equations(
 
 def _change(rows: Sequence[np.ndarray], sides: Sequence[np.ndarray]) -> np.ndarray:
     """Change of the model's own parameters that explains most of filtered torques."""
+    if not rows[0].shape[-1]:  # none is estimated
+        return np.empty(0)
     a, b = np.concatenate(rows).reshape(-1, rows[0].shape[-1]), np.concatenate(sides).reshape(-1)
     size = np.maximum(np.linalg.norm(a, axis=0), 1e-300)
     return np.linalg.lstsq(a / size, b, rcond=RANK)[0] / size

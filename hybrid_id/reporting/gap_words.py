@@ -73,9 +73,10 @@ def _no_gap(diagnosis: Diagnosis, _reach: float) -> str:
     tried = count(len(diagnosis.effects), "effect")
     if diagnosis.nominal is None:
         return f"No effect is missing: none of {tried} predicts parts left out clearly better; no record is a test."
+    clearly = "unseen records surely" if diagnosis.withdrawn else "parts left out clearly"
     return (
         "There is no gap: on unseen records today's model leaves a normalised error of "
-        f"{_error(diagnosis.nominal.nrmse)}, and none of {tried} predicts parts left out clearly better."
+        f"{_error(diagnosis.nominal.nrmse)}, and none of {tried} predicts {clearly} better."
     )
 
 
