@@ -100,10 +100,7 @@ def secant_fit(
     if jacobian is None or near is None:
         jacobian = cost.slopes(point, left, STEPS[-1])
     shape, count, n_f = batch.y.shape, batch.y.numel(), len(free)
-    # the first states follow the parameters
-    starts = jacobian[:, n_f:]
-    follow = np.linalg.solve(starts.T @ starts, starts.T @ jacobian[:, :n_f])
-    tangents = (starts[:count] @ follow - jacobian[:count, :n_f]).reshape(*shape, n_f)
+    tangents = -_followed(jacobian, n_f)[0][:count].reshape(*shape, n_f)
     runs = left[:count].reshape(shape)
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
     names = tuple(system.table[i].name for i in free)
@@ -124,6 +121,13 @@ def secant_fit(
         engine=cost.rollouts.engine,
         history=tuple(history),
     )
+
+
+def _followed(jacobian: np.ndarray, n_f: int) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes by the parameters while the first states follow these, and how far they do, ``(n_states, n_f)``."""
+    starts = jacobian[:, n_f:]
+    follow = -np.linalg.solve(starts.T @ starts, starts.T @ jacobian[:, :n_f])
+    return jacobian[:, :n_f] + starts @ follow, follow
 
 
 def _idle(
@@ -181,12 +185,15 @@ def shaken(result: FitResult, batch: Batch, *, seed: int = 0) -> FitResult:
         batch: its records.
         seed: of the points.
     """
-    generator, share, failures = np.random.default_rng(seed), SHAKE, 0
+    generator, share, failures, here = np.random.default_rng(seed), SHAKE, 0, None
     for _ in range(TRIES):
         cost = Cost(result.system, batch, result.engine)
         free = cost.rollouts.free
-        shifts = cost.shifts_of(result.x0)
-        tangents = np.concatenate([j.reshape(-1, len(free)) for j in result.jacobian])
+        if here is not result:
+            shifts, here = cost.shifts_of(result.x0), result
+            point = np.concatenate([result.values, shifts])
+            jacobian = cost.slopes(point, cost.residuals(point[None])[0], STEPS[-1])
+            tangents, follow = _followed(jacobian, len(free))
         size = np.sqrt(np.maximum(np.square(tangents).sum(0), 1e-300))
         values, vectors = np.linalg.eigh((tangents / size).T @ (tangents / size))
         far = np.sqrt(2.0 * share * result.cost / len(free) / np.maximum(values, 1e-4 * values[-1]))
@@ -195,7 +202,10 @@ def shaken(result: FitResult, batch: Batch, *, seed: int = 0) -> FitResult:
         points = np.clip(
             result.values + np.clip(step, -most, most), cost.low[: len(free)], cost.high[: len(free)]
         )
-        left = cost.residuals(np.hstack([points, np.tile(shifts, (LANES, 1))]))
+        moved = np.clip(
+            shifts + (points - result.values) @ follow.T, cost.low[len(free) :], cost.high[len(free) :]
+        )
+        left = cost.residuals(np.hstack([points, moved]))
         best = points[int(np.square(left).sum(1).argmin())]
         start = result.system.with_values(dict(zip(result.names, best.tolist(), strict=True)))
         again = secant_fit(start, batch, engine=result.engine, iterations=BETWEEN, x0=result.x0)

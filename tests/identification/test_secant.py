@@ -13,7 +13,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.left_out import PARTS, _parts, left_out
 from hybrid_id.identification.rollouts import Rollouts
-from hybrid_id.identification.secant import secant_fit, shaken, slopes_at
+from hybrid_id.identification.secant import _followed, secant_fit, shaken, slopes_at
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.step import Engine
@@ -217,3 +217,13 @@ def test_sensitivities_are_those_of_a_fit_whose_first_states_follow() -> None:
         own = np.sqrt(sum(np.square(j[..., k]).sum() for j in again.jacobian))
         assert own == pytest.approx(size, rel=0.05), name
         assert own < np.sqrt(sum(np.square(j[..., k]).sum() for j in held.jacobian))
+
+
+def test_first_states_follow_the_parameters() -> None:
+    rng = np.random.default_rng(0)
+    jacobian = rng.standard_normal((40, 5))
+    slopes, follow = _followed(jacobian, 3)
+    step = rng.standard_normal(3)
+    least = np.linalg.lstsq(jacobian[:, 3:], -jacobian[:, :3] @ step, rcond=None)[0]
+    np.testing.assert_allclose(follow @ step, least, atol=1e-10)
+    np.testing.assert_allclose(slopes @ step, jacobian @ np.concatenate([step, least]), atol=1e-10)
