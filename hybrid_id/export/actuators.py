@@ -16,6 +16,7 @@ from hybrid_id.components import (
     ThermalDerating,
     TorqueMotor,
 )
+from hybrid_id.errors import InputError
 from hybrid_id.systems.chain import Views
 from hybrid_id.systems.joint import Joint
 
@@ -61,6 +62,10 @@ def motor(joint: Joint, p: Views, step: float, extras: Attributes) -> tuple[str,
     } | limits
     if isinstance(part, DCMotor):
         K = float(p[key].P_m2)
+        if K <= 0.0:
+            raise InputError(
+                f"{key}: P_m2 is {K:g}, but MuJoCo's dcmotor needs a back-EMF; give it a value above 0"
+            )
         R = K / float(p[key].P_m1)
         found |= {"motorconst": numbers([K, K]), "resistance": number(R)} | extras
         for name, winding, _ in joint.drive.windings:

@@ -19,6 +19,8 @@ Views = Mapping[str, SimpleNamespace]
 
 STIFF = 2.0 * np.pi * 60.0
 """Angular frequency [rad/s] of rotor against link from which on play ends in MuJoCo's limits, below in a spring."""
+NARROWEST = 1e-6
+"""Least half of a play [rad]: MuJoCo wants limits that differ."""
 SLACK = 0.3
 """Share of a soft play's damping in contact that acts all along in MuJoCo, which has no damper with a dead band."""
 WORTH_SAYING = 0.01
@@ -190,7 +192,7 @@ def elasticity(joint: Joint, p: Views, torque: float) -> Elasticity:
     damping[1] = max(damping[1] - damping[0], 0.0)
     where = f"{joint.name}/transmission: {key.split('/')[2]}"
     if isinstance(spring, Backlash):
-        half = 0.5 * float(view.gap)
+        half = max(0.5 * float(view.gap), NARROWEST)
         k = float(force(np.array([half + 1e-6]))[0]) / 1e-6
         if k > float(series) * STIFF**2:
             return Elasticity((0.0, 0.0), {}, 0.0, (half, k / float(series), damping[1] / float(series)), ())

@@ -43,10 +43,15 @@ def with_scales(system: System, batch: Batch, width: float = 0.5) -> System:
     u = {name: channel.reshape(-1)[used] for name, channel in batch.u.items()}
     p = system.views(list(system.theta().to(batch.x)[:, None]))
     for _, place, part, networks in networks_of(system):
+        drive, ratio = networks.joint.drive, networks.joint.gear_ratio
+        reference = command = drive.command(x, u, p, network=False)
+        if place != "input":
+            # without its windings, whose states nobody has measured
+            reference = drive.motor[1].torque(p[drive.motor[0]], command, x[drive.rotor + 1])
         for k, (name, signal) in enumerate(
             zip(part.inputs, networks.signals(place, x, u, p)[0], strict=True)
         ):
-            signal = signal.expand_as(x[0])
+            signal = (reference if name == "torque" and drive.windings else signal).expand_as(x[0])
             shift, scale = signal.new_zeros(()), signal.square().mean().sqrt()
             if HARMONIC.fullmatch(name):
                 scale = torch.ones_like(scale)
@@ -55,10 +60,6 @@ def with_scales(system: System, batch: Batch, width: float = 0.5) -> System:
             elif name == "direction":
                 scale = torch.full_like(scale, width)
             part.shift[k], part.scale[k] = shift, scale if scale > 0 else torch.ones_like(scale)
-        drive, ratio = networks.joint.drive, networks.joint.gear_ratio
-        reference = drive.command(x, u, p, network=False)
-        if place != "input":
-            reference = drive.motor_torque(x, u, p, network=False)
         size = reference.square().mean().sqrt() * (ratio if place in (*LINK_PLACES, "transmission") else 1.0)
         part.output_scale.fill_(float(size) or 1.0)
     return system

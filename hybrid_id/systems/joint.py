@@ -163,10 +163,10 @@ class Joint:
             network = any(place in self.networks.by_place for place in LINK_PLACES)
             if self.frictions["link_friction"] or self.loads or self.logged or network:
                 link_smooth, link_level = self.friction(
-                    "link_friction", x, u, p, v * slope, magnitudes[0] * slope, forwards[0]
+                    "link_friction", x, u, p, v * slope, magnitudes[0] * abs(slope), forwards[0]
                 )
                 load = (link_smooth + self._load(x, angle, v * slope, u, p)) * slope
-                drive, level = drive - load, level + link_level * slope
+                drive, level = drive - load, level + link_level * abs(slope)
             if factor is None:
                 return [SpeedBalance(total, drive, level)]
             share = inertia.link(p[key], r) * slope**2 / total

@@ -176,7 +176,17 @@ def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry, where: s
 
 
 def describe_model(system: System) -> dict[str, Any]:
-    """The canonical content of a model file for a system."""
+    """The canonical content of a model file for a system.
+
+    Raises:
+        InputError: a name that no model file knows, or one of another number of joints.
+    """
+    joints = {where.split("/")[0] for where, _ in SKELETON.get(system.name, ())}
+    if len(joints) != len(system.joints):
+        raise InputError(
+            f"a system named '{system.name}' with {len(system.joints)} joints cannot be written to a model file; name "
+            f"it {' or '.join(SKELETON)}, by its joints"
+        )
     flat = {where: name for name, where in FLAT[system.name].items()}
     defaults = {(where, kind.kind) for where, kind in SKELETON[system.name]}
     parameters: dict[str, Any] = {}

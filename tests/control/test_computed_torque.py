@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from hybrid_id.components import AsymmetricStribeck, BacklashFlexibility, TorqueCommand, TorqueMotor
+from hybrid_id.components import (
+    AsymmetricStribeck,
+    BacklashFlexibility,
+    Dahl,
+    ElectricalLag,
+    Saturation,
+    TorqueCommand,
+    TorqueMotor,
+)
 from hybrid_id.control import ComputedTorque, Reference, sines, track
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.step import Engine
@@ -131,3 +139,10 @@ def test_what_cannot_be_turned_round_is_named() -> None:
     )
     with pytest.raises(InputError, match="joint1 is not commanded by a voltage"):
         ComputedTorque(torque, reference, bandwidth=30.0, limit=24.0)
+    for where, part in (("input", Saturation()), ("motor", ElectricalLag()), ("motor_friction", Dahl())):
+        with pytest.raises(
+            InputError, match="joint1 has a delay, a limit, a dead band or a state that remembers"
+        ):
+            ComputedTorque(
+                LINK.with_component(f"joint1/{where}", part), reference, bandwidth=30.0, limit=24.0
+            )

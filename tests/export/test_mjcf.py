@@ -201,3 +201,14 @@ def test_motor_that_is_switched_off_runs_free_there_too(system: System) -> None:
     there = mujoco_replay(system, to_mjcf(system), switched)["q_m1"]
     braked = mujoco_replay(system, to_mjcf(system), record)["q_m1"]
     assert np.abs(there - braked).max() > 0.1 * np.ptp(there), "the switch matters in this record"
+
+
+def test_play_of_nothing_makes_a_file_that_mujoco_reads() -> None:
+    mujoco = pytest.importorskip("mujoco")
+    exported = to_mjcf(one_link(100.0).with_component("joint1/transmission", Backlash(gap=0.0)))
+    assert mujoco.MjModel.from_xml_string(exported.text).njnt >= 2
+
+
+def test_motor_without_back_emf_is_refused() -> None:
+    with pytest.raises(InputError, match="P_m2 is 0, but MuJoCo's dcmotor needs a back-EMF"):
+        to_mjcf(one_link(100.0).with_values({"P_m2": 0.0}))

@@ -13,7 +13,7 @@ import pytest
 import torch
 from drives import make_record, multisine, rigid_drive
 
-from hybrid_id.components import Cogging, ResidualNetwork
+from hybrid_id.components import Cogging, ElectricalLag, ResidualNetwork
 from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.first_order import clipped
@@ -400,3 +400,13 @@ def test_a_parameter_at_its_bound_is_not_rounded_beyond_it(made: list) -> None:
     q = problem.start(problem.base)
     q[:, row] = 0.95 / problem.unit[row] * (1.0 + 1e-15)
     assert float(problem.theta(q).max(1).values[narrow.estimated[row]]) <= 0.95
+
+
+def test_scales_beside_a_winding_that_lags_are_those_of_its_torque(made: list) -> None:
+    plain, lagging = hybrid(), hybrid().with_component("joint1/motor", ElectricalLag())
+    scales = []
+    for system in (plain, lagging):
+        batch = make_batch(system, made, noise_std=NOISE)
+        scales.append(float(next(iter(with_scales(system, batch).networks.values())).output_scale))
+    assert scales[0] < 0.2
+    assert scales[1] == pytest.approx(scales[0], rel=1e-6)

@@ -229,3 +229,9 @@ def test_malformed_arm_is_refused(parameters: dict, change: dict, words: tuple, 
         load_model(path)
     assert all(word in str(caught.value) for word in (str(path), *words)), caught.value
     assert "\n" not in str(caught.value) and not re.search(r"\. [A-Z]", str(caught.value))
+
+
+def test_a_system_of_another_name_is_not_written(tmp_path: Path) -> None:
+    parts = [(key.rsplit("/", 1)[0], part) for key, part in one_link(100.0).components.items()]
+    with pytest.raises(InputError, match="named 'valve' with 1 joints cannot be written"):
+        save_model(System([100.0], parts, name="valve"), tmp_path / "model.yaml")
