@@ -15,6 +15,7 @@ from hybrid_id.records.measures import rest_samples
 from hybrid_id.records.record import Record
 from hybrid_id.records.smoothing import noise_level, smooth_derivatives
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.rest import resting_twist
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
@@ -36,7 +37,7 @@ def make_batch(
     """Prepare records for simulation and fitting.
 
     The start angle is the mean of the samples at rest; a record that starts in motion starts from a local
-    polynomial. Link angles start at rest on the motor's, bristles unloaded.
+    polynomial. A link that nobody has measured starts at rest where its load has wound up the gear, bristles unloaded.
 
     Args:
         system: tells channels and states.
@@ -74,6 +75,7 @@ def make_batch(
         spread.append(stds)
     x = torch.stack([_padded([g[:, i] for g in guess], samples) for i in range(len(system.state_names))], -1)
     x0_std = torch.tensor(np.array(spread), dtype=torch.float64)
+    _wind_up(system, records, x, x0_std, u)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
 
 
@@ -178,6 +180,26 @@ def _states(
             unknown = 0.1 * states[:, link : link + 2].std(0) if rest < RESTING else 0.0
             stds[link : link + 2] = stds[row : row + 2] / ratio + unknown
     return states, stds if estimate_start else np.zeros_like(stds)
+
+
+def _wind_up(
+    system: System, records: Sequence[Record], x: Tensor, x0_std: Tensor, u: Mapping[str, Tensor]
+) -> None:
+    """Put the links that nobody has measured where their loads let them rest, in records that start at rest.
+
+    How far that is depends on parameters that a fit moves: the start may move as far.
+    """
+    still = torch.tensor([rest_samples(record) >= RESTING for record in records])
+    for joint in system.joints:
+        if joint.rigid or f"q_a{joint.number}" in records[0].outputs:
+            continue
+        first = {name: channel[:, 0] for name, channel in u.items()}
+        twist = resting_twist(system, joint, list(x[:, 0].unbind(1)), first) * still
+        link = joint.positions[1]
+        x[:, :, link] += twist[:, None]
+        x0_std[:, link] = torch.where(
+            x0_std[:, link] > 0, torch.hypot(x0_std[:, link], twist), x0_std[:, link]
+        )
 
 
 def _motion(
