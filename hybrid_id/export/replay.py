@@ -144,6 +144,7 @@ class _Command:
             c: torch.tensor(record.signal(f"{c}{joint.number}"), dtype=torch.float64)
             for c in self._source.channels
         }
+        self._encoders = [(part, part.view()) for _, part in joint.drive.encoders]
         self._closed = isinstance(self._source, PositionLoop)
         zero = torch.zeros(1, dtype=torch.float64)
         self._held = None if self._closed else self._at(self._channels, zero).expand(record.n_samples)
@@ -167,4 +168,6 @@ class _Command:
             return float(self._held[sample])
         turned = self._joint.gear_ratio * data.joint(f"joint{self._joint.number}").qpos[0]
         angle = torch.tensor([turned], dtype=torch.float64)
+        for encoder, view in self._encoders:  # the loop closes over what its encoder reads
+            angle = encoder.read(view, angle)
         return float(self._at({c: v[sample : sample + 1] for c, v in self._channels.items()}, angle)[0])

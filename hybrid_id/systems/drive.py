@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 from torch import Tensor
 
-from hybrid_id.components.base import REGISTRY, Component, Input, Motor
+from hybrid_id.components.base import REGISTRY, Component, Input, Motor, Sensor
 from hybrid_id.components.drive import CommandMap, RotorTorque, Winding
 from hybrid_id.components.input.delay import Delay
 from hybrid_id.errors import InputError
@@ -50,6 +50,7 @@ class Drive:
         self.networks: Networks | None = None
         self.input = cast("tuple[str, Input]", only(parts, Input, joint, "input"))
         self.motor = cast("tuple[str, Motor]", only(parts, Motor, joint, "motor"))
+        self.encoders = [(k, c) for k, c in parts.items() if isinstance(c, Sensor) and c.channel == "q_m"]
         self.delay = next(((key, part) for key, part in parts.items() if isinstance(part, Delay)), None)
         self.maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
         self.torques = [(key, part) for key, part in parts.items() if isinstance(part, RotorTorque)]
@@ -102,6 +103,8 @@ class Drive:
         u = self.hold(u, p)
         channels = {name: u[f"{name}{self.number}"] for name in part.channels}
         angle, speed = x[self.rotor], x[self.rotor + 1]
+        for name, encoder in self.encoders:  # a position loop compares its goal with what it reads
+            angle = encoder.read(p[name], angle)
         command = part.command(p[key], channels, angle, speed)
         for key, step in self.maps:
             command = step.map(p[key], command, speed)

@@ -5,7 +5,16 @@ import pytest
 import torch
 from drives import flexible_drive, rigid_drive
 
-from hybrid_id.components import Backlash, ConstantTorque, Coulomb, Gravity, JointFlexibility, KinematicError
+from hybrid_id.components import (
+    Backlash,
+    ConstantTorque,
+    Coulomb,
+    Gravity,
+    JointFlexibility,
+    KinematicError,
+    MotorEncoder,
+    PositionLoop,
+)
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
@@ -76,3 +85,15 @@ def test_an_error_of_the_gear_puts_the_link_where_it_is_unloaded() -> None:
     wanted = bent.joints[0].gear.map(batch.x[0, :1, motor], p)[0]
     assert float(batch.x[0, 0, link]) == pytest.approx(float(wanted), abs=1e-6)
     assert float(batch.x[0, 0, link]) != pytest.approx(0.3, abs=1e-4)
+
+
+def test_a_position_loop_compares_its_goal_with_what_its_encoder_reads() -> None:
+    servo = rigid_drive(ratio=1.0).with_component("joint1/input", PositionLoop())
+    servo = servo.with_component("joint1/sensor", MotorEncoder(offset=0.7))
+    ones = np.ones(200)
+    u = {"goal1": 0.9 * ones, "gain1": 400.0 * ones, "supply1": 12.0 * ones}
+    batch = make_batch(
+        servo, [Record("held", 0.002 * np.arange(200), u, {"q_m1": 0.9 * ones})], noise_std=NOISE
+    )
+    run = simulate(servo, Engine(substeps=8), batch)
+    assert float((run.y[0, :, 0] - 0.9).abs().max()) < 1e-9  # at its goal: no duty
