@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from types import SimpleNamespace
+from typing import ClassVar
 
 from torch import Tensor
 
@@ -14,6 +15,8 @@ class CommandMap(Component):
     """Place ``input``: changes the effective command on its way to the motor."""
 
     places = ("input",)
+    stage: ClassVar[int] = 1
+    """Where along the way: what a driver does to small commands (0), its limits (1), the supply behind them (2)."""
 
     def map(self, p: SimpleNamespace, command: Tensor, speed: Tensor) -> Tensor:
         """What becomes of the command, ``(B,)``, in its own unit, at a rotor speed [rad/s]."""

@@ -52,7 +52,8 @@ class Drive:
         self.motor = cast("tuple[str, Motor]", only(parts, Motor, joint, "motor"))
         self.encoders = [(k, c) for k, c in parts.items() if isinstance(c, Sensor) and c.channel == "q_m"]
         self.delay = next(((key, part) for key, part in parts.items() if isinstance(part, Delay)), None)
-        self.maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
+        maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
+        self.maps = sorted(maps, key=lambda item: item[1].stage)
         self.torques = [(key, part) for key, part in parts.items() if isinstance(part, RotorTorque)]
         self.windings: list[tuple[str, Winding, range]] = []
         self.state_names: list[str] = []

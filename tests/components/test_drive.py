@@ -6,7 +6,16 @@ import torch
 from drives import STEP, rigid_drive
 from scipy.integrate import solve_ivp
 
-from hybrid_id.components import Cogging, CurrentCommand, Deadband, ElectricalLag, Saturation, ThermalDerating
+from hybrid_id.components import (
+    Cogging,
+    CurrentCommand,
+    Deadband,
+    ElectricalLag,
+    Saturation,
+    SoftSaturation,
+    SupplySag,
+    ThermalDerating,
+)
 from hybrid_id.errors import InputError
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
@@ -99,3 +108,12 @@ def test_motor_must_take_what_its_input_gives() -> None:
         InputError, match="gives A, but dc_motor at joint1/motor takes V; put current_motor there"
     ):
         make_batch(system, [record])
+
+
+def test_a_command_meets_the_dead_band_first_and_the_supply_last() -> None:
+    parts = (SupplySag(), Saturation(), Deadband(), SoftSaturation())
+    system = rigid_drive()
+    for part in parts:
+        system = system.with_component("joint1/input", part)
+    kinds = [type(part) for _, part in system.joints[0].drive.maps]
+    assert kinds == [Deadband, SoftSaturation, Saturation, SupplySag]

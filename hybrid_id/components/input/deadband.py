@@ -19,6 +19,7 @@ class Deadband(CommandMap):
     """
 
     kind = "voltage_deadband"
+    stage = 0
     V_0 = Parameter(0.2, upper=1e3, unit="V", doc="threshold")
     jump = Parameter(0.5, upper=1.0, unit="1", doc="share of the threshold that comes back above it")
     width = Parameter(0.02, lower=1e-6, upper=1e3, unit="V", doc="width of the jump", estimate=False)

@@ -24,6 +24,7 @@ class SupplySag(CommandMap):
     """
 
     kind = "supply_sag"
+    stage = 2
     rho = Parameter(0.05, upper=10.0, unit="1", doc="source resistance over winding resistance")
     V_0 = Parameter(12.0, lower=1e-3, upper=1e4, unit="V", doc="supply without load", estimate=False)
     k_e = Parameter(0.0, upper=1e3, unit="V s/rad", doc="back-EMF constant, as known before", estimate=False)
