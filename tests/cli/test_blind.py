@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -40,9 +41,16 @@ def call(*words: object, fails: str = "") -> str:
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> Path:
+def home(sealed_once: Path, tmp_path: Path) -> Path:
+    """Three sealed cases of a test's own."""
+    return shutil.copytree(sealed_once, tmp_path, dirs_exist_ok=True)
+
+
+@pytest.fixture(scope="module")
+def sealed_once(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three sealed cases: a bias that is withheld, nothing, and a broken one."""
-    cases = tmp_path / "cases"
+    home = tmp_path_factory.mktemp("sealed")
+    cases = home / "cases"
     for name, missing in (("c001", ConstantTorque(T_0=0.15)), ("c002", None), ("c003", None)):
         dataset, system = small_case(missing)
         place = dataset.save(cases / name)
@@ -50,8 +58,8 @@ def home(tmp_path: Path) -> Path:
         truth = {"family": "single" if missing else "none", "effects": [BIAS] if missing else []}
         write_yaml(cases / "answers" / f"{name}.yaml", truth | {"level": "strong", "oracle": ORACLE})
     (cases / "c003" / "model.yaml").write_text("system: one_leg\n")
-    seal(cases, tmp_path / "sealed" / "a.tar", ABOUT)
-    return tmp_path
+    seal(cases, home / "sealed" / "a.tar", ABOUT)
+    return home
 
 
 def test_run_is_scored_and_published(home: Path) -> None:

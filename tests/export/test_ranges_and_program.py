@@ -60,7 +60,7 @@ def test_program_is_the_hybrid_step() -> None:
         for weight in network.last_weights().values():
             weight.fill_(0.01)
     system = one_link(100.0).with_component("joint1/motor", network)
-    program = to_program(system, sample_time=0.002)
+    program = to_program(system, sample_time=0.0005)
     assert program.difference < 1e-12
     assert program.interface["states"] == ["q_m1", "v_m1", "h1_motor1"]
     step = torch.export.load(io.BytesIO(program.content)).module()
@@ -71,7 +71,7 @@ def test_program_is_the_hybrid_step() -> None:
     views = system.views(list(system.theta().detach()[:, None]))
     engine = Engine("smooth", substeps=program.interface["substeps"])
     ours = engine.sample(
-        system, x.unbind(1), {"u1": u[:, 0]}, torch.full((2,), 0.002, dtype=torch.float64), views
+        system, x.unbind(1), {"u1": u[:, 0]}, torch.full((2,), 0.0005, dtype=torch.float64), views
     )
     torch.testing.assert_close(step(x, u), torch.stack(ours, 1).detach())
 
