@@ -100,10 +100,7 @@ JOBS: dict[str, tuple[System, Job]] = {
     "fit": (RIGID, partial(least_squares, DRY, pooled=True)),
     "fit, two starts": (RIGID, partial(least_squares, DRY, starts=2)),
     "fit, smooth": (RIGID, partial(least_squares, SMOOTH)),
-    **{
-        f"fit, {n}": (SYSTEMS[n], partial(least_squares, DRY, pooled=True))
-        for n in ("play", "delay", "two links")
-    },
+    **{f"fit, {n}": (SYSTEMS[n], partial(least_squares, DRY, pooled=True)) for n in ("delay", "two links")},
     "adjoint": (RIGID, adjoint),
     "hybrid": (HYBRID, hybrid),
     "hybrid by first-order steps": (HYBRID, partial(hybrid, optimizer="adam")),
