@@ -108,7 +108,7 @@ def draw_case(
         for one in effects:
             alone = case.with_effects([one])
             graded.append(scale_to_level(alone, "medium" if len(effects) > 1 and level == "weak" else level))
-        if not all(np.isfinite(g.ratio) and g.ratio >= (1.15 if len(effects) == 1 else 1.4) for g in graded):
+        if not all(np.isfinite(g.ratio) and g.ratio >= (LEAST if len(effects) == 1 else 1.4) for g in graded):
             return None
         both = case.with_effects([e for g in graded for e in g.case.effects])
         found = graded[0] if len(graded) == 1 else grade(both)

@@ -61,15 +61,14 @@ def answers(
 def _answer(effect: Effect, rivals: list[Rival], robot: Robot) -> dict[str, Any]:
     """One effect on the answer sheet, with all that counts as right."""
     right = [effect, *(rival.effect for rival in rivals if rival.counts)]
-    places = [place for one in right for place in _places(one, robot)]
-    pairs = [f"{one.name}@{place}" for one in right for place in _places(one, robot) if one.name != UNKNOWN]
-    names = [one.name for one in right if one.name != UNKNOWN]
+    pairs = [(one.name, place) for one in right for place in _places(one, robot)]
+    known = [(name, place) for name, place in pairs if name != UNKNOWN]
     return {
         "name": effect.name,
         "where": effect.where,
-        "accept": list(dict.fromkeys(names)),
-        "accept_where": list(dict.fromkeys(places)),
-        "right": list(dict.fromkeys(pairs)),
+        "accept": list(dict.fromkeys(name for name, _ in known)),
+        "accept_where": list(dict.fromkeys(place for _, place in pairs)),
+        "right": list(dict.fromkeys(f"{name}@{place}" for name, place in known)),
         "size": effect.size(),
     }
 

@@ -15,12 +15,6 @@ SMOOTHING = 0.01
 """Standard deviation [s] of the Gaussian that smooths the motion planned for a motor behind a gear with play."""
 
 
-def _remembering(system: System) -> set[int]:
-    """Numbers of the joints with states that remember: heat, currents, bristles, hidden states of networks."""
-    names = [system.state_names[row] for row in system.memory_rows]
-    return {joint.number for joint in system.joints if any(name in joint.state_names for name in names)}
-
-
 class ComputedTorque:
     """``u = (M (a_d + K_v e_v + K_p e_q) + c + friction) / (torque per volt)``, for many models at once.
 
@@ -58,11 +52,12 @@ class ComputedTorque:
             raise InputError(
                 f"The reference moves {reference.angle.shape[1]} joints, but the model has {len(system.joints)}."
             )
+        remembering = {system.state_names[row] for row in system.memory_rows}
         for joint in system.joints:
             if not isinstance(joint.drive.input[1], Voltage):
                 raise InputError(f"{joint.name} is not commanded by a voltage, which computed torque needs.")
             drive = joint.drive
-            if drive.windings or drive.maps or drive.delay or drive.number in _remembering(system):
+            if drive.windings or drive.maps or drive.delay or remembering.intersection(joint.state_names):
                 raise InputError(
                     f"{joint.name} has a delay, a limit, a dead band or a state that remembers, of which computed "
                     "torque knows no inverse; leave these out of the controller's model."

@@ -64,10 +64,10 @@ def attribute(
     )
     if not refit.strays(min(best, found.chosen, key=lambda e: e.evidence.error)):
         return found
-    fitted = found.base.system
-    if refit.within(WINDOW).batch(fitted).rows == refit.records(fitted).rows:  # too short for windows
+    fitted, shorter = found.base.system, refit.within(WINDOW)
+    if shorter.batch(fitted).rows == refit.records(fitted).rows:  # too short for windows
         return found
-    within = _search(refit.within(WINDOW), system, most, progress)
+    within = _search(shorter, system, most, progress)
     tasks = [Task(within.chosen.effects, within.chosen.system)] if within.chosen.effects else []
     ends = [e for e in refit.run(tasks, TO_THE_END) if e is not None]
     return Attribution(found.base, within.rounds, ends[0] if ends else found.base, WINDOW)

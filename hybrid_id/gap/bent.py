@@ -17,12 +17,14 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
     Torques, inertias and frictions may all be multiplied by one number without a change of the motion; the median of
     their changes is taken for it.
     """
-    change, power = {}, {}
+    change, power, turned = {}, {}, set()
     now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
     for info in nominal.table:
         value = now.get((info.component, info.symbol))  # none where an effect has taken the component's place
         if not info.spec.estimate or info.spec.value <= 0 or value is None:
             continue
+        if value < 0.0:
+            turned.add(info.name)
         change[info.name] = math.log(max(value, 1e-12 * info.spec.value) / info.spec.value)
         power[info.name] = _power(info.spec.unit)
     scaled = sorted(change[n] / power[n] for n in change if power[n])
@@ -30,7 +32,7 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
     words = []
     for name, moved in change.items():
         own = moved - power[name] * middle
-        if now[nominal.parameter(name).component, nominal.parameter(name).symbol] < 0.0:
+        if name in turned:
             words.append(f"{name} has changed its sign")
         elif own < -3.0:
             words.append(f"{name} is driven to zero")

@@ -68,8 +68,7 @@ def errors(
     if not dataset.test:
         return None
     batch = batch_of(dataset, system, dataset.test, signal_share, "cpu")
-    theta = system.theta().detach()[:, None].expand(-1, batch.rows)
-    run = simulate(system, with_substeps(system, engine or Engine(), batch, theta), batch)
+    run = simulate(system, with_substeps(system, engine or Engine(), batch), batch)
     step = batch.step
     length = max(1, round(BLOCK / step))
     blocks, by_record, over_noise, noise, weighted = [], {}, {}, [], []

@@ -190,12 +190,8 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
             result = shaken(result, batch)
         blind = result.residual if iterations <= LOOK else left_out(result, batch)
         found = evidence(blind, step)
-    except (
-        InputError,
-        RuntimeError,
-        np.linalg.LinAlgError,
-    ):  # a start that the physics refuses is no candidate
-        return None
+    except (InputError, RuntimeError, np.linalg.LinAlgError):
+        return None  # a start that the physics refuses is no candidate
     return Explanation(task.effects, result, found, last) if found.error < float("inf") else None
 
 

@@ -33,9 +33,8 @@ def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Bat
     hidden = list(system.memory_rows)
     loose = [j for j in system.joints if not j.rigid and not link_seen(batch, j.number)]
     if hidden or loose:
-        theta = system.theta().detach()[:, None].expand(-1, batch.rows)
-        fine = with_substeps(system, engine, batch, theta)
-        x, run = batch.x.clone(), simulate(system, fine, batch).x.nan_to_num(0.0, 0.0, 0.0)
+        run = simulate(system, with_substeps(system, engine, batch), batch).x.nan_to_num(0.0, 0.0, 0.0)
+        x = batch.x.clone()
         x[..., hidden] = run[..., hidden]
         for joint in loose:
             motor, link = joint.positions

@@ -187,10 +187,9 @@ def shaken(result: FitResult, batch: Batch, *, seed: int = 0) -> FitResult:
     """
     generator, share, failures, here = np.random.default_rng(seed), SHAKE, 0, None
     for _ in range(TRIES):
-        cost = Cost(result.system, batch, result.engine)
-        free = cost.rollouts.free
         if here is not result:
-            shifts, here = cost.shifts_of(result.x0), result
+            cost = Cost(result.system, batch, result.engine)
+            free, shifts, here = cost.rollouts.free, cost.shifts_of(result.x0), result
             point = np.concatenate([result.values, shifts])
             jacobian = cost.slopes(point, cost.residuals(point[None])[0], STEPS[-1])
             tangents, follow = _followed(jacobian, len(free))

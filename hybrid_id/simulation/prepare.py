@@ -189,10 +189,10 @@ def _wind_up(
 
     How far that is depends on parameters that a fit moves: the start may move as far.
     """
-    still = torch.tensor([rest_samples(record) >= RESTING for record in records])
     for joint in system.joints:
         if joint.rigid or f"q_a{joint.number}" in records[0].outputs:
             continue
+        still = torch.tensor([rest_samples(record) >= RESTING for record in records])
         first = {name: channel[:, 0] for name, channel in u.items()}
         twist = resting_twist(system, joint, list(x[:, 0].unbind(1)), first) * still
         link = joint.positions[1]

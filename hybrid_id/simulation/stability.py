@@ -63,8 +63,17 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
     return float(torch.linalg.eigvals(jacobian).abs().max()) if len(jacobian) else math.inf
 
 
-def with_substeps(system: System, engine: Engine, batch: Batch, theta: Tensor) -> Engine:
-    """The engine with at least as many sub-steps as stability and accuracy need at these parameters."""
+def with_substeps(system: System, engine: Engine, batch: Batch, theta: Tensor | None = None) -> Engine:
+    """The engine with at least as many sub-steps as stability and accuracy need at these parameters.
+
+    Args:
+        system: equations of motion.
+        engine: whose sub-steps are the least.
+        batch: where the records move.
+        theta: parameters of each row, ``(n_p, R)`` (default: the system's values).
+    """
+    if theta is None:
+        theta = system.theta().detach().to(batch.x.device)[:, None].expand(-1, batch.rows)
     rate, step = fastest_rate(system, engine, batch, theta), float(batch.dt.max())
     limit = LIMIT["memory" if system.memory_rows else engine.friction]
     needed = MAX_SUBSTEPS if not math.isfinite(rate) else math.ceil(step * rate / limit)

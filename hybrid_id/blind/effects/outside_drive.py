@@ -51,9 +51,8 @@ class WeakSupply(Outside):
         return cls(joint, {"sag": rng.uniform(0.1, 0.5) * robot.supply / stall(robot, joint)})
 
     def install(self, machine, robot):
-        most = 0.9 / robot.value(
-            self.joint, "P_m1"
-        )  # beyond it the voltage that is left swings from step to step
+        # beyond it the voltage that is left swings from step to step
+        most = 0.9 / robot.value(self.joint, "P_m1")
         self.drive(machine).amplifier.append(SupplySag(np.minimum(self.values["sag"], most)))
 
 
