@@ -55,6 +55,10 @@ class Bounded:
     prior_mean: float | None = None
     prior_std: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.prior_std is not None and self.prior_mean is None:  # or it would follow the estimate
+            object.__setattr__(self, "prior_mean", self.value)
+
     def check(self, name: str) -> Bounded:
         """Return self, or raise with the parameter's name in the message."""
         if not math.isfinite(self.value):

@@ -1,10 +1,11 @@
 """Re-fit of a simulator to the records of a case, with the case's own physics and none of the package's.
 
 Output error over whole records by Levenberg's and Marquardt's method. It may start from the truth, which a case knows,
-so that a few steps find the optimum; derivatives are differences, and all perturbed machines run side by side.
+so that a few steps find the optimum; derivatives are differences, and all perturbed machines run side by side, those of
+several starts too.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -81,7 +82,7 @@ def nominal_error(case: Case, records: Records) -> float:
     """Normalised RMSE of today's simulator as it stands, on the test records."""
     given = {name: entry["nominal"] for name, entry in case.model["parameters"].items()}
     robot = case.truth().with_values(dict.fromkeys(case.truth().values, 0.0)).with_values(given)
-    return Bench(case, records, lambda values: robot.assemble(substeps=1)).test_error({})
+    return float(Bench(case, records, lambda values: robot.assemble(substeps=1)).test_errors({})[0])
 
 
 def free_parameters(robot: Robot) -> list[str]:
@@ -103,43 +104,79 @@ def refit(
     signed: Collection[str] = (),
     rounds: int = ROUNDS,
 ) -> Refit:
-    """Fit parameters from a start to the train records.
+    """Fit parameters from a start to the train records; arguments as in :func:`refit_from`."""
+    return refit_from(build, [start], case, records, signed=signed, rounds=rounds)[0]
+
+
+def refit_from(
+    build: Build,
+    starts: Sequence[Mapping[str, float]],
+    case: Case,
+    records: Records,
+    *,
+    signed: Collection[str] = (),
+    held: Sequence[Mapping[str, float]] | None = None,
+    rounds: int = ROUNDS,
+) -> list[Refit]:
+    """Fit parameters from several starts, each on its own, to the train records.
 
     Args:
         build: machines of given values.
-        start: values to start from.
+        starts: values to start from, alike in their names.
         case: of the records.
         records: what is fitted.
         signed: names of those that may be negative; the others are positive and stepped on a logarithmic scale.
+        held: further values of each start, which stay.
         rounds: steps of the method.
     """
-    bench, names = Bench(case, records, build), list(start)
-    scale = {name: abs(start[name]) or 1.0 for name in signed}
-    theta = np.array([start[n] / scale[n] if n in scale else np.log(start[n]) for n in names])
+    bench, names = Bench(case, records, build), list(starts[0])
+    scale = np.array([[abs(start[n]) or 1.0 if n in signed else 1.0 for n in names] for start in starts])
+    theta = (
+        np.array([[start[n] if n in signed else np.log(start[n]) for n in names] for start in starts]) / scale
+    )
+    is_signed, fixed = np.array([n in signed for n in names]), held or [{} for _ in starts]
 
-    def point(rows: np.ndarray) -> dict[str, np.ndarray]:
-        return {n: scale[n] * rows[:, i] if n in scale else np.exp(rows[:, i]) for i, n in enumerate(names)}
+    def point(rows: np.ndarray, owner: np.ndarray) -> dict[str, np.ndarray]:
+        own = rows * scale[owner]
+        values = np.where(is_signed, own, np.exp(np.where(is_signed, 0.0, own)))
+        given = {n: values[:, i] for i, n in enumerate(names)}
+        return given | {n: np.array([fixed[k][n] for k in owner]) for n in fixed[0]}
 
-    best = np.inf
+    best, running, size = np.full(len(starts), np.inf), np.arange(len(starts)), len(names)
     for _ in range(rounds):
-        residuals = bench.residuals(point(np.vstack([theta, theta + STEP * np.eye(len(names))])))
-        base, jacobian = residuals[0], (residuals[1:] - residuals[0]).T / STEP
-        best = float(np.mean(base**2))
-        normal, right = jacobian.T @ jacobian, jacobian.T @ base
-        if not np.trace(normal) > 0:  # lost: no parameter makes a difference
+        around = theta[running, None] + STEP * np.vstack([np.zeros(size), np.eye(size)])
+        owner = np.repeat(running, size + 1)
+        residuals = bench.residuals(point(around.reshape(-1, size), owner)).reshape(
+            len(running), size + 1, -1
+        )
+        tries = {}
+        for k, (base, *moved) in zip(running, residuals, strict=True):
+            jacobian = (np.array(moved) - base).T / STEP
+            best[k] = float(np.mean(base**2))
+            normal, right = jacobian.T @ jacobian, jacobian.T @ base
+            if np.trace(normal) > 0:  # else lost: no parameter makes a difference
+                diagonal = np.diag(np.diag(normal)) + 1e-12 * np.trace(normal) * np.eye(size)
+                steps = [np.linalg.solve(normal + d * diagonal, right) for d in DAMPINGS]
+                tries[k] = np.clip(theta[k] - steps, theta[k] - 1.5, theta[k] + 1.5)
+        if not tries:
             break
-        diagonal = np.diag(np.diag(normal)) + 1e-12 * np.trace(normal) * np.eye(len(names))
-        tries = np.array([theta - np.linalg.solve(normal + d * diagonal, right) for d in DAMPINGS])
-        tries = np.clip(tries, theta - 1.5, theta + 1.5)
-        costs = np.mean(bench.residuals(point(tries)) ** 2, axis=1)
-        winner = int(np.argmin(costs))
-        gain = 1 - costs[winner] / best
-        if gain > 0:
-            theta, best = tries[winner], float(costs[winner])
-        if gain < ENOUGH:
+        owner = np.repeat(list(tries), len(DAMPINGS))
+        costs = np.mean(bench.residuals(point(np.vstack(list(tries.values())), owner)) ** 2, axis=1)
+        gains = {}
+        for k, own in zip(tries, costs.reshape(len(tries), -1), strict=True):
+            winner = int(np.argmin(own))
+            gains[k] = 1 - own[winner] / best[k]
+            if gains[k] > 0:
+                theta[k], best[k] = tries[k][winner], float(own[winner])
+        running = np.array([k for k, gain in gains.items() if gain >= ENOUGH], int)
+        if not len(running):
             break
-    values = {name: float(value[0]) for name, value in point(theta[None]).items()}
-    return Refit(values, best, bench.test_error({name: np.full(1, value) for name, value in values.items()}))
+    ends = point(theta, np.arange(len(starts)))
+    test = bench.test_errors(ends)
+    return [
+        Refit({n: float(ends[n][k]) for n in names}, float(best[k]), float(test[k]))
+        for k in range(len(starts))
+    ]
 
 
 class Bench:
@@ -171,14 +208,17 @@ class Bench:
         """Weighted errors (N,) of the machine that made the records, on the train records."""
         return self.residuals({})[0]
 
-    def test_error(self, values: Mapping[str, np.ndarray]) -> float:
-        """Normalised RMSE of one parameter set on the test records."""
+    def test_errors(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Normalised RMSE (K,) of K parameter sets on the test records."""
         angles = self._replay(values, self.test)
         errors = [
-            nrmse(angles[: self.lengths[b], :, 0, i], self.records.measured[: self.lengths[b], :, b])
-            for i, b in enumerate(self.test)
+            [
+                nrmse(angles[: self.lengths[b], :, k, i], self.records.measured[: self.lengths[b], :, b])
+                for i, b in enumerate(self.test)
+            ]
+            for k in range(angles.shape[2])
         ]
-        return float(np.mean(errors))
+        return np.mean(errors, axis=(1, 2))
 
     def _replay(self, values: Mapping[str, np.ndarray], rows: np.ndarray) -> np.ndarray:
         """Angles (T, n_outputs, K, R) of K parameter sets on some records."""

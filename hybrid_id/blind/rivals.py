@@ -15,7 +15,7 @@ from hybrid_id.blind.case import Case, Records, build
 from hybrid_id.blind.effects import CATALOGUE, Effect
 from hybrid_id.blind.physics.bench import Plant
 from hybrid_id.blind.physics.integrator import Machine
-from hybrid_id.blind.refit import STEP, Bench, Refit, free_parameters, refit, refit_model
+from hybrid_id.blind.refit import STEP, Bench, Refit, free_parameters, refit_from, refit_model
 from hybrid_id.blind.robots import Robot
 
 CLOSE, REST = 1.06, 0.1
@@ -81,13 +81,14 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
                 continue
             if not kind.has_inertia(screens[0].robot, joint):
                 continue
-            starts = [(*screen.best_start(kind, joint, rng), screen.model) for screen in screens]
+            starts = _best_starts(screens, kind, joint, rng)
             start, left, _ = min(starts, key=lambda one: one[1])
             if left > WORTH:
                 found.append(Rival(start, left, False))
                 continue
-            fits = [(*fit_with(case, records, (s, *beside), m), s) for s, left, m in starts if left <= WORTH]
-            fitted, values, start = min(fits, key=lambda one: one[0].train)
+            worth = [((s, *beside), model) for s, left, model in starts if left <= WORTH]
+            fits = zip(fit_all(case, records, worth), worth, strict=True)
+            (fitted, values), ((start, *_), _) = min(fits, key=lambda one: one[0][0].train)
             rest = (fitted.test**2 - floor**2) / (model.test**2 - floor**2)
             counts = fitted.test <= CLOSE * floor and rest < REST
             found.append(Rival(type(start)(joint, {**start.values, **values[0]}), float(rest), bool(counts)))
@@ -111,21 +112,26 @@ def fit_with(
     case: Case, records: Records, effects: tuple[Effect, ...], start: Refit
 ) -> tuple[Refit, list[dict[str, float]]]:
     """Today's simulator with effects, all re-fitted together; the second part holds the effects' fitted values."""
-    robot, signed = case.truth(), []
-    values = dict(start.values)
-    for i, effect in enumerate(effects):
-        for key in _fitted(effect):
-            values[f"{i}.{key}"] = float(np.mean(effect.values[key]))
-            if key in effect.signed:
-                signed.append(f"{i}.{key}")
+    return fit_all(case, records, [(effects, start)])[0]
+
+
+def fit_all(
+    case: Case, records: Records, starts: Sequence[tuple[tuple[Effect, ...], Refit]]
+) -> list[tuple[Refit, list[dict[str, float]]]]:
+    """The same from several starts, of the same effects with other values."""
+    robot, effects = case.truth(), starts[0][0]
+    given, held = [], []
+    for own, start in starts:
+        values = {f"{i}.{k}": float(np.mean(v)) for i, e in enumerate(own) for k, v in e.values.items()}
+        moved = [f"{i}.{k}" for i, e in enumerate(own) for k in _fitted(e)]
+        given.append({**start.values, **{name: values[name] for name in moved}})
+        held.append({name: value for name, value in values.items() if name not in moved})
+    signed = [f"{i}.{k}" for i, e in enumerate(effects) for k in _fitted(e) if k in e.signed]
 
     def together(given: Mapping[str, np.ndarray]) -> Plant:
         own = {name: value for name, value in given.items() if name in robot.values}
         machine_of = robot.with_values({**dict.fromkeys(robot.lacks, 0.0), **own})
-        moved = [
-            type(e)(e.joint, {**e.values, **{key: given[f"{i}.{key}"] for key in _fitted(e)}})
-            for i, e in enumerate(effects)
-        ]
+        moved = [type(e)(e.joint, {k: given[f"{i}.{k}"] for k in e.values}) for i, e in enumerate(effects)]
         for effect in moved:
             machine_of = effect.alter(machine_of)
         machine = machine_of.assemble(substeps=1)
@@ -133,8 +139,11 @@ def fit_with(
             effect.install(machine, machine_of)
         return machine
 
-    fitted = refit(together, values, case, records, signed=signed, rounds=5)
-    return fitted, [{k: fitted.values[f"{i}.{k}"] for k in _fitted(e)} for i, e in enumerate(effects)]
+    fits = refit_from(together, given, case, records, signed=signed, held=held, rounds=5)
+    return [
+        (fit, [{k: fit.values[f"{i}.{k}"] for k in _fitted(e)} for i, e in enumerate(effects)])
+        for fit in fits
+    ]
 
 
 def _fitted(effect: Effect) -> list[str]:
@@ -152,6 +161,29 @@ def _candidates(case: Case) -> list[type[Effect]]:
     return list(found.values())
 
 
+def _best_starts(
+    screens: "Sequence[_Screen]", kind: type[Effect], joint: int, rng: np.random.Generator
+) -> list[tuple[Effect, float, Refit]]:
+    """For each of several simulators the draw of an effect that promises most; all of them run side by side."""
+    draws = [[kind.draw(rng, screen.robot, joint) for _ in range(DRAWS)] for screen in screens]
+    starts = [[effect.scaled(size) for effect in own for size in SIZES] for own in draws]
+    first, each = screens[0], DRAWS * len(SIZES)
+    keys = list(starts[0][0].values)
+    values = {f".{key}": np.array([float(s.values[key]) for own in starts for s in own]) for key in keys}
+    for name in first.robot.values:
+        values[name] = np.repeat([float(np.mean(screen.robot.values[name])) for screen in screens], each)
+
+    def alone(given: Mapping[str, np.ndarray]) -> Plant:
+        robot = first.robot.with_values({name: given[name] for name in first.robot.values})
+        machine = first.machine(robot)
+        kind(joint, {key: given[f".{key}"] for key in keys}).install(machine, robot)
+        return machine
+
+    moved = Bench(first.case, first.records, alone).residuals(values)
+    parts = np.split(moved, len(screens))
+    return [screen.best_of(own, part) for screen, own, part in zip(screens, starts, parts, strict=True)]
+
+
 class _Screen:
     """Linear prediction of what an effect would leave of the gap on the train records."""
 
@@ -159,7 +191,7 @@ class _Screen:
         self.case, self.model, self.beside, robot = case, model, beside, case.truth()
         robot = robot.with_values(dict.fromkeys(robot.lacks, 0.0)).with_values(model.values)
         self.robot, names = robot, free_parameters(case.truth())
-        bench = Bench(case, records, lambda v: self._machine(robot.with_values(v)))
+        bench = Bench(case, records, lambda v: self.machine(robot.with_values(v)))
         sets = np.ones((len(names) + 1, len(names))) + STEP * np.eye(len(names) + 1)[:, 1:]
         moved = bench.residuals({n: robot.values[n] * sets[:, i] for i, n in enumerate(names)})
         self.base = moved[0]
@@ -169,30 +201,26 @@ class _Screen:
         true = Bench(case, records, lambda v: build(case.robot, case.effects))
         self.noise = float(np.mean(true.clean_error() ** 2))
 
-    def best_start(self, kind: type[Effect], joint: int, rng: np.random.Generator) -> tuple[Effect, float]:
-        """The draw of an effect that promises most, and the share of the gap that it leaves."""
-        draws = [kind.draw(rng, self.robot, joint) for _ in range(DRAWS)]
-        starts = [effect.scaled(size) for effect in draws for size in SIZES]
-        values = {key: np.array([float(s.values[key]) for s in starts]) for key in starts[0].values}
+    def best_of(self, starts: Sequence[Effect], moved: np.ndarray) -> tuple[Effect, float, Refit]:
+        """The start that promises most, the share of the gap that it leaves, and the simulator that it is added to.
 
-        def alone(given: Mapping[str, np.ndarray]) -> Plant:
-            machine = self._machine(self.robot)
-            kind(joint, given).install(machine, self.robot)
-            return machine
-
-        moved = Bench(self.case, self.records, alone).residuals(values)
+        Args:
+            starts: effects.
+            moved: residuals with each of them.
+        """
         change = self._beside_parameters(moved - self.base)
         square = np.sum(change**2, axis=1) + 1e-9
         along = -(change @ self.gap) / square
+        kind = type(starts[0])
         signed = set(kind.signed) & set(kind.sized)
         along = along if signed else np.maximum(along, 0.0)
         left = np.sum((self.gap + along[:, None] * change) ** 2, axis=1) / self.gap.size
         i = int(np.argmin(left))
         rest = (left[i] - self.noise) / (np.mean(self.gap**2) - self.noise)
         size = np.clip(along[i], -10.0, 10.0)
-        return starts[i].scaled(float(size) if abs(size) > 1e-3 else 1e-3), float(rest)
+        return starts[i].scaled(float(size) if abs(size) > 1e-3 else 1e-3), float(rest), self.model
 
-    def _machine(self, robot: Robot) -> Machine:
+    def machine(self, robot: Robot) -> Machine:
         """The machine of a robot with the effects that stay."""
         machine = robot.assemble(substeps=1)
         for effect in self.beside:

@@ -10,7 +10,7 @@ import typer
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import refuse_taken, required, sole_writer
+from hybrid_id.cli.folder import EVENTS, refuse_taken, required, sole_writer
 from hybrid_id.cli.hybrid import check_network, engine_of, options_of
 from hybrid_id.cli.inputs import check_windows, checked_records, load_system
 from hybrid_id.cli.options import (
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from hybrid_id.study.ablation_result import Ablation as Outcome
     from hybrid_id.systems.chain import System
 
-CELLS, RESULT, EVENTS = "cells", "ablation.json", "tensorboard"
+CELLS, RESULT = "cells", "ablation.json"
 
 
 def ablate(
@@ -77,7 +77,6 @@ def ablate(
     except OSError as error:
         raise InputError(f"{home} cannot be made ({error.strerror}); give another folder") from None
     with sole_writer(home):
-        config.save(home / "config.yaml")
         results = _run(task, cells, home, jobs, scheduler, events=config.output.tensorboard)
         outcome = _gather(config, results)
         text = _write(home, config, dataset, outcome)
@@ -230,12 +229,13 @@ def _write(home: Path, config: StudyConfig, dataset: "Dataset", outcome: "Outcom
     text = as_json("ablate", {"dataset": dataset.name} | ablation_result(outcome))
     with tempfile.TemporaryDirectory(dir=home, prefix=".") as temporary:
         new, pictures = Path(temporary), ablation_pictures(outcome)
+        config.save(new / "config.yaml", home=home)
         for name, picture in pictures.items() if config.output.figures else ():
             save(picture.image, new / f"{name}.png")
         if config.output.report:
             from hybrid_id.reporting.html.made import how_made
 
-            words = (home / "config.yaml").read_text(encoding="utf-8")
+            words = (new / "config.yaml").read_text(encoding="utf-8")
             how_made(ablation_page(dataset, outcome, pictures), "ablate", words).write(new / "report.html")
         for name in ("errors.png", "change.png", "prices.png", "report.html"):
             if not (new / name).exists():  # an earlier run's, which this one has left out

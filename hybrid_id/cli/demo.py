@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.console import show as print_all
 from hybrid_id.cli.folder import refuse_taken, results_folder
@@ -37,7 +36,7 @@ def demo(
     The records come from an independent simulator: stick and slip, encoder counts, noise, random torques, and friction
     that drifts from run to run. Nothing but the records and a model with wrong start values goes into the fit.
     """
-    refuse_taken(out, force=force)
+    refuse_taken(out, force=force, reads=[] if settings is None else [settings])
     use_threads(threads)
 
     def show(*parts: object) -> None:
@@ -81,10 +80,7 @@ def demo(
             study.selected.records[0]
         ]
         save(truth_figure(study, truth, reach_of(config)), folder / "truth.png")
-    if as_json:
-        stdout().print(text, markup=False, soft_wrap=True)
-        return
-    show_study(study, config, out, text, as_json=False)
+    show_study(study, config, out, text, as_json=as_json)
     show("", f"4. The truth of {study.selected.records[0]} beside its estimates:")
     show(truth_table(study, truth, reach_of(config), config.statistics.level))
     show("", *_conclusion(study, truth, reach_of(config), out))

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from hybrid_id.cli.console import err, show
+from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.folder import DIAGNOSIS, page_and_pictures, refuse_taken, required, results_folder
+from hybrid_id.cli.folder import DIAGNOSIS, EVENTS, page_and_pictures, refuse_taken, required, results_folder
 from hybrid_id.cli.inputs import checked_records, load_system
 from hybrid_id.cli.options import (
     ForceOption,
@@ -20,7 +20,7 @@ from hybrid_id.cli.options import (
     use_threads,
 )
 from hybrid_id.cli.study import reach_of
-from hybrid_id.config import StudyConfig, study_config
+from hybrid_id.config import Identification, StudyConfig, study_config
 
 if TYPE_CHECKING:
     from hybrid_id.gap.diagnosis import Diagnosis
@@ -57,7 +57,12 @@ def diagnose(
         },
     )
     home = required(config.output.folder)
-    refuse_taken(home, force=force)
+    refuse_taken(home, force=force, reads=config.reads)
+    said, plain = config.identification, Identification()
+    if idle := [k for k in type(said).model_fields if k != "seed" and getattr(said, k) != getattr(plain, k)]:
+        remark(
+            f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
+        )
     dataset = checked_records(config)
     use_threads(1)
     system = load_system(config)
@@ -163,7 +168,7 @@ def write_diagnosis(
         if wish.tensorboard:
             from hybrid_id.reporting.events import write_gap_events
 
-            write_gap_events(folder / "tensorboard", diagnosis, images)
+            write_gap_events(folder / EVENTS, diagnosis, images)
         if wish.report:
             from hybrid_id.records.quality import remarks
             from hybrid_id.reporting.html.gap_page import gap_page

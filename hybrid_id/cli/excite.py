@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from hybrid_id.cli.console import out, show
-from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.file import result_file
 from hybrid_id.cli.options import JsonOption
 
 MAX_SAMPLES = 1_000_000

@@ -9,7 +9,8 @@ import typer
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import RESULT, refuse_file, result_file
+from hybrid_id.cli.file import refuse_file, result_file
+from hybrid_id.cli.folder import RESULT
 from hybrid_id.cli.inputs import load_records
 from hybrid_id.cli.options import JsonOption, use_threads
 from hybrid_id.errors import InputError

@@ -5,7 +5,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -15,6 +15,8 @@ from hybrid_id.errors import InputError
 RESULT = "result.json"
 DIAGNOSIS = "diagnosis.json"
 CHECKPOINT = "checkpoint.pt"
+EVENTS = "tensorboard"
+RESULTS = (RESULT, DIAGNOSIS)
 
 
 def required(path: Path | None) -> Path:
@@ -26,15 +28,16 @@ def required(path: Path | None) -> Path:
     return path
 
 
-def refuse_taken(path: Path, *, force: bool | None = None) -> None:
+def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path] = ()) -> None:
     """Raise InputError where results cannot go, before anything is computed.
 
     Args:
         path: Folder of the results.
         force: Whether results of an earlier run may be replaced; other files never are. None for a command that never
             replaces any, and so has no --force to advise.
+        reads: Files and folders that the command reads; a folder that holds one of them is not replaced.
     """
-    _remove(_make_parents(path))  # a trial: rights and names are known only by it
+    _remove(make_parents(path))  # a trial: rights and names are known only by it
     if Path.cwd().is_relative_to(path.resolve()):
         raise InputError(
             f"{path} is the folder that you are in, or above it; give the name of another for the results"
@@ -43,6 +46,10 @@ def refuse_taken(path: Path, *, force: bool | None = None) -> None:
         raise InputError(f"{path} is no folder; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
         return
+    if held := next((file for file in reads if file.resolve().is_relative_to(path.resolve())), None):
+        raise InputError(
+            f"{path} holds {held}, which this command reads; give another folder for the results"
+        )
     if not force:
         unfinished = (path / CHECKPOINT).exists() and not (path / RESULT).exists()
         advice = "give another folder" + ("" if force is None else ", or --force to replace what is in it")
@@ -51,8 +58,13 @@ def refuse_taken(path: Path, *, force: bool | None = None) -> None:
         raise InputError(
             f"{path} {'holds an unfinished training' if unfinished else 'is not empty'}; {advice}"
         )
-    if not any(_is_ours(path / name) for name in (RESULT, DIAGNOSIS)) and not (path / CHECKPOINT).exists():
+    if not (_only_begun(path) or (path / CHECKPOINT).exists() or any(_is_ours(path / n) for n in RESULTS)):
         raise InputError(f"{path} holds files that are no results of hybrid-id; give another folder")
+
+
+def _only_begun(path: Path) -> bool:
+    """Whether a folder holds a training that was killed before its first checkpoint, and nothing else."""
+    return path.is_dir() and {entry.name for entry in path.iterdir()} == {"config.yaml", EVENTS}
 
 
 def _is_ours(file: Path) -> bool:
@@ -69,7 +81,7 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
     Results of an earlier run stay until then, and for good when something fails.
     """
     refuse_taken(path, force=force)
-    made = _make_parents(path)
+    made = make_parents(path)
     complete = False
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
@@ -108,16 +120,20 @@ def page_and_pictures(config: StudyConfig) -> tuple[str, str]:
 
 def stopped(path: Path) -> str:
     """What to say of a training that Ctrl-C has ended with results."""
-    if (path / CHECKPOINT).exists():
-        return f"stopped by Ctrl-C; {go_on(path)} from here"
-    return "stopped by Ctrl-C before the first checkpoint; the same command with --force starts anew"
+    return f"stopped by Ctrl-C; {go_on(path)} from here"
 
 
-def refuse_training(path: Path, *, force: bool, resume: bool) -> None:
+def leave_without_checkpoint(path: Path, *, interrupted: bool) -> None:
+    """End a training that Ctrl-C has stopped before anything was kept, before it shows what nobody could go on from."""
+    if interrupted and not (path / CHECKPOINT).exists():
+        raise KeyboardInterrupt("stopped before the first checkpoint; no results were written")
+
+
+def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> None:
     """Raise InputError where a training can neither begin nor go on, before anything is computed."""
     if resume and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
-    refuse_taken(path, force=force or resume)
+    refuse_taken(path, force=force or resume, reads=[] if resume else config.reads)
 
 
 @contextmanager
@@ -128,21 +144,24 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
     before its first checkpoint, and goes when it is complete. A new run saves its settings first; those that the
     checkpoint of a resumed one belongs to stay until this one is known to fit it.
     """
-    refuse_training(path, force=force, resume=resume)
-    made = _make_parents(path)
+    refuse_training(path, config, force=force, resume=resume)
+    made = make_parents(path)
     aside = path.with_name(f"{path.name}.old")
     replaced = path.exists() and any(path.iterdir()) and not resume
     if replaced:
         with sole_writer(path):  # nobody's folder is put aside under his hands
             pass
-    if replaced:
+    begun = _only_begun(path)
+    if begun and not resume:  # what it had put aside stays there
+        shutil.rmtree(path)
+    elif replaced:
         if aside.exists():
             raise InputError(f"{aside} is in the way, the place for the results that are replaced; remove it")
         path.replace(aside)
     path.mkdir(exist_ok=True)
     with (
         sole_writer(path),
-        _until_complete(path, aside if replaced or (resume and aside.exists()) else None, made),
+        _until_complete(path, aside if (replaced or resume) and aside.exists() else None, made),
     ):
         if not resume:
             config.save(path / "config.yaml")
@@ -192,7 +211,7 @@ def added_results(path: Path) -> Iterator[Path]:
         (Path(temporary) / RESULT).replace(path / RESULT)
 
 
-def _make_parents(path: Path) -> list[Path]:
+def make_parents(path: Path) -> list[Path]:
     """Make the folders above a path, and try one beside it; returns those that were not there, innermost first."""
     missing: list[Path] = []
     try:
@@ -212,31 +231,3 @@ def _remove(folders: list[Path]) -> None:
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
-
-
-@contextmanager
-def result_file(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield a temporary file that takes the name `path` when it is written."""
-    refuse_file(path, force=force)
-    _make_parents(path)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
-    os.close(handle)
-    try:
-        yield Path(temporary)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    finally:
-        Path(temporary).unlink(missing_ok=True)
-
-
-def refuse_file(path: Path, *, force: bool) -> None:
-    """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays."""
-    if path.is_dir() or (path.exists() and not force):
-        what = (
-            "is a folder; give the name of a file"
-            if path.is_dir()
-            else "exists; give another name, or --force"
-        )
-        raise InputError(f"{path} {what}")
-    if path.name in (RESULT, DIAGNOSIS, "model.yaml") and path.exists():
-        raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")

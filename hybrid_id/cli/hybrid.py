@@ -9,7 +9,16 @@ import typer
 
 from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.folder import CHECKPOINT, RESULT, added_results, live_folder, page_and_pictures, stopped
+from hybrid_id.cli.folder import (
+    CHECKPOINT,
+    EVENTS,
+    RESULT,
+    added_results,
+    leave_without_checkpoint,
+    live_folder,
+    page_and_pictures,
+    stopped,
+)
 from hybrid_id.cli.inputs import check_windows
 from hybrid_id.cli.study import reach_of
 from hybrid_id.config import Hybrid, StudyConfig
@@ -44,6 +53,7 @@ def train_with_networks(
     check_windows(config, "hybrid.windows", trained)
     with live_folder(home, config, force=force, resume=resume):
         study = _train(dataset, system, config, home, resume=resume)
+        leave_without_checkpoint(home, interrupted=study.result.interrupted)
         text = to_json("train", {"dataset": dataset.name} | hybrid_result(study))
         with added_results(home) as folder:
             _write(folder, home, config, dataset, study, text)
@@ -131,7 +141,7 @@ def _train(
     console, saved = err(), folder / CHECKPOINT
     waiting = console.status("physics alone") if console.is_terminal else nullcontext()
     with (
-        TrainingLog(folder / "tensorboard") if config.output.tensorboard else nullcontext() as log,
+        TrainingLog(folder / EVENTS) if config.output.tensorboard else nullcontext() as log,
         waiting as line,
     ):
 
@@ -168,7 +178,7 @@ def _write(
     if config.output.tensorboard:
         from torch.utils.tensorboard.writer import SummaryWriter
 
-        with SummaryWriter(str(folder / "tensorboard" / "figures")) as writer:
+        with SummaryWriter(str(folder / EVENTS / "figures")) as writer:
             for name, picture in pictures.items():
                 writer.add_image(f"figures/{name}", picture.image, dataformats="HWC")
     if config.output.report:

@@ -79,7 +79,7 @@ def identify(
         },
     )
     home = required(config.output.folder)
-    refuse_taken(home, force=force)
+    refuse_taken(home, force=force, reads=config.reads)
     if config.hybrid is not None:
         remark("'train' uses the section 'hybrid' of this study; identify fits the physics alone")
     if jobs > 1 and config.identification.pooled:
@@ -94,7 +94,8 @@ def identify(
     use_device(config.identification.device)
     check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
     study, stopped = run(dataset, system, config, jobs=jobs)
-    if stopped and (home / RESULT).exists():
+    cut = any(result.status == "interrupted" for result in study.sets)
+    if cut and (home / RESULT).exists():
         raise KeyboardInterrupt(f"stopped; the earlier results in {home} stay as they are")
 
     from hybrid_id.cli.study import show_study, write_study
@@ -103,7 +104,8 @@ def identify(
         text = write_study(folder, home, "identify", config, dataset, study)
     show_study(study, config, home, text, as_json=as_json)
     if stopped:
-        remark("stopped by Ctrl-C: the sets are those of the last iteration, and result.json says which")
+        sets = "the sets are those of the last iteration, and result.json says which"
+        remark(f"stopped by Ctrl-C: {sets if cut else 'the sets are complete, the profiles are cut off'}")
         raise typer.Exit(130)
 
 
@@ -180,6 +182,7 @@ def _fit_in_processes(
         found = Parallel(n_jobs=jobs)(
             delayed(fit_part)(dataset, share, system, config, stop) for share in shares
         )
+        progress.flag = None
     by_record = {result.records[0]: result for results in found for result in results}  # type: ignore[union-attr]
     return [by_record[record.name] for record in records]
 

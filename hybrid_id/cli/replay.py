@@ -59,7 +59,7 @@ def compare(
 def _replay(
     command: str, path: Path, models: list[Path], out: Path, *, force: bool, as_json: bool, threads: int
 ) -> None:
-    refuse_taken(out, force=force)
+    refuse_taken(out, force=force, reads=[path, *models])
     twice = next((model for k, model in enumerate(models) if model in models[:k]), None)
     if twice is not None:
         raise InputError(f"model {twice} is given twice; give every model once")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import RESULT, page_and_pictures
+from hybrid_id.cli.folder import EVENTS, RESULT, page_and_pictures
 from hybrid_id.config import StudyConfig
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def write_study(
         if wish.tensorboard:
             from hybrid_id.reporting.events import write_study_events
 
-            write_study_events(folder / "tensorboard", study, images, curves=command != "train")
+            write_study_events(folder / EVENTS, study, images, curves=command != "train")
         if wish.report:
             from hybrid_id.records.quality import remarks
             from hybrid_id.reporting.html.made import how_made

@@ -9,7 +9,9 @@ import typer
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.folder import (
     CHECKPOINT,
+    EVENTS,
     added_results,
+    leave_without_checkpoint,
     live_folder,
     refuse_training,
     required,
@@ -72,7 +74,7 @@ def train(
     )
     home = required(config.output.folder)
     with resumable(home):
-        refuse_training(home, force=force, resume=resume)
+        refuse_training(home, config, force=force, resume=resume)
         dataset = checked_records(config)
         use_threads(threads)
         system = load_system(config)
@@ -94,6 +96,8 @@ def train(
         wish = config.identification
         with live_folder(home, config, force=force, resume=resume):
             sets = _run(dataset, system, config, home, resume=resume)
+            interrupted = any(result.status == "interrupted" for result in sets)
+            leave_without_checkpoint(home, interrupted=interrupted)
             share = config.preprocessing.signal_share
             study = assess(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
             with added_results(home) as folder:
@@ -104,7 +108,7 @@ def train(
                     f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; "
                     "'identify' takes it as it is, so small differences between their estimates are the smoothing's"
                 )
-            if any(result.status == "interrupted" for result in sets):  # what this one replaces is kept
+            if interrupted:  # what this one replaces is kept
                 remark(stopped(home))
                 raise typer.Exit(130)
 
@@ -144,7 +148,7 @@ def _run(
     saved = folder / CHECKPOINT
     n_sets = 1 if wish.pooled else len(dataset.train)
     with (
-        TrainingLog(folder / "tensorboard") if config.output.tensorboard else nullcontext() as log,
+        TrainingLog(folder / EVENTS) if config.output.tensorboard else nullcontext() as log,
         FitProgress(n_sets, how.max_iterations, polite=False) as progress,
     ):
         return train_all(

@@ -85,6 +85,11 @@ class StudyConfig(Section):
                 f"{'' if self._file is None else f'{self._file}: '}key '{key}': {error}"
             ) from None
 
+    @property
+    def reads(self) -> list[Path]:
+        """Dataset and models, which no result may replace."""
+        return [self.dataset, self.model, *([] if self.previous is None else [self.previous.model])]
+
     def save(self, path: Path, *, home: Path | None = None) -> None:
         """Write the whole config, defaults included.
 

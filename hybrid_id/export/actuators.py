@@ -12,6 +12,7 @@ from hybrid_id.components import (
     DCMotor,
     Deadband,
     ElectricalLag,
+    PositionLoop,
     Saturation,
     ThermalDerating,
     TorqueMotor,
@@ -132,5 +133,8 @@ def _command(joint: Joint, p: Views, step: float) -> tuple[Attributes, list[str]
         else:
             notes.append(left_out(key, "MuJoCo's actuators have no such map"))
     if joint.drive.delay is not None and (steps := round(float(p[joint.drive.delay[0]].T_d) / step)):
-        found |= {"delay": number(steps * step), "nsample": str(steps)}
+        if isinstance(source, PositionLoop):  # MuJoCo would delay the angle that the loop reads, too
+            notes.append(f"{joint.drive.delay[0]}: it delays the goal, and stays with the controller")
+        else:
+            found |= {"delay": number(steps * step), "nsample": str(steps)}
     return found, notes

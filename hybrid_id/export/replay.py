@@ -48,9 +48,9 @@ def agreement(system: System, exported: Mjcf, dataset: Dataset) -> list[Agreemen
     Raises:
         InputError: MuJoCo is not installed, or a record has what MuJoCo cannot follow.
     """
-    found = []
+    found, noise = [], {channel.name: channel.noise_std for channel in dataset.outputs}
     for record, own in zip(dataset.records, replay(dataset, system), strict=True):
-        there = mujoco_replay(system, exported, record)
+        there = mujoco_replay(system, exported, record, noise_std=noise)
         for name, values in own.outputs.items():
             if name in there:
                 measured = record.signal(name)
@@ -60,7 +60,9 @@ def agreement(system: System, exported: Mjcf, dataset: Dataset) -> list[Agreemen
     return found
 
 
-def mujoco_replay(system: System, exported: Mjcf, record: Record) -> Mapping[str, np.ndarray]:
+def mujoco_replay(
+    system: System, exported: Mjcf, record: Record, *, noise_std: Mapping[str, float | None] | None = None
+) -> Mapping[str, np.ndarray]:
     """Outputs of the exported model under a record's commands, ``(T,)`` each, from the package's own start state.
 
     MuJoCo tells true angles; they are read through the model's own encoders, whose zero may be elsewhere.
@@ -73,7 +75,7 @@ def mujoco_replay(system: System, exported: Mjcf, record: Record) -> Mapping[str
         raise InputError("MuJoCo is not installed; pip install 'hybrid-id[blind]' brings it") from None
     model = mujoco.MjModel.from_xml_string(exported.text)  # type: ignore[attr-defined]
     data = mujoco.MjData(model)  # type: ignore[attr-defined]
-    start = make_batch(system, [record], noise_std={n: 1e-6 for n in record.outputs}).x[0, 0].tolist()
+    start = make_batch(system, [record], noise_std=noise_std).x[0, 0].tolist()
     for joint in system.joints:
         row, r = joint.positions[0], joint.gear_ratio
         state = {f"joint{joint.number}": [v / r for v in start[row : row + 2]]}
@@ -146,6 +148,8 @@ class _Command:
         }
         self._encoders = [(part, part.view()) for _, part in joint.drive.encoders]
         self._closed = isinstance(self._source, PositionLoop)
+        self._time, delay = record.time - record.time[0], joint.drive.delay
+        self._late = 0.0 if delay is None else float(system.components[delay[0]].view().T_d)  # type: ignore[operator]
         zero = torch.zeros(1, dtype=torch.float64)
         self._held = None if self._closed else self._at(self._channels, zero).expand(record.n_samples)
 
@@ -165,9 +169,11 @@ class _Command:
 
     def _given(self, sample: int, data: Any) -> float:
         if self._held is not None:
-            return float(self._held[sample])
+            return float(self._held[sample])  # whose delay is the actuator's
         turned = self._joint.gear_ratio * data.joint(f"joint{self._joint.number}").qpos[0]
         angle = torch.tensor([turned], dtype=torch.float64)
         for encoder, view in self._encoders:  # the loop closes over what its encoder reads
             angle = encoder.read(view, angle)
-        return float(self._at({c: v[sample : sample + 1] for c, v in self._channels.items()}, angle)[0])
+        # a delay holds back the goal, not the angle
+        row = max(int(np.searchsorted(self._time, data.time - self._late + 1e-9, side="right")) - 1, 0)
+        return float(self._at({c: v[row : row + 1] for c, v in self._channels.items()}, angle)[0])

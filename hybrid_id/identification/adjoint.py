@@ -26,7 +26,7 @@ from hybrid_id.identification.checkpoint import fingerprint, read_state, write_s
 from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.fit import Progress, make_bounds, measured_windows
 from hybrid_id.identification.objective import Loss, evaluate
-from hybrid_id.identification.quasi_newton import State, advance, begin
+from hybrid_id.identification.quasi_newton import State, advance, begin, prolonged
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.prepare import Batch
@@ -139,7 +139,8 @@ def train(
     base = system.theta().detach().to(device)[:, None].repeat(1, count)
     whole = Problem(system, engine, batch, sets, base, free, bounds, extra, options.loss)
     identity = ["adjoint", fingerprint(system, [batch], pooled, engine, options.windows, options.loss)]
-    state = read_state(resume, identity) if resume else None
+    state = read_state(resume, identity, device) if resume else None
+    state = None if state is None else prolonged(state, options.max_iterations)
     interrupted, told = False, 0
     try:
         for stage, window in enumerate([*options.windows, None]):

@@ -23,7 +23,8 @@ Course = TypeVar("Course")
 
 def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> str:
     """What the numbers of a training depend on, as one hash: model, start values, networks, records, settings."""
-    known = hashlib.sha256(repr(settings).encode())
+    parts = [(key, part.kind) for key, part in system.components.items()]
+    known = hashlib.sha256(repr((system.name, system.gear_ratio, parts, settings)).encode())
     for info in system.table:
         known.update(repr((info.name, info.spec)).encode())
     for key, part in system.networks.items():
@@ -49,18 +50,20 @@ def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]
     os.replace(temporary, path)
 
 
-def read_checkpoint(path: Path, identity: list[str], make: Callable[[dict[str, Any]], Course]) -> Course:
+def read_checkpoint(
+    path: Path, identity: list[str], make: Callable[[dict[str, Any]], Course], device: torch.device
+) -> Course:
     """Read the checkpoint of a training of these records, model and settings.
 
     Args:
         path: the file.
         identity: see :func:`write_checkpoint`.
         make: makes of its content what stands in it.
+        device: where the training goes on.
     """
     if not path.is_file():
         raise InputError(f"There is no checkpoint {path}; start without resuming.")
     try:
-        device = None if torch.cuda.is_available() else "cpu"
         content = torch.load(path, weights_only=True, map_location=device)
         found, course = content["identity"], make(dict(content["state"]))
     except Exception as error:
@@ -85,6 +88,6 @@ def write_state(path: Path, state: State, identity: list[str]) -> None:
     write_checkpoint(path, as_content(state), identity)
 
 
-def read_state(path: Path, identity: list[str]) -> State:
+def read_state(path: Path, identity: list[str], device: torch.device) -> State:
     """Read where a training of parameters stands."""
-    return read_checkpoint(path, identity, lambda content: State(**content))
+    return read_checkpoint(path, identity, lambda content: State(**content), device)

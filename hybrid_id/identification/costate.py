@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from hybrid_id.identification.objective import Loss
 from hybrid_id.simulation.lifted import LANES, Linearisation, condense, linearise
 from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System
 
@@ -86,13 +87,21 @@ def gradient(
 
 
 def free_run(
-    system: System, engine: OdeEngine, batch: Batch, guess: Tensor, theta: Tensor, tolerance: float = 1e-9
+    system: System,
+    engine: OdeEngine,
+    batch: Batch,
+    guess: Tensor,
+    theta: Tensor,
+    tolerance: float = 1e-9,
+    *,
+    walk: bool = False,
 ) -> tuple[Tensor, Linearisation, Tensor]:
     """Free run from ``guess[:, 0]`` by Newton's method over all samples (see :mod:`hybrid_id.simulation.lifted`).
 
     Returns:
         States ``(R, T, n_x)``, the linearisation there by the engine's own gradient, and for each row whether its
-        defects closed; a row that did not close has diverged, or its guess was too far off.
+        defects closed; a row that did not close has diverged, or its guess was too far off. With ``walk`` such rows
+        are simulated sample by sample (slow), and have closed where they are finite.
     """
     x, tolerance = guess.clone(), max(tolerance, 64.0 * torch.finfo(guess.dtype).eps)
     cheap = replace(engine, gradient="backprop")
@@ -109,6 +118,11 @@ def free_run(
         opened = opened[(size > tolerance) & torch.isfinite(size)]
         if opened.numel() == 0:
             break
+    if walk and not bool(closed.all()):
+        rows = (~closed).nonzero().flatten()
+        with torch.no_grad():
+            x[rows] = rollout(system, cheap, batch.take(rows), theta[:, rows])
+        closed[rows] = torch.isfinite(x[rows]).all(2).all(1)
     return x, linearise_sorted(system, engine, batch, x.nan_to_num(0.0), theta), closed
 
 

@@ -125,6 +125,7 @@ def train_hybrid(
         )
     settings = (engine, options.augmentation, options.optimizer, options.precision, options.windows)
     settings += (options.prices, options.loss, options.worth, options.starts, options.seed)
+    settings += (options.rate, options.clip) if options.optimizer == "adam" else ()
     identity = ["hybrid", fingerprint(system, [batch, validation], *settings)]
     physics = fit_physics(system, batch, engine, options)
     values = {name: physics.system.parameter(name).spec.value for name in physics.names}
@@ -145,7 +146,7 @@ def train_hybrid(
     alone = trainer.found(theta, fresh, 0, physics.status)
     course = Course(0, theta, fresh)
     if resume is not None:
-        course = read_checkpoint(resume, trainer.identity, Course.of)
+        course = read_checkpoint(resume, trainer.identity, Course.of, batch.x.device)
     try:
         interrupted = trainer.run(course)
     except KeyboardInterrupt:
@@ -216,7 +217,9 @@ def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
     engine = replace(trainer.whole.engine, gradient="backprop")
     batch, course = trainer.whole.batch, Course(0, theta, found.weights.double())
     torch.nn.utils.vector_to_parameters(course.weights, trainer.whole.extra)
-    nodes = free_run(system, engine, batch, batch.x, theta.expand(-1, batch.rows))[0].nan_to_num(0.0)
+    nodes = free_run(system, engine, batch, batch.x, theta.expand(-1, batch.rows), walk=True)[0].nan_to_num(
+        0.0
+    )
 
     def errors(at: float) -> np.ndarray:
         problem = trainer.problem(Stage(0, at, None, False), course)

@@ -74,13 +74,16 @@ class Trainer:
         return replace(whole, batch=batch, penalty=overlap)
 
     @torch.no_grad()
-    def losses(self, theta: Tensor, batch: Batch) -> Tensor:
+    def losses(self, theta: Tensor, batch: Batch, *, walk: bool = False) -> Tensor:
         """Loss per measurement in each of ten parts of each row, ``(10, R)``, with the weights as they are.
 
-        Rows run from their measured first states; the loss of one that diverged is infinite.
+        Rows run from their measured first states; the loss of one that diverged is infinite, and without ``walk`` that
+        of one whose free run is too far off for Newton's method.
         """
         engine = replace(self.whole.engine, gradient="backprop")
-        _, lin, closed = free_run(self.whole.system, engine, batch, batch.x, theta.expand(-1, batch.rows))
+        _, lin, closed = free_run(
+            self.whole.system, engine, batch, batch.x, theta.expand(-1, batch.rows), walk=walk
+        )
         loss = self.whole.loss.value((batch.y - lin.y) * batch.weight).sum(2)
         loss = loss.where(closed[:, None], torch.inf).nan_to_num(torch.inf, torch.inf)
         number = (batch.weight > 0).sum(2)
@@ -164,7 +167,9 @@ class Trainer:
 
     def found(self, theta: Tensor, weights: Tensor, iterations: int, status: str) -> Found:
         """What a rung came to, with the weights as they are."""
-        train, validation = (self.losses(theta, batch) for batch in (self.whole.batch, self.validation))
+        train, validation = (
+            self.losses(theta, batch, walk=True) for batch in (self.whole.batch, self.validation)
+        )
         return Found(theta, weights, float(train.mean()), validation, iterations, status)
 
     def _data(self, problem: Problem) -> int:

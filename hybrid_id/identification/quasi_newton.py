@@ -111,6 +111,15 @@ def _with_stable_steps(problem: Problem, state: State) -> tuple[Problem, State]:
     return problem, _renew(problem, state, kept.nonzero().flatten())
 
 
+def prolonged(state: State, max_iterations: int) -> State:
+    """A state read from a checkpoint, whose sets go on where a larger limit now leaves them gradients."""
+    if state.iteration - state.began >= max_iterations:
+        return state
+    status = ["running" if one == "max_iterations" else one for one in state.status]
+    running = torch.tensor([one == "running" for one in status], device=state.running.device)
+    return replace(state, status=status, running=running)
+
+
 def _renew(problem: Problem, state: State, chosen: Tensor) -> State:
     """The state with the metric of some sets taken anew, that of the weights kept."""
     if chosen.numel() == 0:

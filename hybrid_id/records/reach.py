@@ -21,7 +21,7 @@ def beyond(dataset: Dataset) -> Iterator[str]:
     Args:
         dataset: its train and test records.
     """
-    units = {c.name: c.unit for c in (*dataset.inputs, *dataset.outputs)}
+    units = {c.name: "" if c.unit == "1" else f" {c.unit}" for c in (*dataset.inputs, *dataset.outputs)}
     units |= {_speed_of(name): f"{unit}/s" for name, unit in units.items()}
     train = [_largest(record) for record in dataset.train]
     for record in dataset.test if train else ():
@@ -29,7 +29,7 @@ def beyond(dataset: Dataset) -> Iterator[str]:
         for what, value in _largest(record).items():
             most = max(one.get(what, 0.0) for one in train)
             if value > FARTHER * most:
-                found.append(f"{what} {value:.3g} against {most:.3g} {units.get(what, '')}")
+                found.append(f"{what} {value:.3g} against {most:.3g}{units.get(what, '')}")
         if found:
             yield f"test record {record.name} goes where no train record has been ({', '.join(found)})"
 

@@ -143,7 +143,9 @@ def _on_grid(record: Record, grid: np.ndarray, step: float, method: str) -> Reco
         name: Akima1DInterpolator(record.time, values, method="makima")(instants)
         for name, values in record.outputs.items()
     }
-    in_force = np.searchsorted(record.time, grid, side="right") - 1
+    in_force = (
+        np.searchsorted(record.time, grid + 1e-6 * step, side="right") - 1
+    )  # past the rounding of stamps
     inputs = {}
     for name, values in record.inputs.items():
         if method == "hold":

@@ -39,7 +39,7 @@ def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> s
         reach: half-width of an interval in standard errors.
         level: level of the intervals.
     """
-    console = Console(width=120, no_color=True, highlight=False)
+    console = Console(width=120, no_color=True, highlight=False, emoji=False)
     with console.capture() as captured:
         console.print(diagnosis_table(diagnosis, reach, level))
     return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())

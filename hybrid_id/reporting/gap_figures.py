@@ -107,7 +107,10 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
             if diagnosis.selected and (left := after.get(_key(one))) is not None and len(left.grid):
                 torque, colour = left.torque / 10.0**exponent, MODELS["corrected"]
                 axes.plot(left.grid, torque, color=colour, ls=DASHES[1], label="corrected model")
-            axes.set(xlabel=_axis(dataset, one), ylabel=f"missing torque {scaled_unit('N m', exponent)}")
+            axes.set(
+                xlabel=_axis(dataset, one),
+                ylabel=f"missing torque {scaled_unit(_units(dataset, one)[1], exponent)}",
+            )
             axes.set_title(
                 f"{joint_words(one.joint)}, {SIDES[one.place]}: {100 * max(one.share, 0.0):.0f} %", loc="left"
             )
@@ -191,11 +194,18 @@ def _key(one: Location) -> tuple[str, str, str]:
     return one.joint, one.place, one.signal
 
 
+def _units(dataset: Dataset, one: Location) -> tuple[str, str]:
+    """Units of a joint's angle and torque; a linear axis has a way and a force."""
+    number = one.joint.removeprefix("joint")
+    angle = next((c.unit for c in dataset.outputs if c.name in (f"q_m{number}", f"q_a{number}")), "rad")
+    return angle, "N" if angle == "m" else "N m"
+
+
 def _axis(dataset: Dataset, one: Location) -> str:
     """Axis label of the signal that a missing torque depends on."""
     side = "motor" if one.place == "motor" else "link"
     if one.signal != "command":
-        return f"{side} {one.signal} [{'rad/s' if one.signal == 'speed' else 'rad'}]"
+        return f"{side} {one.signal} [{_units(dataset, one)[0]}{'/s' * (one.signal == 'speed')}]"
     drives = [f"{stem}{one.joint.removeprefix('joint')}" for stem in ("u", "duty", "tau", "i")]
     text = next((unit(channel.unit) for channel in dataset.inputs if channel.name in drives), "")
     return f"command [{text}]" if text else "command"

@@ -58,8 +58,8 @@ def _outside(diagnosis: Diagnosis, reach: float) -> str:
 def _parameters_only(diagnosis: Diagnosis, _reach: float) -> str:
     nominal, refit = diagnosis.nominal, diagnosis.refit
     errors = "" if nominal is None or refit is None else (
-        f": on unseen records the normalised error falls from {_error(nominal.nrmse)} to {_error(refit.nrmse)} when "
-        "today's model is fitted to the train records"
+        f": on unseen records the normalised error {_goes(nominal.nrmse, refit.nrmse)} when today's model is fitted to "
+        "the train records"
     )  # fmt: skip
     if diagnosis.varying:
         return (
@@ -98,10 +98,8 @@ def _falls(diagnosis: Diagnosis) -> str:
             f"{_error(gap.refit)} without it, {_error(gap.with_effect)} with it"
         )
     low, high = (f"{100 * min(end, 1.0):.0f}" for end in gap.interval)
-    return (
-        f": normalised error on unseen records falls from {_error(gap.refit)} to {_error(gap.with_effect)}, "
-        f"{100 * gap.share:.0f} % ({low}-{high} %) of what can be closed"
-    )
+    closed = f", {100 * gap.share:.0f} % ({low}-{high} %) of what can be closed" if gap.share > 0 else ""
+    return f": normalised error on unseen records {_goes(gap.refit, gap.with_effect)}{closed}"
 
 
 def goes_with(location: Location) -> str:
@@ -217,10 +215,8 @@ def _units(diagnosis: Diagnosis, one: Suspect) -> dict[str, str]:
 
 
 def _measured(value: float, error: float, unit: str) -> str:
-    known = math.isfinite(error) and error > 0
-    return " ".join(
-        [f"{value:.4g}", *([f"± {error:.2g}"] if known else []), *([unit] if unit != "1" else [])]
-    )
+    sure = f" ± {error:.2g}" if math.isfinite(error) and error > 0 else ""
+    return f"{value:.4g}{sure}{'' if unit == '1' else f' {unit}'}"
 
 
 def joint_words(where: str) -> str:
@@ -236,6 +232,10 @@ def place_words(where: str) -> str:
 def percent(share: float) -> str:
     """A share as it is printed."""
     return f"{100 * min(share, 1.0):.0f} %"
+
+
+def _goes(before: float, after: float) -> str:
+    return f"{'falls' if after < before else 'rises'} from {_error(before)} to {_error(after)}"
 
 
 def _error(value: float) -> str:

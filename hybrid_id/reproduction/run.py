@@ -87,7 +87,11 @@ def _closed_loop(
     machine = MACHINES[case]
     used = list(GEARS.values()) if case == "backlash" else [machine]
     key = {"models": [_values(stages[name]) for name in used], "plan": plan.tracking.model_dump(mode="json")}
-    key |= {"seeds": seeds, "machine": _digest(twin_settings(plan.stages[machine], quick=quick)[0])}
+    key |= {
+        "version": __version__,
+        "seeds": seeds,
+        "machine": _digest(twin_settings(plan.stages[machine], quick=quick)[0]),
+    }
     path = folder / f"tracking_{case}.json"
     if (kept := load(TrackingResult, path, key)) is not None:
         say(f"tracking, {case.replace('_', ' ')}: kept from before")

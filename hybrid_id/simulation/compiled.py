@@ -20,7 +20,7 @@ from torch import Tensor
 
 from hybrid_id.simulation.c_code import TEMPLATE, WIDTH, call, library
 from hybrid_id.simulation.step import Engine
-from hybrid_id.simulation.tracing import FUNCTIONS, record
+from hybrid_id.simulation.tracing import DECLARED, record
 from hybrid_id.systems.chain import System
 
 _OF_SYSTEM: WeakKeyDictionary[System, dict[tuple[Any, ...], ctypes.CDLL]] = WeakKeyDictionary()
@@ -105,7 +105,7 @@ class CompiledStep:
             return "\n".join(f"        {line}" for part in parts for line in part)
 
         return TEMPLATE.substitute(
-            functions="\n".join(f'__attribute__((simd("notinbranch"))) double {f}(double);' for f in FUNCTIONS),
+            functions=DECLARED,
             n_x=n_x, n_u=max(n_u, 1), held=n_u, n_f=n_f, n_p=len(self.system.table), width=WIDTH,
             parameters="\n".join(f"    {line}" for line in parameters),
             row_parameters=body([f"const double p{i} = p[{i}][l];" for i in range(len(self.system.table))]),

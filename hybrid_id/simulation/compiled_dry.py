@@ -1,4 +1,4 @@
-"""Compiled dry engine: scalar code, one lane after the other, each with its own events.
+"""Compiled dry engine: rollouts with lanes side by side (``dry_lanes``), tangents one by one, each with its own events.
 
 The equations of motion and what may hold a speed at rest are recorded (see :mod:`hybrid_id.simulation.dry_equations`);
 the C code around them (``dry_code``) follows :mod:`hybrid_id.simulation.step`. Tangents
@@ -21,7 +21,7 @@ from hybrid_id.simulation.dry_equations import source
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
-_LIBRARIES: WeakKeyDictionary[System, dict[tuple[Any, ...], CDLL]] = WeakKeyDictionary()
+_LIBRARIES: WeakKeyDictionary[System, dict[tuple[Any, ...], tuple[CDLL, Tensor]]] = WeakKeyDictionary()
 
 
 def walks(system: System, engine: Engine, x: Tensor) -> bool:
@@ -54,8 +54,9 @@ def walk(
         InputError: there is no C compiler, or the model uses an operation that has no C expression.
     """
     u, path = _arrived(system, u, theta), x.contiguous().clone()
-    point, sizes = _point(u, dt / engine.substeps, theta), (*dt.shape, length, engine.substeps)
-    call(_library(system, tuple(u)), "shoot", path, *point, *sizes)
+    code, constants = _library(system, tuple(u))
+    point, sizes = _point(u, dt / engine.substeps, theta, constants), (*dt.shape, length, engine.substeps)
+    call(code, "shoot", path, *point, *sizes)
     return path
 
 
@@ -84,22 +85,29 @@ def tangents(
     """
     after = torch.empty_like(x, memory_format=torch.contiguous_format)
     jacobian = x.new_empty(*x.shape, x.shape[-1] + len(free))
-    point, sizes = _point(u, dt / engine.substeps, theta), (*dt.shape, engine.substeps)
-    code = _library(system, tuple(u), tuple(free))
+    code, constants = _library(system, tuple(u), tuple(free))
+    point, sizes = _point(u, dt / engine.substeps, theta, constants), (*dt.shape, engine.substeps)
     call(code, "linearise", after, jacobian, x.contiguous(), *point, *sizes)
     return after, jacobian
 
 
-def _library(system: System, channels: tuple[str, ...], free: tuple[int, ...] | None = None) -> CDLL:
+def _library(
+    system: System, channels: tuple[str, ...], free: tuple[int, ...] | None = None
+) -> tuple[CDLL, Tensor]:
+    """The code of a system, and the constants that follow its parameters."""
     known, key = _LIBRARIES.setdefault(system, {}), (channels, free)
     if key not in known:
-        known[key] = library(source(system, channels, free), FLAGS)
+        code, constants = source(system, channels, free)
+        known[key] = library(code, FLAGS), torch.tensor(constants, dtype=torch.float64)
     return known[key]
 
 
-def _point(u: Mapping[str, Tensor], step: Tensor, theta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _point(
+    u: Mapping[str, Tensor], step: Tensor, theta: Tensor, constants: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
     held = torch.stack(list(u.values())) if u else step.new_empty(0)
-    return held, step.contiguous(), theta.T.contiguous()
+    values = torch.cat([theta.T, constants.expand(theta.shape[1], -1)], 1)
+    return held, step.contiguous(), values.contiguous()
 
 
 def _arrived(system: System, u: Mapping[str, Tensor], theta: Tensor) -> Mapping[str, Tensor]:

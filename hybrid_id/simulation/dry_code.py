@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-from string import Template
-
-from hybrid_id.simulation.dry_loops import LOOPS
-
 FLAGS = (
     "-O1", "-fexpensive-optimizations", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC", "-fopenmp-simd",
-    "-fno-math-errno", "-ffp-contract=off",
+    "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fno-builtin-sin", "-fno-builtin-cos",
 )  # fmt: skip
 """As exact as the eager engine: whether a joint sticks may hang on a difference that is zero. With -O1 alone GCC leaves
 the upper halves of vector registers dirty, and every pow, exp or sin is ten times slower."""
 
-TEMPLATE = Template(
-    """\
+STEPS = """\
 #include <math.h>
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__)
+#if __GLIBC_PREREQ(2, 35) /* its vector library has them all */
+$functions
+#endif
+#endif
 #include <string.h>
 enum { NX = $n_x, HELD = $held, NP = $n_p, FIXED = $n_fixed, ND = $n_dry, SPEEDS = $n_speeds, MANY = ND ? ND : 1 };
-/* columns of tangents, by the state before and by free parameters; none where they are not asked for */
-enum { NC = $n_columns, MC = NC ? NC : 1 };
-#define COLUMNS _Pragma("omp simd") for (int c = 0; c < NC; c++)
+/* columns of tangents, by the state before and by free parameters; none where they are not asked for, else some idle
+   ones beside them, so that they are whole vectors */
+enum { NC = $n_columns, FULL = (NC + 7) / 8 * 8, MC = NC ? FULL : 1 };
+#define COLUMNS _Pragma("omp simd") for (int c = 0; c < FULL; c++)
 #define ALIGNED __attribute__((aligned(64))) /* GCC 12 takes arrays for aligned where it inlines, but does not align */
 /* state row of each dry speed; those that the links of an arm couple, or NONE */
 static const int row[MANY] = { $rows };
@@ -221,5 +222,3 @@ static void sample(double *x, double (*x_t)[MC], const double *u, const double *
 }
 
 """
-    + LOOPS
-)

@@ -8,27 +8,43 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from string import Template
 
 import torch
 from torch import Tensor
 
-from hybrid_id.simulation.dry_code import TEMPLATE
+from hybrid_id.simulation.dry_code import STEPS
+from hybrid_id.simulation.dry_lanes import SHOOT
+from hybrid_id.simulation.dry_loops import LINEARISE
 from hybrid_id.simulation.step import remember
-from hybrid_id.simulation.tracing import record
+from hybrid_id.simulation.tracing import DECLARED, record
 from hybrid_id.systems.balance import Directions
 from hybrid_id.systems.chain import Channels, System, Views
 
 NAMES = re.compile(r"\b(?:[a-z]\d+|h)\b")
 """Variables in a recorded expression."""
+ROWS = re.compile(r"\b([xupsdk]|fixed|side|over|against)\[(\d+)\]")
+"""Arrays of which every lane has its own."""
+NUMBER = re.compile(r"(?<![\w.])(?:\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+)(?![\w.])")
+"""A number in a recorded expression."""
+PLAIN = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
+"""Numbers that belong to a formula and not to a machine."""
+WIDTH = 8
+"""Lanes that go side by side."""
 
 
-def source(system: System, channels: Sequence[str], free: Sequence[int] | None = None) -> str:
-    """C code of one structure of system under named channels; parameter values stay free.
+def source(
+    system: System, channels: Sequence[str], free: Sequence[int] | None = None
+) -> tuple[str, list[float]]:
+    """C code of one structure of system under named channels, of rollouts or of tangents, and a machine's constants.
+
+    Values of parameters stay free, and so do constants (gear ratios, say), which follow the parameters: machines of one
+    structure share their code.
 
     Args:
         system: equations of motion.
         channels: names of the channels.
-        free: indices of the parameters by which, beside the states, tangents are taken; None for no tangents.
+        free: indices of the parameters by which, beside the states, tangents are taken; None for rollouts.
     """
     n_x, n_u, speeds = len(system.state_names), len(channels), len(system.speed_rows)
     dry = [k for k, is_dry in enumerate(system.dry) if is_dry]
@@ -64,12 +80,21 @@ def source(system: System, channels: Sequence[str], free: Sequence[int] | None =
         "remember": code.function(memory, {"h": 0}, [f"x[{i}]" for i in kept], tangents=kept),
     }
     first, second = (dry.index(k) if k in dry else "NONE" for k in pairs[0] or (-1, -1))
+    lanes = {f"{name}_lanes": _in_lanes(bodies[name]) for name in ("rates", "pushes", "remember")}
+    lanes["hold_lanes"] = _in_lanes("\n".join(code.hold))
     bodies["remember"] += "".join(f"\n    COLUMNS x_t[{i}][c] = k_t[{i}][c];" for i in kept if code.columns)
-    return TEMPLATE.substitute(
-        bodies, prepare="\n".join(code.prepare), hold="\n".join(code.hold), n_x=n_x, held=n_u,
-        n_p=len(system.table), n_fixed=code.n_fixed, n_columns=code.columns, n_dry=n, n_speeds=speeds, first=first,
-        second=second, rows=", ".join(str(system.speed_rows[k]) for k in dry) or "0",
+    written = Template(STEPS + (SHOOT if free is None else LINEARISE)).substitute(
+        bodies, **lanes, functions=DECLARED, width=WIDTH, remembers=int(bool(kept)),
+        prepare="\n".join(code.prepare), hold="\n".join(code.hold), n_x=n_x, held=n_u,
+        n_p=len(system.table) + len(code.constants), n_fixed=code.n_fixed, n_columns=code.columns, n_dry=n,
+        n_speeds=speeds, first=first, second=second, rows=", ".join(str(system.speed_rows[k]) for k in dry) or "0",
     )  # fmt: skip
+    return written, [float(text) for text in code.constants]
+
+
+def _in_lanes(body: str) -> str:
+    """Statements of one lane as those of lane l."""
+    return ROWS.sub(r"\1[\2][l]", body)
 
 
 class _Code:
@@ -87,6 +112,7 @@ class _Code:
         prepare: statements that fill ``fixed`` with the values that depend on parameters alone.
         hold: those that add the values that depend on parameters and held inputs.
         n_fixed: how many values these are.
+        constants: numbers of the machine, as they are written, and the rows that hold them.
     """
 
     def __init__(self, system: System, channels: Sequence[str], free: Sequence[int] | None) -> None:
@@ -96,6 +122,7 @@ class _Code:
         self.prepare: list[str] = []
         self.hold: list[str] = []
         self.n_fixed = 0
+        self.constants: dict[str, int] = {}
 
     @torch.no_grad()
     def function(
@@ -152,6 +179,11 @@ class _Code:
 
         whole = differentiated if tangents and self.columns else run
         statements, results = record(whole, [name for _, name in flat], examples)
+        statements, results = (
+            [NUMBER.sub(self._named, line) for line in lines] for lines in (statements, results)
+        )
+        used = {name for line in (*statements, *results) for name in NAMES.findall(line)}
+        flat += [("p", name) for name in (f"p{row}" for row in self.constants.values()) if name in used]
         load = [f"const double {n} = {key}[{n[1:]}];" for key, n in flat if n != "h"]
         given = {key: [line for line in load if f" {key}" in line[:15]] for key in "pu"}
         fixed, moving = self._split(statements, results, given["p"], self.prepare)
@@ -161,6 +193,13 @@ class _Code:
             first = len(targets) + k * self.columns
             ends += self._chained(row, results[first : first + self.columns])
         return "\n".join(f"    {line}" for line in [*load, *fixed, *held, *moving, *ends])
+
+    def _named(self, number: re.Match[str]) -> str:
+        """The row that holds a number, unless it belongs to the formula."""
+        text = number.group()
+        if float(text) in PLAIN:
+            return text
+        return f"p{self.constants.setdefault(text, len(self.system.table) + len(self.constants))}"
 
     def _split(
         self, statements: Sequence[str], results: Sequence[str], load: Sequence[str], earlier: list[str]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -77,8 +77,3 @@ def simulate(
     y = torch.stack(rows, -1).reshape(*x.shape[:2], len(rows))
     finite = torch.isfinite(y).all(2).all(1) & torch.isfinite(x).all(2).all(1)
     return Simulation(x, y, tuple("ok" if ok else "diverged" for ok in finite.tolist()))
-
-
-def halved(engine: Engine) -> Engine:
-    """The engine with half the step, to tell its own error by comparison."""
-    return replace(engine, substeps=2 * engine.substeps)

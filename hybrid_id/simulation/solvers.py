@@ -102,6 +102,12 @@ class OdeEngine(Engine):
             raise InputError(
                 f"An ODE solver needs smooth friction, not '{self.friction}'; use friction='smooth'."
             )
+        super().__post_init__()
+        if self.fine < 1 or not min(self.rtol, self.atol) > 0.0:
+            raise InputError(
+                f"The solver has {self.fine} fine steps and tolerances {self.rtol}, {self.atol}; give at least 1, "
+                "and more than 0."
+            )
         if self.compiled:
             raise InputError("An ODE solver has no compiled steps; leave 'compiled' off.")
         if self.method not in FIXED + ADAPTIVE:
@@ -110,6 +116,13 @@ class OdeEngine(Engine):
             )
         if self.gradient not in ("adjoint", "backprop"):
             raise InputError(f"Gradient '{self.gradient}' is not known; use 'adjoint' or 'backprop'.")
+
+    def halved(self) -> OdeEngine:
+        """The engine with half the step, or with tighter tolerances where a method chooses its own steps."""
+        finer = replace(self, substeps=2 * self.substeps, fine=2 * self.fine)
+        return (
+            replace(finer, rtol=0.1 * self.rtol, atol=0.1 * self.atol) if self.method in ADAPTIVE else finer
+        )
 
     def sample(self, system: System, x: Rows, u: Channels, dt: Tensor, p: Views) -> list[Tensor]:
         """State after ``dt`` seconds under the held channels ``u``; arguments as in :meth:`Engine.sample`."""
@@ -185,6 +198,14 @@ class OdeEngine(Engine):
         resting = step * fastest_rate(system, self, batch, theta) / REST_STEP
         substeps = max(self.substeps, _whole(moving), _whole(memories))
         return replace(self, substeps=substeps, fine=max(self.fine, substeps, _whole(resting)))
+
+
+def stable_engine(system: System, engine: Engine, batch: Batch) -> Engine:
+    """An engine of either kind with at least as many steps as a batch needs at the system's values."""
+    theta = system.theta().detach().to(batch.x.device)[:, None].expand(-1, batch.rows)
+    if isinstance(engine, OdeEngine):
+        return engine.stable(system, batch, theta)
+    return with_substeps(system, engine, batch, theta)
 
 
 @torch.no_grad()

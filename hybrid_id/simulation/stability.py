@@ -30,7 +30,8 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
         nodes: number of nodes to look at.
     """
     rows, samples, n_x = batch.x.shape
-    pick = torch.linspace(0, rows * samples - 1, min(nodes, rows * samples), device=batch.x.device).long()
+    count, last = min(nodes, rows * samples), rows * samples - 1
+    pick = torch.linspace(0, last, count, dtype=torch.float64, device=batch.x.device).long()
     leaves = [c.clone() for c in batch.x.reshape(-1, n_x)[pick].unbind(1)]
     if engine.friction == "smooth":
         for row in system.speed_rows:

@@ -55,6 +55,11 @@ FUNCTIONS = (
     "erf",
 )
 """Functions of one argument that the C library may offer for whole vectors."""
+DECLARED = "\n".join(
+    f'__attribute__((simd("notinbranch"), const)) double {name}({"double, " * (name in ("pow", "atan2"))}double);'
+    for name in (*FUNCTIONS, "pow", "atan2")
+)
+"""C declarations that say so."""
 
 MIXED = "mixed"
 """Name of a value that belongs to no lane."""

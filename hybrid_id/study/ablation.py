@@ -14,7 +14,7 @@ from hybrid_id.identification.network_data import with_memory
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
 from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.solvers import OdeEngine
+from hybrid_id.simulation.solvers import OdeEngine, stable_engine
 from hybrid_id.study.ablation_cell import DONE, CellResult, Course, Rung
 from hybrid_id.study.ablation_plan import BLACK_BOX, NONE, Cell, Split, split_records, with_arm
 from hybrid_id.study.network_role import network_roles
@@ -121,10 +121,12 @@ def _rung(
 ) -> Rung:
     """A trained system, tested on all records."""
     values = {info.name: info.spec.value for info in system.table if info.spec.estimate}
-    short, windows = {}, measured_windows(system, everything, task.horizon)
+    remembered = with_memory(
+        system, everything, _theta(system, everything)
+    )  # windows begin with memories in motion
+    short, windows = {}, measured_windows(system, remembered, task.horizon)
     if windows is not None:
-        part = with_memory(system, windows[0], _theta(system, windows[0]))
-        short = _missed(system, engine, part)
+        short = _missed(system, engine, windows[0])
     roles = network_roles(system, engine, train) if price < torch.inf else ()
     most = max(roles, key=lambda role: role.share, default=None)
     share, overlap = (0.0, 0.0) if most is None else (most.share, most.overlap)
@@ -133,7 +135,7 @@ def _rung(
 
 def _missed(system: System, engine: OdeEngine, batch: Batch) -> dict[str, float]:
     """RMS of the weighted error of the free runs by record; infinite where one diverged."""
-    run = simulate(system, engine, batch)
+    run = simulate(system, stable_engine(system, engine, batch), batch)
     square = ((run.y - batch.y) * batch.weight).square().sum((1, 2))
     count = (batch.weight > 0).sum((1, 2))
     found: dict[str, float] = {}

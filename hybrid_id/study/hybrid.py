@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,7 +18,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.solvers import OdeEngine
+from hybrid_id.simulation.solvers import OdeEngine, stable_engine
 from hybrid_id.study.network_role import NetworkRole, network_roles
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
@@ -79,7 +80,7 @@ class HybridStudy:
         parameter, the price has chosen, and nothing that was measured. So a part as large as the networks' whole effect
         is taken as one more standard error.
         """
-        hidden = np.array([[role.room[name] for name in self.names] for role in self.roles])
+        hidden = np.array([[role.room.get(name, 0.0) for name in self.names] for role in self.roles])
         return 1.96 * np.hypot(self.result.rungs[self.result.chosen].loose, np.linalg.norm(hidden, axis=0))
 
     @property
@@ -121,20 +122,23 @@ def hybridise(
     train, held = split(dataset, validation)
     batch, looked = (batch_of(dataset, system, part, signal_share, device) for part in (train, held))
     result = train_hybrid(
-        system.to(device), batch, looked, engine=engine, options=options, writer=writer, checkpoint=checkpoint,
-        resume=resume, progress=progress,
+        copy.deepcopy(system).to(device), batch, looked, engine=engine, options=options, writer=writer,
+        checkpoint=checkpoint, resume=resume, progress=progress,
     )  # fmt: skip
+    system, batch = copy.deepcopy(system).to("cpu"), batch.to("cpu")  # what follows is done once
+    for trained in (result.physics, *result.rungs):
+        trained.system.to("cpu")
     first, chosen = result.rungs[0], result.rungs[result.chosen]
     info = [i for i in first.system.table if i.spec.estimate]
     values = [np.array([s.parameter(i.name).spec.value for i in info]) for s in (first.system, chosen.system)]
     roles = network_roles(result.rungs[result.chosen or -1].system, result.engine, batch)
-    everything = batch_of(dataset, system, dataset.records, signal_share, device)
+    everything = batch_of(dataset, system, dataset.records, signal_share, "cpu")
     misses = []
     for trained in (first.system, chosen.system):
-        run = simulate(trained, result.engine, everything)
+        run = simulate(trained, stable_engine(trained, result.engine, everything), everything)
         square = ((run.y - everything.y) * everything.weight).square().sum((1, 2))
         misses.append((square / (everything.weight > 0).sum((1, 2))).sqrt().tolist())
-    sets = fit_each(system.to(device), batch, result.physics, options)
+    sets = fit_each(system, batch, result.physics, options)
     residuals = np.concatenate([row.reshape(-1) for one in sets for row in one.residual])
     own = float(np.sqrt(np.square(residuals).sum() / sum(one.n_samples for one in sets)))
     return HybridStudy(

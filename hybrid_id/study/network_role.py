@@ -86,7 +86,8 @@ def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[Network
         speed, angle, values_at, seen = _map(system, place, networks, part, x, u, p)
         found.append(
             NetworkRole(
-                f"{joint.name}/{place}", "V" if place == "input" else "N m", float(output.square().mean().sqrt()),
+                f"{joint.name}/{place}", joint.drive.input[1].gives if place == "input" else "N m",
+                float(output.square().mean().sqrt()),
                 _ratio(output.square().mean().sqrt(), reference.square().mean().sqrt()),
                 _ratio(output.var(), reference.var()),
                 float((basis.T @ caused).norm()) / length if length > 0 else 0.0,

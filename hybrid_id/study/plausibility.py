@@ -33,7 +33,7 @@ def _verdict(who: str, nrmse: Sequence[Sequence[float]] | np.ndarray) -> str:
     """Say that the normalised RMSE (n_records, n_outputs) of the worst output, median of the records, is above 1."""
     if not len(nrmse):
         return ""
-    worst = float(np.nanmax(np.median(nrmse, axis=0), initial=0.0))
+    worst = float(np.nanmax(np.nanmedian(nrmse, axis=0), initial=0.0))
     size = f"normalised RMSE {worst:.3g}" if np.isfinite(worst) else "the simulation diverges"
     return (
         f"{who} explain less than the mean of the records ({size}); check signs, units and gear ratio"

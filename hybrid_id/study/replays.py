@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -11,7 +12,8 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import Batch, make_batch
-from hybrid_id.simulation.rollout import halved, simulate
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.statistics.cross_validation import CrossValidation, cross_validation
 from hybrid_id.statistics.fit import fit_percent, nrmse
 from hybrid_id.systems.chain import System
@@ -59,6 +61,12 @@ def _fits(batch: Batch, simulated: np.ndarray, speeds: Sequence[int]) -> np.ndar
     return fits
 
 
+def _known_mean(values: Sequence[np.ndarray]) -> float:
+    """Mean without outputs that stand still, which have no normalised error."""
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else math.nan
+
+
 def engine_error(result: FitResult, batch: Batch) -> float:
     """Change of the estimates when the step is halved, in standard errors, at most.
 
@@ -67,7 +75,7 @@ def engine_error(result: FitResult, batch: Batch) -> float:
     """
     rows = torch.tensor([batch.names.index(name) for name in result.records])
     part = batch.take(rows)
-    runs = [simulate(result.system, engine, part).y for engine in (result.engine, halved(result.engine))]
+    runs = [simulate(result.system, engine, part).y for engine in (result.engine, result.engine.halved())]
     change = ((runs[1] - runs[0]) * part.weight).cpu().numpy()
     change = np.concatenate([c[: len(r)].reshape(-1) for c, r in zip(change, result.residual, strict=True)])
     jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])
@@ -84,9 +92,10 @@ def test_nrmse(dataset: Dataset, result: FitResult, signal_share: float) -> dict
     if not dataset.test:
         return {}
     batch = batch_of(dataset, result.system, dataset.test, signal_share, "cpu")
-    y, measured = simulate(result.system, result.engine, batch).y.numpy(), batch.y.numpy()
+    engine = stable_engine(result.system, result.engine, batch)  # these records may have longer samples
+    y, measured = simulate(result.system, engine, batch).y.numpy(), batch.y.numpy()
     valid = (batch.weight > 0).any(2).numpy()
     return {
-        name: float(np.mean([nrmse(measured[r, valid[r], c], y[r, valid[r], c]) for c in range(y.shape[-1])]))
+        name: _known_mean([nrmse(measured[r, valid[r], c], y[r, valid[r], c]) for c in range(y.shape[-1])])
         for r, name in enumerate(batch.names)
     }

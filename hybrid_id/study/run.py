@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -60,7 +62,7 @@ def identify(
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     batch = batch_of(dataset, system, dataset.train, signal_share, device)
-    model = system.to(device)
+    model = copy.deepcopy(system).to(device)  # the caller's stays where it is
     sets = fit(
         model,
         batch,
@@ -71,7 +73,10 @@ def identify(
         seed=seed,
         progress=progress,
     )
-    return assess(dataset, system, sets, pooled=pooled, batch=batch, seed=seed, signal_share=signal_share)
+    sets = [replace(result, system=result.system.to("cpu")) for result in sets]  # statistics are numpy's
+    return assess(
+        dataset, system, sets, pooled=pooled, batch=batch.to("cpu"), seed=seed, signal_share=signal_share
+    )
 
 
 def assess(
@@ -90,23 +95,20 @@ def assess(
             f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values."
         )
     batch = batch_of(dataset, system, dataset.train, signal_share, "cpu") if batch is None else batch
-    plain = tuple(covariance(r.jacobian, r.residual, prior_information=r.prior_precision) for r in sets)
-    robust = tuple(
-        autocorrelation_robust(r.jacobian, r.residual, prior_information=r.prior_precision) for r in sets
-    )
+    plain, robust = (tuple(_spread(way, r) for r in sets) for way in (covariance, autocorrelation_robust))
     matrix = cross_validate(sets, batch, pooled=pooled)
     selection = select(matrix)
     chosen = sets[selection.index]
     finite = np.isfinite(plain[selection.index].std_error)
     ratios = robust[selection.index].std_error[finite] / plain[selection.index].std_error[finite]
     told = told_by(chosen, inflation=max(float(np.median(ratios, axis=None)) if finite.any() else 1.0, 1.0))
-    values = np.array([r.values for r in sets])
+    values = _estimates(sets)
     names = sets[0].names
     errors = _standard_errors(sets, plain, robust, pooled, seed)
     held = [n for n, share in zip(names, told.prior_share, strict=True) if share > 0.5]
     trust = trust_grades(
         names,
-        values.mean(0),
+        np.nanmean(values, 0),
         errors,
         not_identifiable=told.not_claimable,
         at_bound=chosen.at_bound,
@@ -123,6 +125,19 @@ def assess(
     )  # fmt: skip
 
 
+def _spread(way: Callable[..., Covariance], result: FitResult) -> Covariance:
+    """Covariance of a set; a fit that diverged has none."""
+    if result.status == "diverged":
+        size = len(result.values)
+        return Covariance(np.full((size, size), np.nan), np.full(size, np.nan), math.nan, "none", 0)
+    return way(result.jacobian, result.residual, prior_information=result.prior_precision)
+
+
+def _estimates(sets: Sequence[FitResult]) -> np.ndarray:
+    """Values of all sets (n, p); NaN where a fit diverged, whose values are no estimate."""
+    return np.array([np.full(len(r.values), np.nan) if r.status == "diverged" else r.values for r in sets])
+
+
 def _standard_errors(
     sets: Sequence[FitResult],
     plain: Sequence[Covariance],
@@ -132,14 +147,15 @@ def _standard_errors(
 ) -> dict[str, np.ndarray]:
     """Standard errors of the study's estimate (the pooled set, or the mean over the experiments), in several ways."""
     if not pooled:
-        count = len(sets)
+        ended = [k for k, result in enumerate(sets) if result.status != "diverged"]
+        count = len(ended)
         mean = {
-            way: np.sqrt(np.mean([c.std_error**2 for c in ways], 0) / count)
+            way: np.sqrt(np.mean([ways[k].std_error ** 2 for k in ended], 0) / count)
             for way, ways in (("plain", plain), ("robust", robust))
         }
         if count < 2:
             return mean
-        return mean | {"between records": mean_interval(np.array([r.values for r in sets])).std_error}
+        return mean | {"between records": mean_interval(_estimates(sets)).std_error}
     result = sets[0]
     scale = result.noise_scale
     jacobian, residual = [j / scale for j in result.jacobian], [r / scale for r in result.residual]

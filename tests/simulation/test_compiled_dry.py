@@ -177,11 +177,27 @@ def test_any_parameters_of_a_compliant_drive(factors: list[float], start: tuple[
     assert_same(rollout(system, Engine(substeps=2, compiled=True), batch, theta), whole)
 
 
-def test_one_code_serves_all_values_of_a_structure() -> None:
+def test_one_code_serves_all_machines_of_a_structure() -> None:
     system = SYSTEMS["flexible"]
     other = system.with_values({"J_m": 2e-5, "F_cm": 0.02, "k": 100.0})
     assert source(system, ("u1",)) == source(other, ("u1",))
-    assert source(system, ("u1",)) != source(one_link_flexible(50.0), ("u1",))
+    (code, constants), (same, others) = (
+        source(one_link_flexible(ratio).with_component(LINK, Coulomb(F_c=0.4)), ("u1",))
+        for ratio in (50.0, 80.0)
+    )
+    assert code == same, "a gear ratio is a number beside the parameters"
+    assert constants != others
+    assert source(system, ("u1",))[0] != source(SYSTEMS["coulomb"], ("u1",))[0]
+
+
+def test_lanes_do_not_depend_on_those_beside_them() -> None:
+    system = SYSTEMS["arm"]
+    batch = batch_of(system, signals(2, 200), rows=3).take(torch.arange(11) % 3)
+    theta = stored(system, 11) * torch.linspace(0.9, 1.1, 11, dtype=torch.float64)
+    whole = rollout(system, Engine(compiled=True), batch, theta)
+    for k in (0, 5, 10):
+        alone = rollout(system, Engine(compiled=True), batch.take(torch.tensor([k])), theta[:, [k]])
+        assert torch.equal(alone[0], whole[k])
 
 
 def test_a_delay_is_served() -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, Dahl, LoadDependent, PositionLoop
-from hybrid_id.simulation.rollout import halved, rollout, simulate
+from hybrid_id.simulation.rollout import rollout, simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import one_link
 
@@ -120,7 +120,7 @@ def test_parameters_that_are_no_numbers_diverge() -> None:
 def test_half_the_step_tells_the_engines_error() -> None:
     system = SYSTEMS["asymmetric"]
     batch = batch_of(system, {"u1": multisine(2, samples=400)})
-    assert halved(Engine(substeps=2)).substeps == 4
-    runs = [simulate(system, e, batch).y for e in (Engine(), halved(Engine()), Engine(substeps=16))]
+    assert Engine(substeps=2).halved().substeps == 4
+    runs = [simulate(system, e, batch).y for e in (Engine(), Engine().halved(), Engine(substeps=16))]
     change, error = ((runs[k] - runs[j]).abs().max() for k, j in ((0, 1), (0, 2)))
     assert 0.5 * error < change < 2.0 * error

@@ -50,6 +50,10 @@ _CAPTIONS = {
     "worst_record": "The test record that is predicted worst: measured, simulated in open loop, and the residuals.",
 }
 
+_NO_TEST = (
+    "The first train record (no record is a test): measured, simulated in open loop, and the residuals."
+)
+
 
 def gap_page(
     dataset: Dataset,
@@ -73,10 +77,11 @@ def gap_page(
         findings: what the check of the records remarked.
     """
     page = Page(f"Gap between {dataset.name} and its model", verdict_sentence(diagnosis, reach))
+    captions = _CAPTIONS | ({} if diagnosis.with_effect else {"worst_record": _NO_TEST})
 
     def picture(section: Section, name: str) -> None:
         if name in figures:
-            section.figure(figures[name], _CAPTIONS[name])
+            section.figure(figures[name], captions[name])
 
     picture(page.section("How far").add(_sentence(gap_line(diagnosis))), "gap")
     ties = (

@@ -15,9 +15,9 @@ from hybrid_id.reporting.tables import count, records_table
 from hybrid_id.study.hybrid import HybridStudy
 
 _LADDER = (
-    "1 is as the weights say. Train errors are those of fitted first states; the typical validation error is the "
-    "geometric mean over ten parts of each record, for a run that has lost its record says little from there on. The "
-    "errors further down are the RMS of whole free runs from measured first states."
+    "1 is as the weights say. All are errors of free runs from measured first states; the typical validation error is "
+    "the geometric mean over ten parts of each record, for a run that has lost its record says little from there on. "
+    "The errors further down are the RMS of whole free runs."
 )
 
 

@@ -54,7 +54,7 @@ def record_plot(dataset: Dataset, comparison: Comparison, record: str) -> Plot:
         for label, values, panel, colour, dash in shown:
             curve = {"type": "scattergl" if measured.n_samples > POINTS else "scatter", "mode": "lines"}
             curve |= {
-                "x": short(measured.time[::step]),
+                "x": short(measured.time[::step], digits=12),
                 "y": short(values[::step]),
                 "name": f"{signal} {label}",
             }
@@ -111,6 +111,6 @@ def _axis(letter: str, number: int) -> str:
     return letter if number == 1 else f"{letter}{number}"
 
 
-def short(values: np.ndarray) -> list[float | None]:
-    """Numbers of five digits; what is not finite is left out of the curve."""
-    return [float(f"{v:.5g}") if np.isfinite(v) else None for v in np.asarray(values, float)]
+def short(values: np.ndarray, digits: int = 5) -> list[float | None]:
+    """Numbers of so many digits; what is not finite is left out of the curve."""
+    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in np.asarray(values, float)]
