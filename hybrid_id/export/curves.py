@@ -98,6 +98,11 @@ def resistance(joint: Joint, place: str, p: Views, top_speed: float) -> Resistan
             f"{where}: MuJoCo's friction is up to {miss:.2g} N m ({100 * miss / most:.0f} % of its largest value) off "
             "the model's curve, which is not that of a bristle there"
         )
+    still_growing = max((abs(force) for force, end in ramps if abs(end) >= 0.999 * top_speed), default=0.0)
+    if still_growing > WORTH_SAYING * most:
+        notes.append(
+            f"{where}: what grows with speed in one direction alone does so up to {top_speed:.3g} rad/s only"
+        )
     for key, law in laws:
         kind = key.split("/")[2]
         terms = law.load_factor(p[key]), law.effort_factor(p[key]), law.dry_over(p[key], zero)

@@ -149,7 +149,7 @@ class _Command:
         self._encoders = [(part, part.view()) for _, part in joint.drive.encoders]
         self._closed = isinstance(self._source, PositionLoop)
         self._time, delay = record.time - record.time[0], joint.drive.delay
-        self._late = 0.0 if delay is None else float(system.components[delay[0]].view().T_d)  # type: ignore[operator]
+        self._late = 0.0 if delay is None else delay[1].specs["T_d"].value
         zero = torch.zeros(1, dtype=torch.float64)
         self._held = None if self._closed else self._at(self._channels, zero).expand(record.n_samples)
 

@@ -36,7 +36,7 @@ def long_run_covariance(series: Sequence[np.ndarray]) -> tuple[np.ndarray, int]:
     sums = [s / size for s in sums]
     count = sum(len(s) for s in sums)
 
-    largest = min(_LARGEST_ORDER, min(len(s) for s in sums) // 5)
+    largest = min(_LARGEST_ORDER, max(len(s) for s in sums) // 5)  # a short record among long ones tells less
     correlation = np.stack([np.diag(_lagged_products(sums, k)) for k in range(largest + 1)])
     filters = [_whitening_filter(column, count) for column in correlation.T]
     white = [

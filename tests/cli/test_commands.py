@@ -24,7 +24,15 @@ from drives import make_record, rigid_drive
 
 from hybrid_id import __version__
 from hybrid_id.cli.app import app
-from hybrid_id.cli.folder import added_results, live_folder, results_folder
+from hybrid_id.cli.folder import (
+    CHECKPOINT,
+    EVENTS,
+    added_results,
+    leave_without_checkpoint,
+    live_folder,
+    refuse_taken,
+    results_folder,
+)
 from hybrid_id.cli.identify import fit_part
 from hybrid_id.cli.progress import FitProgress
 from hybrid_id.config import StudyConfig, load_config, study_config
@@ -288,6 +296,33 @@ def test_force_replaces_results_only_when_the_new_ones_are_complete(run, drive: 
     assert run("simulate", drive, "--out", out, "--force").code == 0
     assert not (out / "stale.txt").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["sim"]
+
+
+def test_force_never_takes_what_a_command_reads(run, drive: Path, tmp_path: Path) -> None:
+    home = tmp_path / "work"
+    shutil.copytree(drive, home / "data")
+    assert run("simulate", drive, "--out", tmp_path / "sim").code == 0
+    shutil.copy(tmp_path / "sim" / "result.json", home)
+    outcome = run("simulate", home / "data", "--out", home, "--force")
+    assert outcome.code == 2 and "which this command reads" in outcome.err
+    assert (home / "data" / "model.yaml").exists()
+
+
+def test_a_training_that_was_killed_before_its_first_checkpoint_is_begun_anew(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    (out / EVENTS).mkdir(parents=True)
+    (out / "config.yaml").write_text("dataset: x\n")
+    refuse_taken(out, force=True)
+    (out / "mine.txt").write_text("x")
+    with pytest.raises(InputError, match="no results of hybrid-id"):
+        refuse_taken(out, force=True)
+
+
+def test_an_early_ctrl_c_shows_nothing_that_is_gone_after(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt, match="no results were written"):
+        leave_without_checkpoint(tmp_path, interrupted=True)
+    (tmp_path / CHECKPOINT).touch()
+    leave_without_checkpoint(tmp_path, interrupted=True)
 
 
 def test_nothing_is_left_of_a_failure(tmp_path: Path) -> None:

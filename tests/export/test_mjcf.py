@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hybrid_id.components import (
+    AsymmetricFriction,
     AsymmetricStribeck,
     AsymmetricTanh,
     Backlash,
@@ -28,6 +29,7 @@ from hybrid_id.components import (
     LuGre,
     MotorEncoder,
     PositionDependent,
+    PositionLoop,
     QuadraticDrag,
     ResidualNetwork,
     Saturation,
@@ -150,6 +152,42 @@ def test_current_drive_is_carried() -> None:
         "joint1/motor", Cogging()
     )
     assert apart(system, dataset(channel="i", size=2.0)) < 2e-3
+
+
+def test_delay_of_a_position_loop_holds_back_the_goal_and_not_the_angle() -> None:
+    pytest.importorskip("mujoco")
+    system = one_link(RATIO).with_component("joint1/input", PositionLoop(duty_per_rad=0.5))
+    late = system.with_component("joint1/input", Delay(T_d=0.02))
+    exported = to_mjcf(late)
+    assert any("delays the goal" in note for note in exported.notes) and " delay=" not in exported.text
+    t = np.arange(0.0, 1.0, 0.002)
+    goal = 30.0 * np.where(t < 0.05, 0.0, np.sin(2 * np.pi * 1.3 * t))
+    inputs = {"goal1": goal, "gain1": np.full_like(t, 0.4), "supply1": np.full_like(t, 12.0)}
+    record = Record(name="loop", time=t, inputs=inputs, outputs={"q_m1": np.zeros_like(t)})
+    units = ("rad", "1", "V")
+    channels = tuple(Channel(name, unit) for name, unit in zip(inputs, units, strict=True))
+    data = Dataset(name="bench", inputs=channels, outputs=(Channel("q_m1", "rad"),), records=(record,))
+    assert apart(late, data) < 2e-3
+
+
+def test_friction_that_grows_in_one_direction_says_how_far() -> None:
+    uneven = AsymmetricFriction(F_a=0.002, D_a=2e-5)
+    notes = to_mjcf(one_link(RATIO).with_component("joint1/motor_friction", uneven)).notes
+    assert any("in one direction alone" in note for note in notes), notes
+    even = AsymmetricFriction(F_a=0.002, D_a=0.0)
+    assert not to_mjcf(one_link(RATIO).with_component("joint1/motor_friction", even)).notes
+
+
+def test_mujoco_starts_where_the_package_does() -> None:
+    pytest.importorskip("mujoco")
+    system, data = one_link(RATIO), dataset()
+    record = data.records[0]
+    rng = np.random.default_rng(0)
+    moving = replace(
+        record, outputs={"q_m1": 40.0 + 20.0 * record.time + 0.5 * rng.standard_normal(record.time.size)}
+    )
+    noisy = replace(data, records=(moving,), outputs=(Channel("q_m1", "rad", 0.5),))
+    assert apart(system, noisy) < 2e-3
 
 
 @pytest.mark.parametrize("words", LEFT_OUT)

@@ -1,5 +1,6 @@
 """Training by the adjoint method: it ends where Levenberg-Marquardt ends, and it can be stopped and resumed."""
 
+import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -168,6 +169,17 @@ def test_resume_goes_on_to_the_same_numbers(
         np.testing.assert_array_equal(a.values, b.values)
 
 
+def test_resume_with_a_larger_limit_goes_on(tmp_path: Path, batch: Batch) -> None:
+    saved, short = tmp_path / "checkpoint.pt", replace(QUICK, windows=(), max_iterations=3)
+    first = train(START, batch, options=short, checkpoint=saved)
+    assert {r.status for r in first} == {"max_iterations"}
+    longer = train(START, batch, options=replace(short, max_iterations=6), resume=saved)
+    whole = train(START, batch, options=replace(short, max_iterations=6))
+    for a, b in zip(longer, whole, strict=True):
+        assert (a.status, a.iterations) == (b.status, b.iterations)
+        np.testing.assert_array_equal(a.values, b.values)
+
+
 def test_interrupt_keeps_what_is_done(batch: Batch) -> None:
     class Pressed:
         def record(self, snapshot: Snapshot) -> None:
@@ -195,6 +207,10 @@ def test_checkpoint_of_another_training_is_refused(tmp_path: Path, batch: Batch)
     with pytest.raises(InputError, match="another model"):
         prior = START.with_specs({"J": replace(J, prior_mean=J.value, prior_std=0.1 * J.value)})
         train(prior, batch, options=QUICK, resume=saved)
+    other = copy.deepcopy(START)
+    other.gear_ratio = tuple(2.0 * ratio for ratio in START.gear_ratio)
+    with pytest.raises(InputError, match="another model"):  # the same names, another gear
+        train(other, batch, options=QUICK, resume=saved)
     content = torch.load(saved, weights_only=True)
     del content["state"]["metric"]
     torch.save(content, saved)

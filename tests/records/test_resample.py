@@ -49,6 +49,14 @@ def test_average_of_a_held_input_by_hand() -> None:
     np.testing.assert_array_equal(new.inputs["u1"], [1.0, 2.0, 7.0])
 
 
+def test_a_held_input_is_not_late_by_rounding() -> None:
+    time = 0.3 + 0.001 * np.arange(400)  # 0.3 has no exact binary form
+    count = np.arange(400.0)
+    record = Record(name="a", time=time, inputs={"u1": count}, outputs={"q_m1": np.sin(time)})
+    new, _ = resample_record(record, 0.002, inputs="hold")
+    np.testing.assert_array_equal(new.inputs["u1"], count[::2])
+
+
 def test_longer_step_reports_what_is_lost() -> None:
     time = 0.001 * np.arange(2000)
     record = Record("a", time, {"u1": time}, {"q_m1": np.sin(2 * np.pi * 80 * time)})

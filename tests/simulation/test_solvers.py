@@ -246,12 +246,20 @@ def test_gradients_reach_weights_beyond_the_table() -> None:
 
 @pytest.mark.parametrize(
     "settings",
-    [{"friction": "dry"}, {"method": "rk5"}, {"gradient": "forward"}, {"compiled": True}],
+    [
+        {"friction": "dry"}, {"method": "rk5"}, {"gradient": "forward"}, {"compiled": True},
+        {"width": 0.0}, {"fine": 0}, {"tolerances": 0.0},
+    ],
     ids=lambda s: next(iter(s)),
-)
+)  # fmt: skip
 def test_impossible_settings_are_refused_by_name(settings: dict) -> None:
     with pytest.raises(InputError, match=f"(?i){next(iter(settings))}"):
-        OdeEngine(**settings)
+        OdeEngine(**{"rtol" if name == "tolerances" else name: value for name, value in settings.items()})
+
+
+def test_half_a_step_is_half_of_every_step() -> None:
+    assert (OdeEngine(substeps=2, fine=8).halved().substeps, OdeEngine(fine=8).halved().fine) == (4, 16)
+    assert OdeEngine(method="dopri5", rtol=1e-5).halved().rtol == pytest.approx(1e-6)
 
 
 def test_field_is_a_module_that_owns_the_parameters_of_its_system() -> None:
