@@ -1,4 +1,4 @@
-"""Time of a rollout with dry friction, eager and compiled, for one sample of one lane: python -m benchmarks.rollouts."""
+"""Time of a rollout with dry friction, eager and compiled, of one sample of one lane: python -m benchmarks.rollouts."""
 
 import time
 

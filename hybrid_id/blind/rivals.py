@@ -13,6 +13,7 @@ import numpy as np
 
 from hybrid_id.blind.case import Case, Records, build
 from hybrid_id.blind.effects import CATALOGUE, Effect
+from hybrid_id.blind.effects.base import UNKNOWN
 from hybrid_id.blind.physics.bench import Plant
 from hybrid_id.blind.physics.integrator import Machine
 from hybrid_id.blind.refit import STEP, Bench, Refit, free_parameters, refit_from, refit_model
@@ -73,7 +74,7 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
         floor = min(max(floor, own), FARTHEST * floor)
     screens = [_Screen(case, records, values, beside) for values in (model, true)]
     found = []
-    for kind in _candidates(case):
+    for kind in _candidates(case, every=truth.name == UNKNOWN):
         for joint in range(case.robot.joints):
             if (kind.name, kind.place, joint) == (truth.name, truth.place, truth.joint):
                 continue
@@ -151,13 +152,16 @@ def _fitted(effect: Effect) -> list[str]:
     return [key for key in (*effect.sized, *effect.shapes) if key in effect.values]
 
 
-def _candidates(case: Case) -> list[type[Effect]]:
-    """The first formula of each name and place that today's simulator could have beside its own parameters."""
+def _candidates(case: Case, *, every: bool) -> list[type[Effect]]:
+    """Formulas that today's simulator could have beside its own parameters: every one, or the first of name and place.
+
+    What no name stands for must not be what another formula of a name explains.
+    """
     robot, found = case.truth(), {}
     for name, kinds in sorted(CATALOGUE.items()):
         for kind in sorted(kinds, key=lambda kind: kind.__name__):
             if kind.fits(robot) and kind.alter is Effect.alter:
-                found.setdefault((name, kind.place), kind)
+                found.setdefault((name, kind.place, kind.__name__ if every else ""), kind)
     return list(found.values())
 
 

@@ -131,6 +131,8 @@ def _diagnosed(
         if not added.unknown and added.borne_out:
             now = added
     own = own_sets(refit, now.search.chosen, system) if now.unknown else None
+    if own is not None and own.common.effects and own.common is now.search.chosen and not own.varying:
+        own = None  # a wrong formula, too, explains each record by values of its own; they have to differ surely
     varying = () if own is None else own.varying
     if own is not None:
         same = own.common is now.search.chosen
