@@ -87,8 +87,8 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
             if left > WORTH:
                 found.append(Rival(start, left, False))
                 continue
-            worth = [((s, *beside), model) for s, left, model in starts if left <= WORTH]
-            fits = zip(fit_all(case, records, worth), worth, strict=True)
+            tried = [((s, *beside), model) for s, left, model in starts if left <= WORTH]
+            fits = zip(fit_all(case, records, tried), tried, strict=True)
             (fitted, values), ((start, *_), _) = min(fits, key=lambda one: one[0][0].train)
             rest = (fitted.test**2 - floor**2) / (model.test**2 - floor**2)
             counts = fitted.test <= CLOSE * floor and rest < REST
@@ -121,18 +121,24 @@ def fit_all(
 ) -> list[tuple[Refit, list[dict[str, float]]]]:
     """The same from several starts, of the same effects with other values."""
     robot, effects = case.truth(), starts[0][0]
-    given, held = [], []
-    for own, start in starts:
-        values = {f"{i}.{k}": float(np.mean(v)) for i, e in enumerate(own) for k, v in e.values.items()}
-        moved = [f"{i}.{k}" for i, e in enumerate(own) for k in _fitted(e)]
-        given.append({**start.values, **{name: values[name] for name in moved}})
-        held.append({name: value for name, value in values.items() if name not in moved})
+    values = [{f"{i}.{k}": v for i, e in enumerate(own) for k, v in e.values.items()} for own, _ in starts]
+    moved = [f"{i}.{k}" for i, e in enumerate(effects) for k in _fitted(e)]
+    given = [
+        {**start.values, **{name: float(np.mean(own[name])) for name in moved}}
+        for own, (_, start) in zip(values, starts, strict=True)
+    ]
+    # what stays and is the same for all need not be a number for each lane, nor a number at all
+    differs = [n for n, v in values[0].items() if n not in moved and any(own[n] != v for own in values)]
+    held = [{name: float(own[name]) for name in differs} for own in values]
     signed = [f"{i}.{k}" for i, e in enumerate(effects) for k in _fitted(e) if k in e.signed]
 
     def together(given: Mapping[str, np.ndarray]) -> Plant:
         own = {name: value for name, value in given.items() if name in robot.values}
         machine_of = robot.with_values({**dict.fromkeys(robot.lacks, 0.0), **own})
-        moved = [type(e)(e.joint, {k: given[f"{i}.{k}"] for k in e.values}) for i, e in enumerate(effects)]
+        moved = [
+            type(e)(e.joint, {k: given.get(f"{i}.{k}", v) for k, v in e.values.items()})
+            for i, e in enumerate(effects)
+        ]
         for effect in moved:
             machine_of = effect.alter(machine_of)
         machine = machine_of.assemble(substeps=1)

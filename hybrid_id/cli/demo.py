@@ -70,7 +70,7 @@ def demo(
         show("", "3. So the data sheet's motor constants go in as priors. One parameter set a record:")
         changes = {"model": str(folder / DATA / "model_priors.yaml"), "identification.seed": seed}
         config = study_config(folder / DATA, changes)
-        study, stopped = run(dataset, load_model(config.model), config)
+        study, progress = run(dataset, load_model(config.model), config)
         home = out.absolute()
         placed = config.model_copy(
             update={"dataset": home / DATA, "model": home / DATA / "model_priors.yaml"}
@@ -84,7 +84,7 @@ def demo(
     show("", f"4. The truth of {study.selected.records[0]} beside its estimates:")
     show(truth_table(study, truth, reach_of(config), config.statistics.level))
     show("", *_conclusion(study, truth, reach_of(config), out))
-    if stopped:
+    if progress.stopped:
         remark("stopped by Ctrl-C: the sets are those of the last iteration, and claim no interval")
         raise typer.Exit(130)
 

@@ -16,7 +16,10 @@ RESULT = "result.json"
 DIAGNOSIS = "diagnosis.json"
 CHECKPOINT = "checkpoint.pt"
 EVENTS = "tensorboard"
+BEGUN = ".begun"
+"""Marks a training that is not complete; says whether it has put earlier results aside."""
 RESULTS = (RESULT, DIAGNOSIS)
+ASIDE = "earlier results are aside"
 
 
 def required(path: Path | None) -> Path:
@@ -63,8 +66,8 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
 
 
 def _only_begun(path: Path) -> bool:
-    """Whether a folder holds a training that was killed before its first checkpoint, and nothing else."""
-    return path.is_dir() and {entry.name for entry in path.iterdir()} == {"config.yaml", EVENTS}
+    """Whether a folder holds a training that was killed before its first checkpoint."""
+    return (path / BEGUN).exists() and not any((path / name).exists() for name in (CHECKPOINT, *RESULTS))
 
 
 def _is_ours(file: Path) -> bool:
@@ -90,7 +93,8 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
             yield new
             refuse_taken(path, force=force)  # a long run: somebody may have written there meanwhile
             if path.exists():
-                path.replace(Path(temporary) / "old")
+                with sole_writer(path):  # nobody's folder is taken under his hands
+                    path.replace(Path(temporary) / "old")
             new.replace(path)
             complete = True
     finally:
@@ -151,19 +155,18 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
     if replaced:
         with sole_writer(path):  # nobody's folder is put aside under his hands
             pass
-    begun = _only_begun(path)
-    if begun and not resume:  # what it had put aside stays there
+    ours = (path / BEGUN).exists() and (path / BEGUN).read_text() == ASIDE and aside.exists()
+    if _only_begun(path) and not resume:  # what it had put aside stays there
         shutil.rmtree(path)
     elif replaced:
         if aside.exists():
             raise InputError(f"{aside} is in the way, the place for the results that are replaced; remove it")
         path.replace(aside)
+        ours = True
     path.mkdir(exist_ok=True)
-    with (
-        sole_writer(path),
-        _until_complete(path, aside if (replaced or resume) and aside.exists() else None, made),
-    ):
+    with sole_writer(path), _until_complete(path, aside if ours else None, made):
         if not resume:
+            (path / BEGUN).write_text(ASIDE if ours else "")
             config.save(path / "config.yaml")
         yield
 
@@ -180,6 +183,7 @@ def _until_complete(path: Path, aside: Path | None, made: list[Path]) -> Iterato
                 aside.replace(path)
             _remove(made)
         raise
+    (path / BEGUN).unlink(missing_ok=True)
     if aside:
         shutil.rmtree(aside)
 

@@ -93,9 +93,8 @@ def identify(
     system = load_system(config)
     use_device(config.identification.device)
     check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
-    study, stopped = run(dataset, system, config, jobs=jobs)
-    cut = any(result.status == "interrupted" for result in study.sets)
-    if cut and (home / RESULT).exists():
+    study, progress = run(dataset, system, config, jobs=jobs)
+    if progress.cut and (home / RESULT).exists():
         raise KeyboardInterrupt(f"stopped; the earlier results in {home} stay as they are")
 
     from hybrid_id.cli.study import show_study, write_study
@@ -103,14 +102,17 @@ def identify(
     with results_folder(home, force=force) as folder:
         text = write_study(folder, home, "identify", config, dataset, study)
     show_study(study, config, home, text, as_json=as_json)
-    if stopped:
+    if progress.stopped:
         sets = "the sets are those of the last iteration, and result.json says which"
-        remark(f"stopped by Ctrl-C: {sets if cut else 'the sets are complete, the profiles are cut off'}")
+        whole = "the sets are complete" + (", the profiles are cut off" if config.statistics.profile else "")
+        remark(f"stopped by Ctrl-C: {sets if progress.cut else whole}")
         raise typer.Exit(130)
 
 
-def run(dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int = 1) -> "tuple[Study, bool]":
-    """Fit and assess as the config says; also whether the user has stopped the fit."""
+def run(
+    dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int = 1
+) -> "tuple[Study, FitProgress]":
+    """Fit and assess as the config says; the progress knows whether the user has stopped that."""
     from hybrid_id.cli.progress import FitProgress
     from hybrid_id.study import assess
     from hybrid_id.study import identify as identify_all
@@ -129,7 +131,7 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int 
             study = identify_all(dataset, system, device=wish.device, signal_share=share, **settings)
         if config.statistics.profile and not progress.stopped:
             study = _profiled(dataset, study, config, progress)
-        return study, progress.stopped
+        return study, progress
 
 
 def _profiled(dataset: "Dataset", study: "Study", config: StudyConfig, progress: "FitProgress") -> "Study":

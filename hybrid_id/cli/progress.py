@@ -46,12 +46,14 @@ class FitProgress:
 
     Attributes:
         stopped: whether the user asked the fit to end.
+        cut: whether he did so before the fit had ended by itself.
         flag: file that is made then, for other processes to see.
     """
 
     def __init__(self, n_sets: int, max_iterations: int, *, polite: bool = True) -> None:
         self._polite = polite
         self.n_sets, self.max_iterations, self.stopped = n_sets, max_iterations, False
+        self.cut = False
         console = err()
         columns = (TextColumn("{task.description}"), BarColumn(24), TextColumn("{task.fields[left]}"))
         self._bar = Progress(*columns, TimeElapsedColumn(), console=console, disable=not console.is_terminal)
@@ -82,6 +84,7 @@ class FitProgress:
         self._bar.update(
             self._task, description=words, left=left, total=self.n_sets, completed=self.n_sets - going
         )
+        self.cut |= self.stopped
         return self.stopped
 
     def say(self, words: str) -> None:
@@ -93,6 +96,7 @@ class FitProgress:
         self._restore()
         if self.flag is not None:
             self.flag.touch()
+            self.cut = True
         remark(
             "stopping after this iteration with the values so far; press Ctrl-C again to leave without results"
         )

@@ -84,7 +84,7 @@ def mujoco_replay(
             state[f"gear{joint.number}"] = [b - a for a, b in zip(rotor, link, strict=True)]
         for name, (angle, speed) in state.items():
             data.joint(name).qpos[:], data.joint(name).qvel[:] = angle, speed
-    commands = [_Command(system, joint, record) for joint in system.joints]
+    commands = [_Command(system, joint, record, model.opt.timestep) for joint in system.joints]
     for command, joint in zip(commands, system.joints, strict=True):
         _fill_delay(mujoco, model, data, joint, command(0, data))
     limited = model.actuator_ctrllimited[: len(commands)].copy()
@@ -136,7 +136,7 @@ class _Command:
         on: whether the motor is switched on at each sample, ``(T,)``.
     """
 
-    def __init__(self, system: System, joint: Joint, record: Record) -> None:
+    def __init__(self, system: System, joint: Joint, record: Record, tick: float) -> None:
         key, self._source = joint.drive.input
         self._joint, self._view = joint, system.components[key].view()  # type: ignore[operator]
         self.on = record.inputs.get(f"enable{joint.number}", np.ones(record.n_samples))
@@ -148,6 +148,7 @@ class _Command:
         }
         self._encoders = [(part, part.view()) for _, part in joint.drive.encoders]
         self._closed = isinstance(self._source, PositionLoop)
+        self._tick = tick
         self._time, delay = record.time - record.time[0], joint.drive.delay
         self._late = 0.0 if delay is None else delay[1].specs["T_d"].value
         zero = torch.zeros(1, dtype=torch.float64)
@@ -174,6 +175,10 @@ class _Command:
         angle = torch.tensor([turned], dtype=torch.float64)
         for encoder, view in self._encoders:  # the loop closes over what its encoder reads
             angle = encoder.read(view, angle)
-        # a delay holds back the goal, not the angle
-        row = max(int(np.searchsorted(self._time, data.time - self._late + 1e-9, side="right")) - 1, 0)
+        row = sample
+        if (
+            self._late
+        ):  # a delay holds back the goal, not the angle; half a step forgives the rounding to MuJoCo's
+            arrived = data.time - self._late + 0.5 * self._tick
+            row = max(int(np.searchsorted(self._time, arrived, side="right")) - 1, 0)
         return float(self._at({c: v[row : row + 1] for c, v in self._channels.items()}, angle)[0])

@@ -140,10 +140,8 @@ def _remarks(study: Study) -> list[str]:
     if len(study.sets) > 1 or not study.selection.candidate.any():
         lines.append(f"selection: {study.selection.summary()}")
     if study.test_nrmse:
-        mean = float(np.mean(list(study.test_nrmse.values())))
-        lines.append(
-            f"test: normalised RMSE {mean:.4g} on {count(len(study.test_nrmse), 'record')} that no fit has seen"
-        )
+        seen = count(len(study.test_nrmse), "record")
+        lines.append(f"test: normalised RMSE {study.test_error:.4g} on {seen} that no fit has seen")
     lines.append(f"integration error (step halved): {study.engine_error:.2g} standard errors at most")
     lines += [
         f"profile of {n}: {p.lower:.5g} to {p.upper:.5g}, {p.message}" for n, p in study.profiles.items()

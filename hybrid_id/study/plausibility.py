@@ -31,9 +31,11 @@ def check_fit(study: Study) -> str:
 
 def _verdict(who: str, nrmse: Sequence[Sequence[float]] | np.ndarray) -> str:
     """Say that the normalised RMSE (n_records, n_outputs) of the worst output, median of the records, is above 1."""
-    if not len(nrmse):
+    errors = np.array(nrmse, float)
+    if not errors.size:
         return ""
-    worst = float(np.nanmax(np.nanmedian(nrmse, axis=0), initial=0.0))
+    moving = errors[:, ~np.isnan(errors).all(0)]  # an output that stands still in all records has none
+    worst = float(np.max(np.nanmedian(moving, axis=0), initial=0.0)) if moving.size else 0.0
     size = f"normalised RMSE {worst:.3g}" if np.isfinite(worst) else "the simulation diverges"
     return (
         f"{who} explain less than the mean of the records ({size}); check signs, units and gear ratio"

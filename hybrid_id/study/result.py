@@ -100,6 +100,12 @@ class Study:
         return np.where(self.identifiability.claimable, larger, np.inf)
 
     @property
+    def test_error(self) -> float:
+        """Mean of the normalised RMSE over the test records that move; NaN where none does."""
+        known = [value for value in self.test_nrmse.values() if not np.isnan(value)]
+        return float(np.mean(known)) if known else np.nan
+
+    @property
     def combinations(self) -> Combinations:
         """The identifiable combinations of the selected set's records, for every set; c = 0 where nothing is told."""
         told = self.identifiability.combinations
@@ -114,6 +120,7 @@ class Study:
         errors = np.where(np.isnan(errors), np.inf, errors)
         errors[[result.left_early for result in self.sets]] = np.inf
         values = np.array([c.evaluate(self.values) for c in told]).reshape(shape[::-1]).T
+        values[[result.status == "diverged" for result in self.sets]] = np.nan  # which are no estimates
         names = tuple(c.text for c in told)
         return Combinations(names, values, errors, variation(values, names) if len(self.sets) > 1 else None)
 
@@ -133,8 +140,9 @@ class Study:
         lines.append(self.identifiability.summary())
         lines.append(self.selection.summary())
         if self.test_nrmse:
-            mean = float(np.mean(list(self.test_nrmse.values())))
             plural = "s" * (len(self.test_nrmse) > 1)
-            lines.append(f"normalised RMSE on {len(self.test_nrmse)} test record{plural}: {mean:.4g}")
+            lines.append(
+                f"normalised RMSE on {len(self.test_nrmse)} test record{plural}: {self.test_error:.4g}"
+            )
         lines.append(f"integration error (step halved): {self.engine_error:.2g} standard errors at most")
         return "\n".join(lines)

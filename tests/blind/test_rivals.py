@@ -5,12 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hybrid_id.blind import campaign
 from hybrid_id.blind import make as module
-from hybrid_id.blind.case import build, runs_in_mujoco
+from hybrid_id.blind.case import Case, build, record, runs_in_mujoco
+from hybrid_id.blind.effects import OUTSIDE, Effect
 from hybrid_id.blind.effects.friction import UnevenBoth
 from hybrid_id.blind.effects.outside import Wind
 from hybrid_id.blind.effects.outside_drive import WeakSupply
 from hybrid_id.blind.make import make_cases
+from hybrid_id.blind.refit import refit_model
+from hybrid_id.blind.rivals import fit_all
 from hybrid_id.blind.robots import draw_robot
 
 RNG = np.random.default_rng(0)
@@ -42,6 +46,22 @@ def test_nominal_arms_have_a_mass_matrix() -> None:
         assert P_4 < P_2
         for cosine in (-1.0, 0.0, 1.0):
             assert (P_1 + 2 * cosine * P_3) * P_2 > (P_4 + cosine * P_3) ** 2
+
+
+@pytest.mark.parametrize("kind", OUTSIDE)
+def test_every_effect_without_a_name_can_be_fitted_as_its_rivals_are(
+    kind: type[Effect], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(campaign, "LENGTHS", (300, 400))
+    rng = np.random.default_rng(3)
+    system = next(name for name in ("one_link", "one_link_flexible") if name in kind.systems)
+    robot = draw_robot(rng, system)
+    effects = [kind.draw(rng, robot, 0)]
+    case = Case("c", robot, tuple(effects), campaign.draw_campaign(rng, robot), {}, "in_house")
+    records = record(case)
+    start = refit_model(case, records, rounds=1)
+    fit, _ = fit_all(case, records, [((case.effects[0],), start), ((case.effects[0].scaled(1.5),), start)])[0]
+    assert np.isfinite(fit.train)
 
 
 def test_a_fault_in_one_case_is_told_and_loses_no_other(

@@ -25,6 +25,7 @@ from drives import make_record, rigid_drive
 from hybrid_id import __version__
 from hybrid_id.cli.app import app
 from hybrid_id.cli.folder import (
+    BEGUN,
     CHECKPOINT,
     EVENTS,
     added_results,
@@ -312,10 +313,25 @@ def test_a_training_that_was_killed_before_its_first_checkpoint_is_begun_anew(tm
     out = tmp_path / "out"
     (out / EVENTS).mkdir(parents=True)
     (out / "config.yaml").write_text("dataset: x\n")
-    refuse_taken(out, force=True)
-    (out / "mine.txt").write_text("x")
-    with pytest.raises(InputError, match="no results of hybrid-id"):
+    with pytest.raises(InputError, match="no results of hybrid-id"):  # it may be another program's
         refuse_taken(out, force=True)
+    (out / BEGUN).write_text("")
+    refuse_taken(out, force=True)
+
+
+def test_a_backup_that_nobody_here_has_made_is_left_alone(tmp_path: Path, drive: Path) -> None:
+    out, backup = tmp_path / "out", tmp_path / "out.old"
+    backup.mkdir()
+    (backup / "mine.txt").write_text("x")
+    config = study_config(drive)
+    with pytest.raises(ZeroDivisionError), live_folder(out, config, force=False, resume=False):
+        assert (out / BEGUN).exists()
+        raise ZeroDivisionError
+    out.mkdir()
+    (out / BEGUN).write_text("")  # as a kill leaves it
+    with live_folder(out, config, force=True, resume=False):
+        (out / "result.json").write_text("{}")
+    assert (backup / "mine.txt").exists() and not (out / BEGUN).exists()
 
 
 def test_an_early_ctrl_c_shows_nothing_that_is_gone_after(tmp_path: Path) -> None:

@@ -76,8 +76,7 @@ def _lead(dataset: Dataset, study: Study) -> str:
     if not study.pooled and len(study.sets) > 1:
         words += f" Set {study.selection.name} carries over best."
     if study.test_nrmse:
-        error = float(np.mean(list(study.test_nrmse.values())))
-        words += f" On {count(len(study.test_nrmse), 'unseen record')} its normalised RMSE is {error:.3g}."
+        words += f" On {count(len(study.test_nrmse), 'unseen record')} its normalised RMSE is {study.test_error:.3g}."
     unclaimed = study.identifiability.not_claimable
     if unclaimed:
         words += f" These records tell {', '.join(unclaimed)} only in combinations."
