@@ -73,9 +73,8 @@ def refit_model(
     def build(values: Mapping[str, np.ndarray]) -> Plant:
         return robot.with_values({**dict.fromkeys(robot.lacks, 0.0), **values}).assemble(substeps=substeps)
 
-    return refit(
-        build, {name: float(np.mean(robot.values[name])) for name in free}, case, records, rounds=rounds
-    )
+    start = {name: float(np.mean(robot.values[name])) for name in free}
+    return refit(build, [start], case, records, rounds=rounds)[0]
 
 
 def nominal_error(case: Case, records: Records) -> float:
@@ -96,19 +95,6 @@ def free_parameters(robot: Robot) -> list[str]:
 
 
 def refit(
-    build: Build,
-    start: Mapping[str, float],
-    case: Case,
-    records: Records,
-    *,
-    signed: Collection[str] = (),
-    rounds: int = ROUNDS,
-) -> Refit:
-    """Fit parameters from a start to the train records; arguments as in :func:`refit_from`."""
-    return refit_from(build, [start], case, records, signed=signed, rounds=rounds)[0]
-
-
-def refit_from(
     build: Build,
     starts: Sequence[Mapping[str, float]],
     case: Case,

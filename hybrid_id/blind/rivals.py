@@ -16,7 +16,7 @@ from hybrid_id.blind.effects import CATALOGUE, Effect
 from hybrid_id.blind.effects.base import UNKNOWN
 from hybrid_id.blind.physics.bench import Plant
 from hybrid_id.blind.physics.integrator import Machine
-from hybrid_id.blind.refit import STEP, Bench, Refit, free_parameters, refit_from, refit_model
+from hybrid_id.blind.refit import STEP, Bench, Refit, free_parameters, refit, refit_model
 from hybrid_id.blind.robots import Robot
 
 CLOSE, REST = 1.06, 0.1
@@ -72,7 +72,8 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
     if type(truth).alter is Effect.alter:
         own = fit_with(case, records, (truth, *beside), true)[0].test
         floor = min(max(floor, own), FARTHEST * floor)
-    screens = [_Screen(case, records, values, beside) for values in (model, true)]
+    noise = float(np.mean(Bench(case, records, lambda _: build(case.robot, case.effects)).clean_error() ** 2))
+    screens = [_Screen(case, records, values, beside, noise) for values in (model, true)]
     found = []
     for kind in _candidates(case, every=truth.name == UNKNOWN):
         for joint in range(case.robot.joints):
@@ -146,7 +147,7 @@ def fit_all(
             effect.install(machine, machine_of)
         return machine
 
-    fits = refit_from(together, given, case, records, signed=signed, held=held, rounds=5)
+    fits = refit(together, given, case, records, signed=signed, held=held, rounds=5)
     return [
         (fit, [{k: fit.values[f"{i}.{k}"] for k in _fitted(e)} for i, e in enumerate(effects)])
         for fit in fits
@@ -197,7 +198,9 @@ def _best_starts(
 class _Screen:
     """Linear prediction of what an effect would leave of the gap on the train records."""
 
-    def __init__(self, case: Case, records: Records, model: Refit, beside: Sequence[Effect] = ()) -> None:
+    def __init__(
+        self, case: Case, records: Records, model: Refit, beside: Sequence[Effect], noise: float
+    ) -> None:
         self.case, self.model, self.beside, robot = case, model, beside, case.truth()
         robot = robot.with_values(dict.fromkeys(robot.lacks, 0.0)).with_values(model.values)
         self.robot, names = robot, free_parameters(case.truth())
@@ -208,8 +211,7 @@ class _Screen:
         self.plane = np.linalg.qr((moved[1:] - moved[0]).T)[0]
         self.gap = self._beside_parameters(self.base)
         self.records = records
-        true = Bench(case, records, lambda v: build(case.robot, case.effects))
-        self.noise = float(np.mean(true.clean_error() ** 2))
+        self.noise = noise
 
     def best_of(self, starts: Sequence[Effect], moved: np.ndarray) -> tuple[Effect, float, Refit]:
         """The start that promises most, the share of the gap that it leaves, and the simulator that it is added to.

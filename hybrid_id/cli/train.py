@@ -1,5 +1,6 @@
 """`train`: the objective of `identify`, minimised by the adjoint method."""
 
+import copy
 from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -152,6 +153,6 @@ def _run(
         FitProgress(n_sets, how.max_iterations, polite=False) as progress,
     ):
         return train_all(
-            system.to(wish.device), train_batch, pooled=wish.pooled, engine=engine, options=options,
+            copy.deepcopy(system).to(wish.device), train_batch, pooled=wish.pooled, engine=engine, options=options,
             validation=test_batch, writer=log, checkpoint=saved, resume=saved if resume else None, progress=progress,
         )  # fmt: skip

@@ -33,12 +33,6 @@ static void prepare(const double *p, double *fixed)
 $prepare
 }
 
-/* what depends on the held input as well: the same over a whole sample */
-static void hold(const double *u, const double *p, double *fixed)
-{
-$hold
-}
-
 /* time derivative of the state for directions d of dry friction; x_t, k_t ... are tangents */
 static void rates(const double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed,
                   const double *d, double *k, double (*k_t)[MC])
@@ -52,13 +46,6 @@ static void pushes(const double *x, const double *u, const double *p, const doub
                    const double *d, double *side, double *over, double *against)
 {
 $pushes
-}
-
-/* the states that remember, h seconds later at constant motion */
-static void remember(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h)
-{
-    double k_t[NX][MC] ALIGNED;
-$remember
 }
 
 /* x + step k, where the step's tangent is part h_t */
@@ -208,16 +195,6 @@ static void slide(double *x, double (*x_t)[MC], const double *u, const double *p
         for (int i = 0; i < ND; i++) released[i] = i == first ? leaves[i] : 0.0;
         h -= moment - late;
         COLUMNS h_t[c] -= moment_t[c] - late_t[c];
-    }
-}
-
-static void sample(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h,
-                   long sub_steps)
-{
-    for (long s = 0; s < sub_steps; s++) {
-        remember(x, x_t, u, p, fixed, 0.5 * h);
-        slide(x, x_t, u, p, fixed, h);
-        remember(x, x_t, u, p, fixed, 0.5 * h);
     }
 }
 

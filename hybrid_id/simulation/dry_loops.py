@@ -1,6 +1,29 @@
 """C code of the dry engine's tangents: over rows and samples, around the steps of ``dry_code``."""
 
 LINEARISE = """\
+/* what depends on the held input as well: the same over a whole sample */
+static void hold(const double *u, const double *p, double *fixed)
+{
+$hold
+}
+
+/* the states that remember, h seconds later at constant motion */
+static void remember(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h)
+{
+    double k_t[NX][MC] ALIGNED;
+$remember
+}
+
+static void sample(double *x, double (*x_t)[MC], const double *u, const double *p, const double *fixed, double h,
+                   long sub_steps)
+{
+    for (long s = 0; s < sub_steps; s++) {
+        remember(x, x_t, u, p, fixed, 0.5 * h);
+        slide(x, x_t, u, p, fixed, h);
+        remember(x, x_t, u, p, fixed, 0.5 * h);
+    }
+}
+
 /* the sample after every node, and its tangents */
 void linearise(double *next, double *tangents, const double *nodes, const double *u, const double *dt,
                const double *p, long rows, long samples, long sub_steps)
@@ -22,4 +45,4 @@ void linearise(double *next, double *tangents, const double *nodes, const double
     }
 }
 """
-"""What Python calls; ``hold`` and ``sample`` stand before it."""
+"""Steps of a sample, tangents included, and what Python calls."""

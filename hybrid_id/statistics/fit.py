@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -26,6 +27,12 @@ def nrmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     error = np.linalg.norm(np.where(np.isfinite(simulated), simulated, 0.0) - y, axis=-1)
     ratio = np.where(diverged, np.inf, error / np.where(constant, 1.0, spread))
     return np.where(constant, np.nan, ratio)
+
+
+def known_mean(values: Iterable[float]) -> float:
+    """Mean of errors without those of outputs that stand still, which are NaN; NaN where no other is left."""
+    known = [value for value in values if not math.isnan(value)]
+    return float(np.mean(known)) if known else math.nan
 
 
 def fit_percent(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:

@@ -80,8 +80,7 @@ def replay(dataset: Dataset, system: System, *, engine: Engine | None = None) ->
     """
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
     batch = make_batch(system, dataset.records, noise_std=noise)
-    theta = system.theta().detach()[:, None].expand(-1, batch.rows)
-    run = simulate(system, with_substeps(system, engine or Engine(), batch, theta), batch)
+    run = simulate(system, with_substeps(system, engine or Engine(), batch), batch)
     found = []
     for row, record in enumerate(dataset.records):
         outputs = {n: run.y[row, : record.n_samples, k].numpy() for k, n in enumerate(batch.outputs)}

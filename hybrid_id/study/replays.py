@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,7 +14,7 @@ from hybrid_id.simulation.prepare import Batch, make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.statistics.cross_validation import CrossValidation, cross_validation
-from hybrid_id.statistics.fit import fit_percent, nrmse
+from hybrid_id.statistics.fit import fit_percent, known_mean, nrmse
 from hybrid_id.systems.chain import System
 
 LANES = 400_000
@@ -61,12 +60,6 @@ def _fits(batch: Batch, simulated: np.ndarray, speeds: Sequence[int]) -> np.ndar
     return fits
 
 
-def _known_mean(values: Sequence[np.ndarray]) -> float:
-    """Mean without outputs that stand still, which have no normalised error."""
-    known = [value for value in values if not np.isnan(value)]
-    return float(np.mean(known)) if known else math.nan
-
-
 def engine_error(result: FitResult, batch: Batch) -> float:
     """Change of the estimates when the step is halved, in standard errors, at most.
 
@@ -96,6 +89,8 @@ def test_nrmse(dataset: Dataset, result: FitResult, signal_share: float) -> dict
     y, measured = simulate(result.system, engine, batch).y.numpy(), batch.y.numpy()
     valid = (batch.weight > 0).any(2).numpy()
     return {
-        name: _known_mean([nrmse(measured[r, valid[r], c], y[r, valid[r], c]) for c in range(y.shape[-1])])
+        name: known_mean(
+            [float(nrmse(measured[r, valid[r], c], y[r, valid[r], c])) for c in range(y.shape[-1])]
+        )
         for r, name in enumerate(batch.names)
     }

@@ -9,6 +9,7 @@ import numpy as np
 
 from hybrid_id.identification.result import FitResult
 from hybrid_id.statistics.cross_validation import CrossValidation
+from hybrid_id.statistics.fit import known_mean
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.profile import Profile
 from hybrid_id.statistics.selection import Selection
@@ -102,8 +103,7 @@ class Study:
     @property
     def test_error(self) -> float:
         """Mean of the normalised RMSE over the test records that move; NaN where none does."""
-        known = [value for value in self.test_nrmse.values() if not np.isnan(value)]
-        return float(np.mean(known)) if known else np.nan
+        return known_mean(self.test_nrmse.values())
 
     @property
     def combinations(self) -> Combinations:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -73,10 +72,7 @@ def identify(
         seed=seed,
         progress=progress,
     )
-    sets = [replace(result, system=result.system.to("cpu")) for result in sets]  # statistics are numpy's
-    return assess(
-        dataset, system, sets, pooled=pooled, batch=batch.to("cpu"), seed=seed, signal_share=signal_share
-    )
+    return assess(dataset, system, sets, pooled=pooled, batch=batch, seed=seed, signal_share=signal_share)
 
 
 def assess(
@@ -94,7 +90,11 @@ def assess(
         raise InputError(
             f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values."
         )
-    batch = batch_of(dataset, system, dataset.train, signal_share, "cpu") if batch is None else batch
+    batch = (
+        batch_of(dataset, system, dataset.train, signal_share, "cpu") if batch is None else batch.to("cpu")
+    )
+    for result in sets:  # statistics are numpy's
+        result.system.to("cpu")
     plain, robust = (tuple(_spread(way, r) for r in sets) for way in (covariance, autocorrelation_robust))
     matrix = cross_validate(sets, batch, pooled=pooled)
     selection = select(matrix)
