@@ -138,10 +138,10 @@ def test_hostile_and_damaged_checkpoints(tmp_path: Path, monkeypatch: pytest.Mon
     file = tmp_path / "checkpoint.pt"
     torch.save({"identity": ["a"], "state": Evil()}, file)
     with pytest.raises(InputError, match="no checkpoint of a training"):
-        read_checkpoint(file, ["a"], dict)
+        read_checkpoint(file, ["a"], dict, torch.device("cpu"))
     assert not (tmp_path / "evil").exists()
     torch.save({"identity": ["a"], "state": {"x": torch.zeros(9)}}, file)
-    survives(lambda: read_checkpoint(file, ["a"], dict), file, file.read_bytes())
+    survives(lambda: read_checkpoint(file, ["a"], dict, torch.device("cpu")), file, file.read_bytes())
 
 
 def gzip_bomb(file: Path) -> None:
