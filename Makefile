@@ -23,7 +23,7 @@ demo: $(INSTALLED)  ## identify a drive from its records and show the result (ru
 	$(BIN)/hybrid-id demo --out runs/demo --force
 
 test: $(INSTALLED)  ## run all tests
-	$(BIN)/python -m pytest -q -n $(JOBS)
+	$(BIN)/python -m pytest -q -n $(JOBS) --dist worksteal
 
 check: $(INSTALLED)  ## lint, format and type checks
 	$(BIN)/ruff check .

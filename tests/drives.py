@@ -5,6 +5,7 @@ exactly where a test says; `make_record` turns a run into a record as a user wou
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -90,22 +91,36 @@ def multisine(
     return np.concatenate([np.zeros(rest), amplitude * wave / np.abs(wave).max()])
 
 
-def make_record(
+def make_record(system: System, voltage: np.ndarray, *, seed: int, name: str = "run", **settings) -> Record:
+    """A record of a system driven by a voltage from rest; settings as for `make_records`."""
+    return replace(make_records(system, [voltage], seeds=(seed,), **settings)[0], name=name)
+
+
+def make_records(
     system: System,
-    voltage: np.ndarray,
+    voltages: Sequence[np.ndarray],
     *,
-    seed: int,
     noise: Mapping[str, float],
+    seeds: Sequence[int] | None = None,
     outputs: Sequence[str] = ("q_m1",),
     engine: Engine | None = None,
-    name: str = "run",
     step: float = STEP,
-) -> Record:
-    """A record of a system driven by a voltage from rest, white noise (by output) added."""
-    generator = np.random.default_rng(seed)
-    y = measure(system, {"u1": voltage}, outputs=outputs, step=step, engine=engine or Engine(substeps=4))
-    noisy = {n: v + noise.get(n, 0.0) * generator.standard_normal(len(v)) for n, v in y.items()}
-    return Record(name, step * np.arange(len(voltage)), {"u1": voltage}, noisy)
+) -> list[Record]:
+    """Records run_0, run_1, … of a system driven by voltages of one length from rest, white noise (by output) added.
+
+    They are simulated side by side, since the loop of one row takes as long as that of many. The noise of record k is
+    drawn from seed k unless told otherwise.
+    """
+    batch = batch_of(system, {"u1": np.stack(voltages)}, outputs=outputs, step=step, rows=len(voltages))
+    found = simulate(system, engine or Engine(substeps=4), batch)
+    assert set(found.status) == {"ok"}
+    records = []
+    for k, (seed, voltage) in enumerate(zip(seeds or range(len(voltages)), voltages, strict=True)):
+        generator = np.random.default_rng(seed)
+        y = dict(zip(outputs, found.y[k].T.numpy(), strict=True))
+        noisy = {n: v + noise.get(n, 0.0) * generator.standard_normal(len(v)) for n, v in y.items()}
+        records.append(Record(f"run_{k}", step * np.arange(len(voltage)), {"u1": voltage}, noisy))
+    return records
 
 
 def rigid_drive(friction: Component | None = None, *, vertical: bool = False, ratio: float = 156.0) -> System:

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from drives import make_record, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.components.base import Component
 from hybrid_id.records.dataset import Channel, Dataset
@@ -17,10 +17,7 @@ def small_case(missing: Component | None = None) -> tuple[Dataset, System]:
     truth = rigid_drive(ratio=RATIO)
     truth = truth if missing is None else truth.with_component(WHERE, missing)
     voltages = [multisine(k, samples=SAMPLES, amplitude=6.0 + k, rest=20, step=STEP) for k in range(4)]
-    records = [
-        make_record(truth, u, seed=k, noise={"q_m1": NOISE}, name=f"run_{k}", step=STEP)
-        for k, u in enumerate(voltages)
-    ]
+    records = make_records(truth, voltages, noise={"q_m1": NOISE}, step=STEP)
     records[3] = replace(records[3], role="test")
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", NOISE),)
     today = rigid_drive(ratio=RATIO).with_values({"J": 2.3e-5, "F_c": 0.009, "F_v": 6e-5})

@@ -20,7 +20,7 @@ from typing import Any
 import yaml
 
 sys.path.insert(0, str(Path(__file__).parent))
-from drives import make_record, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.cli.blind import make_sealed
 from hybrid_id.records.dataset import Channel, Dataset
@@ -28,6 +28,8 @@ from hybrid_id.systems.model_file import save_model
 
 MOST_KILLS = 3
 """After so many a trial's run is left alone."""
+CASES = 5
+"""Of a blind run."""
 QUIET = {"report": False, "figures": False, "tensorboard": False}
 """Pages and pictures take longer than the runs."""
 
@@ -48,12 +50,8 @@ class Job:
 def make_drive(folder: Path, records: int) -> None:
     """Short records of a rigid drive and a model whose values are off."""
     truth = rigid_drive()
-    made = tuple(
-        make_record(
-            truth, multisine(k, samples=300, amplitude=7.0), seed=k, noise={"q_m1": 0.01}, name=f"run_{k}"
-        )
-        for k in range(records)
-    )
+    voltages = [multisine(k, samples=300, amplitude=7.0) for k in range(records)]
+    made = tuple(make_records(truth, voltages, noise={"q_m1": 0.01}))
     Dataset("soak", (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),), made, 0.002).save(folder)
     start = truth.with_values({"J": 2.4e-5, "F_c": 0.008})
     held = {n: replace(start.parameter(n).spec, estimate=False) for n in ("P_m1", "P_m2")}
@@ -92,10 +90,10 @@ def ablation(folder: Path) -> Job:
 
 
 def blind(folder: Path) -> Job:
-    """Five cases taken by sparse regression; the result is every answer, the time that it took apart."""
+    """Cases taken by sparse regression; the result is every answer, the time that it took apart."""
     cases, sealed = folder / "cases", folder / "elsewhere" / "answers.tar"
     options = {"system": "one_link", "engine": "in_house", "level": "strong", "grading": False}
-    make_sealed(cases, sealed, 5, 3, options, 1)
+    make_sealed(cases, sealed, CASES, 3, options, 1)
 
     def result(out: Path) -> Any:
         found = {}

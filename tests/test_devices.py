@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
-from drives import flexible_drive, make_record, multisine, rigid_drive
+from drives import flexible_drive, make_records, multisine, rigid_drive
 from torch import Tensor
 
 from hybrid_id.components import Backlash, Cogging, Delay, LuGre, ResidualNetwork
@@ -31,13 +31,8 @@ from hybrid_id.systems import System, two_link
 NOISE = {"q_m1": 0.02}
 STEP = 0.004
 MAKER = rigid_drive(ratio=20.0).with_component("joint1/motor", Cogging(T_c=0.0, T_s=2.5e-3, n=3.0))
-RECORDS = [
-    make_record(
-        MAKER, multisine(k, samples=300, rest=10, amplitude=2.5, step=STEP), seed=k, noise=NOISE, name=f"r{k}",
-        engine=Engine("smooth", 4, width=2.0), step=STEP,
-    )
-    for k in range(3)
-]  # fmt: skip
+VOLTAGES = [multisine(k, samples=300, rest=10, amplitude=2.5, step=STEP) for k in range(3)]
+RECORDS = make_records(MAKER, VOLTAGES, noise=NOISE, engine=Engine("smooth", 4, width=2.0), step=STEP)
 
 
 def batch_of(system: System) -> Batch:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from drives import make_record, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 from typer.testing import CliRunner
 
 from hybrid_id.cli import app
@@ -33,7 +33,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Dataset folder of four short records, one of them for the test, with a model whose start values are off."""
     truth, noise = rigid_drive(), {"q_m1": 0.01}
     voltages = [multisine(seed, samples=600, amplitude=6.0 + seed) for seed in range(4)]
-    records = [make_record(truth, u, seed=k, noise=noise, name=f"run_{k}") for k, u in enumerate(voltages)]
+    records = make_records(truth, voltages, noise=noise)
     records[3] = replace(records[3], role="test")
     folder = tmp_path_factory.mktemp("records") / "drive"
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),)

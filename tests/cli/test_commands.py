@@ -219,7 +219,9 @@ def test_tensorboard_holds_scalars_and_pictures(identified: tuple[Path, str]) ->
 def test_train_ends_where_identify_does_and_resumes(run, drive: Path, tmp_path: Path) -> None:
     study, out = tmp_path / "study.yaml", tmp_path / "train"
     smooth = "identification: {friction: smooth, width: 2.0, substeps: 8}\ntraining: {width: 2.0, fine: 8}\n"
-    study.write_text(f"dataset: {drive}\npreprocessing: {{records: [run_0, run_3]}}\n{smooth}")
+    study.write_text(
+        f"dataset: {drive}\npreprocessing: {{records: [run_0, run_3], between: [0.0, 0.6]}}\n{smooth}"
+    )
     assert run("train", study, "--out", out).code == 0
     result = json.loads((out / "result.json").read_text())
     assert result["command"] == "train"

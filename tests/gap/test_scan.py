@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drives import flexible_drive, make_record, multisine
+from drives import flexible_drive, make_records, multisine
 from gapcase import small_case
 
 import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
@@ -52,10 +52,7 @@ def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
     waves = KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0, E_c2=3e-4, E_s2=2e-4, n_2=2.0)
     truth, noise = today.with_component("joint1/transmission", waves), {"q_m1": 1e-3, "q_a1": 1e-5}
     voltages = [multisine(k, samples=400, amplitude=6.0 + k, rest=20, step=0.005) for k in range(2)]
-    records = [
-        make_record(truth, u, seed=k, noise=noise, outputs=tuple(noise), name=f"run_{k}", step=0.005)
-        for k, u in enumerate(voltages)
-    ]
+    records = make_records(truth, voltages, noise=noise, outputs=tuple(noise), step=0.005)
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 1e-3), Channel("q_a1", "rad", 1e-5))
     dataset = Dataset("wavy gear", *channels, tuple(records), 0.005)
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")

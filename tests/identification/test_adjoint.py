@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from drives import make_record, multisine, rigid_drive
+from drives import make_record, make_records, multisine, rigid_drive
 from torch import nn
 
 from hybrid_id import __version__
@@ -44,17 +44,8 @@ QUICK = TrainOptions(windows=((0.05, 2),), tolerance=0.003)
 
 def prepared(system: System = TRUTH, count: int = 2, samples: int = 240) -> Batch:
     """Noisy records of a drive with smooth friction."""
-    records = [
-        make_record(
-            system,
-            multisine(k, samples=samples, rest=10),
-            seed=k,
-            noise=NOISE,
-            name=f"run_{k}",
-            engine=SMOOTH,
-        )
-        for k in range(count)
-    ]
+    voltages = [multisine(k, samples=samples, rest=10) for k in range(count)]
+    records = make_records(system, voltages, noise=NOISE, engine=SMOOTH)
     return make_batch(system, records, noise_std=NOISE, signal_share=0.0)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from drives import make_record, multisine, rigid_drive
+from drives import make_record, make_records, multisine, rigid_drive
 from scipy.optimize import least_squares
 
 from hybrid_id.components import Backlash, Stribeck
@@ -318,10 +318,7 @@ def test_end_is_that_of_an_independent_optimiser() -> None:
 
 def test_smooth_engine_recovers_what_it_made() -> None:
     smooth = Engine("smooth", substeps=6, width=0.5)
-    runs = [
-        make_record(TRUTH, multisine(k, samples=600), seed=k, noise=NOISE, engine=smooth, name=f"r{k}")
-        for k in range(2)
-    ]
+    runs = make_records(TRUTH, [multisine(k, samples=600) for k in range(2)], noise=NOISE, engine=smooth)
     batch = make_batch(TRUTH, runs, noise_std=NOISE, signal_share=0.0)
     (found,) = fit(TRUTH.with_values({"J": 2.5e-5}), batch, pooled=True, engine=smooth)
     assert found.status == "converged" and found.engine == smooth
@@ -347,9 +344,7 @@ def test_a_start_state_that_no_measurement_sees_takes_up_nothing() -> None:
 
 def test_sets_behind_play_grow_on_records_of_less_than_half_a_second() -> None:
     loose = rigid_drive().with_component("joint1/transmission", Backlash(gap=0.02))
-    made = [
-        make_record(loose, multisine(k, samples=150, rest=20), seed=k, noise={"q_m1": 0.01}) for k in range(2)
-    ]
+    made = make_records(loose, [multisine(k, samples=150, rest=20) for k in range(2)], noise={"q_m1": 0.01})
     batch = make_batch(loose, made, noise_std={"q_m1": 0.01})
     ends = fit(loose, batch, starts=2, options=Options(max_iterations=2))
     assert len(ends) == 2 and all(np.isfinite(end.values).all() for end in ends)

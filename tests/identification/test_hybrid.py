@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from drives import make_record, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.components import Cogging, ElectricalLag, ResidualNetwork
 from hybrid_id.errors import InputError
@@ -44,13 +44,8 @@ def drive() -> System:
 
 
 def records(system: System, count: int = 4, samples: int = 300) -> list:
-    return [
-        make_record(
-            system, multisine(k, samples=samples, rest=10, amplitude=2.5, step=STEP), seed=k, noise=NOISE,
-            name=f"run_{k}", engine=Engine("smooth", 4, width=2.0), step=STEP,
-        )
-        for k in range(count)
-    ]  # fmt: skip
+    voltages = [multisine(k, samples=samples, rest=10, amplitude=2.5, step=STEP) for k in range(count)]
+    return make_records(system, voltages, noise=NOISE, engine=Engine("smooth", 4, width=2.0), step=STEP)
 
 
 def hybrid(**options) -> System:

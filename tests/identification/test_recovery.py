@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from drives import STEP, flexible_drive, make_record, measure, multisine, rigid_drive
+from drives import STEP, flexible_drive, make_record, make_records, measure, multisine, rigid_drive
 from scipy import stats
 
 from hybrid_id.components import (
@@ -52,17 +52,9 @@ def records(
     samples: int = 1000,
     amplitude: float = 8.0,
 ) -> list[Record]:
-    return [
-        make_record(
-            system,
-            multisine(seed, samples=samples, amplitude=amplitude),
-            seed=seed,
-            noise=NOISE,
-            outputs=outputs,
-            name=f"seed{seed}",
-        )
-        for seed in seeds
-    ]
+    voltages = [multisine(seed, samples=samples, amplitude=amplitude) for seed in seeds]
+    made = make_records(system, voltages, seeds=seeds, noise=NOISE, outputs=outputs)
+    return [replace(record, name=f"seed{seed}") for record, seed in zip(made, seeds, strict=True)]
 
 
 def covariance(result: FitResult) -> np.ndarray:
@@ -136,10 +128,8 @@ def test_asymmetric_stribeck_with_its_motor_known() -> None:
     )
     free = ("J", *table)
     truth = only(rigid_drive(AsymmetricStribeck(**table)), *free)
-    runs = [
-        make_record(truth, multisine(k, samples=2500, amplitude=a), seed=k, noise=NOISE, name=f"r{k}")
-        for k, a in enumerate((2.5, 4.0, 8.0, 3.0))
-    ]
+    voltages = [multisine(k, samples=2500, amplitude=a) for k, a in enumerate((2.5, 4.0, 8.0, 3.0))]
+    runs = make_records(truth, voltages, noise=NOISE)
     (found,) = fit(away(truth, 1.4), make_batch(truth, runs, noise_std=NOISE, signal_share=0.0), pooled=True)
     assert found.status == "converged"
     z = scores([found], truth)

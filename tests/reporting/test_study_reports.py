@@ -9,7 +9,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 import pytest
-from drives import make_record, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 from rich.console import Console
 
 from hybrid_id.cli.study import study_images
@@ -32,17 +32,8 @@ def dataset() -> Dataset:
     """Two train records and one test record of a drive with motor and link encoder."""
     truth, names = rigid_drive(), ("q_m1", "q_a1")
     noise = {"q_m1": 0.01, "q_a1": 1e-4}
-    records = [
-        make_record(
-            truth,
-            multisine(k, samples=500, amplitude=7.0),
-            seed=k,
-            noise=noise,
-            outputs=names,
-            name=f"run_{k}",
-        )
-        for k in range(3)
-    ]
+    voltages = [multisine(k, samples=500, amplitude=7.0) for k in range(3)]
+    records = make_records(truth, voltages, noise=noise, outputs=names)
     records[2] = replace(records[2], role="test")
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01), Channel("q_a1", "rad", 1e-4))
     return Dataset("two encoders", *channels, tuple(records), 0.002)

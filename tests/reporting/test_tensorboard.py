@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from drives import make_record, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from hybrid_id.identification.adjoint import TrainOptions, train
@@ -21,10 +21,7 @@ DRIVE = rigid_drive()
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a short training of two records, with a validation record."""
-    records = [
-        make_record(DRIVE, multisine(k, samples=200), seed=k, noise=NOISE, name=f"run_{k}", engine=ENGINE)
-        for k in range(3)
-    ]
+    records = make_records(DRIVE, [multisine(k, samples=200) for k in range(3)], noise=NOISE, engine=ENGINE)
     batch = make_batch(DRIVE, records, noise_std=NOISE)
     folder = tmp_path_factory.mktemp("events")
     options = TrainOptions(windows=(), max_iterations=5, validate_every=2)

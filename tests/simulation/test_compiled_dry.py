@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from drives import batch_of, flexible_drive, make_record, multisine, rigid_drive, stored
+from drives import batch_of, flexible_drive, make_records, multisine, rigid_drive, stored
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
@@ -202,9 +202,7 @@ def test_lanes_do_not_depend_on_those_beside_them() -> None:
 
 def test_a_delay_is_served() -> None:
     system = rigid_drive().with_component("joint1/input", Delay(T_d=0.0033))
-    records = [
-        make_record(rigid_drive(), multisine(k, samples=200, rest=20), seed=k, noise={}) for k in range(2)
-    ]
+    records = make_records(rigid_drive(), [multisine(k, samples=200, rest=20) for k in range(2)], noise={})
     batch = make_batch(system, records)
     theta = stored(system, 2) * torch.tensor([1.0, 1.2])
     assert_same(rollout(system, Engine(compiled=True), batch, theta), rollout(system, Engine(), batch, theta))

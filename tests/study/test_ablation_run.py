@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from drives import make_record, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.hybrid_plan import HybridOptions
@@ -28,13 +28,10 @@ CELLS = [Cell(Arm(), 0), BROKEN, Cell(Arm(), 1)]
 def task() -> Task:
     """Five short records of a drive; one of them out of range."""
     drive, engine = rigid_drive(ratio=20.0), Engine("smooth", 4, width=2.0)
-    records = [
-        make_record(
-            drive, multisine(k, samples=104, rest=8, amplitude=2.5 + 2.0 * (k == 4), step=0.004), seed=k,
-            noise={"q_m1": 0.02}, name=f"run_{k}", engine=engine, step=0.004,
-        )
-        for k in range(5)
-    ]  # fmt: skip
+    voltages = [
+        multisine(k, samples=104, rest=8, amplitude=2.5 + 2.0 * (k == 4), step=0.004) for k in range(5)
+    ]
+    records = make_records(drive, voltages, noise={"q_m1": 0.02}, engine=engine, step=0.004)
     data = Dataset("drive", (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.02),), tuple(records), 0.004)
     model = drive.with_values({"J": 2.3e-5})
     model = model.with_specs(

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from drives import make_record, multisine, rigid_drive
+from drives import make_record, make_records, multisine, rigid_drive
 
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Channel, Dataset
@@ -20,10 +20,7 @@ def only(system: System, *free: str) -> System:
 
 def dataset(**test) -> Dataset:
     truth = rigid_drive()
-    records = [
-        make_record(truth, multisine(k, samples=300), seed=k, noise={"q_m1": 0.02}, name=f"r{k}")
-        for k in range(4)
-    ]
+    records = make_records(truth, [multisine(k, samples=300) for k in range(4)], noise={"q_m1": 0.02})
     records[3] = replace(records[3], role="test", **test)
     return Dataset("short", *CHANNELS, tuple(records), 0.002)
 
@@ -44,15 +41,17 @@ def test_a_set_that_diverged_is_no_estimate() -> None:
 
 def test_an_output_that_stands_still_has_no_part_in_the_test_error() -> None:
     still = dataset(outputs={"q_m1": np.zeros(300)})
-    assert np.isnan(identify(still, only(rigid_drive(), "J"), signal_share=0.0).test_nrmse["r3"])
+    assert np.isnan(identify(still, only(rigid_drive(), "J"), signal_share=0.0).test_nrmse["run_3"])
 
 
 def test_longer_samples_of_a_test_record_are_simulated_in_steps_that_they_need() -> None:
     data = dataset()
     truth = rigid_drive()
-    slow = make_record(truth, multisine(3, samples=300), seed=3, noise={"q_m1": 0.02}, name="r3", step=0.012)
+    slow = make_record(
+        truth, multisine(3, samples=300), seed=3, noise={"q_m1": 0.02}, name="run_3", step=0.012
+    )
     data = replace(data, records=(*data.records[:3], replace(slow, role="test")), sample_time=None)
-    assert identify(data, only(truth, "J", "F_c"), signal_share=0.0).test_nrmse["r3"] < 0.1
+    assert identify(data, only(truth, "J", "F_c"), signal_share=0.0).test_nrmse["run_3"] < 0.1
 
 
 def test_the_callers_model_stays_where_it_is_and_a_prior_does_not_follow_the_estimate() -> None:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import make_record, multisine, rigid_drive
+from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
@@ -20,10 +20,7 @@ def only(system: System, *free: str) -> System:
 
 def dataset() -> Dataset:
     truth = rigid_drive()
-    records = [
-        make_record(truth, multisine(k, samples=400), seed=k, noise={"q_m1": 0.02}, name=f"r{k}")
-        for k in range(2)
-    ]
+    records = make_records(truth, [multisine(k, samples=400) for k in range(2)], noise={"q_m1": 0.02})
     return Dataset("short", *CHANNELS, tuple(records), 0.002)
 
 
