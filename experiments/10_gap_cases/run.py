@@ -5,9 +5,11 @@ from pathlib import Path
 
 import yaml
 
+from hybrid_id import __version__
 from hybrid_id.blind.judge import judge
 from hybrid_id.blind.score import figures
-from hybrid_id.contenders.keep import load, save
+from hybrid_id.cli.provenance import commit
+from hybrid_id.contenders.keep import is_done, key_of, load, save
 from hybrid_id.contenders.run import Settings, read_case, take
 from hybrid_id.reporting.scoreboard import ROWS, value
 
@@ -21,9 +23,12 @@ for answer in sorted((folder / "answers").glob("*.yaml")):
     case, truth = answer.stem, yaml.safe_load(answer.read_text())
     if (sys.argv[2:] and case not in sys.argv[2:]) or not (folder / case).is_dir():
         continue
-    if load(out, case) is None:
-        save(out, take(Settings("diagnose"), read_case(folder / case)), key="")
+    records, asked = read_case(folder / case), Settings("diagnose")
+    key = key_of(records, asked, __version__, commit())
     said = load(out, case)
+    if not is_done(said, key):
+        save(out, take(asked, records), key=key)
+        said = load(out, case)
     one, gap, oracle = judge(case, truth, said), said["gap"], truth["oracle"]
     judged.append(one)
     print(

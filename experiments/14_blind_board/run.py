@@ -6,6 +6,7 @@ A part that is done goes into an archive of its own under KEEP, and is not run a
 import subprocess
 import sys
 import tarfile
+import tempfile
 from pathlib import Path
 
 PARTS, EACH = 20, 12
@@ -42,13 +43,14 @@ def run(start: int, step: int, keep: Path) -> None:
 
 
 def score(keep: Path, parts: int, options: list[str]) -> None:
-    """Score the first parts together, from their archives."""
-    for k in range(parts):
-        if not (ROOT / f"p{k:02d}" / "run").exists():
+    """Score the first parts together, from their archives alone: another board may lie where parts are made."""
+    with tempfile.TemporaryDirectory() as place:
+        home = Path(place)
+        for k in range(parts):
             with tarfile.open(keep / f"p{k:02d}.tar.xz") as file:
-                file.extractall(ROOT, filter="data")
-    answers = [word for k in range(parts) for word in ("--answers", ROOT / f"p{k:02d}.tar")]
-    command("blind", "score", *(ROOT / f"p{k:02d}" / "run" for k in range(parts)), *answers, *options)
+                file.extractall(home, filter="data")
+        answers = [word for k in range(parts) for word in ("--answers", home / f"p{k:02d}.tar")]
+        command("blind", "score", *(home / f"p{k:02d}" / "run" for k in range(parts)), *answers, *options)
 
 
 if sys.argv[1] == "run":

@@ -10,7 +10,7 @@ import typer
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import EVENTS, refuse_taken, required, sole_writer
+from hybrid_id.cli.folder import EVENTS, refuse_foreign, required, sole_writer
 from hybrid_id.cli.hybrid import check_network, engine_of, options_of
 from hybrid_id.cli.inputs import check_windows, checked_records, load_system
 from hybrid_id.cli.options import (
@@ -26,6 +26,7 @@ from hybrid_id.cli.options import (
     use_threads,
 )
 from hybrid_id.cli.progress import counting
+from hybrid_id.cli.provenance import program
 from hybrid_id.config import Ablation, Hybrid, StudyConfig, study_config
 from hybrid_id.errors import InputError
 
@@ -67,8 +68,7 @@ def ablate(
             "set it to cpu"
         )
     home = required(config.output.folder)
-    if not (home / CELLS).is_dir():
-        refuse_taken(home)
+    refuse_foreign(home, CELLS, "*/cell.json")
     dataset = checked_records(config)
     use_threads(1)
     task, cells = planned(config, dataset, load_system(config))
@@ -103,7 +103,8 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
     wish, how = config.ablation or Ablation(), config.hybrid or Hybrid()
     prices = wish.price or how.prices
     if sorted(set(prices), reverse=True) != list(prices):
-        raise InputError(f"the prices {list(prices)} are no ladder; give falling numbers")
+        with config.at("ablation.price"):
+            raise InputError(f"the prices {list(prices)} are no ladder; give falling numbers")
     if system.networks:
         raise InputError(
             f"model {config.model} has a residual network; give one without, to which the ablation adds its own"
@@ -118,7 +119,8 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
     cells = plan(_factors(wish, first.place, first.hidden), seeds)
     with config.at("ablation.out_of_range"):
         records_beyond(dataset, wish.out_of_range)
-    splits = [task.split(seed) for seed in seeds]
+    with config.at("ablation"):
+        splits = [task.split(seed) for seed in seeds]
     _check_arms(task, config, [cell for cell in cells if cell.seed == seeds[0]])
     for key, names in (("hybrid.windows", splits[0].train), ("ablation.horizon", [r.name for r in dataset])):
         check_windows(config, key, [record for record in dataset if record.name in names])
@@ -165,7 +167,7 @@ def _run(
     from hybrid_id.reporting.ablation_events import write_cell_events
     from hybrid_id.study.ablation_run import CELL, key_of, load_cell, run_cells, save_cell
 
-    keys = {cell: key_of(task, cell) for cell in cells}
+    keys = {cell: key_of(task, cell, program()) for cell in cells}
     found = {cell: kept for cell in cells if (kept := load_cell(home / CELLS, cell, keys[cell])) is not None}
     left = [cell for cell in cells if cell not in found]
     if found:
@@ -193,8 +195,9 @@ def _run(
                 line = f"{len(found)} of {len(cells)}: {result.cell.name}, {_in_short(result)}"
                 bar.console.print(line, markup=False, soft_wrap=True, style="dim")
     except KeyboardInterrupt:
+        done = sum(result.status == "done" for result in found.values())
         raise KeyboardInterrupt(
-            f"stopped; {len(found)} of {len(cells)} cells are kept in {home / CELLS}, and the same command goes on"
+            f"stopped; {done} of {len(cells)} cells are kept in {home / CELLS}, and the same command goes on"
         ) from None
     return [found[cell] for cell in cells]
 

@@ -8,7 +8,7 @@ import typer
 
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.console import show as print_all
-from hybrid_id.cli.folder import refuse_taken, results_folder
+from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
 from hybrid_id.cli.options import ForceOption, JsonOption, ThreadsOption, use_threads
 from hybrid_id.config import study_config
 
@@ -71,6 +71,8 @@ def demo(
         changes = {"model": str(folder / DATA / "model_priors.yaml"), "identification.seed": seed}
         config = study_config(folder / DATA, changes)
         study, progress = run(dataset, load_model(config.model), config)
+        if progress.cut and (out / RESULT).exists():
+            raise KeyboardInterrupt(f"stopped; the earlier results in {out} stay as they are")
         home = out.absolute()
         placed = config.model_copy(
             update={"dataset": home / DATA, "model": home / DATA / "model_priors.yaml"}
@@ -85,7 +87,8 @@ def demo(
     show(truth_table(study, truth, reach_of(config), config.statistics.level))
     show("", *_conclusion(study, truth, reach_of(config), out))
     if progress.stopped:
-        remark("stopped by Ctrl-C: the sets are those of the last iteration, and claim no interval")
+        last = "the sets are those of the last iteration, and claim no interval"
+        remark(f"stopped by Ctrl-C: {last if progress.cut else 'the sets are complete'}")
         raise typer.Exit(130)
 
 

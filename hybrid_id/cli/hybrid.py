@@ -9,18 +9,10 @@ import typer
 
 from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.folder import (
-    CHECKPOINT,
-    EVENTS,
-    RESULT,
-    added_results,
-    leave_without_checkpoint,
-    live_folder,
-    page_and_pictures,
-    stopped,
-)
+from hybrid_id.cli.folder import CHECKPOINT, EVENTS, RESULT, page_and_pictures
 from hybrid_id.cli.inputs import check_windows
 from hybrid_id.cli.study import reach_of
+from hybrid_id.cli.training_folder import added_results, leave_without_checkpoint, live_folder, stopped
 from hybrid_id.config import Hybrid, StudyConfig
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import remark
-from hybrid_id.config import Ablation, Hybrid, Preprocessing, StudyConfig, Training
+from hybrid_id.config import Ablation, Hybrid, StudyConfig, Training
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 MAX_WARNINGS = 5  # said before a fit; `check` says them all
 
 
-def load_records(path: Path, preprocessing: Preprocessing | None = None) -> "Dataset":
+def load_records(path: Path, config: StudyConfig | None = None) -> "Dataset":
     """Load a dataset and do to it what the config says."""
     from dataclasses import replace
 
@@ -25,12 +25,17 @@ def load_records(path: Path, preprocessing: Preprocessing | None = None) -> "Dat
     from hybrid_id.records.dataset_file import usual_step
     from hybrid_id.records.resample import resample_record
 
-    dataset, wish = Dataset.load(path), preprocessing or Preprocessing()
+    dataset = Dataset.load(path)
+    if config is None:
+        return dataset
+    wish = config.preprocessing
     if wish.records is not None:
-        dataset = dataset.select(wish.records)
+        with config.at("preprocessing.records"):
+            dataset = dataset.select(wish.records)
     records = dataset.records
     if wish.between is not None:
-        records = tuple(record.between(*wish.between) for record in records)
+        with config.at("preprocessing.between"):
+            records = tuple(record.between(*wish.between) for record in records)
     if wish.resample is None:
         return replace(dataset, records=records)
     step = wish.resample.sample_time or dataset.sample_time or usual_step(records)
@@ -63,7 +68,7 @@ def checked_records(config: StudyConfig) -> "Dataset":
     if not config.dataset.exists():
         with config.at("dataset"):
             raise InputError(f"{config.dataset} does not exist; correct the path")
-    dataset = load_records(config.dataset, config.preprocessing)
+    dataset = load_records(config.dataset, config)
     findings = check_dataset(dataset)
     refuse_errors(findings)
     warnings = [finding for finding in findings if finding.severity == "warning"]

@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError
 
 DatasetArgument = Annotated[
@@ -32,7 +33,10 @@ ForceOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON and nothing else.")]
 SeedOption = Annotated[
-    int | None, typer.Option(help="Seed of everything that is drawn at random.", min=0, show_default=False)
+    int | None,
+    typer.Option(
+        help="Seed of everything that is drawn at random.", min=0, max=MOST_SEED, show_default=False
+    ),
 ]
 DeviceOption = Annotated[str | None, typer.Option(help="Where to compute: cpu or cuda.", show_default="cpu")]
 ThreadsOption = Annotated[

@@ -1,7 +1,10 @@
 """Which commit of this program is running."""
 
+import functools
 import subprocess
 from pathlib import Path
+
+from hybrid_id import __version__
 
 UNKNOWN = "unknown"
 
@@ -12,6 +15,12 @@ def commit() -> str:
     if found is None:
         return UNKNOWN
     return f"{found}-dirty" if _git("status", "--porcelain", "--untracked-files=no") else found
+
+
+@functools.cache
+def program() -> str:
+    """Version and commit: what was computed by another program is computed again."""
+    return f"hybrid_id {__version__}, {commit()}"
 
 
 def _git(*words: str) -> str | None:

@@ -7,8 +7,9 @@ import typer
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import RESULT, refuse_taken, sole_writer
+from hybrid_id.cli.folder import RESULT, refuse_foreign, sole_writer
 from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
+from hybrid_id.cli.provenance import program
 from hybrid_id.errors import InputError
 
 PARTS = "parts"
@@ -33,8 +34,7 @@ def reproduce(
     Each stage is kept as soon as it is done. After Ctrl-C the same command goes on from there.
     """
     parts = out / PARTS
-    if not parts.is_dir():
-        refuse_taken(out)
+    refuse_foreign(out, PARTS, "*.json")
     try:
         parts.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -47,7 +47,12 @@ def reproduce(
     try:
         with sole_writer(parts), FitProgress(1, Options().max_iterations, polite=False) as progress:
             result = walk(
-                parts, quick=quick, seeds=seeds or (2 if quick else 20), say=remark, progress=progress
+                parts,
+                quick=quick,
+                seeds=seeds or (2 if quick else 20),
+                program=program(),
+                say=remark,
+                progress=progress,
             )
     except KeyboardInterrupt:
         remark(f"stopped; what is done is kept in {parts}, and the same command goes on from there")

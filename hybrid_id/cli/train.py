@@ -8,17 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hybrid_id.cli.console import remark
-from hybrid_id.cli.folder import (
-    CHECKPOINT,
-    EVENTS,
-    added_results,
-    leave_without_checkpoint,
-    live_folder,
-    refuse_training,
-    required,
-    resumable,
-    stopped,
-)
+from hybrid_id.cli.folder import CHECKPOINT, EVENTS, required
 from hybrid_id.cli.inputs import check_windows, checked_records, load_system
 from hybrid_id.cli.options import (
     DeviceOption,
@@ -32,7 +22,15 @@ from hybrid_id.cli.options import (
     use_device,
     use_threads,
 )
-from hybrid_id.config import StudyConfig, study_config
+from hybrid_id.cli.training_folder import (
+    added_results,
+    leave_without_checkpoint,
+    live_folder,
+    refuse_training,
+    resumable,
+    stopped,
+)
+from hybrid_id.config import Identification, StudyConfig, study_config
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -91,6 +89,12 @@ def train(
                 config, dataset, system, home, resume=resume, force=force, as_json=as_json
             )
         check_windows(config, "training.windows", dataset.train)
+        said, plain = config.identification, Identification()
+        if others := [k for k in ("starts", "friction", "substeps") if getattr(said, k) != getattr(plain, k)]:
+            remark(
+                f"'train' has one start and a smooth friction of its own ('training.width', 'training.fine'), so that "
+                f"{', '.join(others)} of 'identification' {'is' if len(others) == 1 else 'are'} not used"
+            )
         from hybrid_id.cli.study import show_study, write_study
         from hybrid_id.study import assess
 

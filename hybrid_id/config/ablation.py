@@ -4,10 +4,9 @@ from typing import Any, Literal
 
 from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator
 
-from hybrid_id.config.sections import Section
+from hybrid_id.config.sections import MOST_SEED, Section
 
 MOST_REPEATS = 1000
-MOST_SEED = 2**32 - 1  # what every generator of random numbers takes
 
 
 class Ablation(Section):

@@ -16,6 +16,8 @@ from pydantic import (
 
 from hybrid_id.records.schema import ResampleEntry
 
+MOST_SEED = 2**32 - 1  # what every generator of random numbers takes
+
 
 class Section(BaseModel):
     """A part of a study file; unknown keys are errors."""
@@ -76,7 +78,7 @@ class Identification(Section):
     friction: Literal["dry", "smooth"] = "dry"
     substeps: PositiveInt = 1
     width: PositiveFloat = 0.5
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=MOST_SEED)
     device: str = "cpu"
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from hybrid_id.contenders.run import Case, Settings
 from hybrid_id.errors import InputError
+from hybrid_id.plain import plain
 
 RUN, DIAGNOSIS = "run.json", "diagnosis.json"
 
@@ -90,5 +91,5 @@ def write_json(path: Path, content: Any) -> None:
     """Write under a temporary name and rename."""
     with tempfile.TemporaryDirectory(dir=path.parent, prefix=".") as temporary:
         new = Path(temporary) / path.name
-        new.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        new.write_text(json.dumps(plain(content), indent=1) + "\n", encoding="utf-8")
         new.replace(path)

@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.stability import MAX_SUBSTEPS, with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -103,4 +103,10 @@ def _engine(system: System, sample_time: float, width: float) -> Engine:
     u = {name: torch.zeros(1, 5, dtype=torch.float64) for name in system.input_names}
     dt, y = torch.full((1, 5), sample_time, dtype=torch.float64), torch.zeros(1, 5, 0, dtype=torch.float64)
     batch = Batch(u, dt, y, y, x, x[:, 0], (), ("rest",))
-    return with_substeps(system, Engine("smooth", width=width), batch, system.theta().detach()[:, None])
+    engine = with_substeps(system, Engine("smooth", width=width), batch, system.theta().detach()[:, None])
+    if engine.substeps >= MAX_SUBSTEPS:
+        raise InputError(
+            f"a step of {sample_time:g} s would need {MAX_SUBSTEPS} sub-steps or more beside friction smoothed over "
+            f"±{width:g} rad/s; give a shorter --sample-time or a larger --width"
+        )
+    return engine

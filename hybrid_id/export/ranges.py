@@ -44,7 +44,13 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
             f"the result speaks of {min(foreign)}, which the model lacks; give both from one run"
         )
     sets = (
-        [dict(zip(result["parameters"], s["values"], strict=True)) for s in result["sets"]] if result else []
+        [
+            dict(zip(result["parameters"], s["values"], strict=True))
+            for s in result["sets"]
+            if s.get("status") not in ("diverged", "interrupted")  # no estimates
+        ]
+        if result
+        else []
     )
     ranges = {}
     for info in system.table:

@@ -222,6 +222,8 @@ def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
     )
 
     def errors(at: float) -> np.ndarray:
+        if not np.isfinite(found.train):  # its free run was lost, and tells nothing
+            return np.full(len(values), np.nan)
         problem = trainer.problem(Stage(0, at, None, False), course)
         assert problem is not None  # whole records need no windows
         noise = theta.new_full((1,), found.train * float(problem.data[0]))

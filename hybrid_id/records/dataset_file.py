@@ -86,6 +86,10 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:
         for index, entry in enumerate(spec.records)
         for data_file in _files(entry, folder, f"{file}: key 'records[{index}].file'")
     )
+    for channel in outputs:  # in some records a joint may be held
+        if not any(np.ptp(record.outputs[channel.name]) for record in records):
+            words = "stands still in every record; check its column and its sensor"
+            raise InputError(f"{file}: output '{channel.name}' {words}")
     sample_time, reports = spec.sample_time, ()
     if spec.resample:
         sample_time, records, reports = _resample(records, spec.resample, sample_time, file)
@@ -174,12 +178,12 @@ def _read_record(
     time = signals.pop("t")
     if fault := find_fault(time, signals, str(path), table.place):
         raise InputError(fault)
-    for channel in spec.outputs:
-        if np.all(signals[channel.name] == signals[channel.name][0]):
-            raise InputError(
-                f"{path}: output '{channel.name}' is {signals[channel.name][0]:g} in every sample, so nothing can be "
-                "learnt from it; check its column and its sensor, or leave the record out"
-            )
+    still = [channel.name for channel in spec.outputs if not np.ptp(signals[channel.name])]
+    if len(still) == len(spec.outputs):
+        raise InputError(
+            f"{path}: output '{still[0]}' is {signals[still[0]][0]:g} in every sample, so nothing can be learnt from "
+            "it; check its column and its sensor, or leave the record out"
+        )
     meta = {**table.meta, **entry.meta}
     try:
         record = Record(
@@ -202,7 +206,10 @@ def _read(
 ) -> Table:
     """Read a file, or what of it a record's `between` asks for: the file may be larger than the memory."""
     file_format, factor = entry.format or spec.format, time.scale * to_si(time.unit or unit, "t")[1]
-    if entry.between and factor > 0 and not time.unwrap:
+    turns = any(
+        column.unwrap for column in (spec.columns | entry.columns).values()
+    )  # counted from the file's start
+    if entry.between and factor > 0 and not turns:
         low, high = (stamp / factor for stamp in entry.between)
         slack = 1e-9 * max(abs(low), abs(high))  # the exact cut comes later, in seconds
         table = load_any(

@@ -91,7 +91,11 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
     """Yield (severity, code, words) for one output."""
     spread = float(values.std())
     if np.ptp(values) == 0 or spread == 0:  # squares of 1e-300 are nothing
-        yield "error", "constant", f"it is {values[0]:g} throughout; check its column and its sensor"
+        held = any(
+            np.ptp(other) for key, other in record.outputs.items() if key != name
+        )  # one joint of several, say
+        words = f"it is {values[0]:g} throughout; check its column and its sensor"
+        yield "warning" if held else "error", "constant", words
         return
     noise, quantum = estimate_noise(values), quantisation_step(values)
     fine = max(noise, quantum)

@@ -162,12 +162,10 @@ def residual_figure(study: Study, white: Whiteness, sample_time: float) -> Figur
         left.axhline(0.0, color="black", lw=0.5)
         bins, sizes = np.linspace(-4, 4, 42), np.sqrt(np.mean(residual**2, axis=0))
         for k, name in enumerate(outputs):
-            left.plot(lags, white.correlation[:, k], color=COLOURS[k], label=symbol(name))
+            left.plot(lags, white.correlation[:, k], color=COLOURS[k % len(COLOURS)], label=symbol(name))
             shown = np.clip(residual[:, k] / max(sizes[k], 1e-300), -4, 4)
-            words = f"{symbol(name)}, RMS {sizes[k]:.2g}"
-            right.hist(
-                shown, bins, density=True, histtype="stepfilled", alpha=0.6, color=COLOURS[k], label=words
-            )
+            words, colour = f"{symbol(name)}, RMS {sizes[k]:.2g}", COLOURS[k % len(COLOURS)]
+            right.hist(shown, bins, density=True, histtype="stepfilled", alpha=0.6, color=colour, label=words)
         grid = np.linspace(-4, 4, 301)
         right.plot(
             grid, np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi), color="black", lw=0.9, label="normal"

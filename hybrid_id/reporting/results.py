@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,12 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
+from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.study import Comparison, Replay, Study
 from hybrid_id.systems.model_file import save_model
-
-RESULT = "result.json"
 
 
 def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
@@ -226,19 +224,7 @@ def write_comparison(path: Path, comparison: Comparison) -> None:
 
 def as_json(command: str, result: Mapping[str, Any]) -> str:
     """A result as strict JSON (what is not finite becomes null), with the program that made it."""
-    return json.dumps({"program": f"hybrid_id {__version__}", "command": command} | _plain(result), indent=1)
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    return json.dumps({"program": f"hybrid_id {__version__}", "command": command} | plain(result), indent=1)
 
 
 def _write_rows(path: Path, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
@@ -67,20 +66,6 @@ class TrainingLog:
                 )
             for tag, value in scalars.items():
                 self._writer(name).add_scalar(tag, float(value), snapshot.step)
-
-    def hparams(
-        self, settings: Mapping[str, str | float | bool], metrics: Mapping[str, Mapping[str, float]]
-    ) -> None:
-        """Write settings and final metrics of each set, for TensorBoard's table of hyper-parameters.
-
-        Args:
-            settings: what was chosen for this training.
-            metrics: final figures by name of the set.
-        """
-        for name, values in metrics.items():
-            self._writer(name).add_hparams(
-                dict(settings), {f"final/{k}": v for k, v in values.items()}, run_name="."
-            )
 
     def close(self) -> None:
         """Add the pictures of the last snapshot and close the files."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
+from hybrid_id.plain import plain
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,10 +97,9 @@ class TrackingResult:
 
 def save(result: StageResult | TrackingResult, path: Path, key: dict[str, Any]) -> None:
     """Write a result with what it was made from, under a temporary name first."""
-    values = {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in asdict(result).items()}
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
     with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump({"program": f"hybrid_id {__version__}", "key": key, "result": values}, file)
+        json.dump(plain({"program": f"hybrid_id {__version__}", "key": key, "result": asdict(result)}), file)
     os.chmod(temporary, 0o644)
     os.replace(temporary, path)
 
@@ -111,7 +111,10 @@ def load(kind: type[Any], path: Path, key: dict[str, Any]) -> Any:
         if content["key"] != json.loads(json.dumps(key)):
             return None
         values = content["result"]
-        return kind(**{f.name: _read(values[f.name], str(f.type)) for f in fields(kind)})
+        found = {f.name: _read(values[f.name], str(f.type)) for f in fields(kind)}
+        if "std_error" in found:  # where no interval may be claimed it is infinite, which JSON cannot say
+            found["std_error"] = np.nan_to_num(found["std_error"], nan=np.inf)
+        return kind(**found)
     except (OSError, ValueError, KeyError, TypeError):
         return None
 

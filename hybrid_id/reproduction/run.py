@@ -46,6 +46,7 @@ def reproduce(
     *,
     quick: bool = False,
     seeds: int = 20,
+    program: str = __version__,
     say: Callable[[str], None] = print,
     progress: Progress | None = None,
 ) -> Reproduction:
@@ -56,6 +57,7 @@ def reproduce(
             computed again.
         quick: two short records a stage.
         seeds: runs of each closed loop.
+        program: that computes; what another one has kept is computed again.
         say: told what comes next.
         progress: called after each iteration of a fit.
     """
@@ -65,7 +67,7 @@ def reproduce(
     stages: dict[str, Found] = {}
     for number, (name, stage) in enumerate(plan.stages.items(), start=1):
         head = f"{number} of {len(plan.stages)}: {stage.title}"
-        key = _key(plan, name, stages, quick)
+        key = _key(plan, name, stages, quick) | {"program": program}
         kept, model = load(StageResult, folder / f"{name}.json", key), folder / f"{name}.yaml"
         if kept is not None and model.exists():
             say(f"{head}: kept from before")
@@ -76,19 +78,27 @@ def reproduce(
         save_model(stages[name][1], model)
         save(stages[name][0], folder / f"{name}.json", key)
     tracking = {
-        case: _closed_loop(folder, plan, case, stages, seeds, quick, say) for case in plan.tracking.cases
+        case: _closed_loop(folder, plan, case, stages, seeds, quick, program, say)
+        for case in plan.tracking.cases
     }
     return Reproduction({name: found[0] for name, found in stages.items()}, truths, tracking, record)
 
 
 def _closed_loop(
-    folder: Path, plan: Plan, case: str, stages: Mapping[str, Found], seeds: int, quick: bool, say: Any
+    folder: Path,
+    plan: Plan,
+    case: str,
+    stages: Mapping[str, Found],
+    seeds: int,
+    quick: bool,
+    program: str,
+    say: Any,
 ) -> TrackingResult:
     machine = MACHINES[case]
     used = list(GEARS.values()) if case == "backlash" else [machine]
     key = {"models": [_values(stages[name]) for name in used], "plan": plan.tracking.model_dump(mode="json")}
     key |= {
-        "version": __version__,
+        "program": program,
         "seeds": seeds,
         "machine": _digest(twin_settings(plan.stages[machine], quick=quick)[0]),
     }
@@ -111,7 +121,6 @@ def _key(plan: Plan, name: str, stages: Mapping[str, Found], quick: bool) -> dic
     """All that decides a stage's result."""
     stage = plan.stages[name]
     return {
-        "version": __version__,
         "stage": stage.model_dump(mode="json"),
         "settings": _digest(twin_settings(stage, quick=quick)),
         "earlier": {name: _values(stages[name]) for name in sorted({*stage.hold, *stage.expect})},

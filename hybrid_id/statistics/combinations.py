@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+_TINY = 1e-100
 _SIMPLE = 2e-3  # exponents and factors this close to a simple number are that number
 
 
@@ -34,7 +35,8 @@ class Combination:
 
     def std_error(self, parameters: np.ndarray, covariance: np.ndarray) -> float:
         """First-order standard error from a covariance (p, p) of the parameters; null directions cancel."""
-        slope = self.gradient(parameters) / np.asarray(parameters, float)
+        away = np.where(np.asarray(parameters) == 0, _TINY, parameters)  # the slope at zero is that beside it
+        slope = self.gradient(away) / away
         return float(np.sqrt(slope @ covariance @ slope))
 
     def _terms(self, parameter_sets: np.ndarray) -> np.ndarray:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.statistics.fit import fit_percent
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,38 +91,6 @@ def cross_validation(
     if owner.shape != fits.shape[:1] or np.any(owner >= fits.shape[1]):
         raise InputError("cross-validation: own_record must name one record, or -1, for each set; correct it")
     return CrossValidation(fits, *named, own_record=owner)
-
-
-def cross_validate(
-    parameter_sets: np.ndarray,
-    measured: Sequence[Mapping[str, np.ndarray]],
-    simulate: Callable[[np.ndarray, int], Mapping[str, np.ndarray]],
-    *,
-    signals: Sequence[str],
-    set_names: Sequence[str] = (),
-    record_names: Sequence[str] = (),
-    own_record: Sequence[int] | None = None,
-) -> CrossValidation:
-    """Simulates every record with every parameter set.
-
-    Args:
-        parameter_sets: (n_sets, p).
-        measured: Outputs of each record, name -> (T,); lengths may differ.
-        simulate: ``simulate(parameter_sets, record_number)`` -> name -> (n_sets, T), all sets in one batch.
-        signals: Outputs that take part.
-        set_names: As in `cross_validation`, like the next two.
-        record_names: Names of the records.
-        own_record: Record of each set.
-    """
-    sets = np.asarray(parameter_sets, float)
-    fits = np.empty((len(sets), len(measured), len(signals)))
-    for number, outputs in enumerate(measured):
-        simulated = simulate(sets, number)
-        for column, signal in enumerate(signals):
-            fits[:, number, column] = fit_percent(outputs[signal], simulated[signal])
-    return cross_validation(
-        fits, set_names=set_names, record_names=record_names, signal_names=signals, own_record=own_record
-    )
 
 
 def _std(fits: np.ndarray) -> float:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from hybrid_id.identification.adjoint import Snapshot
+from hybrid_id.plain import plain
 from hybrid_id.study.ablation_plan import Arm, Cell, Split
 
 FAILED, DONE = "failed", "done"
@@ -89,7 +90,7 @@ class Course:
 
 def as_plain(result: CellResult) -> dict[str, Any]:
     """A cell's result as JSON holds it; what is not finite becomes None."""
-    return _finite(asdict(result))
+    return plain(asdict(result))
 
 
 def from_plain(content: dict[str, Any]) -> CellResult:
@@ -110,16 +111,9 @@ def _rung(content: dict[str, Any]) -> Rung:
     values: dict[str, Any] = {"price": _infinite(content["price"])}
     for name in ("errors", "short", "std_errors"):
         values[name] = {key: _infinite(value) for key, value in content[name].items()}
+    values |= {name: math.nan if content[name] is None else content[name] for name in ("share", "overlap")}
     return Rung(**content | values)
 
 
 def _infinite(value: float | None) -> float:
     return math.inf if value is None else value
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -12,7 +12,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.fit import fit_percent, nrmse
 from hybrid_id.systems.chain import System
@@ -80,7 +80,7 @@ def replay(dataset: Dataset, system: System, *, engine: Engine | None = None) ->
     """
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
     batch = make_batch(system, dataset.records, noise_std=noise)
-    run = simulate(system, with_substeps(system, engine or Engine(), batch), batch)
+    run = simulate(system, stable_engine(system, engine or Engine(), batch), batch)
     found = []
     for row, record in enumerate(dataset.records):
         outputs = {n: run.y[row, : record.n_samples, k].numpy() for k, n in enumerate(batch.outputs)}

@@ -28,7 +28,7 @@ def told_by(result: FitResult, *, inflation: float = 1.0) -> Identifiability:
     bounds = [result.system.parameter(n).spec for n in result.names]
     size = np.array(
         [
-            abs(v) or (s.upper if np.isfinite(s.upper) else 1.0)
+            abs(v) or max((abs(b) for b in (s.lower, s.upper) if np.isfinite(b)), default=0.0) or 1.0
             for v, s in zip(result.values, bounds, strict=True)
         ]
     )

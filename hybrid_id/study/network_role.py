@@ -58,8 +58,8 @@ class NetworkRole:
 
 def network_roles(system: System, engine: Engine, batch: Batch) -> tuple[NetworkRole, ...]:
     """What each network of a trained system does along the free runs of a batch."""
-    used = (batch.weight > 0).any(2).reshape(-1)
     run = simulate(system, engine, batch)
+    used = ((batch.weight > 0).any(2) & torch.isfinite(run.x).all(2)).reshape(-1)
     x = [column.reshape(-1)[used] for column in run.x.unbind(2)]
     u = {name: channel.reshape(-1)[used] for name, channel in batch.u.items()}
     values = list(system.theta().detach().to(batch.x)[:, None])

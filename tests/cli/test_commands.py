@@ -24,18 +24,10 @@ from drives import make_record, rigid_drive
 
 from hybrid_id import __version__
 from hybrid_id.cli.app import app
-from hybrid_id.cli.folder import (
-    BEGUN,
-    CHECKPOINT,
-    EVENTS,
-    added_results,
-    leave_without_checkpoint,
-    live_folder,
-    refuse_taken,
-    results_folder,
-)
+from hybrid_id.cli.folder import BEGUN, CHECKPOINT, EVENTS, refuse_foreign, refuse_taken, results_folder
 from hybrid_id.cli.identify import fit_part
 from hybrid_id.cli.progress import FitProgress
+from hybrid_id.cli.training_folder import added_results, leave_without_checkpoint, live_folder
 from hybrid_id.config import StudyConfig, load_config, study_config
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
@@ -317,8 +309,35 @@ def test_a_training_that_was_killed_before_its_first_checkpoint_is_begun_anew(tm
     (out / "config.yaml").write_text("dataset: x\n")
     with pytest.raises(InputError, match="no results of hybrid-id"):  # it may be another program's
         refuse_taken(out, force=True)
+    (out / CHECKPOINT).write_text("somebody's weights")
+    with pytest.raises(InputError, match="no results of hybrid-id"):
+        refuse_taken(out, force=True)
     (out / BEGUN).write_text("")
     refuse_taken(out, force=True)
+
+
+def test_a_folder_of_parts_is_taken_over_only_from_a_run_of_the_same_kind(tmp_path: Path) -> None:
+    refuse_foreign(tmp_path / "none", "cells", "*/cell.json")
+    (tmp_path / "cells").mkdir()
+    refuse_foreign(tmp_path, "cells", "*/cell.json")
+    (tmp_path / "cells" / "liver").mkdir()
+    with pytest.raises(InputError, match="no results of hybrid-id"):
+        refuse_foreign(tmp_path, "cells", "*/cell.json")
+    (tmp_path / "cells" / "liver" / "cell.json").write_text(json.dumps({"program": "hybrid_id 0.1.0"}))
+    refuse_foreign(tmp_path, "cells", "*/cell.json")
+
+
+def test_a_seed_that_no_generator_takes_and_faults_of_records_name_their_key(
+    run, drive: Path, tmp_path: Path
+) -> None:
+    assert "seed" in run("identify", drive, "--out", tmp_path / "out", "--seed", 2**64).err
+    for key, words in (
+        ("records: [run_9]", "preprocessing.records"),
+        ("between: [5, 6]", "preprocessing.between"),
+    ):
+        (tmp_path / "study.yaml").write_text(f"dataset: {drive}\npreprocessing: {{{key}}}\n")
+        told = run("identify", tmp_path / "study.yaml", "--out", tmp_path / "out")
+        assert told.code == 2 and f"study.yaml: key '{words}'" in told.err
 
 
 def test_a_backup_that_nobody_here_has_made_is_left_alone(tmp_path: Path, drive: Path) -> None:
@@ -442,6 +461,7 @@ def test_ctrl_c_names_the_checkpoint_where_there_is_one(
     if trained:
         out.mkdir()
         (out / "checkpoint.pt").write_bytes(b"")
+        (out / BEGUN).write_text("")
         words = run("identify", drive, "--out", out).err
         assert f"{out} holds an unfinished training; 'hybrid-id train {out}/config.yaml" in words
     monkeypatch.setattr("hybrid_id.cli.train.checked_records", stop)

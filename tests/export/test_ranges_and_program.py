@@ -39,6 +39,18 @@ def test_nothing_is_claimed_of_a_parameter_at_a_bound() -> None:
     assert to_ranges(one_link(100.0), result)["parameters"]["J"]["from"] == "spread"
 
 
+def test_sets_that_are_no_estimates_widen_no_range() -> None:
+    lost = {"values": [9e-5, 0.9], "status": "diverged"}
+    found = to_ranges(one_link(100.0), RESULT | {"sets": [*RESULT["sets"], lost]})["parameters"]
+    assert (found["F_c"]["lower"], found["F_c"]["upper"]) == (0.008, 0.013)
+
+
+def test_a_step_that_would_be_unstable_beside_steep_friction_is_refused() -> None:
+    drive = one_link(100.0).with_values({"J": 2e-5, "P_m1": 0.02, "F_c": 0.02})
+    with pytest.raises(InputError, match="shorter --sample-time or a larger --width"):
+        to_program(drive, sample_time=0.02, width=0.01)
+
+
 def test_range_stays_within_bounds() -> None:
     wide = RESULT | {"selected": {"values": {"J": 2e-5}, "half_widths": {"J": 1.0}}}
     assert to_ranges(one_link(100.0), wide)["parameters"]["J"]["lower"] == 1e-12

@@ -9,8 +9,9 @@ import pytest
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.quality import check_dataset
 from hybrid_id.records.readers import csv_text, parquet
-from hybrid_id.records.yaml_file import write_yaml
+from hybrid_id.records.yaml_file import read_yaml, write_yaml
 
 ROWS, STEP, PIECE = 1000, 0.002, 64
 PARTS = ((0.0, 0.4), (0.5, 1.3), (1.9, 9.0))
@@ -108,4 +109,43 @@ def test_a_window_beside_the_record_says_what_the_record_has(
     table(rng).to_csv(tmp_path / "long.csv", index=False)
     described(tmp_path, "long.csv", parts=[(50.0, 60.0)])
     with pytest.raises(InputError, match=r"its stamps run from 0 s to 1\.998 s"):
+        Dataset.load(tmp_path)
+
+
+def test_turns_are_counted_from_the_files_start(tmp_path: Path) -> None:
+    time = STEP * np.arange(ROWS)
+    angle = 900.0 * time  # degrees, five turns
+    pd.DataFrame({"t": time, "u1": np.sin(time), "theta": angle % 360.0}).to_csv(
+        tmp_path / "long.csv", index=False
+    )
+    home = described(tmp_path, "long.csv")
+    spec = read_yaml(home / "dataset.yaml")
+    spec["columns"]["q_m1"] = {"column": "theta", "unwrap": 360, "unit": "deg"}
+    write_yaml(home / "dataset.yaml", spec)
+    late = Dataset.load(home)["part_2"]
+    assert late.outputs["q_m1"][0] == pytest.approx(np.deg2rad(900.0 * 1.9))
+
+
+def test_an_output_may_stand_still_in_some_records(tmp_path: Path) -> None:
+    """One joint of an arm that is held while the other moves; not in all records, and not all outputs."""
+    time = STEP * np.arange(ROWS)
+    table = pd.DataFrame({"t": time, "u1": np.sin(time), "q_m1": np.sin(time), "q_m2": np.cos(time)})
+    outputs = [{"name": name, "unit": "rad"} for name in ("q_m1", "q_m2")]
+    spec = {
+        "name": "arm",
+        "inputs": [{"name": "u1", "unit": "V"}],
+        "outputs": outputs,
+        "records": [{"file": "r*.csv"}],
+    }
+    write_yaml(tmp_path / "dataset.yaml", spec)
+    table.to_csv(tmp_path / "r1.csv", index=False)
+    table.assign(q_m2=0.5).to_csv(tmp_path / "r2.csv", index=False)
+    found = [f for f in check_dataset(Dataset.load(tmp_path)) if f.code == "constant"]
+    assert [(f.severity, f.record, f.channel) for f in found] == [("warning", "r2", "q_m2")]
+    table.assign(q_m1=0.1, q_m2=0.5).to_csv(tmp_path / "r2.csv", index=False)
+    with pytest.raises(InputError, match=r"r2.csv: output 'q_m1' is 0.1 in every sample"):
+        Dataset.load(tmp_path)
+    (tmp_path / "r2.csv").unlink()
+    table.assign(q_m2=0.5).to_csv(tmp_path / "r1.csv", index=False)
+    with pytest.raises(InputError, match="output 'q_m2' stands still in every record"):
         Dataset.load(tmp_path)

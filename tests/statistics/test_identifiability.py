@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hybrid_id.errors import InputError
+from hybrid_id.statistics.combinations import Combination
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.statistics.null_directions import simple_basis
 
@@ -223,6 +224,13 @@ def test_covariance_of_a_combination_is_the_delta_method(rng):
     sets = np.tile(DRIVE, (20_000, 1))
     sets[:, [0, 1]] += spread * rng.standard_normal((20_000, 2))
     assert ratio.std_error(DRIVE, covariance) == pytest.approx(np.std(ratio.evaluate(sets)), rel=0.05)
+
+
+def test_a_parameter_that_has_ended_at_zero_takes_no_error_from_the_others():
+    ratio = Combination("a/b", np.ones(1), np.array([[1.0, -1.0, 0.0]]))
+    covariance = np.diag([0.04, 0.01, 1.0])
+    assert ratio.std_error(np.array([1.0, 2.0, 0.0]), covariance) == pytest.approx(np.hypot(0.1, 0.025))
+    assert ratio.std_error(np.array([0.0, 2.0, 3.0]), covariance) == pytest.approx(0.1)  # 0.2 / 2
 
 
 def test_a_negative_parameter_scales_with_the_others():

@@ -23,10 +23,10 @@ from hybrid_id.study.ablation_verdict import verdict
 _HOW = (
     "Errors are the RMS of the free run over whole records, in units of the measurement's standard deviation (1: as "
     "the noise says), geometric means over the repeats; short: the same over a fraction of a second from measured "
-    "states. Each repeat draws its own records and first weights, the same for all arms, and is compared in pairs with "
-    "physics only. Intervals are Student's, widened for training sets that share records (Nadeau and Bengio, 2003). "
-    "The network that the validation records like best is judged on test records that chose nothing; the intervals of "
-    "the other arms are not corrected for their number."
+    "states. Each repeat draws its own records (but for those of role test) and first weights, the same for all arms, "
+    "and is compared in pairs with physics only. Intervals are Student's, widened for training sets that share records "
+    "(Nadeau and Bengio, 2003). The network that the validation records like best is judged on test records that chose "
+    "nothing; the intervals of the other arms are not corrected for their number."
 )
 
 
@@ -44,6 +44,11 @@ def ablation_page(dataset: Dataset, result: Ablation, pictures: Mapping[str, Dra
         f"{len(result.scores)} models, trained and tested on the same records in {count(repeats, 'repeat')}."
     )
     section = page.section("Answer").add(*map(Text, others), what, *failures(result))
+    if repeats > 1 and len({split.test for split in result.splits.values()}) == 1:
+        section.add(
+            "All repeats test on the same records, which have the role of test records: how the answer would change "
+            "with others is not in the intervals."
+        )
     if "change" in pictures:
         words = "Error over that of physics only on the same records: mean and interval of each arm."
         section.figure(pictures["change"], words)

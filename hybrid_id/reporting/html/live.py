@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.style import COLOURS
 from hybrid_id.study import Comparison, Study
@@ -31,7 +32,7 @@ def library() -> str:
 
 def as_script(plot: Plot) -> str:
     """A figure as JSON that may stand inside a script element."""
-    return json.dumps(plot, separators=(",", ":")).replace("<", "\\u003c")
+    return json.dumps(plain(plot), separators=(",", ":")).replace("<", "\\u003c")
 
 
 def record_plot(dataset: Dataset, comparison: Comparison, record: str) -> Plot:
