@@ -9,7 +9,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.folder import DIAGNOSIS, EVENTS, page_and_pictures, refuse_taken, required, results_folder
-from hybrid_id.cli.inputs import checked_records, load_system
+from hybrid_id.cli.inputs import checked_records, load_system, remark_uneven
 from hybrid_id.cli.options import (
     ForceOption,
     JsonOption,
@@ -64,6 +64,7 @@ def diagnose(
             f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
         )
     dataset = checked_records(config)
+    remark_uneven(dataset)
     use_threads(1)
     system = load_system(config)
     diagnosis = run(dataset, system, config)

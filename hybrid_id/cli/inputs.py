@@ -1,6 +1,6 @@
 """Loading what a study config names: records as they shall be used, and the model."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from hybrid_id.records.record import Record
     from hybrid_id.systems.chain import System
 
+UNEVEN = 1.5
 MAX_WARNINGS = 5  # said before a fit; `check` says them all
 
 
@@ -98,6 +99,18 @@ def load_system(config: StudyConfig) -> "System":
         raise InputError(f"previous ({stage.model}): {error}") from None
 
 
+def remark_uneven(records: "Iterable[Record]") -> None:
+    """Say where windows, which count samples, last longer in some records than in others."""
+    import numpy as np
+
+    steps = [float(np.median(np.diff(record.time))) for record in records]
+    if steps and max(steps) > UNEVEN * min(steps):
+        remark(
+            f"warning: sample times differ between records ({min(steps):.3g} to {max(steps):.3g} s), and windows count "
+            "samples of the usual one; 'resample' in dataset.yaml brings all to one"
+        )
+
+
 def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") -> None:
     """Say which windows are longer than the records allow; refuse them where it is all of those that were asked for.
 
@@ -118,6 +131,7 @@ def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") ->
         "ablation.horizon": ([((config.ablation or Ablation()).horizon, 1)],) * 2,
     }
     windows, default = wish[key]
+    remark_uneven(records)
     step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
     samples = max(record.n_samples for record in records)
     long = [f"{s:g} s" for s, _ in windows if window_samples(samples, step, s) is None]

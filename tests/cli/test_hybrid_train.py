@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from drives import make_records, multisine, rigid_drive
 
+from hybrid_id.cli.inputs import remark_uneven
 from hybrid_id.components import Cogging
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.model_file import load_model, save_model
 
@@ -183,3 +185,16 @@ def test_windows_of_a_training_without_networks_are_checked_too(run, drive: Path
     told = run("train", tmp_path / "study.yaml", "--out", tmp_path / "out")
     assert told.code == 2 and "study.yaml: key 'training.windows': windows of 0.9 s are too long" in told.err
     assert not (tmp_path / "out").exists()
+
+
+def test_windows_over_records_of_other_sample_times_are_said(capsys: pytest.CaptureFixture[str]) -> None:
+    def record(step: float) -> Record:
+        time = step * np.arange(5)
+        return Record("r", time, {"u1": time}, {"q_m1": time})
+
+    remark_uneven([record(0.001), record(0.0012)])
+    assert not capsys.readouterr().err
+    remark_uneven([record(0.001), record(0.01)])
+    assert "sample times differ between records (0.001 to 0.01 s)" in " ".join(
+        capsys.readouterr().err.split()
+    )
