@@ -33,7 +33,7 @@ def test_tour_names_the_commands(ending: str) -> None:
 
 def test_tour_runs_as_written(run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = Dataset.load(drive)
-    short = tuple(record.between(0.0, 0.5) for record in dataset.records)  # long ones take a minute
+    short = tuple(record.between(0.0, 0.5) for record in dataset.records[1:])  # more take a minute
     replace(dataset, records=short).save(tmp_path / "my_robot")
     shutil.copy(drive / "model.yaml", tmp_path / "my_robot")
     shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / "model_priors.yaml")

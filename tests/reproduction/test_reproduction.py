@@ -8,6 +8,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hybrid_id.cli import app
+from hybrid_id.cli.provenance import program
 from hybrid_id.errors import InputError
 from hybrid_id.reproduction import plan as plans
 from hybrid_id.reproduction.claims import claims
@@ -101,7 +102,7 @@ def each_model_knows_more(quick: Reproduction, folder: Path) -> None:
 
 def what_is_kept_is_not_computed_again(quick: Reproduction, folder: Path) -> None:
     said = []
-    again = reproduce(folder, quick=True, seeds=2, say=said.append)
+    again = reproduce(folder, quick=True, seeds=2, program=program(), say=said.append)
     assert all(words.endswith("kept from before") for words in said) and len(said) == 9
     assert claims(again.stages, again.truths, again.tracking) == claims(
         quick.stages, quick.truths, quick.tracking
@@ -141,7 +142,7 @@ def test_the_paper_in_short(tmp_path: Path) -> None:
     """One test, since workers of a parallel run would each walk through the paper for theirs."""
     folder = tmp_path / "parts"
     folder.mkdir()
-    quick = reproduce(folder, quick=True, seeds=2, say=lambda words: None)
+    quick = reproduce(folder, quick=True, seeds=2, program=program(), say=lambda words: None)
     for check in (
         every_row_of_every_table_is_there, nine_of_ten_intervals_hold_the_truth, held_values_are_the_earlier_stages,
         each_model_knows_more, what_is_kept_is_not_computed_again, results_of_something_else_are_not_taken,
