@@ -19,6 +19,7 @@ import torch
 from scipy.io import savemat
 
 from hybrid_id.cli import folder as folders
+from hybrid_id.cli.training_folder import live_folder
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
 from hybrid_id.identification.checkpoint import read_checkpoint
@@ -195,7 +196,7 @@ def test_files_outside_the_folder_are_refused(records: Path, file: str) -> None:
     inside = records / "inside"
     inside.mkdir()
     (inside / "dataset.yaml").write_text(f'{HEAD}records: [{{file: "{file}"}}]\n')
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match="inside the dataset's folder"):
         Dataset.load(inside)
 
 
@@ -230,13 +231,13 @@ def test_results_folder_of_two_runs_at_once(tmp_path: Path) -> None:
 
 def test_training_folder_has_one_writer(tmp_path: Path) -> None:
     home, config = tmp_path / "out", StudyConfig(dataset=tmp_path, model=tmp_path / "model.yaml")
-    with folders.live_folder(home, config, force=False, resume=False):
+    with live_folder(home, config, force=False, resume=False):
         with pytest.raises(InputError, match="another run is writing"), folders.sole_writer(home):
             pass
         (home / "checkpoint.pt").write_text("half")
         with (
             pytest.raises(InputError, match="another run is writing"),
-            folders.live_folder(home, config, force=True, resume=False),
+            live_folder(home, config, force=True, resume=False),
         ):
             pass
     assert (home / "checkpoint.pt").read_text() == "half"

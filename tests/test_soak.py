@@ -1,10 +1,18 @@
 """A short version of `make soak`: what is killed and run again ends as if nobody had touched it."""
 
+import numpy as np
 import pytest
 import soak
+
+from hybrid_id.blind import campaign as plans
+from hybrid_id.blind import levels
 
 
 @pytest.mark.parametrize("name", soak.JOBS)
 def test_killed_and_run_again_ends_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(soak, "CASES", 2)
-    assert soak.soak(name, trials=1, seed=0, most=1) == 0
+    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
+    monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+    failures, kills = soak.soak(name, trials=1, seed=0, most=1)
+    assert failures == 0
+    assert kills == 1

@@ -67,6 +67,7 @@ def test_every_effect_without_a_name_can_be_fitted_as_its_rivals_are(
 def test_a_fault_in_one_case_is_told_and_loses_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(campaign, "LENGTHS", (700, 900))
     honest = module.draw_case
 
     def broken_once(rng, name, *rest):

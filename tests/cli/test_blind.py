@@ -106,7 +106,8 @@ def test_unfinished_run_is_scored_on_demand_only(home: Path) -> None:
     assert "2 of 3 cases scored" in call("score", runs, "--answers", archive, "--partial")
 
 
-def test_parts_are_scored_together(home: Path) -> None:
+def test_parts_are_scored_together(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
     wish = ["--cases", 1, "--family", "none", "--system", "one_link", "--seed", 4]
     parts, archives = [], []
     for first in (1, 2):

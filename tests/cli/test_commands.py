@@ -504,3 +504,15 @@ def test_a_record_that_is_named_as_the_table_is_refused(run, drive: Path, tmp_pa
     shutil.copy(drive / "model.yaml", copy)
     outcome = run("simulate", copy, "--out", tmp_path / "out")
     assert outcome.code == 2 and "record 'comparison' is named as the table" in outcome.err
+
+
+def test_profiles_are_found_written_and_said(run, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    shown = run("identify", drive, "--pooled", "--profile", "J", "--out", out)
+    assert shown.code == 0 and "J" in shown.out
+    result = json.loads((out / "result.json").read_text())
+    ends, value = result["profiles"]["J"], result["selected"]["values"]["J"]
+    assert ends["lower"] < value < ends["upper"]
+    assert (out / "profiles.png").stat().st_size > 1000
+    told = run("identify", drive, "--profile", "nonsense", "--out", tmp_path / "none")
+    assert told.code == 2 and "nonsense" in told.err

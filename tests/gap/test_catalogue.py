@@ -1,6 +1,7 @@
 """The catalogue: complete, buildable, and what it builds goes through a model file."""
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -59,8 +60,13 @@ def drives() -> dict[str, System]:
     }
 
 
-def models(kind: str) -> Iterator[tuple[str, System]]:
+@cache
+def models(kind: str) -> list[tuple[str, System]]:
     """Every model that the catalogue makes of a system, with the effect's name."""
+    return list(_models(kind))
+
+
+def _models(kind: str) -> Iterator[tuple[str, System]]:
     system = drives()[kind]
     if kind == "two":
         time = STEP * np.arange(200)
@@ -83,7 +89,7 @@ def models(kind: str) -> Iterator[tuple[str, System]]:
 
 @pytest.mark.parametrize("kind", drives())
 def test_every_model_goes_through_a_file(kind: str, tmp_path: Path) -> None:
-    made = list(models(kind))
+    made = models(kind)
     assert made
     for name, system in made:
         save_model(system, tmp_path / "model.yaml")

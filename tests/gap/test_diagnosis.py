@@ -1,14 +1,17 @@
 """The whole way from records to a verdict, on a drive whose truth is known."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from gapcase import RATIO
 
 import hybrid_id.gap.diagnose as module
 from hybrid_id.components import JointFlexibility
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.diagnose import _verdict
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.measure import errors
 from hybrid_id.reporting.gap import summary
@@ -191,3 +194,22 @@ def test_an_opened_record_is_enough_where_the_others_lack_nothing(diagnosed, mon
     assert verdict(-0.1, 0.2, 0.0) == "effects"
     assert verdict(-0.3, -0.1, 0.0) != "effects"  # it does them harm
     assert verdict(-0.1, 0.2, 0.9) != "effects"  # they lack something that it does not explain
+
+
+@pytest.mark.parametrize(
+    ("effective", "chosen", "wrong", "unknown", "varying", "verdict"),
+    [
+        (1e3, False, False, False, False, "no_gap"),
+        (1e3, False, True, False, False, "parameters_only"),
+        (1e3, True, True, False, False, "effects"),
+        (1e3, True, True, True, True, "outside_catalogue"),
+        (10.0, False, True, False, False, "inconclusive"),
+        (10.0, False, False, False, True, "parameters_only"),
+    ],
+)
+def test_verdicts(
+    effective: float, chosen: bool, wrong: bool, unknown: bool, varying: bool, verdict: str
+) -> None:
+    base = SimpleNamespace(evidence=SimpleNamespace(effective=effective))
+    search = SimpleNamespace(chosen=SimpleNamespace() if chosen else base)
+    assert _verdict(base, search, wrong, unknown, varying) == verdict

@@ -42,6 +42,7 @@ def catalogue(tmp_path: Path) -> Iterator[None]:
 def test_effect_of_the_guide_is_found() -> None:
     dataset, today = small_case(REGISTRY["cubic_spring"](k_3=0.5))
     found = diagnose(dataset, today, most=1)
+    assert found.verdict == "effects" and [s.name for s in found.selected] == ["cubic_spring"]
     suspects = {s.name: s for s in found.effects}
     assert set(suspects) == set(RIVALS)
     first = found.search.rounds[0]

@@ -1,11 +1,11 @@
 """Pulses on a simulated arm of two links whose model is off: the right joint, in time, and none invented."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import measure
+from drives import batch_of, measure
 
 from hybrid_id.components import TorqueCommand, TorqueMotor
 from hybrid_id.errors import InputError
@@ -13,6 +13,7 @@ from hybrid_id.gap.missing_torque import missing_torques
 from hybrid_id.gap.pulses import Detector, calibrate
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, two_link
 
@@ -43,19 +44,23 @@ def waves(seed: int) -> np.ndarray:
     return np.array([[0.3], [0.15]]) * np.sin(2 * np.pi * tones * time + phases).sum(1)
 
 
-def made(name: str, seed: int) -> Record:
-    """A record of the arm with its encoders' noise; it holds the commanded torques only."""
-    commanded = waves(seed)
+def made(names: Iterable[str], seed: int) -> list[Record]:
+    """Records of the arm with its encoders' noise, the first with this seed; they hold the commanded torques only."""
+    names, time, outputs = list(names), STEP * np.arange(SAMPLES), ("q_m1", "q_m2")
+    commanded = np.stack([waves(seed + k) for k in range(len(names))])
     acting = commanded.copy()
-    time = STEP * np.arange(SAMPLES)
-    for joint, middle, size, width in PULSES.get(name, []):
-        acting[joint - 1] += size * np.exp(-0.5 * ((time - middle) / width) ** 2)
-    found = measure(
-        arm(), {"tau1": acting[0], "tau2": acting[1]}, outputs=("q_m1", "q_m2"), step=STEP, engine=SMOOTH
-    )
-    generator = np.random.default_rng(100 + seed)
-    noisy = {n: q + 3e-4 * generator.standard_normal(SAMPLES) for n, q in found.items()}
-    return Record(name, time, {"tau1": commanded[0], "tau2": commanded[1]}, noisy)
+    for k, name in enumerate(names):
+        for joint, middle, size, width in PULSES.get(name, []):
+            acting[k, joint - 1] += size * np.exp(-0.5 * ((time - middle) / width) ** 2)
+    channels = {"tau1": acting[:, 0], "tau2": acting[:, 1]}
+    batch = batch_of(arm(), channels, outputs=outputs, step=STEP, rows=len(names))
+    found = simulate(arm(), SMOOTH, batch).y.numpy()
+    records = []
+    for k, name in enumerate(names):
+        generator = np.random.default_rng(100 + seed + k)
+        noisy = {n: found[k, :, j] + 3e-4 * generator.standard_normal(SAMPLES) for j, n in enumerate(outputs)}
+        records.append(Record(name, time, {"tau1": commanded[k, 0], "tau2": commanded[k, 1]}, noisy))
+    return records
 
 
 def today() -> System:
@@ -70,11 +75,11 @@ def prepared(records: Sequence[Record]) -> Batch:
 
 @pytest.fixture(scope="module")
 def detector() -> Detector:
-    return calibrate(today(), SMOOTH, prepared([made(f"quiet{k}", k) for k in range(3)]))
+    return calibrate(today(), SMOOTH, prepared(made((f"quiet{k}" for k in range(3)), 0)))
 
 
 def test_every_pulse_is_found_in_time_at_its_joint(detector: Detector) -> None:
-    found = detector.find(prepared([made(name, 10 + k) for k, name in enumerate(PULSES)]))
+    found = detector.find(prepared(made(PULSES, 10)))
     expected = {(r, f"joint{joint}"): rest for r, pulses in PULSES.items() for joint, *rest in pulses}
     assert len(found) == len(expected)
     for pulse in found:
@@ -86,7 +91,7 @@ def test_every_pulse_is_found_in_time_at_its_joint(detector: Detector) -> None:
 
 
 def test_no_pulse_is_claimed_where_none_was(detector: Detector) -> None:
-    assert detector.find(prepared([made(f"held{k}", 20 + k) for k in range(3)])) == []
+    assert detector.find(prepared(made((f"held{k}" for k in range(3)), 20))) == []
 
 
 def test_missing_torque_is_the_torque_that_acted() -> None:
@@ -108,8 +113,8 @@ def test_missing_torque_is_the_torque_that_acted() -> None:
 
 def test_one_unperturbed_record_or_a_short_one_is_refused(detector: Detector) -> None:
     with pytest.raises(InputError, match="at least two unperturbed records"):
-        calibrate(today(), SMOOTH, prepared([made("quiet", 0)]))
-    whole = made("short", 0)
+        calibrate(today(), SMOOTH, prepared(made(["quiet"], 0)))
+    whole, quiet = made(["short", "quiet"], 0)
     cut = Record(
         "short",
         whole.time[:150],
@@ -119,4 +124,4 @@ def test_one_unperturbed_record_or_a_short_one_is_refused(detector: Detector) ->
     with pytest.raises(InputError, match="'short' is too short to look for pulses"):
         detector.find(prepared([cut]))
     with pytest.raises(InputError, match="narrower than the sample time"):
-        calibrate(today(), SMOOTH, prepared([whole, made("quiet", 1)]), widths=(0.002,))
+        calibrate(today(), SMOOTH, prepared([whole, quiet]), widths=(0.002,))

@@ -1,6 +1,6 @@
 """Where a fit over an angle begins is found in what a model without it leaves."""
 
-from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -23,24 +23,24 @@ from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study.replays import batch_of
 
 
-def left_by(missing: Component, monkeypatch: pytest.MonkeyPatch) -> Left:
+@cache
+def left_by(law: type[Component], **values: float) -> Left:
     """Today's model fitted to records of a drive with something beside its motor."""
     places = {Cogging: "motor", KinematicError: "transmission"}
-    monkeypatch.setattr("gapcase.WHERE", f"joint1/{places.get(type(missing), 'motor_friction')}")
-    dataset, today = small_case(missing)
+    dataset, today = small_case(law(**values), f"joint1/{places.get(law, 'motor_friction')}")
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
-    return Left(secant_fit(today, batch, engine=replace(engine(), compiled=False), iterations=8), batch)
+    return Left(secant_fit(today, batch, engine=engine(), iterations=8), batch)
 
 
-def test_periods_of_cogging(monkeypatch: pytest.MonkeyPatch) -> None:
-    fit = left_by(Cogging(T_c=0.004, T_s=-0.003, n=1.0), monkeypatch)
+def test_periods_of_cogging() -> None:
+    fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
     n, first, second = rotor_waves(fit, 1, "motor")[0]
     assert n == 1.0
     assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
 
 
-def test_error_of_a_gear(monkeypatch: pytest.MonkeyPatch) -> None:
-    fit = left_by(KinematicError(E_c=2e-3, E_s=-3e-3, n=0.5), monkeypatch)
+def test_error_of_a_gear() -> None:
+    fit = left_by(KinematicError, E_c=2e-3, E_s=-3e-3, n=0.5)
     found = gear_waves(fit, 1, "transmission")
     assert found[0][0] == 0.5
     assert found[0][1] > 0 > found[0][2]
@@ -56,31 +56,30 @@ def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 1e-3), Channel("q_a1", "rad", 1e-5))
     dataset = Dataset("wavy gear", *channels, tuple(records), 0.005)
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
-    plain = replace(engine(), compiled=False)
-    n, *size = gear_waves(Left(secant_fit(today, batch, engine=plain, iterations=4), batch), 1, "")[0]
+    n, *size = gear_waves(Left(secant_fit(today, batch, engine=engine(), iterations=4), batch), 1, "")[0]
     assert n == 1.0
     assert np.linalg.norm(np.subtract(size, (1e-3, -5e-4))) < 0.4 * np.linalg.norm((1e-3, -5e-4))
     known = today.with_component("joint1/transmission", KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0))
-    others = gear_waves(Left(secant_fit(known, batch, engine=plain, iterations=4), batch), 1, "")
+    others = gear_waves(Left(secant_fit(known, batch, engine=engine(), iterations=4), batch), 1, "")
     assert next(one for one in others if one[0] != 1.0) == pytest.approx((2.0, 3e-4, 2e-4), rel=0.3)
 
 
-def test_waves_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
-    fit = left_by(PositionDependent(A_c=0.004, A_s=0.003, n=7.0), monkeypatch)
+def test_waves_of_friction() -> None:
+    fit = left_by(PositionDependent, A_c=0.004, A_s=0.003, n=7.0)
     found = friction_waves(fit, 1, "motor_friction")
     assert min(abs(n - 7.0) for n, _, _ in found) < 1.5
 
 
-def test_a_tight_spot_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
-    fit = left_by(TightSpot(A=0.008, q_0=0.2, w=0.1), monkeypatch)
+def test_a_tight_spot_of_friction() -> None:
+    fit = left_by(TightSpot, A=0.008, q_0=0.2, w=0.1)
     angle = fit.batch.x[..., 0].numpy() / 50.0
     found = friction_spots(fit, 1, "motor_friction")
     assert min(abs(q - 0.2) for q, _, _ in found) < 0.1 * float(np.ptp(angle))
     assert all(height > 0 for _, _, height in found)
 
 
-def test_models_from_a_scan_go_through_a_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    left = left_by(TightSpot(A=0.008, q_0=0.2, w=0.1), monkeypatch)
+def test_models_from_a_scan_go_through_a_file(tmp_path: Path) -> None:
+    left = left_by(TightSpot, A=0.008, q_0=0.2, w=0.1)
     size = scales(left.result.system, left.batch)[0]
     for name in ("position_dependent_friction", "cogging"):
         for starts in CATALOGUE[name].models(left.result.system, size, left).values():
@@ -89,8 +88,8 @@ def test_models_from_a_scan_go_through_a_file(monkeypatch: pytest.MonkeyPatch, t
                 assert list(load_model(tmp_path / "model.yaml").components) == list(start.components)
 
 
-def test_a_second_wave_is_of_another_period(monkeypatch: pytest.MonkeyPatch) -> None:
-    left = left_by(Cogging(T_c=0.003, T_s=-0.002, n=2.0), monkeypatch)
+def test_a_second_wave_is_of_another_period() -> None:
+    left = left_by(Cogging, T_c=0.003, T_s=-0.002, n=2.0)
     first = Cogging(T_c=0.004, T_s=0.0, n=1.0)
     system = left.result.system.with_component("joint1/motor", first)
     (freer,) = CATALOGUE["cogging"].freer(
@@ -113,8 +112,8 @@ def test_a_second_wave_is_of_another_period(monkeypatch: pytest.MonkeyPatch) -> 
     assert not CATALOGUE["quadratic_drag"].freer(system, "joint1/motor_friction", left)
 
 
-def test_periods_that_are_fixed_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    left = left_by(Cogging(T_c=0.004, T_s=-0.003, n=1.0), monkeypatch)
+def test_periods_that_are_fixed_are_told() -> None:
+    left = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
     system = left.result.system.with_component("joint1/motor", Cogging(T_c=0.003, T_s=-0.002, n=1.0))
     fit = secant_fit(system, left.batch, engine=left.result.engine, iterations=8)
     name = ("cogging", "joint1/motor")

@@ -1,17 +1,19 @@
 """Windows begin where the machine was seen to be, and with what only the model knows where its free run had it."""
 
+import pickle
 from dataclasses import replace
 
 import pytest
 import torch
 from gapcase import small_case
+from joblib import parallel_config
 
 import hybrid_id.gap.attribute as module
 import hybrid_id.gap.starts as starts
 from hybrid_id.components import REGISTRY
 from hybrid_id.gap.attribute import attribute
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.refit import Refit, engine
+from hybrid_id.gap.refit import Refit, Task, engine
 from hybrid_id.gap.untold import untold
 from hybrid_id.gap.windows import windows
 from hybrid_id.simulation.rollout import simulate
@@ -89,3 +91,19 @@ def test_what_holds_the_scale_is_said_and_free_scales_are_not_said_twice() -> No
     held = today.with_specs({"J": replace(today.parameter("J").spec, estimate=False)})
     words = untold(dataset, held)
     assert any("P_m1" in w and "only the claim of J at" in w for w in words), words
+
+
+def test_fits_in_processes_are_those_in_turn() -> None:
+    dataset, today = small_case()
+    spring = today.with_component("joint1/load", REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    lost = today.with_values({"J": 1e-12, "F_c": 0.0})
+    some = [Task((), today), Task((), lost), Task((("spring_load", "joint1/load"),), spring)]
+    in_turn = Refit(dataset).run(some, 2)
+    with parallel_config(backend="threading"):  # what a process is given is another test's
+        together = Refit(dataset, jobs=2).run(some, 2)
+    assert [None if e is None else (e.effects, e.result.cost) for e in together] == [
+        None if e is None else (e.effects, e.result.cost) for e in in_turn
+    ]
+    assert in_turn[0] is not None and in_turn[2] is not None
+    refit, task = pickle.loads(pickle.dumps((Refit(dataset, jobs=2), some[2])))
+    assert refit.jobs == 2 and task.effects == some[2].effects

@@ -102,12 +102,17 @@ def test_wide_starts_all_arrive() -> None:
         np.testing.assert_allclose(values[k::2], np.tile(values[k], (6, 1)), rtol=2e-3)
 
 
-def test_several_starts_keep_the_best(batch: Batch) -> None:
+def test_several_starts_keep_the_best(batch: Batch, monkeypatch: pytest.MonkeyPatch) -> None:
     bad = TRUTH.with_values({"J": 4e-4, "F_c": 0.3, "F_v": 2e-3})
     short = Options(max_iterations=4)
     (one,) = fit(bad, batch, pooled=True, warm=False, options=short)
     (many,) = fit(bad, batch, pooled=True, warm=False, options=short, starts=6, spread=0.95, seed=3)
     assert many.cost <= one.cost
+    drawn = torch.stack([s.theta().detach() for s in (bad, TRUTH)], 1)
+    monkeypatch.setattr("hybrid_id.identification.fit.start_points", lambda *_: drawn)
+    (best,) = fit(bad, batch, pooled=True, warm=False, options=short, starts=2)
+    assert best.cost < 0.5 * one.cost
+    monkeypatch.undo()
     per_record = fit(TRUTH, batch, starts=3)
     single = fit(TRUTH, batch)
     for a, b in zip(per_record, single, strict=True):

@@ -169,10 +169,12 @@ def test_real_csv_with_blanks_in_its_header(shared, tmp_path) -> None:
 
 def test_every_gap_case_loads_and_starts_at_rest(shared) -> None:
     folders = sorted((shared / "gapcases" / "dev").glob("c*"))
+    assert folders
     for folder in folders[::4]:
         data = Dataset.load(folder)
         assert (len(data.train), len(data.test), data.sample_time) == (6, 2, 0.002)
-        assert not [finding for finding in check_dataset(data) if finding.severity == "error"]
+        found = check_dataset(data)
+        assert not [one for one in found if one.severity == "error" or one.code == "start_motion"]
 
 
 def test_names_of_records() -> None:
