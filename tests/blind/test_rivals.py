@@ -1,5 +1,7 @@
 """What a case asks of its effects, and that a draw that goes wrong loses no other."""
 
+# pyright: reportAttributeAccessIssue=false
+
 from pathlib import Path
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Where a fit over an angle begins is found in what a model without it leaves."""
 
+# pyright: reportAttributeAccessIssue=false
+
 from functools import cache
 from pathlib import Path
 

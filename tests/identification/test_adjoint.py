@@ -1,5 +1,7 @@
 """Training by the adjoint method: it ends where Levenberg-Marquardt ends, and it can be stopped and resumed."""
 
+# pyright: reportAttributeAccessIssue=false, reportCallIssue=false
+
 import copy
 from dataclasses import replace
 from functools import partial

@@ -1,3 +1,4 @@
+# pyright: reportCallIssue=false
 import gzip
 import json
 import os

@@ -1,5 +1,7 @@
 """Part of a long file: only the rows that a record asks for are kept, and nothing is read beyond them."""
 
+# pyright: reportCallIssue=false
+
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

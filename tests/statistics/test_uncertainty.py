@@ -1,5 +1,7 @@
 """Covariances against linear regressions whose covariance is known."""
 
+# pyright: reportCallIssue=false
+
 import numpy as np
 import pytest
 from hypothesis import given

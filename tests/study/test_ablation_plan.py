@@ -1,5 +1,7 @@
 """Arms, repeats and splits of an ablation, and the models that it compares."""
 
+# pyright: reportCallIssue=false
+
 from dataclasses import replace
 
 import pytest

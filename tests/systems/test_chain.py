@@ -1,5 +1,7 @@
 """Places, composition, names and parameter vectors of a chain."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import copy
 import math
 import pickle

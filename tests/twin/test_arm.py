@@ -1,5 +1,7 @@
 """The two-link arm: its equations of motion, conserved quantities, and coupled stick and slip."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp

@@ -1,5 +1,7 @@
 """The flexible drive: its spring, stick and slip with a link that moves on, and energy."""
 
+# pyright: reportAttributeAccessIssue=false
+
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
