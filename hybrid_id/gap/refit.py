@@ -192,7 +192,8 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
         found = evidence(blind, step)
     except (InputError, RuntimeError, np.linalg.LinAlgError):
         return None  # a start that the physics refuses is no candidate
-    return Explanation(task.effects, result, found, last) if found.error < float("inf") else None
+    kept = result.condensed()  # a search keeps hundreds
+    return Explanation(task.effects, kept, found, last) if found.error < float("inf") else None
 
 
 def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:

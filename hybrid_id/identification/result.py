@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -98,6 +98,14 @@ class FitResult:
         """Estimated parameters on which no measurement depends: they stay where they started."""
         seen = np.any([np.abs(part).max((0, 1)) > 0.0 for part in self.jacobian], axis=0)
         return tuple(name for name, told in zip(self.names, seen, strict=True) if not told)
+
+    def condensed(self) -> FitResult:
+        """The same fit with a root of each record's sensitivities, ``(n_f, 1, n_f)``, whose products are the same.
+
+        Information and covariances come from products alone, and the root takes a thousandth of the memory.
+        """
+        roots = (np.linalg.qr(part.reshape(-1, part.shape[-1]), mode="r") for part in self.jacobian)
+        return replace(self, jacobian=tuple(root[:, None, :] for root in roots))
 
     def summary(self) -> str:
         """The fit in a few lines."""

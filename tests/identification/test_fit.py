@@ -240,6 +240,11 @@ def test_result_says_all(batch: Batch) -> None:
     assert found.system.parameter("J").spec.value == found.values[found.names.index("J")]
     assert found.n_samples == 3000
     assert found.residual[0].shape == (1000, 1) and found.jacobian[0].shape == (1000, 1, 3)
+    small = found.condensed()
+    assert small.jacobian[0].shape == (3, 1, 3) and small.unseen == found.unseen
+    for whole, root in zip(found.jacobian, small.jacobian, strict=True):
+        whole, root = whole.reshape(-1, 3), root.reshape(-1, 3)
+        np.testing.assert_allclose(root.T @ root, whole.T @ whole, rtol=1e-9)
     for words in ("converged", "J ", "kg m^2", "weighted residual"):
         assert words in found.summary()
     free_run = simulate(
