@@ -1,6 +1,7 @@
 """Compiled steps are kept for later runs, and nothing depends on what is kept."""
 
 import ctypes
+import os
 import shutil
 from pathlib import Path
 
@@ -37,6 +38,18 @@ def test_other_flags_are_another_library(shelf: Path) -> None:
     library(SOURCE, ("-O0", "-fPIC"))
     library(SOURCE, ("-O1", "-fPIC"))
     assert len(list(shelf.iterdir())) == 2
+
+
+def test_a_full_shelf_loses_its_older_half(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hybrid_id.simulation.c_code.MOST_KEPT", 4)
+    shelf.mkdir()
+    for k in range(4):
+        (shelf / f"{k}.so").write_bytes(b"")
+        os.utime(shelf / f"{k}.so", (k, k))
+    assert twice(library(SOURCE)) == 3.0
+    left = {path.name for path in shelf.iterdir()}
+    assert {"2.so", "3.so"} < left
+    assert len(left) == 3
 
 
 def test_damaged_library_is_built_again(shelf: Path) -> None:
