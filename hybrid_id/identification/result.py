@@ -104,7 +104,8 @@ class FitResult:
 
         Information and covariances come from products alone, and the root takes a thousandth of the memory.
         """
-        roots = (np.linalg.qr(part.reshape(-1, part.shape[-1]), mode="r") for part in self.jacobian)
+        flat = [part.reshape(-1, part.shape[-1]) for part in self.jacobian]
+        roots = [np.asarray(np.linalg.qr(part, mode="r")) for part in flat]
         return replace(self, jacobian=tuple(root[:, None, :] for root in roots))
 
     def summary(self) -> str:
