@@ -8,7 +8,7 @@ import typer
 
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.console import show as print_all
-from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
+from hybrid_id.cli.folder import refuse_taken, results_folder
 from hybrid_id.cli.options import ForceOption, JsonOption, ThreadsOption, use_threads
 from hybrid_id.config import study_config
 
@@ -43,7 +43,7 @@ def demo(
         if not as_json:
             print_all(*parts)  # type: ignore[arg-type]
 
-    from hybrid_id.cli.identify import run
+    from hybrid_id.cli.identify import leave_earlier, run
     from hybrid_id.cli.study import reach_of, show_study, write_study
     from hybrid_id.records.quality import remarks
     from hybrid_id.records.yaml_file import read_yaml
@@ -71,8 +71,7 @@ def demo(
         changes = {"model": str(folder / DATA / "model_priors.yaml"), "identification.seed": seed}
         config = study_config(folder / DATA, changes)
         study, progress = run(dataset, load_model(config.model), config)
-        if progress.cut and (out / RESULT).exists():
-            raise KeyboardInterrupt(f"stopped; the earlier results in {out} stay as they are")
+        leave_earlier(out, progress)
         home = out.absolute()
         placed = config.model_copy(
             update={"dataset": home / DATA, "model": home / DATA / "model_priors.yaml"}

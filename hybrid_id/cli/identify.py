@@ -94,8 +94,7 @@ def identify(
     use_device(config.identification.device)
     check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
     study, progress = run(dataset, system, config, jobs=jobs)
-    if progress.cut and (home / RESULT).exists():
-        raise KeyboardInterrupt(f"stopped; the earlier results in {home} stay as they are")
+    leave_earlier(home, progress)
 
     from hybrid_id.cli.study import show_study, write_study
 
@@ -107,6 +106,12 @@ def identify(
         whole = "the sets are complete" + (", the profiles are cut off" if config.statistics.profile else "")
         remark(f"stopped by Ctrl-C: {sets if progress.cut else whole}")
         raise typer.Exit(130)
+
+
+def leave_earlier(home: Path, progress: "FitProgress") -> None:
+    """End a run whose fits Ctrl-C has cut off before it replaces complete results."""
+    if progress.cut and (home / RESULT).exists():
+        raise KeyboardInterrupt(f"stopped; the earlier results in {home} stay as they are")
 
 
 def run(

@@ -101,9 +101,7 @@ def load_system(config: StudyConfig) -> "System":
 
 def remark_uneven(records: "Iterable[Record]") -> None:
     """Say where windows, which count samples, last longer in some records than in others."""
-    import numpy as np
-
-    steps = [float(np.median(np.diff(record.time))) for record in records]
+    steps = [record.sample_time for record in records]
     if steps and max(steps) > UNEVEN * min(steps):
         remark(
             f"warning: sample times differ between records ({min(steps):.3g} to {max(steps):.3g} s), and windows count "

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hybrid_id.errors import InputError
+from hybrid_id.identification.result import NO_ESTIMATE
 from hybrid_id.parameters import Bounded
 from hybrid_id.systems.chain import System
 
@@ -47,7 +48,7 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
         [
             dict(zip(result["parameters"], s["values"], strict=True))
             for s in result["sets"]
-            if s.get("status") not in ("diverged", "interrupted")  # no estimates
+            if s.get("status") not in NO_ESTIMATE
         ]
         if result
         else []

@@ -176,9 +176,8 @@ class _Command:
         for encoder, view in self._encoders:  # the loop closes over what its encoder reads
             angle = encoder.read(view, angle)
         row = sample
-        if (
-            self._late
-        ):  # a delay holds back the goal, not the angle; half a step forgives the rounding to MuJoCo's
+        if self._late:
+            # a delay holds back the goal, not the angle; half a step forgives the rounding to MuJoCo's
             arrived = data.time - self._late + 0.5 * self._tick
             row = max(int(np.searchsorted(self._time, arrived, side="right")) - 1, 0)
         return float(self._at({c: v[row : row + 1] for c, v in self._channels.items()}, angle)[0])

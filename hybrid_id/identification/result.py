@@ -22,6 +22,9 @@ MESSAGES = {
     "diverged": "the simulation diverged at the start values; correct units, signs or start values",
 }
 
+NO_ESTIMATE = ("interrupted", "diverged")
+"""Ends of a fit whose values are no optimum of anything."""
+
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
@@ -75,7 +78,7 @@ class FitResult:
     @property
     def left_early(self) -> bool:
         """Whether the values are no optimum of anything, so that no interval may be claimed around them."""
-        return self.status in ("interrupted", "diverged")
+        return self.status in NO_ESTIMATE
 
     @property
     def noise_scale(self) -> float:

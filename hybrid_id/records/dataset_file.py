@@ -169,8 +169,7 @@ def _read_record(
 ) -> Record:
     """Read one file and bring its signals to SI."""
     columns = {channel: ColumnEntry(column=channel) for channel in units} | spec.columns | entry.columns
-    wanted = list(dict.fromkeys(column.column for column in columns.values()))
-    table = _read(path, wanted, entry, spec, columns["t"], units["t"])
+    table = _read(path, columns, entry, spec, units["t"])
     signals = {
         channel: _to_channel(table, column, column.unit or units[channel], channel)
         for channel, column in columns.items()
@@ -202,13 +201,12 @@ def _read_record(
 
 
 def _read(
-    path: Path, wanted: list[str], entry: RecordEntry, spec: DatasetFile, time: ColumnEntry, unit: str
+    path: Path, columns: Mapping[str, ColumnEntry], entry: RecordEntry, spec: DatasetFile, unit: str
 ) -> Table:
     """Read a file, or what of it a record's `between` asks for: the file may be larger than the memory."""
+    wanted, time = list(dict.fromkeys(column.column for column in columns.values())), columns["t"]
     file_format, factor = entry.format or spec.format, time.scale * to_si(time.unit or unit, "t")[1]
-    turns = any(
-        column.unwrap for column in (spec.columns | entry.columns).values()
-    )  # counted from the file's start
+    turns = any(column.unwrap for column in columns.values())  # are counted from the file's start
     if entry.between and factor > 0 and not turns:
         low, high = (stamp / factor for stamp in entry.between)
         slack = 1e-9 * max(abs(low), abs(high))  # the exact cut comes later, in seconds

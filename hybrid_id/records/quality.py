@@ -91,9 +91,8 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
     """Yield (severity, code, words) for one output."""
     spread = float(values.std())
     if np.ptp(values) == 0 or spread == 0:  # squares of 1e-300 are nothing
-        held = any(
-            np.ptp(other) for key, other in record.outputs.items() if key != name
-        )  # one joint of several, say
+        # one joint of several, say
+        held = any(np.ptp(other) for key, other in record.outputs.items() if key != name)
         words = f"it is {values[0]:g} throughout; check its column and its sensor"
         yield "warning" if held else "error", "constant", words
         return

@@ -19,10 +19,15 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
 
 
+def shorten(patch: pytest.MonkeyPatch) -> None:
+    """Short records, and few sizes of an effect that are tried."""
+    patch.setattr(plans, "LENGTHS", (700, 900))
+    patch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+
+
 @pytest.fixture(autouse=True)
 def short(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(plans, "LENGTHS", (700, 900))
-    monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+    shorten(monkeypatch)
 
 
 def answers_of(case: Path) -> dict:
@@ -36,8 +41,7 @@ WISH = {"effect": "stribeck_friction", "system": "one_link", "level": "strong"}
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """One case that several tests look at."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(plans, "LENGTHS", (700, 900))
-        patch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+        shorten(patch)
         return make_case(7, tmp_path_factory.mktemp("cases"), grading=False, **WISH)
 
 
