@@ -27,7 +27,7 @@ groups = sorted({float(r.signal(config["held_out"])[0]) for r in records})
 train = {g: [r for r in records if r.signal(config["held_out"])[0] != g] for g in groups}
 tasks = [(drive, records) for drive in config["drives"].values()]
 tasks += [(drive, train[g]) for drive in config["drives"].values() for g in groups]
-ladders = run(delayed(climb)(config, drive, some) for drive, some in tasks)
+ladders = list(run(delayed(climb)(config, drive, some) for drive, some in tasks))
 pooled = dict(zip(config["drives"], ladders, strict=False))
 print(error_table(pooled))
 

@@ -6,6 +6,7 @@ Usage: ``python run.py [cogging|load|none] [seed]``.
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from machine import make
@@ -21,9 +22,11 @@ seed = int(sys.argv[2]) if len(sys.argv) > 2 else 0
 torch.set_num_threads(1)
 config = read_yaml(Path(__file__).with_name("config.yaml"))
 machine = make(config, kind, seed)
-wish = config["machines"][kind]["training"]
-options = HybridOptions(**{k: tuple(map(tuple, v)) if k == "windows" else v for k, v in wish.items()})
-options = replace(options, prices=tuple(options.prices))
+wish: dict[str, Any] = dict(config["machines"][kind]["training"])
+wish["prices"] = tuple(wish["prices"])
+if "windows" in wish:
+    wish["windows"] = tuple(map(tuple, wish["windows"]))
+options = HybridOptions(**wish)
 engine = OdeEngine(fine=8, width=config["width"])
 
 

@@ -63,7 +63,7 @@ def told(name: str, angles: np.ndarray | torch.Tensor, windows: Batch) -> None:
 
 def pieces(config: Mapping[str, Any], system: System, records: Sequence[Record], stride: float) -> Batch:
     """Windows that start at measured states and measure angles; a new one every `stride` seconds."""
-    noise = dict.fromkeys(("q_m1", "q_m2", "v_m1", "v_m2"), config["noise"])
+    noise: dict[str, float | None] = dict.fromkeys(("q_m1", "q_m2", "v_m1", "v_m2"), config["noise"])
     outputs = ("q_m1", "q_m2")
     batch = make_batch(system, records, outputs=outputs, noise_std=noise, signal_share=0.0)
     states = batch.x.clone()

@@ -25,10 +25,9 @@ for answer in sorted((folder / "answers").glob("*.yaml")):
         continue
     records, asked = read_case(folder / case), Settings("diagnose")
     key = key_of(records, asked, __version__, commit())
-    said = load(out, case)
-    if not is_done(said, key):
+    if not is_done(load(out, case), key):
         save(out, take(asked, records), key=key)
-        said = load(out, case)
+    said = load(out, case) or {}
     one, gap, oracle = judge(case, truth, said), said["gap"], truth["oracle"]
     judged.append(one)
     print(

@@ -5,8 +5,8 @@ import time
 from pathlib import Path
 
 from hybrid_id.gap.attribute import attribute
+from hybrid_id.gap.ranking import best_of_each, simplest_first
 from hybrid_id.gap.refit import TO_THE_END, Refit
-from hybrid_id.gap.round import best_of_each, simplest_first
 from hybrid_id.gap.starts import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
@@ -20,7 +20,7 @@ for case in sys.argv[2:]:
     base = refit.base(today)
     todo = [task for part in tasks(refit, base, today) for task in part]
     ends = best_of_each([one for one in refit.run(todo, TO_THE_END) if one is not None])
-    slow = simplest_first(ends, {one.effects for one in ends})
+    slow = simplest_first(ends, base)
     first = fast.rounds[0].candidates
     print(
         f"{case}: fast {middle - begun:.0f} s, all {time.process_time() - middle:.0f} s for {len(todo)} starts"

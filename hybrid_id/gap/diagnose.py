@@ -83,12 +83,13 @@ def diagnose(
         progress=progress,
     )
     found = search(dataset)
-    worst = worst_unseen(found.search.chosen, found.with_effect) if found.unknown else None
-    if worst is None:
+    worst = worst_unseen(found.search.chosen, found.with_effect, found.unknown)
+    if worst is None or found.halted:
         return found
     seen = (replace(r, role="train") if r.name == worst else r for r in dataset.records)
-    again = search(replace(dataset, records=tuple(seen)), opened=True)
-    return replace(again, opened=worst) if again.verdict == "effects" else found
+    again = search(replace(dataset, records=tuple(seen)), whole=found.refit)
+    more = found.unknown or set(found.search.chosen.effects) < set(again.search.chosen.effects)
+    return replace(again, opened=worst) if again.verdict == "effects" and more else found
 
 
 def _diagnosed(
@@ -100,9 +101,9 @@ def _diagnosed(
     seed: int,
     signal_share: float,
     progress: Progress | None,
-    opened: bool = False,
+    whole: Errors | None = None,
 ) -> Diagnosis:
-    """Search on the train records, judged by the test records; ``opened``: one of these has joined them."""
+    """Search on the train records, judged by the test records; ``whole``: see :func:`_judged`."""
     refit = Refit(dataset, jobs=jobs, signal_share=signal_share)
     say = progress or (lambda *_: None)
     say("today's model", 0, 1)
@@ -113,10 +114,10 @@ def _diagnosed(
     before = tuple(locate(refit, base))
     measured = partial(errors, dataset, signal_share=signal_share)
     nominal, first = measured(system, engine()), measured(base.system, base.result.engine)
-    judged = partial(_judged, refit, before, first, seed)
+    judged = partial(_judged, refit, before, first, whole, seed)
     now = judged(search)
     # where the other test records lack nothing, it is enough that an effect does them no harm
-    silent = opened and first is not None and first.coloured <= COLOURED
+    silent = whole is not None and first is not None and first.coloured <= COLOURED
     refused = now.gap is not None and not now.halted and now.gap.interval[silent] <= 0.0
     if search.chosen is not base and refused:
         called_for, now = search.chosen.effects, judged(replace(search, chosen=base))
@@ -195,9 +196,18 @@ class _Judged:
 
 
 def _judged(
-    refit: Refit, before: tuple[Location, ...], first: Errors | None, seed: int, search: Attribution
+    refit: Refit,
+    before: tuple[Location, ...],
+    first: Errors | None,
+    whole: Errors | None,
+    seed: int,
+    search: Attribution,
 ) -> _Judged:
-    """A search's chosen model held against the test records; ``before`` and ``first`` are of the re-fitted one."""
+    """A search's chosen model held against the test records; ``before`` and ``first`` are of the re-fitted one.
+
+    ``whole`` is, too, but on all test records, where one of these has joined the train records: what is left is held
+    against that gap.
+    """
     chosen = search.chosen
     if chosen is search.base:
         after, last = before, first
@@ -209,7 +219,7 @@ def _judged(
         floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(no_noise(chosen, after, last), 0.99)))
         gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
     halted = halted_elsewhere(refit, search.base, chosen, last)
-    return _Judged(search, after, last, gap, halted, outside(chosen, first, last, halted))
+    return _Judged(search, after, last, gap, halted, outside(chosen, whole or first, last, halted))
 
 
 def _believed(found: Sequence[Suspect], varying: bool) -> list[Suspect]:

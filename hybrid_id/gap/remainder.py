@@ -71,12 +71,15 @@ def outside(chosen: Explanation, first: Errors | None, last: Errors | None, halt
     return last.coloured * last.nrmse**2 > LEFT_OPEN * first.nrmse**2
 
 
-def worst_unseen(chosen: Explanation, last: Errors | None) -> str | None:
+def worst_unseen(chosen: Explanation, last: Errors | None, unknown: bool) -> str | None:
     """The test record that shows most of what the train records do not show.
 
-    None where the train records show it, where there is no other test record to bear out what explains it, and behind
-    play.
+    None where they show nothing else or the train records show it, too, where there is no other test record to bear out
+    what explains it, behind play, and where a torque over the angle may halt a free run elsewhere, unless what is left
+    is so much that the catalogue seems to lack its cause (``unknown``).
     """
-    if not is_explained(chosen) or last is None or len(last.over_noise) < 2 or behind_play(chosen):
+    if last is None or last.coloured <= COLOURED or len(last.over_noise) < 2:
+        return None
+    if not is_explained(chosen) or behind_play(chosen) or (over_angle(chosen.effects) and not unknown):
         return None
     return max(last.over_noise, key=last.over_noise.__getitem__)

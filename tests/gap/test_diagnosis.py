@@ -148,7 +148,7 @@ def test_what_the_train_records_do_not_show_is_looked_for_on_a_test_record(diagn
     dataset, today, found = diagnosed
     (test,) = dataset.test
     dataset = replace(dataset, records=(*dataset.records, replace(test, name="quiet")))
-    last = replace(found.with_effect, over_noise={test.name: 9.0, "quiet": 2.0})
+    last = replace(found.with_effect, coloured=0.9, over_noise={test.name: 9.0, "quiet": 2.0})
     unknown = replace(found, verdict="outside_catalogue", unknown=True, with_effect=last)
     seen: list[list[str]] = []
 
@@ -170,6 +170,13 @@ def test_what_the_train_records_do_not_show_is_looked_for_on_a_test_record(diagn
     assert diagnosed_as(unknown, replace(unknown, with_effect=None)) is unknown
     assert diagnosed_as(found).opened is None
 
+    # known effects may leave something on the test records: another one beside them is taken, nothing else
+    left = replace(found, with_effect=replace(last, coloured=0.4))
+    both = (*found.search.chosen.effects, ("delay", "joint1/input"))
+    wider = replace(found, search=replace(found.search, chosen=replace(found.search.chosen, effects=both)))
+    assert diagnosed_as(left, wider).opened == test.name
+    assert diagnosed_as(left, found) is left
+
 
 def test_an_opened_record_is_enough_where_the_others_lack_nothing(diagnosed, monkeypatch) -> None:
     dataset, today, found = diagnosed
@@ -184,7 +191,7 @@ def test_an_opened_record_is_enough_where_the_others_lack_nothing(diagnosed, mon
         monkeypatch.setattr(module, "shrink", unsure)
         monkeypatch.setattr(module, "errors", lambda *a, **k: replace(measured(*a, **k), coloured=coloured))
         settings = {"most": 1, "jobs": 1, "seed": 0, "signal_share": module.SIGNAL_SHARE, "progress": None}
-        told = module._diagnosed(dataset, system=today, opened=True, **settings)
+        told = module._diagnosed(dataset, system=today, whole=found.refit, **settings)
         if told.verdict == "effects":
             assert told.shrink is not None and (told.shrink.share, told.shrink.interval) == (0.0, (0.0, 1.0))
             words = " ".join(summary(replace(told, opened="run_9")).split())
