@@ -9,19 +9,28 @@ from hybrid_id.systems.chain import System
 BENT, BENT_TORQUE = math.log(1.4), math.log(1.7)
 """Change of a parameter against its nominal value that data sheets hardly allow; the same of a torque, whose common
 scale is known no better than the others' median."""
+UNLIKELY = 3.0
+"""Standard deviations of a parameter's prior, where it has one, that are as much."""
 
 
 def bent_parameters(nominal: System, fitted: System) -> list[str]:
-    """Parameters that a re-fit has moved by more than data sheets are wrong, in words.
+    """Parameters that a re-fit has moved by more than their priors or, without one, data sheets are wrong, in words.
 
     Torques, inertias and frictions may all be multiplied by one number without a change of the motion; the median of
     their changes is taken for it.
     """
-    change, power, turned = {}, {}, set()
+    change, power, turned, words = {}, {}, set(), []
     now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
     for info in nominal.table:
         value = now.get((info.component, info.symbol))  # none where an effect has taken the component's place
         if not info.spec.estimate or info.spec.value <= 0 or value is None:
+            continue
+        if info.spec.prior_std is not None and info.spec.prior_mean is not None:
+            off = (value - info.spec.prior_mean) / info.spec.prior_std
+            if abs(off) > UNLIKELY:
+                words.append(
+                    f"{info.name} is {abs(off):.1f} standard deviations of its prior too {'high' if off > 0 else 'low'}"
+                )
             continue
         if value < 0.0:
             turned.add(info.name)
@@ -29,7 +38,6 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
         power[info.name] = _power(info.spec.unit)
     scaled = sorted(change[n] / power[n] for n in change if power[n])
     middle = scaled[len(scaled) // 2] if scaled else 0.0
-    words = []
     for name, moved in change.items():
         own = moved - power[name] * middle
         if name in turned:

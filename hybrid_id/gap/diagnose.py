@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,12 +17,12 @@ from hybrid_id.gap.attribute import (
 )
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.gap.evidence import COLOURED
+from hybrid_id.gap.evidence import COLOURED, coloured
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import next_experiment
 from hybrid_id.gap.own_sets import own_sets
-from hybrid_id.gap.probability import NEEDLESS, Suspect, suspects, tied_explanations, tied_sets
+from hybrid_id.gap.probability import believed, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.refit import Explanation, Refit, engine
 from hybrid_id.gap.remainder import halted_elsewhere, no_noise, outside, worst_unseen
 from hybrid_id.gap.shrink import Shrink, shrink
@@ -141,7 +140,9 @@ def _diagnosed(
         base = base if own.common.effects else own.common
     gap = replace(now.gap, share=0.0, interval=(0.0, 1.0)) if silent and now.gap is not None else now.gap
     search = now.search
-    found = tuple(_believed(decision.weighed(suspects(search)), bool(varying)))
+    found = tuple(
+        believed(decision.weighed(suspects(search)), bool(varying), now.left if now.unknown else 0.0)
+    )
     return Diagnosis(
         case=dataset.name,
         verdict=_verdict(base, search, _wrong_values(dataset, system, base), now.unknown, bool(varying)),
@@ -178,6 +179,7 @@ class _Judged:
         after: torques that would explain what it leaves.
         last: its errors.
         gap: how far it shrinks.
+        left: share of what it leaves that has a cause.
         halted: whether its free runs halt elsewhere than the machine.
         unknown: whether it leaves something that the catalogue lacks.
     """
@@ -186,6 +188,7 @@ class _Judged:
     after: tuple[Location, ...]
     last: Errors | None
     gap: Shrink | None
+    left: float
     halted: bool
     unknown: bool
 
@@ -214,19 +217,13 @@ def _judged(
     else:
         after = tuple(locate(refit, chosen))
         last = errors(refit.dataset, chosen.system, chosen.result.engine, signal_share=refit.signal_share)
-    gap = None
+    gap, left = None, coloured(chosen.result.residual)
     if first is not None and last is not None:
-        floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(no_noise(chosen, after, last), 0.99)))
+        left = no_noise(chosen, after, last)
+        floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(left, 0.99)))
         gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
     halted = halted_elsewhere(refit, search.base, chosen, last)
-    return _Judged(search, after, last, gap, halted, outside(chosen, whole or first, last, halted))
-
-
-def _believed(found: Sequence[Suspect], varying: bool) -> list[Suspect]:
-    """The suspects; none but the selected ones is called for where the records' own parameters explain the rest."""
-    return [
-        replace(s, probability=NEEDLESS * s.probability) if varying and not s.selected else s for s in found
-    ]
+    return _Judged(search, after, last, gap, left, halted, outside(chosen, whole or first, last, halted))
 
 
 def _wrong_values(dataset: Dataset, system: System, base: Explanation) -> bool:

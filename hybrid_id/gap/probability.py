@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -69,6 +69,20 @@ def suspects(found: Attribution) -> list[Suspect]:
         best.values(),
         key=lambda s: (-s.selected, found_in.get((s.name, s.where), 0) * s.selected, -s.probability),
     )
+
+
+def believed(found: Sequence[Suspect], varying: bool, left: float) -> list[Suspect]:
+    """Suspects after what their search could not know.
+
+    Args:
+        found: suspects.
+        varying: whether each record's own parameters explain the rest: none but the selected ones is called for.
+        left: share of what the chosen model leaves that has a cause which nothing tells: they may only stand in for it.
+    """
+    shares = (1.0 - left) * np.array([NEEDLESS if varying and not s.selected else 1.0 for s in found])
+    return [
+        replace(s, probability=float(share) * s.probability) for s, share in zip(found, shares, strict=True)
+    ]
 
 
 def _weights(one: Round) -> np.ndarray:

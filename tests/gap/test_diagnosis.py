@@ -110,6 +110,18 @@ def test_others_are_searched_for_in_the_place_of_what_is_withdrawn(diagnosed, mo
     assert not any(s.name == "spring_load" for s in again.effects)
 
 
+def test_what_stays_unexplained_lowers_the_probabilities(diagnosed, monkeypatch) -> None:
+    dataset, today, found = diagnosed
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found.search)
+    monkeypatch.setattr(module, "outside", lambda *_: True)
+    monkeypatch.setattr(module, "no_noise", lambda *_: 0.8)
+    monkeypatch.setattr(module, "own_sets", lambda *_: None)
+    told = module.diagnose(dataset, today, most=1)
+    assert told.verdict == "outside_catalogue"
+    for before, after in zip(found.effects, told.effects, strict=True):
+        assert after.probability == pytest.approx(0.2 * before.probability)
+
+
 def test_the_common_scale_of_torques_is_said_to_be_unknown(diagnosed) -> None:
     found = diagnosed[2]
     assert any("P_m1" in words and "one number" in words for words in found.untold), found.untold
@@ -136,6 +148,17 @@ def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
     assert bent_parameters(nominal, nominal.with_values(scaled)) == []
     words = bent_parameters(nominal, nominal.with_values({"F_c": 0.0}))
     assert words == ["F_c is driven to zero"]
+    # a resistance 40 % too high shows where a prior holds the motor's constant, which else is taken for a common scale
+    high = {"P_m1": values["P_m1"] / 1.4}
+    prior = replace(
+        nominal.parameter("P_m1").spec, prior_std=0.05 * values["P_m1"], prior_mean=values["P_m1"]
+    )
+    held = nominal.with_specs({"P_m1": prior})
+    assert bent_parameters(nominal, nominal.with_values(high)) == []
+    assert bent_parameters(held, held.with_values(high)) == [
+        "P_m1 is 5.7 standard deviations of its prior too low"
+    ]
+    assert bent_parameters(held, held.with_values({"P_m1": 1.1 * values["P_m1"]})) == []
     # what has torque below the line falls as torques rise
     soft = nominal.with_component("joint1/transmission", JointFlexibility(compliance=0.05, zeta=0.3))
     flexible = {i.name: i.spec.value for i in soft.table if i.spec.estimate}
