@@ -90,7 +90,7 @@ def draw_case(
     effects = [kind.draw(rng, robot, int(rng.integers(robot.joints))) for kind in kinds]
     if len({e.where for e in effects}) < len(effects) or len({e.name for e in effects}) < len(effects):
         return None
-    if not all(one.has_inertia(other.alter(robot), one.joint) for one in effects for other in effects):
+    if not all(one.acts_at(other.alter(robot), one.joint) for one in effects for other in effects):
         return None
     campaign = draw_campaign(rng, robot)
     wish = engine or ("mujoco" if rng.random() < IN_MUJOCO else "in_house")
@@ -114,7 +114,9 @@ def draw_case(
         found = graded[0] if len(graded) == 1 else grade(both)
     except InputError:  # a record of numbers that are none
         return None
-    return found if np.isfinite(found.ratio) and found.ratio >= LEAST and found.errors.train >= SEEN else None
+    # a re-fit that has run away says nothing of how hard the case is
+    sound = np.isfinite(found.ratio) and found.errors.refit <= found.errors.nominal
+    return found if sound and found.ratio >= LEAST and found.errors.train >= SEEN else None
 
 
 def _formulas(

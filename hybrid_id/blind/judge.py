@@ -28,7 +28,8 @@ class Judged:
         place: whether the first one's place is accepted (single effects).
         top_1_at_place: both together.
         pair: hits, named and true effects of a pair.
-        whole: whether exactly what was at work is named: all effects and no other, or nothing where nothing was.
+        whole: whether exactly what was at work is named: all effects and no other, nothing where nothing was, and
+            "unknown" with no name beside it where it is outside the catalogue.
         false_alarm: whether something is named in a case where the structure is right.
         outside: whether something outside the catalogue is detected where it acts.
         false_unknown: whether it is claimed where nothing like it acts.
@@ -106,7 +107,7 @@ def judge(case: str, sheet: Sheet, said: Said | None) -> Judged:
         place=placed if single else None,
         top_1_at_place=bool(first and _right(first, truth[0])) if single else None,
         pair=(hits, len(chosen), len(truth)) if family == "pair" else None,
-        whole=not broken and (unknown if not known else not unknown and hits == len(chosen) == len(truth)),
+        whole=not broken and unknown is not known and len(chosen) == hits == (len(truth) if known else 0),
         false_alarm=(bool(chosen) or unknown) if family == "none" and not broken else None,
         outside=unknown if not known else None,
         false_unknown=unknown if known and not broken else None,

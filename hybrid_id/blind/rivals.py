@@ -16,13 +16,15 @@ from hybrid_id.blind.effects import CATALOGUE, Effect
 from hybrid_id.blind.effects.base import UNKNOWN
 from hybrid_id.blind.physics.bench import Plant
 from hybrid_id.blind.physics.integrator import Machine
-from hybrid_id.blind.refit import STEP, Bench, Refit, free_parameters, refit, refit_model
+from hybrid_id.blind.refit import ROUNDS, STEP, Bench, Refit, free_parameters, refit, refit_model
 from hybrid_id.blind.robots import Robot
 
 CLOSE, REST = 1.06, 0.1
 """Largest error relative to the true effect's, and largest share of the gap left, of a rival that counts."""
 FARTHEST = 1.15
 """Largest error of the true effect, fitted as its rivals are, over the noise floor, by which these are judged."""
+LOOK, PROMISING = 5, 2.0
+"""Steps of a rival's first fit, and the error over the floor up to which it is fitted to the end."""
 WORTH = 0.65
 """Share of the gap that a rival may leave in the linear prediction and still be re-fitted."""
 DRAWS, SIZES = 8, (0.2, 1.5)
@@ -36,13 +38,16 @@ class Rival:
     Attributes:
         effect: as it was fitted.
         rest: share of the gap (mean square) that it leaves on the test records; on the train records and by linear
-            prediction where that ruled it out.
+            prediction where that ruled it out; infinite where no fit of it ends.
         counts: whether it is as good an answer as the true effect.
+        ratio: its error on the test records over the noise floor; infinite where it was ruled out, not a number where
+            no fit of it ends.
     """
 
     effect: Effect
     rest: float
     counts: bool
+    ratio: float = np.inf
 
 
 def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> list[Rival]:
@@ -81,7 +86,7 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
                 continue
             if any((kind.name, joint) == (effect.name, effect.joint) for effect in beside):
                 continue
-            if not kind.has_inertia(screens[0].robot, joint):
+            if not kind.acts_at(screens[0].robot, joint):
                 continue
             starts = _best_starts(screens, kind, joint, rng)
             start, left, _ = min(starts, key=lambda one: one[1])
@@ -89,25 +94,21 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
                 found.append(Rival(start, left, False))
                 continue
             tried = [((s, *beside), model) for s, left, model in starts if left <= WORTH]
-            fits = zip(fit_all(case, records, tried), tried, strict=True)
-            (fitted, values), ((start, *_), _) = min(fits, key=lambda one: one[0][0].train)
-            rest = (fitted.test**2 - floor**2) / (model.test**2 - floor**2)
-            counts = fitted.test <= CLOSE * floor and rest < REST
-            found.append(Rival(type(start)(joint, {**start.values, **values[0]}), float(rest), bool(counts)))
+            fits = zip(fit_all(case, records, tried, rounds=LOOK), tried, strict=True)
+            (fitted, values), (effects, _) = min(fits, key=lambda one: one[0][0].train)
+            if np.isfinite(fitted.test) and fitted.test < PROMISING * floor:
+                effects = tuple(
+                    type(e)(e.joint, {**e.values, **v}) for e, v in zip(effects, values, strict=True)
+                )
+                fitted, values = fit_with(case, records, effects, fitted)
+            fitted_effect = type(effects[0])(joint, {**effects[0].values, **values[0]})
+            if not np.isfinite(fitted.test):
+                found.append(Rival(fitted_effect, np.inf, False, np.nan))
+                continue
+            rest = float((fitted.test**2 - floor**2) / (model.test**2 - floor**2))
+            counts = bool(fitted.test <= CLOSE * floor and rest < REST)
+            found.append(Rival(fitted_effect, rest, counts, float(fitted.test / floor)))
     return sorted(found, key=lambda rival: rival.rest)
-
-
-def with_only(case: Case, records: Records) -> dict[str, float]:
-    """What each effect of a pair leaves without the other: re-fit with it alone over the noise floor, by name."""
-    model, found = refit_model(case, records), {}
-    for effect in case.effects:
-        if type(effect).alter is Effect.alter:
-            fitted, _ = fit_with(case, records, (effect,), model)
-        else:  # its parameters are some of those that today's simulator lacks
-            lacks = case.truth().lacks - effect.alter(case.robot).lacks
-            fitted = refit_model(case, records, lacks=lacks)
-        found[effect.name] = fitted.test / records.noise_floor
-    return found
 
 
 def fit_with(
@@ -118,7 +119,7 @@ def fit_with(
 
 
 def fit_all(
-    case: Case, records: Records, starts: Sequence[tuple[tuple[Effect, ...], Refit]]
+    case: Case, records: Records, starts: Sequence[tuple[tuple[Effect, ...], Refit]], *, rounds: int = ROUNDS
 ) -> list[tuple[Refit, list[dict[str, float]]]]:
     """The same from several starts, of the same effects with other values."""
     robot, effects = case.truth(), starts[0][0]
@@ -142,16 +143,21 @@ def fit_all(
         ]
         for effect in moved:
             machine_of = effect.alter(machine_of)
-        machine = machine_of.assemble(substeps=1)
+        machine = machine_of.assemble(substeps=_substeps(moved))
         for effect in moved:
             effect.install(machine, machine_of)
         return machine
 
-    fits = refit(together, given, case, records, signed=signed, held=held, rounds=5)
+    fits = refit(together, given, case, records, signed=signed, held=held, rounds=rounds)
     return [
         (fit, [{k: fit.values[f"{i}.{k}"] for k in _fitted(e)} for i, e in enumerate(effects)])
         for fit in fits
     ]
+
+
+def _substeps(effects: Sequence[Effect]) -> int:
+    """Steps a sample that fits of effects need."""
+    return max((effect.substeps for effect in effects), default=1)
 
 
 def _fitted(effect: Effect) -> list[str]:
@@ -186,7 +192,7 @@ def _best_starts(
 
     def alone(given: Mapping[str, np.ndarray]) -> Plant:
         robot = first.robot.with_values({name: given[name] for name in first.robot.values})
-        machine = first.machine(robot)
+        machine = first.machine(robot, kind.substeps)
         kind(joint, {key: given[f".{key}"] for key in keys}).install(machine, robot)
         return machine
 
@@ -232,9 +238,9 @@ class _Screen:
         size = np.clip(along[i], -10.0, 10.0)
         return starts[i].scaled(float(size) if abs(size) > 1e-3 else 1e-3), float(rest), self.model
 
-    def machine(self, robot: Robot) -> Machine:
+    def machine(self, robot: Robot, substeps: int = 1) -> Machine:
         """The machine of a robot with the effects that stay."""
-        machine = robot.assemble(substeps=1)
+        machine = robot.assemble(substeps=max(substeps, _substeps(self.beside)))
         for effect in self.beside:
             effect.install(machine, robot)
         return machine

@@ -6,14 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, binomtest
+from scipy.stats import binom, binomtest, norm
 
 from hybrid_id.blind.judge import Judged
 
 LEVEL = 0.95
 BINS = 10
 """Bins of the reliability curve."""
-DRAWS = 2000
 Score = dict[str, Any]
 """``value``, ``low``, ``high``, the number ``n`` of cases behind it, and the ``wrong`` ones by name."""
 
@@ -96,12 +95,11 @@ def share(answers: Sequence[bool]) -> Score:
 
 
 def mean(values: Sequence[float]) -> Score:
-    """A mean with the interval of cases drawn with replacement; that of one case is unknown."""
-    drawn = np.random.default_rng(0).choice(values, (DRAWS, len(values))).mean(axis=1)
-    low, high = (
-        np.quantile(drawn, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]) if len(values) > 1 else (-np.inf, np.inf)
-    )
-    return {"value": float(np.mean(values)), "low": _finite(low), "high": _finite(high), "n": len(values)}
+    """A mean of values from 0 to 1 with Wilson's interval of a share like it, which is the widest that it can have."""
+    value, n, z = float(np.mean(values)), len(values), float(norm.ppf((1 + LEVEL) / 2))
+    middle, half = value + z**2 / (2 * n), z * math.sqrt(value * (1 - value) / n + (z / (2 * n)) ** 2)
+    low, high = ((middle + side * half) / (1 + z**2 / n) for side in (-1, 1))
+    return {"value": value, "low": max(low, 0.0), "high": min(high, 1.0), "n": n}
 
 
 def median(values: Sequence[float]) -> Score:
@@ -156,10 +154,6 @@ def confusion(judged: Sequence[Judged]) -> dict[str, Any]:
 
 def _row(one: Judged) -> str:
     return one.family if one.family in ("none", "unknown") else one.effect
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def of_ties(rows: Mapping[str, Mapping[str, bool]]) -> dict[str, Any]:

@@ -115,9 +115,12 @@ def refuse_reachable(cases: Path, runs: Path, sha256: str) -> None:
 
 
 def _is_archive(path: Path) -> bool:
-    """Whether a file, whatever its name, begins as an archive does."""
-    with path.open("rb") as file:
-        return file.read(262)[257:] == b"ustar"
+    """Whether a file, whatever its name, begins as an archive does; one that cannot be read gives nothing away."""
+    try:
+        with path.open("rb") as file:
+            return file.read(262)[257:] == b"ustar"
+    except OSError:
+        return False
 
 
 def open_answers(archive: Path, sha256: str) -> dict[str, Sheet]:

@@ -3,9 +3,12 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from hybrid_id.blind.effects import Effect
 from hybrid_id.blind.effects.base import UNKNOWN
-from hybrid_id.blind.levels import Graded
+from hybrid_id.blind.levels import Graded, level_of
+from hybrid_id.blind.pairs import Alone
 from hybrid_id.blind.rivals import Rival
 from hybrid_id.blind.robots import Robot
 
@@ -16,7 +19,7 @@ def answers(
     source: tuple[int, int],
     *,
     rivals: Sequence[list[Rival]],
-    alone: Mapping[str, float],
+    alone: Mapping[str, Alone] | None,
 ) -> dict[str, Any]:
     """The answer sheet of a case.
 
@@ -25,7 +28,7 @@ def answers(
         family: single, pair, none or unknown.
         source: the seed that it was made from, and which of the machines that were drawn.
         rivals: for each effect others that were tried in its place, the best first; none where they were not tried.
-        alone: what each effect of a pair leaves without the other, over the noise floor.
+        alone: what each effect of a pair leaves without the other; None where that was not tried.
     """
     floor = graded.records.noise_floor
     oracle = {
@@ -34,13 +37,14 @@ def answers(
         "with_effect": floor if graded.case.effects else graded.errors.refit,
         "noise_floor": floor,
     }
+    notes: dict[str, Any] = {"refit_over_floor_on_train_records": round(graded.errors.train, 2)}
     sheet: dict[str, Any] = {
         "family": family,
         "effects": [
             _answer(effect, rivals[i] if rivals else [], graded.case.robot)
             for i, effect in enumerate(graded.case.effects)
         ],
-        "level": graded.level,
+        "level": _level(graded, family, rivals),
         "oracle": {key: float(f"{value:.4g}") for key, value in oracle.items()},
         "made_by": {
             "engine": graded.case.engine,
@@ -49,13 +53,24 @@ def answers(
             "draw": source[1],
             "formulas": [type(effect).__name__ for effect in graded.case.effects],
         },
+        "notes": notes,
     }
     if len(rivals) == 1 and rivals[0]:
-        rest = {f"{r.effect.name}@{r.effect.joint + 1}": round(r.rest, 3) for r in reversed(rivals[0][:6])}
-        sheet["notes"] = {"rest_of_gap_with_rival": dict(reversed(rest.items()))}
+        near = [rival for rival in rivals[0][:6] if np.isfinite(rival.rest)]
+        rest = {f"{r.effect.name}@{r.effect.joint + 1}": round(r.rest, 3) for r in reversed(near)}
+        notes["rest_of_gap_with_rival"] = dict(reversed(rest.items()))
     if alone:
-        sheet["notes"] = {"refit_over_floor_with_only": {k: round(v, 2) for k, v in alone.items()}}
+        notes["with_only_over_both"] = {
+            name: {"test": round(one.test, 2), "train": round(one.train, 2)} for name, one in alone.items()
+        }
     return sheet
+
+
+def _level(graded: Graded, family: str, rivals: Sequence[list[Rival]]) -> str:
+    """Level of a case; outside the catalogue it is what the best of the named effects leaves that counts."""
+    if family != "unknown":
+        return graded.level
+    return level_of(min([graded.ratio, *(rival.ratio for of_one in rivals for rival in of_one)]))
 
 
 def _answer(effect: Effect, rivals: list[Rival], robot: Robot) -> dict[str, Any]:

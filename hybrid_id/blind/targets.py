@@ -39,6 +39,11 @@ class Target:
             return self.bound <= value <= self.most
         return value <= self.bound if self.upper else value >= self.bound
 
+    def shown(self, score: Mapping[str, Any]) -> bool:
+        """Whether all of a score's interval reaches it."""
+        ends = (score["low"], score["high"])
+        return all(end is not None and self.met(end) for end in ends)
+
 
 _BY = "family and level"
 TARGETS = (
@@ -58,7 +63,11 @@ TARGETS = (
 
 
 def against_targets(scores: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Each target with what was seen: ``met`` is None where no case speaks of it; ``cases`` are those to look at."""
+    """Each target with what was seen.
+
+    ``met`` is None where no case speaks of it, ``shown`` tells whether all of the interval meets it, and ``cases`` are
+    those to look at.
+    """
     rows = []
     for target in TARGETS:
         group = (
@@ -68,5 +77,6 @@ def against_targets(scores: Mapping[str, Any]) -> list[dict[str, Any]]:
         met = None if seen is None else target.met(seen["value"])
         cases = [] if seen is None or met else seen["wrong"]
         told = {"claim": target.claim, "target": target.words, "score": target.score}
-        rows.append(told | {"seen": seen, "met": met, "cases": cases})
+        shown = bool(met and seen is not None and target.shown(seen))
+        rows.append(told | {"seen": seen, "met": met, "shown": shown, "cases": cases})
     return rows

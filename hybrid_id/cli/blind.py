@@ -126,9 +126,10 @@ def make_sealed(
         refuse_taken(out)
     elif json.loads(begun.read_text(encoding="utf-8")) != about:
         raise InputError(f"{out} holds unfinished cases of another seed, number, kind or commit; remove it")
-    if archive is not None and archive.resolve().is_relative_to(out.resolve()):
+    place = None if archive is None else archive.resolve().parent
+    if place is not None and (place.is_relative_to(out.resolve()) or place == out.resolve().parent):
         raise InputError(
-            f"{archive} is in the folder of the cases, where 'blind run' could read it; give another"
+            f"{archive} is in the folder of the cases or beside it, where 'blind run' could read it; give another"
         )
     if archive is not None and archive.exists():
         raise InputError(f"{archive} exists already; remove it, or give another --answers")

@@ -131,7 +131,7 @@ def _check_parts(
 
     def same(part: dict[str, Any], manifest: dict[str, Any]) -> Any:
         programs = {method: (run["commit"], run["train_records"]) for method, run in part.items()}
-        return programs, manifest["seed"], manifest["options"]
+        return programs, manifest["seed"], manifest["options"], manifest["commit"]
 
     number = 1
     for folder, part, manifest in zip(runs, parts, manifests, strict=True):

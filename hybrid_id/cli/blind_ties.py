@@ -49,7 +49,8 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     about = read_run(runs / "diagnose")
     tied = tied_cases(runs / "diagnose", about["cases"]["names"])
     sheets = _sheets(answers, about)
-    folder, settings, at = runs / TIES, Settings("diagnose", about["train_records"]), commit()
+    among = about["train_records"]  # the further record comes before them, and displaces none
+    folder, settings, at = runs / TIES, Settings("diagnose", among and among + 1), commit()
     folder.mkdir(exist_ok=True)
     richer = _extended(cases, tied, sheets, about["cases"]["options"], jobs)
     keys = {case.name: key_of(case, settings, __version__, at) for case in richer}
@@ -115,21 +116,21 @@ def _extended(
     from joblib import Parallel, delayed
 
     made = Parallel(n_jobs=jobs)(
-        delayed(extended)(cases / name, experiment, sheets[name]["made_by"], options)
+        delayed(extended)(cases / name, experiment, sheets[name], options)
         for name, experiment in tied.items()
     )
     return list(made)  # type: ignore[arg-type]
 
 
 def extended(
-    folder: Path, experiment: Mapping[str, Any], source: Mapping[str, Any], options: Mapping[str, str | None]
+    folder: Path, experiment: Mapping[str, Any], sheet: Mapping[str, Any], options: Mapping[str, str | None]
 ) -> "Case":
     """A case with one more record.
 
     Args:
         folder: of the case.
         experiment: ``joint``, ``command`` and ``sample_time``.
-        source: ``seed`` and ``draw`` that the case was made from.
+        sheet: its answers, with ``seed`` and ``draw`` that it was made from.
         options: with which all cases were made.
     """
     from hybrid_id.blind.draw import same_case
@@ -137,13 +138,16 @@ def extended(
     from hybrid_id.contenders.run import read_case
     from hybrid_id.records.dataset import Dataset
 
+    source = sheet["made_by"]
     seed = source["seed"]
     machine = same_case(seed, source["draw"], name=folder.name, **options)
     again = {"engine": machine.engine, "formulas": [type(effect).__name__ for effect in machine.effects]}
-    if any(source.get(key, value) != value for key, value in again.items()):
+    sizes = [effect.size() for effect in machine.effects]
+    other = any(source.get(key, value) != value for key, value in again.items())
+    if other or sizes != [effect["size"] for effect in sheet["effects"]]:
         raise InputError(
-            f"case {folder.name} cannot be made again here: its answers name {source['engine']} and "
-            f"{', '.join(source['formulas'])}; install MuJoCo, and take the version that made the cases"
+            f"case {folder.name} cannot be made again here as its answers tell it ({source['engine']}, "
+            f"{', '.join(source['formulas'])}, their sizes); install MuJoCo, and take the version that made the cases"
         )
     record = further_record(
         machine, experiment["joint"], experiment["command"], experiment["sample_time"], seed=seed

@@ -74,9 +74,15 @@ def score_rows(content: Scores) -> tuple[list[str], list[list[str]]]:
 
 def target_rows(targets: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Heads and rows of the targets."""
-    verdict = {True: "met", False: "**missed**", None: "no case"}
+    verdict = {True: "met; its interval reaches beyond", False: "**missed**", None: "no case"}
     rows = [
-        [t["claim"], t["target"], value(t["score"], t["seen"]), verdict[t["met"]], ", ".join(t["cases"][:12])]
+        [
+            t["claim"],
+            t["target"],
+            value(t["score"], t["seen"]),
+            "met" if t["shown"] else verdict[t["met"]],
+            ", ".join(t["cases"][:12]),
+        ]
         for t in targets
     ]
     return ["claim", "target", "seen", "", "cases to look at"], rows

@@ -98,5 +98,5 @@ def test_formulas_of_one_name_differ() -> None:
 def test_an_uncoupled_second_link_has_no_inertia_to_be_parted_from_its_rotor() -> None:
     robot = draw_robot(np.random.default_rng(0), "two_link")
     uncoupled = WithheldCoupling.draw(np.random.default_rng(0), robot, 0).alter(robot)
-    assert not SoftGear.has_inertia(uncoupled, 1)
-    assert SoftGear.has_inertia(uncoupled, 0) and SoftGear.has_inertia(robot, 1)
+    assert not SoftGear.acts_at(uncoupled, 1)
+    assert SoftGear.acts_at(uncoupled, 0) and SoftGear.acts_at(robot, 1)

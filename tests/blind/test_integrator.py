@@ -69,9 +69,10 @@ def test_spring_and_pendulum_without_losses_keep_their_energy() -> None:
     assert np.ptp(energies) < 2e-3 * swing
 
 
-def test_free_arm_keeps_energy_and_momentum() -> None:
+@pytest.mark.parametrize("moments", [(0.5, 0.1, 0.12), (0.574, 0.0616, 0.136)])
+def test_free_arm_keeps_energy_and_momentum(moments: tuple[float, float, float]) -> None:
     drives = [Drive(Gear(RATIO), ROTOR, Motor(0.0, 0.0)) for _ in range(2)]
-    links = TwoLinks(0.5, 0.1, 0.12)
+    links = TwoLinks(*moments)
     machine = Machine(drives, links, substeps=4)
     machine.begin(1, 1000, 0.002, np.array([[0.0], [0.5]]))
     drives[0].x.v_m, drives[1].x.v_m = np.array([200.0]), np.array([-300.0])

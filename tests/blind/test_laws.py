@@ -66,9 +66,17 @@ def test_amplifiers() -> None:
 def test_delay_reads_the_sample_that_was_held_then() -> None:
     x = Signals(1)
     x.history, x.sample_time, x.time = np.arange(10.0)[:, None], 0.1, 0.55
-    assert Delay(0.0).volts(np.array([5.0]), x)[0] == 5.0
-    assert Delay(0.25).volts(np.array([5.0]), x)[0] == 3.0
-    assert Delay(0.6).volts(np.array([5.0]), x)[0] == 0.0
+    x.step = 0.02
+    assert Delay(0.0).volts(np.array([5.0]), x)[0] == pytest.approx(5.0)
+    assert Delay(0.25).volts(np.array([5.0]), x)[0] == pytest.approx(
+        2.5
+    )  # it changes in the middle of the step
+    assert Delay(0.2).volts(np.array([5.0]), x)[0] == pytest.approx(3.0)
+    assert Delay(0.6).volts(np.array([5.0]), x)[0] == pytest.approx(0.0)
+    # in one step a sample, too, each fraction of it makes a difference
+    x.step = x.sample_time
+    late = [Delay(0.1 * share).volts(np.array([5.0]), x)[0] for share in (0.0, 0.3, 0.7, 1.0, 1.3)]
+    assert late == pytest.approx([5.0, 4.7, 4.3, 4.0, 3.7])
 
 
 def test_lagging_winding_rises_as_one_less_exponential() -> None:

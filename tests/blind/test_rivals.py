@@ -2,7 +2,9 @@
 
 # pyright: reportAttributeAccessIssue=false
 
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,14 +12,20 @@ import pytest
 from hybrid_id.blind import campaign
 from hybrid_id.blind import make as module
 from hybrid_id.blind.case import Case, build, record, runs_in_mujoco
+from hybrid_id.blind.draw import SEEN
 from hybrid_id.blind.effects import OUTSIDE, Effect
 from hybrid_id.blind.effects.friction import UnevenBoth
+from hybrid_id.blind.effects.load import Bias
 from hybrid_id.blind.effects.outside import Wind
 from hybrid_id.blind.effects.outside_drive import WeakSupply
-from hybrid_id.blind.make import make_cases
+from hybrid_id.blind.effects.transmission import SoftGear
+from hybrid_id.blind.levels import Errors, Graded
+from hybrid_id.blind.make import NEEDED, make_cases
+from hybrid_id.blind.pairs import with_only
 from hybrid_id.blind.refit import refit_model
-from hybrid_id.blind.rivals import fit_all
+from hybrid_id.blind.rivals import Rival, fit_all
 from hybrid_id.blind.robots import draw_robot
+from hybrid_id.blind.sheet import answers
 
 RNG = np.random.default_rng(0)
 ROBOT = draw_robot(RNG, "one_link")
@@ -48,6 +56,41 @@ def test_nominal_arms_have_a_mass_matrix() -> None:
         assert P_4 < P_2
         for cosine in (-1.0, 0.0, 1.0):
             assert (P_1 + 2 * cosine * P_3) * P_2 > (P_4 + cosine * P_3) ** 2
+
+
+def pair_of(*sizes: float) -> Case:
+    """A drive with a constant torque and a gear that gives way, each of some size."""
+    rng = np.random.default_rng(5)
+    robot = draw_robot(rng, "one_link")
+    effects = [
+        kind.draw(rng, robot, 0).scaled(size) for kind, size in zip((Bias, SoftGear), sizes, strict=True)
+    ]
+    return Case("c", robot, tuple(effects), campaign.draw_campaign(rng, robot), robot.model(rng, 0.3))
+
+
+def test_a_pair_is_one_only_where_each_effect_is_missed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(campaign, "LENGTHS", (300, 400))
+    case = pair_of(1.0, 1.0)
+    both = with_only(case, record(case))
+    assert both is not None and all(one.test > NEEDED and one.train > SEEN for one in both.values())
+    case = pair_of(1.0, 0.03)
+    slight = with_only(case, record(case))
+    assert slight is not None and slight["constant_torque"].test < 1.05
+    # records that not even both explain say nothing of either
+    broken = replace(record(case), noise_floor=1e-9)
+    assert with_only(case, broken) is None
+
+
+def test_level_outside_the_catalogue_is_what_the_best_named_effect_leaves() -> None:
+    case = replace(pair_of(1.0, 1.0), effects=(Wind.draw(RNG, ROBOT, 0),))
+    records = SimpleNamespace(noise_floor=0.01)
+    graded = Graded(case, records, Errors(1.0, 0.05, 4.0))
+    rivals = [[Rival(case.effects[0], 0.2, False, 1.6), Rival(case.effects[0], 0.9, False)]]
+    levels = [
+        answers(graded, family, (1, 0), rivals=rivals, alone=None)["level"]
+        for family in ("single", "unknown")
+    ]
+    assert levels == ["strong", "medium"]
 
 
 @pytest.mark.parametrize("kind", OUTSIDE)

@@ -30,6 +30,7 @@ class Effect:
         size_keys: key of `values` -> name in the answer sheet.
         shapes: keys of `values`, beside the sized ones, that a re-fit may move.
         signed: keys of `values` that may be negative.
+        substeps: steps a sample that a fit of it needs.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
@@ -41,6 +42,7 @@ class Effect:
     size_keys: ClassVar[Mapping[str, str]] = {}
     shapes: ClassVar[tuple[str, ...]] = ()
     signed: ClassVar[tuple[str, ...]] = ()
+    substeps: ClassVar[int] = 1
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
@@ -65,8 +67,8 @@ class Effect:
         return robot.system in cls.systems
 
     @classmethod
-    def has_inertia(cls, robot: Robot, joint: int) -> bool:
-        """Whether it parts no rotor from nothing: uncoupled, a second link has no inertia beyond its gear."""
+    def acts_at(cls, robot: Robot, joint: int) -> bool:
+        """Whether it can act at a joint: uncoupled, a second link has no inertia behind its gear."""
         return not (joint and cls.place == "transmission" and "P_4" in robot.lacks)
 
     @property

@@ -18,13 +18,14 @@ class InputDelay(Effect):
 
 
 class MeasurementDelay(InputDelay):
-    """Dead time behind the encoder: the same from outside, up to what a controller makes of it."""
+    """Dead time behind the only encoder: the same from outside, up to what a controller makes of it."""
 
     place = "input"
+    systems = ("one_link", "one_link_flexible")
 
     @classmethod
     def fits(cls, robot):
-        return not robot.link_encoder
+        return super().fits(robot) and not robot.link_encoder
 
     def install(self, machine, robot):
         self.drive(machine).sensor_delay = self.values["delay"]

@@ -40,6 +40,14 @@ class Tilt(Effect):
     def draw(cls, rng, robot, joint):
         return cls(0, {"sine": rng.uniform(0.02, 0.15), "q_0": rng.uniform(-np.pi, np.pi)})
 
+    @classmethod
+    def acts_at(cls, robot, joint):
+        return joint == 0  # a base has one tilt
+
+    def scaled(self, factor):
+        grown = super().scaled(factor)
+        return type(self)(self.joint, {**grown.values, "sine": np.clip(grown.values["sine"], -0.95, 0.95)})
+
     def install(self, machine, robot):
         pull: Lanes = GRAVITY * self.values["sine"]
         first, second = (pull * moment for moment in robot.moments)

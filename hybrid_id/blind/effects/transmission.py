@@ -20,7 +20,7 @@ class FlatTeeth(Effect):
 
     name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
     systems = RIGID
-    exponent = 1.0
+    exponent, substeps = 1.0, 4
 
     @classmethod
     def draw(cls, rng, robot, joint):

@@ -18,7 +18,7 @@ from hybrid_id.blind.physics.links import OneLink, TwoLinks
 SETTLING, SETTLING_STEP, BRAKE = 30.0, 1e-3, 8.0
 """Longest time and step [s] in which a machine comes to rest before its records start, and the braking then [1/s]."""
 SWEEPS = 6
-"""Rounds in which two joints settle on their friction; the links of an arm couple by half at most, so 2^-12 is left."""
+"""Rounds in which two joints settle which of them stick; where both slide, their speeds are then solved for at once."""
 
 
 class Machine:
@@ -74,8 +74,10 @@ class Machine:
         now = self.samples_done * self.substeps
         for i, (drive, aged) in enumerate(zip(self.drives, self._aged, strict=True)):
             if aged is not None and drive.sensor_delay is not None:
-                age = np.rint(np.multiply(drive.sensor_delay, self.substeps / self.sample_time)).astype(int)
-                rotor[i] = aged[np.maximum(now - age, 0), np.arange(aged.shape[1])]
+                age = np.multiply(drive.sensor_delay, self.substeps / self.sample_time)
+                whole, lanes = np.floor(age).astype(int), np.arange(aged.shape[1])
+                newer, older = (aged[np.maximum(now - whole - k, 0), lanes] for k in (0, 1))
+                rotor[i] = newer + (age - whole) * (older - newer)
         link = [d.gear.angle(d.x.q_m) if d.spring is None else d.x.q_a for d in self.drives]
         return np.array(rotor), np.array(link)
 
@@ -159,6 +161,7 @@ class Machine:
         for _ in range(SWEEPS):
             for i in (0, 1):
                 new[i] = _shrink(free[i] - felt[i] * new[1 - i], *limits[i])
+        new = _both_slide(new, free, felt, limits)
         for i, drive in enumerate(pair):
             if drive.needs_carried and drive.spring is None:
                 a = [(n - o) / h for n, o in zip(new, old, strict=True)]
@@ -197,6 +200,14 @@ def _stop(inertia: Lanes, push: Push, speed: np.ndarray, h: float) -> np.ndarray
     left = inertia + 0.5 * h * push.slope
     free = ((inertia - 0.5 * h * push.slope) * speed + h * push.torque) / left
     return _shrink(free, *_limits(push, h / left))
+
+
+def _both_slide(new: list, free: list, felt: list, limits: list) -> list:
+    """New speeds (B,) of two joints, exact where both slide as their rounds have settled."""
+    driven = [f - np.where(n > 0, high, low) for n, f, (low, high) in zip(new, free, limits, strict=True)]
+    exact = [(driven[i] - felt[i] * driven[1 - i]) / (1 - felt[0] * felt[1]) for i in (0, 1)]
+    slides = (new[0] * exact[0] > 0) & (new[1] * exact[1] > 0)
+    return [np.where(slides, e, n) for e, n in zip(exact, new, strict=True)]
 
 
 def _limits(push: Push, per_torque: Lanes) -> tuple[Lanes, Lanes]:

@@ -7,6 +7,9 @@ import numpy as np
 
 from hybrid_id.blind.physics.law import Lanes
 
+MOST_LOSS = 3.0
+"""Most that the losses of an impact add to a contact's force, as a factor: steeper ones no step of a fit resolves."""
+
 
 @dataclass
 class Gear:
@@ -91,7 +94,7 @@ class TwoStageSpring(Spring):
 
 @dataclass
 class Play(Spring):
-    """Teeth that touch beyond half of the gap: ``k p^n (1 + c p')`` of the depth p, never pulling.
+    """Teeth that touch beyond half of the gap: ``k p^n (1 + c p')`` of the depth p, at most ``3 k p^n``, never pulling.
 
     | symbol | meaning | unit |
     | --- | --- | --- |
@@ -108,7 +111,7 @@ class Play(Spring):
     def torque(self, twist: np.ndarray, rate: np.ndarray, step: float) -> np.ndarray:
         side = np.sign(twist)
         depth = np.maximum(np.abs(twist) - 0.5 * self.gap, 0.0)
-        return side * self.k * depth**self.exponent * np.maximum(1 + self.c * side * rate, 0.0)
+        return side * self.k * depth**self.exponent * np.clip(1 + self.c * side * rate, 0.0, MOST_LOSS)
 
 
 @dataclass
