@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from hybrid_id.systems.chain import System
 
 
+NEXT = "next_experiment.csv"
+"""Commands of the record that would part effects which are tied."""
+
+
 def diagnose(
     source: SourceArgument,
     model: ModelOption = None,
@@ -44,7 +48,8 @@ def diagnose(
 
     Searches on the train records; the test records measure the gap (where they alone show it, the worst of them joins
     the train records, and it is said). Writes report.html, diagnosis.json, model.yaml (with the effects), refit.yaml
-    (today's model, re-fitted), pictures and TensorBoard events.
+    (today's model, re-fitted), next_experiment.csv (where effects are tied: what to command next), pictures and
+    TensorBoard events.
     """
     config = study_config(
         source,
@@ -75,9 +80,10 @@ def diagnose(
         return
     from hybrid_id.reporting.gap import diagnosis_table
 
+    further = f"{NEXT}, " if (home / NEXT).exists() else ""
     show(diagnosis_table(diagnosis, reach_of(config), config.statistics.level))
     page, pictures = page_and_pictures(config)
-    show(f"results are in {home}: {page}{DIAGNOSIS}, model.yaml, refit.yaml, {pictures}config.yaml")
+    show(f"results are in {home}: {page}{DIAGNOSIS}, model.yaml, refit.yaml, {further}{pictures}config.yaml")
 
 
 def run(dataset: "Dataset", system: "System", config: StudyConfig) -> "Diagnosis":
@@ -154,6 +160,11 @@ def write_diagnosis(
     text = as_json("diagnose", {"seed": config.identification.seed} | diagnosis.as_dict())
     save_model(diagnosis.model, folder / "model.yaml")
     save_model(diagnosis.search.base.system, folder / "refit.yaml")
+    if diagnosis.experiments and diagnosis.experiments[0].tells:
+        from pandas import DataFrame
+
+        best = diagnosis.experiments[0]
+        DataFrame({"t": best.time, **best.inputs}).to_csv(folder / NEXT, index=False, float_format="%.6g")
     config.save(folder / "config.yaml", home=home)
     wish = config.output
     if wish.figures or wish.tensorboard or wish.report:

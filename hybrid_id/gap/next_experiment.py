@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,7 +33,8 @@ class Experiment:
         name: what it is, in words.
         joint: whose command moves; the others rest.
         time: [s], ``(T,)``.
-        command: of the moving joint, in the unit of the records' commands, ``(T,)``.
+        inputs: all channels of the record, in the units of the records', ``(T,)`` each.
+        channel: that of the command that moves.
         distance: RMS difference of the tied models' outputs, in units of the encoders' noise.
         today: the largest distance of the same models on the records at hand.
     """
@@ -41,9 +42,15 @@ class Experiment:
     name: str
     joint: int
     time: np.ndarray
-    command: np.ndarray
+    inputs: Mapping[str, np.ndarray]
+    channel: str
     distance: float
     today: float
+
+    @property
+    def command(self) -> np.ndarray:
+        """Command of the moving joint, ``(T,)``."""
+        return self.inputs[self.channel]
 
     @property
     def tells(self) -> bool:
@@ -106,7 +113,7 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
             outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
             record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
             distance = _distance(dataset, [record], tied, noise)
-            found.append(Experiment(title, joint.number, time, command, distance, today))
+            found.append(Experiment(title, joint.number, time, inputs, name, distance, today))
     return sorted((e for e in found if np.isfinite(e.distance)), key=lambda e: -e.distance)
 
 

@@ -6,8 +6,11 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 import torch
 from gapcase import small_case
@@ -15,6 +18,7 @@ from gapcase import small_case
 import hybrid_id.cli.diagnose as command
 from hybrid_id import __version__, load_model, replay, save_model
 from hybrid_id.config import load_config
+from hybrid_id.gap.next_experiment import next_experiment
 
 FILES = {
     "config.yaml", "diagnosis.json", "gap.png", "missing_torque.png", "model.yaml", "refit.yaml", "report.html",
@@ -52,6 +56,21 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
     )
     assert result["verdict"] == "effects"
     assert load_config(out / "config.yaml").dataset.resolve() == records.resolve()
+
+
+def test_the_next_experiment_is_ready_to_be_played(
+    run, diagnosed, monkeypatch: pytest.MonkeyPatch, records: Path, tmp_path: Path
+) -> None:
+    dataset, _, found = diagnosed
+    other = replace(found.search.chosen, result=replace(found.search.chosen.result, system=diagnosed[1]))
+    proposed = tuple(next_experiment(dataset, [found.search.chosen, other]))
+    monkeypatch.setattr(command, "run", lambda *_: replace(found, experiments=proposed))
+    said = run("diagnose", records, "--out", tmp_path / "gap")
+    assert said.code == 0 and "next_experiment.csv" in said.out
+    table = pd.read_csv(tmp_path / "gap" / "next_experiment.csv")
+    assert list(table) == ["t", *dataset.train[0].inputs]
+    np.testing.assert_allclose(table["u1"], proposed[0].command, rtol=1e-5)
+    assert np.ptp(table["u1"]) > 0.0
 
 
 def test_json_is_the_file(run, known, records: Path, tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from hybrid_id.reporting.html.gap_page import gap_page
 from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.systems import System
 
-PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), np.zeros(2), 12.345, 1.3)
+PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", 12.345, 1.3)
 TIED = ("spring_load@joint1/load", "gravity_load@joint1/load")
 
 
