@@ -7,7 +7,8 @@ import typer
 from hybrid_id.cli.console import out, show
 from hybrid_id.cli.options import JsonOption
 
-HEADS = ("effect", "where", "easily mistaken for", "what tells them apart")
+HEADS = ("effect", "where", "smoothness", "easily mistaken for", "what tells them apart")
+KEYS = ("effect", "where", "smoothness", "mistaken_for", "separated_by")
 
 
 def effects(
@@ -19,9 +20,7 @@ def effects(
     if as_json:
         from hybrid_id.reporting.results import as_json as to_json
 
-        named = [
-            dict(zip(("effect", "where", "mistaken_for", "separated_by"), row, strict=True)) for row in rows
-        ]
+        named = [dict(zip(KEYS, row, strict=True)) for row in rows]
         out().print(to_json("effects", {"effects": named}), markup=False, soft_wrap=True)
         return
     if markdown:
@@ -37,14 +36,14 @@ def effects(
     show(table)
 
 
-def effect_rows() -> list[tuple[str, str, str, str]]:
-    """Name, places, rivals and the excitation that separates them, in the order of the drive chain."""
+def effect_rows() -> list[tuple[str, str, str, str, str]]:
+    """Name, places, smoothness, rivals and the excitation that separates them, in the order of the drive chain."""
     import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
     from hybrid_id.components.base import PLACES
     from hybrid_id.gap.catalogue import CATALOGUE
 
     ordered = sorted(CATALOGUE.values(), key=lambda effect: (PLACES.index(effect.places[0]), effect.name))
     return [
-        (effect.name, ", ".join(effect.places), ", ".join(effect.mistaken_for), effect.separated_by)
-        for effect in ordered
+        (e.name, ", ".join(e.places), e.smoothness, ", ".join(e.mistaken_for), e.separated_by)
+        for e in ordered
     ]

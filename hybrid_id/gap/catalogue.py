@@ -41,6 +41,7 @@ class Effect:
         contains: effects that are special cases of it at the same place: it is no rival of theirs.
         further: parameters that are freed once the effect has been chosen, where that pays: start points of them by
             (its component, what the fit with it leaves, joint, place).
+        smoothness: of its torque or voltage: ``smooth``, or where it jumps or kinks.
     """
 
     name: str
@@ -54,6 +55,7 @@ class Effect:
     shape: Mapping[str, str] = field(default_factory=dict)
     contains: tuple[str, ...] = ()
     further: Callable[[Component, Left, int, str], Sequence[Values]] | None = None
+    smoothness: str = "smooth"
 
     def __post_init__(self) -> None:
         if not self.kinds:

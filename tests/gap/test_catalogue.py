@@ -39,6 +39,7 @@ def test_every_name_is_there_with_its_places(name: str) -> None:
     assert set(NAMES[name].split()) <= set(found.places)
     assert found.separated_by
     assert found.equation
+    assert found.smoothness.split()[0] in ("smooth", "kinks", "jumps")
     assert set(found.mistaken_for) <= set(CATALOGUE)
     assert name not in found.mistaken_for
 

@@ -55,5 +55,5 @@ def test_effect_of_the_guide_is_found() -> None:
 
 def test_table_of_the_guide_is_the_catalogue() -> None:
     text = GUIDE.read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \| (.*?) \|$", text, re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \| (.*?) \| (.*?) \|$", text, re.MULTILINE)
     assert rows == effect_rows(), "print it anew: hybrid-id effects --markdown"

@@ -11,6 +11,8 @@ class ArmGravity(Coupling):
 
     ``tau_2 = G_l2 sin(q_1 + q_2 - q_0)``, ``tau_1 = G_l1 sin(q_1 - q_0) + tau_2``.
 
+    Source: W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, 2002.
+
     | symbol | unit | meaning |
     | --- | --- | --- |
     | G_l1 | N m | weight torque about joint 1 of link 1 with link 2 as a point at its end |

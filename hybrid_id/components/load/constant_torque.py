@@ -7,6 +7,9 @@ from hybrid_id.parameters import Parameter
 class ConstantTorque(LoadTorque):
     """``tau = T_0`` at the link, opposing the motor: a bias torque, or behind a motor an amplifier's offset.
 
+    Source: the offset of A. Janot, P.-O. Vandanjon and M. Gautier, A generic instrumental variable approach for
+    industrial robot identification, IEEE Trans. Control Syst. Technol. 22 (1), 2014.
+
     | symbol | unit | meaning |
     | --- | --- | --- |
     | T_0 | N m | torque, of either sign |

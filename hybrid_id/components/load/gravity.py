@@ -9,6 +9,8 @@ from hybrid_id.parameters import Parameter
 class Gravity(LoadTorque):
     """``tau_g = G_l sin(q - q_0)`` at the link.
 
+    Source: W. Khalil and E. Dombre, Modeling, Identification and Control of Robots, 2002.
+
     | symbol | unit | meaning |
     | --- | --- | --- |
     | G_l = m g l | N m | gravity torque of the horizontal link |

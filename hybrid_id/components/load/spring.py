@@ -5,7 +5,7 @@ from hybrid_id.parameters import Parameter
 
 
 class Spring(LoadTorque):
-    """``tau_s = k_s (q - q_s)`` at the link.
+    """``tau_s = k_s (q - q_s)`` at the link, Hooke's law.
 
     | symbol | unit | meaning |
     | --- | --- | --- |

@@ -7,7 +7,7 @@ from hybrid_id.parameters import Parameter
 class RotorBias(RotorTorque):
     """``tau = T_0`` at the rotor, driving: an amplifier's offset, where a gear parts it from a load on the link.
 
-    It may stand among the loads, too, as the bias that it is.
+    Source: see ``constant_torque``. It may stand among the loads, too, as the bias that it is.
 
     | symbol | unit | meaning |
     | --- | --- | --- |

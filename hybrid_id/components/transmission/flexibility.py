@@ -38,6 +38,8 @@ class JointFlexibility(Transmission):
     implicit step would blur the moments at which dry friction stops a side; so c = 0 is a spring at which rotor and
     link swing at 150 Hz, with which a servo's record agrees to well below an encoder's noise, stepped as any other.
 
+    Source: M. W. Spong, Modeling and control of elastic joint robots, J. Dyn. Syst. Meas. Control 109, 1987.
+
     Along c a fit meets several valleys: start it, too, where rotor and link swing within the band of the records.
     """
 

@@ -133,10 +133,12 @@ def _position(system, s, place, found=(((1.0, 1e-6, 0.0),), ((0.0, 0.1, 1e-6),))
     ]  # fmt: skip
 
 
+JUMPS = "jumps with the direction"
 BOTH = ("motor_friction", "link_friction")
 register(Effect(
     "coulomb_friction", BOTH, _coulomb, ("voltage_deadband", "stribeck_friction", "presliding_friction"),
     "slow motion and stops: dry friction holds the joint against a small torque",
+    smoothness=JUMPS,
 ))  # fmt: skip
 register(Effect(
     "viscous_friction", BOTH, _viscous, ("quadratic_drag", "joint_flexibility"),
@@ -145,25 +147,30 @@ register(Effect(
 register(Effect(
     "stribeck_friction", BOTH, _stribeck, ("voltage_deadband", "presliding_friction", "quadratic_drag"),
     "slow constant speeds, one after another, below a tenth of the top speed",
+    smoothness=JUMPS,
 ))  # fmt: skip
 register(Effect(
     "asymmetric_friction", BOTH, _asymmetric, ("constant_torque", "gravity_load"),
     "the same move both ways at rest angles all over the range: a bias torque acts at standstill, too",
+    smoothness=JUMPS,
 ))  # fmt: skip
 register(Effect(
     "presliding_friction", BOTH, _presliding, ("backlash", "joint_flexibility", "stribeck_friction"),
     "small reversals from rest of growing size: a bristle springs back, play does not",
     kinds=("dahl", "maxwell_slip", "lugre"),
+    smoothness="kinks at reversals",
 ))  # fmt: skip
 register(Effect(
     "quadratic_drag", BOTH, _drag, ("voltage_saturation", "stribeck_friction", "thermal_derating"),
     "steady speeds up to the top: drag grows with the square",
+    smoothness="smooth (its curvature jumps at rest)",
 ))  # fmt: skip
 register(Effect(
     "load_dependent_friction", ("motor_friction",), _load_dependent, ("coulomb_friction", "asymmetric_friction"),
     "the same move with two payloads, or lifting against lowering",
     kinds=("load_dependent_friction", "effort_dependent_friction"),
     splits=("load_dependent_friction",),
+    smoothness=JUMPS,
 ))  # fmt: skip
 register(Effect(
     "position_dependent_friction", BOTH, _position, ("cogging", "gravity_load", "spring_load"),
@@ -171,4 +178,5 @@ register(Effect(
     kinds=("position_dependent_friction", "tight_spot"),
     contains=("coulomb_friction",),
     scan=_over_angle,
+    smoothness=JUMPS,
 ))  # fmt: skip

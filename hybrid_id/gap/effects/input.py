@@ -75,6 +75,7 @@ register(Effect(
     "voltage_deadband", ("input",), _deadband, ("coulomb_friction", "stribeck_friction", "presliding_friction"),
     "small voltages around zero at speed, driven by the load or by coasting: a dead band acts on the command, friction "
     "on the motion",
+    smoothness="kinks or jumps at the threshold",
 ))  # fmt: skip
 register(Effect(
     "supply_sag", ("input",), _sag, ("voltage_saturation", "thermal_derating", "quadratic_drag"),
@@ -85,4 +86,5 @@ register(Effect(
     "voltage_saturation", ("input",), _saturation, ("quadratic_drag", "thermal_derating"),
     "steps of growing height: a supply's limit cuts every command above one level",
     kinds=("voltage_saturation", "soft_saturation"),
+    smoothness="kinks at the limit, or bends before it",
 ))  # fmt: skip

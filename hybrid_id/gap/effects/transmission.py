@@ -80,6 +80,7 @@ register(Effect(
     "backlash", ("transmission",), _backlash, ("presliding_friction", "joint_flexibility", "hardening_flexibility"),
     "reversals under little load, with an encoder on the link",
     splits=("backlash",),
+    smoothness="kinks where the teeth touch",
 ))  # fmt: skip
 register(Effect(
     "joint_flexibility", ("transmission",), _flexibility, ("delay", "electrical_lag", "backlash"),
