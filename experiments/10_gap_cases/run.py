@@ -8,9 +8,9 @@ import yaml
 from hybrid_id import __version__
 from hybrid_id.blind.judge import judge
 from hybrid_id.blind.score import figures
-from hybrid_id.cli.provenance import commit
 from hybrid_id.contenders.keep import is_done, key_of, load, save
 from hybrid_id.contenders.run import Settings, read_case, take
+from hybrid_id.reporting.provenance import commit
 from hybrid_id.reporting.scoreboard import ROWS, value
 
 HERE = Path(__file__).parent

@@ -26,9 +26,9 @@ from hybrid_id.cli.options import (
     use_threads,
 )
 from hybrid_id.cli.progress import counting
-from hybrid_id.cli.provenance import program
 from hybrid_id.config import Ablation, Hybrid, StudyConfig, study_config
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.provenance import program
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset

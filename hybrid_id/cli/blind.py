@@ -22,8 +22,8 @@ from hybrid_id.cli.blind_ties import run_ties, ties
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
 from hybrid_id.cli.progress import counting
-from hybrid_id.cli.provenance import UNKNOWN, commit
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.provenance import UNKNOWN, commit
 
 BEGUN = ".begun.json"
 """File in a folder of cases that is not complete: what it is to become."""

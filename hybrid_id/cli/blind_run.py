@@ -12,8 +12,8 @@ from hybrid_id import __version__
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
 from hybrid_id.cli.progress import counting
-from hybrid_id.cli.provenance import commit
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.provenance import commit
 
 BROKEN = 3
 """Exit code where a case has broken off, all others being done."""

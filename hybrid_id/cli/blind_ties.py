@@ -12,8 +12,8 @@ from hybrid_id.cli.blind_score import AnswersOption, RunsArgument
 from hybrid_id.cli.console import show
 from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
 from hybrid_id.cli.progress import counting
-from hybrid_id.cli.provenance import commit
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.provenance import commit
 
 if TYPE_CHECKING:
     from hybrid_id.contenders.run import Case

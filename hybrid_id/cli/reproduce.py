@@ -9,8 +9,8 @@ from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import RESULT, refuse_foreign, sole_writer
 from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
-from hybrid_id.cli.provenance import program
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.provenance import program
 
 PARTS = "parts"
 

@@ -182,6 +182,6 @@ def test_effects_are_listed(run) -> None:
     words = run("effects").out
     rows = run("effects", "--markdown").out.splitlines()
     assert "spring_load" in words
-    assert rows[1] == "| --- | --- | --- | --- |"
+    assert rows[1] == "| --- | --- | --- | --- | --- |"
     assert len(rows) >= 2 + 21
     assert any(row.startswith("| `backlash` | transmission | ") for row in rows)

@@ -12,10 +12,10 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id import __version__
 from hybrid_id.reporting.html.made import how_made
 from hybrid_id.reporting.html.page import Page
 from hybrid_id.reporting.html.twin import drawn
+from hybrid_id.reporting.provenance import program
 from hybrid_id.reporting.style import new_figure
 
 VOID = {"meta", "img", "br", "link"}
@@ -92,7 +92,7 @@ def test_page_carries_plotly_only_where_it_is_used() -> None:
 
 def test_page_says_how_it_was_made() -> None:
     text = live_page().html()
-    assert f"hybrid_id {__version__}, command identify" in text
+    assert f"{program()}, command identify" in text
     assert "<pre>seed: 0\nname: &lt;b&gt;</pre>" in text
 
 

@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from hybrid_id.cli import app
-from hybrid_id.cli.provenance import program
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.provenance import program
 from hybrid_id.reproduction import plan as plans
 from hybrid_id.reproduction.claims import claims
 from hybrid_id.reproduction.comparison import PRINTED, fit_rows, inertia_rows, parameter_rows

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from hybrid_id.reporting.html.made import how_made
 from hybrid_id.reporting.html.page import Page
 from hybrid_id.reporting.html.twin import Drawn
-from hybrid_id.reporting.scoreboard import Scores, calibration, group_rows, score_rows, target_rows
+from hybrid_id.reporting.scoreboard import Scores, calibration, group_rows, score_rows, target_rows, ties_line
 from hybrid_id.reporting.tables import open_table
 
 _HOW = (
@@ -44,7 +45,16 @@ def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
     groups = page.section("Group by group")
     for dimension, figures in told["scores"]["by"].items():
         groups.add(f"By {dimension}", _table(*group_rows(figures)))
-    return page
+    if content["ties"] is not None:
+        page.section("Ties").add(ties_line(content["ties"]).replace("**", ""))
+    facts = {
+        "scored": f"{about['date']}, at commit {about['commit']}",
+        "made": f"at commit {about['made_at']}, seed {about['seed']}",
+        "hash of the answers": ", ".join(about["sha256"]),
+    }
+    return how_made(
+        page, "blind score", "\n".join(about["commands"]), facts, words="what makes and scores it again"
+    )
 
 
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]):
