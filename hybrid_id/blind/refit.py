@@ -21,6 +21,8 @@ APART = 1.25
 """Factor by which two of the starts of a re-fit lie off the true values, every second parameter up, the others down."""
 ENOUGH = 1e-4
 """Relative fall of the cost below which it ends."""
+TRIAL, BEHIND = 4, 2.0
+"""Steps after which a start is given up that is still so many times the best one's mean square error."""
 STEP = 0.01
 """Relative change of a parameter for its derivative: large enough to be felt past stick and slip."""
 DAMPINGS = (1e-4, 1e-2, 1e-1, 1.0, 10.0, 100.0)
@@ -108,7 +110,7 @@ def refit(
     held: Sequence[Mapping[str, float]] | None = None,
     rounds: int = ROUNDS,
 ) -> list[Refit]:
-    """Fit parameters from several starts, each on its own, to the train records.
+    """Fit parameters from several starts to the train records, each on its own until it stays behind.
 
     Args:
         build: machines of given values.
@@ -133,7 +135,7 @@ def refit(
         return given | {n: np.array([fixed[k][n] for k in owner]) for n in fixed[0]}
 
     best, running, size = np.full(len(starts), np.inf), np.arange(len(starts)), len(names)
-    for _ in range(rounds):
+    for done in range(rounds):
         around = theta[running, None] + STEP * np.vstack([np.zeros(size), np.eye(size)])
         owner = np.repeat(running, size + 1)
         residuals = bench.residuals(point(around.reshape(-1, size), owner)).reshape(
@@ -158,7 +160,8 @@ def refit(
             gains[k] = 1 - own[winner] / best[k]
             if gains[k] > 0:
                 theta[k], best[k] = tries[k][winner], float(own[winner])
-        running = np.array([k for k, gain in gains.items() if gain >= ENOUGH], int)
+        most = np.inf if done < TRIAL else BEHIND * best.min()
+        running = np.array([k for k, gain in gains.items() if gain >= ENOUGH and best[k] <= most], int)
         if not len(running):
             break
     ends = point(theta, np.arange(len(starts)))

@@ -23,6 +23,7 @@ from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import next_experiment
 from hybrid_id.gap.own_sets import own_sets
 from hybrid_id.gap.probability import believed, suspects, tied_explanations, tied_sets
+from hybrid_id.gap.ranking import LEFT_OPEN
 from hybrid_id.gap.refit import Explanation, Refit, engine
 from hybrid_id.gap.remainder import halted_elsewhere, no_noise, outside, worst_unseen
 from hybrid_id.gap.shrink import Shrink, shrink
@@ -138,6 +139,9 @@ def _diagnosed(
         same = own.common is now.search.chosen
         now = replace(now if same else judged(replace(now.search, chosen=own.common)), unknown=False)
         base = base if own.common.effects else own.common
+    if now.unknown and now.gap is not None and now.search.chosen.effects and now.gap.share < LEFT_OPEN:
+        # beside what the catalogue lacks, what closes next to nothing is not worth a name
+        withdrawn, now = (*withdrawn, *now.search.chosen.effects), judged(replace(now.search, chosen=base))
     gap = replace(now.gap, share=0.0, interval=(0.0, 1.0)) if silent and now.gap is not None else now.gap
     search = now.search
     found = tuple(

@@ -122,6 +122,22 @@ def test_what_stays_unexplained_lowers_the_probabilities(diagnosed, monkeypatch)
         assert after.probability == pytest.approx(0.2 * before.probability)
 
 
+def test_what_closes_next_to_nothing_has_no_name_beside_the_unknown(diagnosed, monkeypatch) -> None:
+    dataset, today, found = diagnosed
+    honest = module.shrink
+
+    def closes(share: float) -> Diagnosis:
+        monkeypatch.setattr(module, "shrink", lambda *a, **k: replace(honest(*a, **k), share=share))
+        return module.diagnose(dataset, today, most=1)
+
+    monkeypatch.setattr(module, "attribute", lambda *_, **__: found.search)
+    monkeypatch.setattr(module, "outside", lambda *_: True)
+    monkeypatch.setattr(module, "own_sets", lambda *_: None)
+    little, some = closes(0.05), closes(0.5)
+    assert little.unknown and not little.selected and little.withdrawn == ("spring_load at joint1/load",)
+    assert some.unknown and [s.name for s in some.selected] == ["spring_load"] and not some.withdrawn
+
+
 def test_the_common_scale_of_torques_is_said_to_be_unknown(diagnosed) -> None:
     found = diagnosed[2]
     assert any("P_m1" in words and "one number" in words for words in found.untold), found.untold
