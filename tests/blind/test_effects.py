@@ -14,6 +14,7 @@ NAMES = {
     "delay": "input",
     "voltage_deadband": "input",
     "voltage_saturation": "input",
+    "supply_sag": "input",
     "electrical_lag": "motor",
     "cogging": "motor",
     "thermal_derating": "motor",

@@ -15,9 +15,9 @@ from hybrid_id.blind.case import Case, build, record, runs_in_mujoco
 from hybrid_id.blind.draw import SEEN
 from hybrid_id.blind.effects import OUTSIDE, Effect
 from hybrid_id.blind.effects.friction import UnevenBoth
+from hybrid_id.blind.effects.input import WeakSupply
 from hybrid_id.blind.effects.load import Bias
 from hybrid_id.blind.effects.outside import Wind
-from hybrid_id.blind.effects.outside_drive import WeakSupply
 from hybrid_id.blind.effects.transmission import SoftGear
 from hybrid_id.blind.levels import Errors, Graded
 from hybrid_id.blind.make import NEEDED, make_cases

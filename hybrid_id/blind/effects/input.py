@@ -1,7 +1,9 @@
 """Effects between the command and the motor's terminals."""
 
-from hybrid_id.blind.effects.base import Effect, dry, log_uniform
-from hybrid_id.blind.physics.input import Deadband, Delay, Saturation, SoftSaturation
+import numpy as np
+
+from hybrid_id.blind.effects.base import Effect, dry, log_uniform, stall
+from hybrid_id.blind.physics.input import Deadband, Delay, Saturation, SoftSaturation, SupplySag
 
 
 class InputDelay(Effect):
@@ -81,3 +83,24 @@ class SoftLimit(HardLimit):
 
     place = "input"
     soft = True
+
+
+class WeakSupply(Effect):
+    """A supply whose voltage sags under load."""
+
+    name, place, sized = "supply_sag", "input", ("sag",)
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        sag = rng.uniform(0.1, 0.5) * robot.supply / stall(robot, joint)
+        return cls(joint, {"sag": sag, "supply": robot.supply})
+
+    def size(self):
+        return Effect(self.joint, {"volts_per_newton_metre": self.values["sag"]}).size()
+
+    def install(self, machine, robot):
+        # beyond it the voltage that is left swings from step to step
+        most = 0.9 / robot.value(self.joint, "P_m1")
+        self.drive(machine).amplifier.append(
+            SupplySag(np.minimum(self.values["sag"], most), self.values["supply"])
+        )

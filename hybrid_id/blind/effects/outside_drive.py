@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from hybrid_id.blind.effects.base import dry, fast, stall
+from hybrid_id.blind.effects.base import dry, fast
 from hybrid_id.blind.effects.outside import Outside
-from hybrid_id.blind.physics.input import SupplySag, UnevenGain
+from hybrid_id.blind.physics.input import UnevenGain
 from hybrid_id.blind.physics.motor import TorqueRipple
 from hybrid_id.blind.physics.transmission import HystereticSpring
 
@@ -39,21 +39,6 @@ class FieldWeakening(Outside):
 
     def install(self, machine, robot):
         self.drive(machine).motor.weakening = fast(robot, self.joint) / np.sqrt(self.values["loss"])
-
-
-class WeakSupply(Outside):
-    """A supply whose voltage sags under load."""
-
-    place, sized = "input", ("sag",)
-
-    @classmethod
-    def draw(cls, rng, robot, joint):
-        return cls(joint, {"sag": rng.uniform(0.1, 0.5) * robot.supply / stall(robot, joint)})
-
-    def install(self, machine, robot):
-        # beyond it the voltage that is left swings from step to step
-        most = 0.9 / robot.value(self.joint, "P_m1")
-        self.drive(machine).amplifier.append(SupplySag(np.minimum(self.values["sag"], most)))
 
 
 class UnevenAmplifier(Outside):

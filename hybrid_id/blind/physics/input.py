@@ -61,12 +61,17 @@ class SoftSaturation(InputLaw):
 
 @dataclass
 class SupplySag(InputLaw):
-    """A weak supply: the voltage drops by ``sag`` [V per N m] of the motor's torque, against its sign."""
+    """A weak supply behind a PWM amplifier: ``u - sag d^2 T`` with the duty ``d = u / supply`` and the motor torque T.
+
+    The source carries ``d`` times the winding's current, and the winding sees ``d`` times what it is left with; ``sag``
+    [V/(N m)], ``supply`` [V]. Braking pumps it up.
+    """
 
     sag: Lanes
+    supply: Lanes
 
     def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
-        return np.sign(volts) * np.maximum(np.abs(volts) - self.sag * np.abs(x.effort), 0.0)
+        return volts - self.sag * (volts / self.supply) ** 2 * x.effort
 
 
 @dataclass
