@@ -2,6 +2,8 @@
 
 import datetime
 import json
+import sys
+from contextlib import nullcontext, redirect_stdout
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -16,14 +18,23 @@ from hybrid_id.cli.blind_run import (
     RecordsOption,
     run,
     run_methods,
+    seed_of,
 )
 from hybrid_id.cli.blind_score import AppendOption, gathered, score, write_scores
 from hybrid_id.cli.blind_ties import run_ties, ties
+from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
+from hybrid_id.cli.options import (
+    Backend,
+    BackendOption,
+    JsonOption,
+    ProcessesOption,
+    SchedulerOption,
+    check_backend,
+)
 from hybrid_id.cli.progress import counting
 from hybrid_id.errors import InputError
-from hybrid_id.reporting.provenance import UNKNOWN, commit
+from hybrid_id.reporting.provenance import commit
 
 BEGUN = ".begun.json"
 """File in a folder of cases that is not complete: what it is to become."""
@@ -95,7 +106,7 @@ def make(
         raise InputError("--answers and --open-answers contradict each other; give one of them")
     options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
     archive = None if open_answers else answers or out.parent / "sealed" / f"{out.name}.answers.tar"
-    make_sealed(out, archive, cases, _seed(seed), options, jobs, first)
+    make_sealed(out, archive, cases, seed_of(seed), options, jobs, first)
 
 
 def make_sealed(
@@ -186,6 +197,7 @@ def reproduce(
     jobs: ProcessesOption = 1,
     backend: BackendOption = Backend.joblib,
     scheduler: SchedulerOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Make, run and score in one command: a published scoreboard again from its seed.
 
@@ -194,20 +206,24 @@ def reproduce(
     check_backend(backend, scheduler)
     made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
     options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
-    if archive.exists():
-        _check_same(made, cases, _seed(seed), options, first)
-    else:
-        make_sealed(made, archive, cases, _seed(seed), options, jobs, first)
-    runs.parent.mkdir(parents=True, exist_ok=True)
-    broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler, command)
-    if Method.diagnose in (method or [Method.diagnose]):
-        run_ties(made, runs, archive, jobs, scheduler)
+    with redirect_stdout(sys.stderr) if as_json else nullcontext():
+        if archive.exists():
+            _check_same(made, cases, seed_of(seed), options, first)
+        else:
+            make_sealed(made, archive, cases, seed_of(seed), options, jobs, first)
+        runs.parent.mkdir(parents=True, exist_ok=True)
+        broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler, command)
+        if Method.diagnose in (method or [Method.diagnose]):
+            run_ties(made, runs, archive, jobs, scheduler)
     content = gathered([runs], [archive])
-    write_scores(runs, content, append)
-    from hybrid_id.reporting.scoreboard import markdown
+    text = write_scores(runs, content, append)
+    if as_json:
+        stdout().print(text, markup=False, soft_wrap=True)
+    else:
+        from hybrid_id.reporting.scoreboard import markdown
 
-    show(markdown(content))
-    show(f"results are in {runs}")
+        show(markdown(content))
+        show(f"results are in {runs}")
     if broken:
         raise typer.Exit(BROKEN)
 
@@ -220,18 +236,6 @@ def _check_same(made: Path, cases: int, seed: int, options: dict[str, str | None
     same = manifest["asked"], manifest["seed"], manifest["options"], manifest.get("first", 1)
     if same != (cases, seed, options, first):
         raise InputError(f"{made} holds cases of another seed, number or kind; give another --out")
-
-
-def _seed(text: str) -> int:
-    """A seed from a number, or from the hash of the commit that is running."""
-    if text.isdecimal():
-        return int(text)
-    if text != "commit":
-        raise InputError(f"--seed {text} is neither a number nor 'commit'; give one of them")
-    at = commit()
-    if at == UNKNOWN or at.endswith("-dirty"):
-        raise InputError("--seed commit needs a checkout without changes; commit them, or give a number")
-    return int(at[:8], 16)
 
 
 blind.command()(run)

@@ -13,7 +13,7 @@ from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
 from hybrid_id.cli.progress import counting
 from hybrid_id.errors import InputError
-from hybrid_id.reporting.provenance import commit
+from hybrid_id.reporting.provenance import UNKNOWN, commit
 
 BROKEN = 3
 """Exit code where a case has broken off, all others being done."""
@@ -167,3 +167,15 @@ def _run(
     if broken:
         remark(f"{method}: {broken} of {len(todo)} cases broke; the same command tries them again")
     return broken
+
+
+def seed_of(text: str) -> int:
+    """A seed from a number, or from the hash of the commit that is running."""
+    if text.isdecimal():
+        return int(text)
+    if text != "commit":
+        raise InputError(f"--seed {text} is neither a number nor 'commit'; give one of them")
+    at = commit()
+    if at == UNKNOWN or at.endswith("-dirty"):
+        raise InputError("--seed commit needs a checkout without changes; commit them, or give a number")
+    return int(at[:8], 16)

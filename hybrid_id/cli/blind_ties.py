@@ -83,6 +83,8 @@ def tied_cases(folder: Path, names: list[str]) -> dict[str, Mapping[str, Any]]:
 def resolved(again: Mapping[str, Any], sheets: Mapping[str, Any]) -> dict[str, Any]:
     """Share of ties that the further record resolves, and of those resolved to what was at work.
 
+    A tie is resolved, too, where the record shows that something outside the catalogue is at work.
+
     Args:
         again: the second diagnosis of each case with a tie.
         sheets: answers by case.
@@ -94,7 +96,10 @@ def resolved(again: Mapping[str, Any], sheets: Mapping[str, Any]) -> dict[str, A
     for name, said in again.items():
         one = judge(name, sheets[name], said)
         told = said if said is not None and not one.broken else {"effects": [], "ties": []}
-        parted = any(e["selected"] for e in told["effects"]) and not told["ties"]
+        # names that the answers hold for one are told apart by no record
+        same = [set(truth.get("right", ())) for truth in sheets[name]["effects"]]
+        left = [tie for tie in told["ties"] if not any(set(tie) <= right for right in same)]
+        parted = not left and (any(e["selected"] for e in told["effects"]) or bool(told.get("unknown")))
         rows[name] = {"resolved": parted, "right": parted and one.whole, "broken": one.broken}
     return of_ties(rows)
 

@@ -131,7 +131,13 @@ class Diagnosis:
             "halted_elsewhere": self.halted,
             "window": self.search.window,
             "next_experiments": [
-                {"name": e.name, "joint": e.joint, "distance": e.distance, "distance_today": e.today}
+                {
+                    "name": e.name,
+                    "joint": e.joint,
+                    "distance": e.distance,
+                    "distance_today": e.today,
+                    "leaves_together": [list(pair) for pair in e.together],
+                }
                 for e in self.experiments[:3]
                 if e.tells
             ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -35,8 +36,10 @@ class Experiment:
         time: [s], ``(T,)``.
         inputs: all channels of the record, in the units of the records', ``(T,)`` each.
         channel: that of the command that moves.
-        distance: RMS difference of the tied models' outputs, in units of the encoders' noise.
-        today: the largest distance of the same models on the records at hand.
+        distance: RMS difference of the outputs of two tied models, in units of the encoders' noise: the smallest of
+            those pairs that the record parts, or the largest where it parts none.
+        today: the largest distance of these pairs on the records at hand.
+        together: pairs of tied effects, ``name@where``, that it does not part.
     """
 
     name: str
@@ -46,6 +49,7 @@ class Experiment:
     channel: str
     distance: float
     today: float
+    together: tuple[tuple[str, str], ...] = ()
 
     @property
     def command(self) -> np.ndarray:
@@ -81,7 +85,9 @@ def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
 def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Experiment]:
     """Experiments that tell tied models apart, the best first; empty with fewer than two models.
 
-    Each model keeps the parameters that the records gave it, so that the distance is what the next record will show.
+    The best parts most pairs of them, and these most clearly: a bias and friction uneven by direction, say, move alike
+    under any command, which is no reason not to part both from a spring. Each model keeps the parameters that the
+    records gave it, so that the distance is what the next record will show.
 
     Args:
         dataset: tells channels, amplitudes, noise and sample time.
@@ -95,7 +101,8 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
     time = np.arange(0.0, DURATION, step)
     moving = time >= REST
     found = []
-    today = max(_distance(dataset, [record], tied, noise) for record in dataset.train)
+    names = list(combinations(_names(tied), 2))
+    today = np.max([_distances(dataset, [record], tied, noise) for record in dataset.train], axis=0)
     for joint in tied[0].system.joints:
         name = next(
             (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None
@@ -112,15 +119,29 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
             } | {name: command}
             outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
             record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
-            distance = _distance(dataset, [record], tied, noise)
-            found.append(Experiment(title, joint.number, time, inputs, name, distance, today))
-    return sorted((e for e in found if np.isfinite(e.distance)), key=lambda e: -e.distance)
+            apart = _distances(dataset, [record], tied, noise)
+            parted = apart >= TELLS
+            told = parted if parted.any() else apart == apart.max()
+            found.append(
+                Experiment(
+                    title, joint.number, time, inputs, name, float(apart[told].min()), float(today[told].max()),
+                    tuple(pair for pair, one in zip(names, parted, strict=True) if not one),
+                )
+            )  # fmt: skip
+    known = (e for e in found if np.isfinite(e.distance))
+    return sorted(known, key=lambda e: (len(e.together), -e.distance))
 
 
-def _distance(
+def _names(tied: Sequence[Explanation]) -> list[str]:
+    """What each model has and not all of them, as ``name@where``."""
+    common = set.intersection(*(set(e.effects) for e in tied))
+    return [" and ".join("@".join(n) for n in e.effects if n not in common) for e in tied]
+
+
+def _distances(
     dataset: Dataset, records: Sequence[Record], tied: Sequence[Explanation], noise: dict[str, float | None]
-) -> float:
-    """Largest RMS difference between the outputs of any two models, in units of the noise."""
+) -> np.ndarray:
+    """RMS difference between the outputs of every two models ``(pairs,)``, in units of the noise."""
     scale = np.array([noise.get(channel.name) or 1.0 for channel in dataset.outputs])
     runs = []
     for one in tied:
@@ -131,8 +152,4 @@ def _distance(
             noise_std=dict(zip(noise, scale, strict=True)),
         )
         runs.append(simulate(one.system, one.result.engine, batch).y.numpy() / scale)
-    worst = 0.0
-    for i, first in enumerate(runs):
-        for second in runs[i + 1 :]:
-            worst = max(worst, float(np.sqrt(np.mean(np.square(first - second)))))
-    return worst
+    return np.array([np.sqrt(np.mean(np.square(a - b))) for a, b in combinations(runs, 2)])

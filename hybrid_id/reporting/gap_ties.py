@@ -44,7 +44,9 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
             f"no command that was simulated parts the tied models by more than {best.distance:.2g} times the "
         )
         return [f"next experiment: {told}encoders' noise (RMS); change the load, or how the joint stands."]
-    return [
+    told = (
         f"next experiment: {best.name} at joint {best.joint}: the outputs of the tied models would differ by "
         f"{best.distance:.2g} times the encoders' noise (RMS; {best.today:.2g} in these records)."
-    ]
+    )
+    alike = "; ".join(" and ".join(_at(*name.split("@")) for name in pair) for pair in best.together)
+    return [told + (f" It does not part {alike}." if alike else "")]

@@ -236,3 +236,16 @@ def test_a_tie_is_not_parted_by_naming_nothing() -> None:
     sheets = dict.fromkeys(("named", "silent", "tied", "broken"), STRIBECK)
     found = resolved({"named": named, "silent": silent, "tied": tied, "broken": None}, sheets)
     assert [name for name, one in found["cases"].items() if one["resolved"]] == ["named"]
+
+
+def test_a_tie_of_two_names_for_one_thing_is_resolved_and_so_is_one_of_what_has_no_name() -> None:
+    bias = truth("constant_torque", "joint1/load")
+    bias |= {"right": ["constant_torque@joint1/load", "asymmetric_friction@joint1/motor_friction"]}
+    tied = said(effect("constant_torque", "joint1/load", selected=True)) | {"ties": [bias["right"]]}
+    other = said(effect("constant_torque", "joint1/load", selected=True))
+    other |= {"ties": [[*bias["right"], "spring_load@joint1/load"]]}
+    unknown = said(unknown=True) | {"ties": []}
+    sheets = dict.fromkeys(("tied", "other", "unknown"), sheet("single", bias))
+    found = resolved({"tied": tied, "other": other, "unknown": unknown}, sheets)["cases"]
+    assert [found[name]["resolved"] for name in ("tied", "other", "unknown")] == [True, False, True]
+    assert [found[name]["right"] for name in ("tied", "other", "unknown")] == [True, False, False]

@@ -213,6 +213,9 @@ def test_one_command_makes_runs_and_scores(tmp_path: Path, monkeypatch: pytest.M
     call("reproduce", "--out", tmp_path / "a", *wish, "--level", "weak", fails="cases of another seed")
     again = call("reproduce", "--out", tmp_path / "b", *wish)
     assert re.findall(r"hash of the answers: (\w+)", again) == re.findall(r"hash of the answers: (\w+)", said)
+    printed = call("reproduce", "--out", tmp_path / "a", *wish, "--json")
+    told = json.loads(printed[printed.index("{") :])
+    assert told["about"]["scored"] == 1 and told["command"] == "blind score"
 
 
 def test_proposed_experiment_is_simulated_and_parts_a_tie(

@@ -4,6 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from gapcase import small_case
 
 from hybrid_id.components import Stribeck
@@ -12,16 +13,17 @@ from hybrid_id.gap.refit import engine
 from hybrid_id.systems import System
 
 
-def explanation(system: System) -> SimpleNamespace:
+def explanation(system: System, name: str = "today") -> SimpleNamespace:
     """A model as a search ends with it."""
-    return SimpleNamespace(system=system, result=SimpleNamespace(engine=engine()))
+    effects = ((name, "joint1/load"),)
+    return SimpleNamespace(system=system, effects=effects, result=SimpleNamespace(engine=engine()))
 
 
 def test_the_experiment_that_parts_models_most_comes_first() -> None:
     dataset, today = small_case()
     falling = Stribeck(F_drop=0.005, v_s=20.0)
     other = today.with_component("joint1/motor_friction", falling)
-    found = next_experiment(dataset, [explanation(today), explanation(other)])
+    found = next_experiment(dataset, [explanation(today), explanation(other, "fall")])
     distances = [one.distance for one in found]
     assert len(found) == 6
     assert distances == sorted(distances, reverse=True)
@@ -32,6 +34,15 @@ def test_the_experiment_that_parts_models_most_comes_first() -> None:
         assert one.joint == 1
         assert not one.command[one.time < REST].any()
         assert 0 < np.abs(one.command).max() <= largest * (1 + 1e-12)
+
+
+def test_what_no_command_parts_is_said_and_the_rest_parted() -> None:
+    dataset, today = small_case()
+    other = today.with_component("joint1/motor_friction", Stribeck(F_drop=0.005, v_s=20.0))
+    tied = [explanation(today, "bias"), explanation(today, "uneven"), explanation(other, "fall")]
+    best = next_experiment(dataset, tied)[0]
+    assert best.tells and best.together == (("bias@joint1/load", "uneven@joint1/load"),)
+    assert best.distance == pytest.approx(next_experiment(dataset, tied[1:])[0].distance)
 
 
 def test_models_that_are_alike_are_parted_by_none() -> None:
