@@ -2,6 +2,7 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from joblib import Parallel, delayed
 from ladder import climb, leave_one_out, mean_errors, prepare
@@ -27,7 +28,7 @@ groups = sorted({float(r.signal(config["held_out"])[0]) for r in records})
 train = {g: [r for r in records if r.signal(config["held_out"])[0] != g] for g in groups}
 tasks = [(drive, records) for drive in config["drives"].values()]
 tasks += [(drive, train[g]) for drive in config["drives"].values() for g in groups]
-ladders = list(run(delayed(climb)(config, drive, some) for drive, some in tasks))
+ladders: list[Any] = list(run(delayed(climb)(config, drive, some) for drive, some in tasks))
 pooled = dict(zip(config["drives"], ladders, strict=False))
 print(error_table(pooled))
 
@@ -40,5 +41,5 @@ for drive, rotation in zip(config["drives"], (ladders[2:5], ladders[5:8]), stric
     )
 
 for drive, ladder in pooled.items():
-    left_out = run(delayed(leave_one_out)(config, rung, records) for rung in ladder.values())
+    left_out: list[Any] = list(run(delayed(leave_one_out)(config, rung, records) for rung in ladder.values()))
     print(parameter_table(drive, dict(zip(ladder, left_out, strict=True)), ladder))

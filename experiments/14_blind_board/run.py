@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 PARTS, EACH = 20, 12
-METHODS = ("diagnose", "sparse", "network")
+METHODS = ("diagnose", "sparse", "network", "stribeck")
 ROOT = Path("runs/board")
 BROKEN = 3
 """Exit code of a run with a case that broke off: it counts as wrong, and the board goes on."""
@@ -35,6 +35,7 @@ def run(start: int, step: int, keep: Path) -> None:
             command("blind", "make", "--out", part / "cases", "--answers", ROOT / f"p{k:02d}.tar", *options)
         methods = [word for method in METHODS for word in ("--method", method)]
         command("blind", "run", part / "cases", "--out", part / "run", *methods, fine=(0, BROKEN))
+        command("blind", "ties", part / "cases", part / "run", "--answers", ROOT / f"p{k:02d}.tar")
         half = archive.with_suffix(".part")
         with tarfile.open(half, "w:xz") as file:
             for path in (part / "run", part / "cases" / "manifest.json", ROOT / f"p{k:02d}.tar"):
