@@ -48,7 +48,8 @@ def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
     if content["ties"] is not None:
         page.section("Ties").add(ties_line(content["ties"]).replace("**", ""))
     facts = {
-        "scored": f"{about['date']}, at commit {about['commit']}",
+        "scored": about["date"],
+        "diagnosed": f"at commit {about['commit']}",
         "made": f"at commit {about['made_at']}, seed {about['seed']}",
         "hash of the answers": ", ".join(about["sha256"]),
     }
@@ -60,5 +61,5 @@ def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
 def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]):
     found = open_table(*heads)
     for row in rows:
-        found.add_row(*(cell.replace("**", "") for cell in row))
+        found.add_row(*(cell.replace("**", "").replace(" %", "\N{NO-BREAK SPACE}%") for cell in row))
     return found
