@@ -6,7 +6,7 @@ import numpy as np
 
 from hybrid_id.blind.case import Case, Records
 from hybrid_id.blind.effects import Effect
-from hybrid_id.blind.refit import Refit, refit_model
+from hybrid_id.blind.refit import Refit, refit_model, true_values
 from hybrid_id.blind.rivals import FARTHEST, fit_all
 
 SIZES = (0.5, 1.0, 2.0, 4.0)
@@ -57,7 +57,7 @@ def _fitted_with(case: Case, records: Records, effects: tuple[Effect, ...]) -> R
     model, added = refit_model(case, records), tuple(e for e in effects if type(e).alter is Effect.alter)
     fits = [model]
     if added:
-        true = replace(model, values={name: float(np.mean(truth.values[name])) for name in model.values})
+        true = replace(model, values=true_values(truth, model.values))
         starts = [(tuple(e.scaled(size) for e in added), m) for m in (model, true) for size in SIZES]
         fits = [fit for fit, _ in fit_all(case, records, starts)]
     return min((fit for fit in fits if np.isfinite(fit.test)), key=lambda fit: fit.train, default=None)

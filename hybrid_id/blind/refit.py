@@ -70,14 +70,11 @@ def refit_model(
     def build(values: Mapping[str, np.ndarray]) -> Plant:
         return robot.with_values({**dict.fromkeys(robot.lacks, 0.0), **values}).assemble(substeps=1)
 
-    true = {name: float(np.mean(robot.values[name])) for name in free_parameters(robot)}
+    true = true_values(robot, free_parameters(robot))
     if rounds is not None:
         return refit(build, [true], case, records, rounds=rounds)[0]
     given = case.model.get("parameters", {})
-    nominal = {
-        name: float(given[name]["nominal"]) if name in given else value for name, value in true.items()
-    }
-    starts = [true, {name: value or true[name] for name, value in nominal.items()}]
+    starts = [true, {n: float(given[n]["nominal"] or v) if n in given else v for n, v in true.items()}]
     for turn in (0, 1):
         starts.append({n: v * APART ** (1 - 2 * ((i + turn) % 2)) for i, (n, v) in enumerate(true.items())})
     return min(refit(build, starts, case, records), key=lambda one: one.train)
@@ -88,6 +85,11 @@ def nominal_error(case: Case, records: Records) -> float:
     given = {name: entry["nominal"] for name, entry in case.model["parameters"].items()}
     robot = case.truth().with_values(dict.fromkeys(case.truth().values, 0.0)).with_values(given)
     return float(Bench(case, records, lambda values: robot.assemble(substeps=1)).test_errors({})[0])
+
+
+def true_values(robot: Robot, names: Collection[str]) -> dict[str, float]:
+    """Values of a robot's parameters, each as one number."""
+    return {name: float(np.mean(robot.values[name])) for name in names}
 
 
 def free_parameters(robot: Robot) -> list[str]:

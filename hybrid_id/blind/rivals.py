@@ -16,7 +16,7 @@ from hybrid_id.blind.effects import CATALOGUE, Effect
 from hybrid_id.blind.effects.base import UNKNOWN
 from hybrid_id.blind.physics.bench import Plant
 from hybrid_id.blind.physics.integrator import Machine
-from hybrid_id.blind.refit import ROUNDS, STEP, Bench, Refit, free_parameters, refit, refit_model
+from hybrid_id.blind.refit import ROUNDS, STEP, Bench, Refit, free_parameters, refit, refit_model, true_values
 from hybrid_id.blind.robots import Robot
 
 CLOSE, REST = 1.06, 0.1
@@ -68,11 +68,11 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
     model = refit_model(case, records)
     if beside:
         model, values = fit_with(case, records, beside, model)
-        beside = tuple(type(e)(e.joint, {**e.values, **v}) for e, v in zip(beside, values, strict=True))
+        beside = tuple(e.with_values(v) for e, v in zip(beside, values, strict=True))
         own = case.truth().values
         model = replace(model, values={name: value for name, value in model.values.items() if name in own})
     rng = np.random.default_rng([seed, 2])
-    true = replace(model, values={name: float(np.mean(case.truth().values[name])) for name in model.values})
+    true = replace(model, values=true_values(case.truth(), model.values))
     # the truth itself, simulated and fitted as its rivals are, does not always come down to the floor
     if type(truth).alter is Effect.alter:
         own = fit_with(case, records, (truth, *beside), true)[0].test
@@ -96,18 +96,16 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
             tried = [((s, *beside), model) for s, left, model in starts if left <= WORTH]
             fits = zip(fit_all(case, records, tried, rounds=LOOK), tried, strict=True)
             (fitted, values), (effects, _) = min(fits, key=lambda one: one[0][0].train)
-            if np.isfinite(fitted.test) and fitted.test < PROMISING * floor:
-                effects = tuple(
-                    type(e)(e.joint, {**e.values, **v}) for e, v in zip(effects, values, strict=True)
-                )
+            effects = tuple(e.with_values(v) for e, v in zip(effects, values, strict=True))
+            if fitted.test < PROMISING * floor:
                 fitted, values = fit_with(case, records, effects, fitted)
-            fitted_effect = type(effects[0])(joint, {**effects[0].values, **values[0]})
+                effects = tuple(e.with_values(v) for e, v in zip(effects, values, strict=True))
             if not np.isfinite(fitted.test):
-                found.append(Rival(fitted_effect, np.inf, False, np.nan))
+                found.append(Rival(effects[0], np.inf, False, np.nan))
                 continue
             rest = float((fitted.test**2 - floor**2) / (model.test**2 - floor**2))
             counts = bool(fitted.test <= CLOSE * floor and rest < REST)
-            found.append(Rival(fitted_effect, rest, counts, float(fitted.test / floor)))
+            found.append(Rival(effects[0], rest, counts, float(fitted.test / floor)))
     return sorted(found, key=lambda rival: rival.rest)
 
 

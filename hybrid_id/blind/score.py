@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binom, binomtest, norm
+from scipy.stats import binom, norm
 
 from hybrid_id.blind.judge import Judged
 
@@ -89,9 +89,7 @@ def figures(judged: Sequence[Judged]) -> dict[str, Score]:
 
 def share(answers: Sequence[bool]) -> Score:
     """A share with Wilson's interval (E. B. Wilson, J. Am. Stat. Assoc. 22, 1927)."""
-    interval = binomtest(sum(answers), len(answers)).proportion_ci(LEVEL, method="wilson")
-    low, high = float(interval.low), float(interval.high)
-    return {"value": sum(answers) / len(answers), "low": low, "high": high, "n": len(answers)}
+    return mean([float(answer) for answer in answers])
 
 
 def mean(values: Sequence[float]) -> Score:

@@ -79,7 +79,11 @@ class Effect:
     def scaled(self, factor: Lanes) -> Self:
         """The same effect, larger or smaller; a factor may differ from lane to lane, (B,)."""
         grown = {key: value * factor for key, value in self.values.items() if key in self.sized}
-        return type(self)(self.joint, {**self.values, **grown})
+        return self.with_values(grown)
+
+    def with_values(self, values: Mapping[str, Any]) -> Self:
+        """The same effect with some other values."""
+        return type(self)(self.joint, {**self.values, **values})
 
     def size(self) -> dict[str, float]:
         """What the answer sheet says of it."""

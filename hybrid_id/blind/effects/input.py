@@ -88,15 +88,12 @@ class SoftLimit(HardLimit):
 class WeakSupply(Effect):
     """A supply whose voltage sags under load."""
 
-    name, place, sized = "supply_sag", "input", ("sag",)
+    name, place, sized, size_keys = "supply_sag", "input", ("sag",), {"sag": "volts_per_newton_metre"}
 
     @classmethod
     def draw(cls, rng, robot, joint):
         sag = rng.uniform(0.1, 0.5) * robot.supply / stall(robot, joint)
         return cls(joint, {"sag": sag, "supply": robot.supply})
-
-    def size(self):
-        return Effect(self.joint, {"volts_per_newton_metre": self.values["sag"]}).size()
 
     def install(self, machine, robot):
         # beyond it the voltage that is left swings from step to step

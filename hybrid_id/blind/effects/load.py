@@ -46,7 +46,7 @@ class Tilt(Effect):
 
     def scaled(self, factor):
         grown = super().scaled(factor)
-        return type(self)(self.joint, {**grown.values, "sine": np.clip(grown.values["sine"], -0.95, 0.95)})
+        return grown.with_values({"sine": np.clip(grown.values["sine"], -0.95, 0.95)})
 
     def install(self, machine, robot):
         pull: Lanes = GRAVITY * self.values["sine"]
