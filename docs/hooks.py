@@ -1,6 +1,7 @@
-"""Pages that are made from the package: equation sheets and the Python interface; links out of docs/ are turned in."""
+"""Pages made from the package and notebooks: equation sheets, Python interface; links out of docs/ are turned in."""
 
 import inspect
+import json
 import re
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import hybrid_id
 from hybrid_id.components.base import PLACES, REGISTRY
 
 CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
+NOTEBOOKS = sorted((Path(__file__).parent / "notebooks").glob("*.ipynb"))
 
 
 def on_files(files, config):
@@ -18,6 +20,7 @@ def on_files(files, config):
         "equations.md": equations(),
         "api.md": api(),
         "contributing.md": CONTRIBUTING.read_text(encoding="utf-8"),
+        **{f"notebook_{path.stem}.md": notebook(path) for path in NOTEBOOKS},
     }
     for name, text in pages.items():
         files.append(File.generated(config, name, content=text))
@@ -29,6 +32,18 @@ def on_page_markdown(markdown, page, **_):
     markdown = markdown.replace("](../CONTRIBUTING.md", "](contributing.md")
     markdown = re.sub(r"\]\(docs/(\w+\.md)", r"](\1", markdown)
     return re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", markdown)
+
+
+def notebook(path: Path) -> str:
+    """A notebook's cells in their order; what they print, the reader's own run shows."""
+    cells = [
+        (cell["cell_type"], "".join(cell["source"])) for cell in json.loads(path.read_text("utf-8"))["cells"]
+    ]
+    told = f"In a clone this is `docs/notebooks/{path.name}`."
+    return (
+        "\n\n".join([f"```python\n{text}\n```" if kind == "code" else text for kind, text in cells] + [told])
+        + "\n"
+    )
 
 
 def equations() -> str:

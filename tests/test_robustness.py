@@ -152,6 +152,13 @@ def gzip_bomb(file: Path) -> None:
             stream.write(b"0" * 1_000_000)
 
 
+def second_member(file: Path) -> None:
+    """A bomb behind a harmless table: gzip files may be joined."""
+    gzip_bomb(file)
+    table = b"t,u1,q_m1\n" + b"".join(b"%d,0,%d\n" % (k, k) for k in range(100_000))
+    file.write_bytes(gzip.compress(table) + file.read_bytes())
+
+
 def mat_bomb(file: Path) -> None:
     """One compressed variable of zeros, by the format's letter (MATLAB, MAT-File Format, R2024a, chapter 1)."""
     count = FREE // 4
@@ -172,7 +179,13 @@ def parquet_bomb(file: Path) -> None:
 
 @pytest.mark.parametrize(
     ("name", "make"),
-    [("b.csv.gz", gzip_bomb), ("b.json.gz", gzip_bomb), ("b.mat", mat_bomb), ("b.parquet", parquet_bomb)],
+    [
+        ("b.csv.gz", gzip_bomb),
+        ("c.csv.gz", second_member),
+        ("b.json.gz", gzip_bomb),
+        ("b.mat", mat_bomb),
+        ("b.parquet", parquet_bomb),
+    ],
 )
 def test_bombs_are_refused_before_they_unpack(
     tmp_path: Path, name: str, make: Callable[[Path], None]

@@ -9,6 +9,10 @@ from typing import Any
 Sheet = Mapping[str, Any]
 Said = Mapping[str, Any]
 """The content of a ``diagnosis.json``."""
+SOUND = ("none", "parameters")
+"""Families whose structure is right; on sheets of earlier generators, ``none`` has wrong values, too."""
+RIGHT, WRONG = 1.05, 1.2
+"""Error of today's values over that of the re-fit up to which they are right, and from which they are wrong."""
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class Judged:
         whole: whether exactly what was at work is named: all effects and no other, nothing where nothing was, and
             "unknown" with no name beside it where it is outside the catalogue.
         false_alarm: whether something is named in a case where the structure is right.
+        values: whether it is told there that nothing is wrong, or the parameters alone.
         outside: whether something outside the catalogue is detected where it acts.
         false_unknown: whether it is claimed where nothing like it acts.
         confidence: probability of the effect that is ranked first, and whether that one was at work.
@@ -56,6 +61,7 @@ class Judged:
     pair: tuple[int, int, int] | None = None
     whole: bool = False
     false_alarm: bool | None = None
+    values: bool | None = None
     outside: bool | None = None
     false_unknown: bool | None = None
     confidence: tuple[float, bool] | None = None
@@ -108,13 +114,14 @@ def judge(case: str, sheet: Sheet, said: Said | None) -> Judged:
         top_1_at_place=bool(first and _right(first, truth[0])) if single else None,
         pair=(hits, len(chosen), len(truth)) if family == "pair" else None,
         whole=not broken and unknown is not known and len(chosen) == hits == (len(truth) if known else 0),
-        false_alarm=(bool(chosen) or unknown) if family == "none" and not broken else None,
+        false_alarm=(bool(chosen) or unknown) if family in SOUND and not broken else None,
+        values=_values(said, sheet) if family in SOUND and not broken else None,
         outside=unknown if not known else None,
         false_unknown=unknown if known and not broken else None,
         confidence=None if first is None else (float(first["probability"]), bool(_hits([first], truth))),
         shrink_error=error,
         covered=covered,
-        closed=_closed(said, sheet),
+        closed=None if broken else _closed(said, sheet),
     )  # fmt: skip
 
 
@@ -147,6 +154,14 @@ def _in_a_word(family: str, truth: Sequence[Sheet], chosen: Sequence[Said], unkn
     return str(chosen[0]["name"])
 
 
+def _values(said: Said, sheet: Sheet) -> bool | None:
+    """Whether the verdict has it right that today's values are right, or wrong; None of a method without a re-fit."""
+    ratio = sheet["oracle"]["nominal"] / sheet["oracle"]["refit"]
+    if RIGHT < ratio < WRONG or (said.get("gap") or {}).get("refit") is None:
+        return None
+    return said["verdict"] == ("no_gap" if ratio <= RIGHT else "parameters_only")
+
+
 def _shrink(said: Said, sheet: Sheet) -> tuple[float | None, bool | None]:
     """Error [points] and coverage of the share of the gap that closes, where a diagnosis adds something.
 
@@ -165,7 +180,8 @@ def _shrink(said: Said, sheet: Sheet) -> tuple[float | None, bool | None]:
         return None, None
     true = (before - after) / closable
     interval = gap.get("shrink_interval")
-    covered = None if interval is None else bool(interval[0] <= true <= interval[1])
+    low, high = interval or (None, None)  # numbers that are none are kept as nothing
+    covered = None if low is None or high is None else bool(low <= true <= high)
     return 100 * (claimed - true), covered
 
 

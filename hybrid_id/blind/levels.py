@@ -6,6 +6,7 @@ import numpy as np
 
 from hybrid_id.blind.case import Case, Records, build, record, record_sizes
 from hybrid_id.blind.refit import Bench, nominal_error, refit_model
+from hybrid_id.errors import InputError
 
 BANDS = {"strong": (3.2, 9.0), "medium": (1.6, 2.8), "weak": (1.18, 1.45)}
 """Ratio of re-fit to noise floor that is aimed at; a level's own limits are a little wider."""
@@ -89,6 +90,9 @@ def scale_to_level(case: Case, wanted: str) -> Graded:
         if BANDS[wanted][0] <= tried[i] <= BANDS[wanted][1]:
             break
         below, above = (i, above) if tried[i] < goal else (below, i)
-    i = min(tried, key=lambda i: abs(np.log(tried[i] / goal)))
+    known = [k for k, level in tried.items() if np.isfinite(level)]
+    if not known:
+        raise InputError("blind make: no size of the effect gives records that can be fitted")
+    i = min(known, key=lambda k: abs(np.log(tried[k] / goal)))
     best = case.with_effects([effect.scaled(float(FACTORS[i])) for effect in case.effects])
     return Graded(best, made[i], errors_of(best, made[i])) if case.engine == "in_house" else grade(best)

@@ -12,6 +12,7 @@ from joblib import Parallel, delayed
 
 from hybrid_id.blind.draw import FAMILIES, LEAST, SEEN, draw_case, family_and_level
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE
+from hybrid_id.blind.judge import SOUND
 from hybrid_id.blind.levels import BANDS, Graded
 from hybrid_id.blind.pairs import with_only
 from hybrid_id.blind.rivals import find_rivals
@@ -45,7 +46,7 @@ def make_case(
         seed: source of all that is random.
         folder: the case becomes a folder in it, its answers `answers/NAME.yaml`.
         name: of the case; `c` and the seed by default.
-        family: single, pair, none or unknown.
+        family: single, pair, none, parameters or unknown.
         system: one_link, one_link_flexible or two_link.
         effect: name of the effect, or the first one of a pair; of the class for effects outside the catalogue.
         level: strong, medium or weak.
@@ -163,7 +164,7 @@ def _check(**given: str | None) -> None:
     outside = given["effect"] in {kind.__name__ for kind in OUTSIDE}
     if (
         given["effect"]
-        and given["family"] not in (None, "none")
+        and given["family"] not in (None, *SOUND)
         and outside != (given["family"] == "unknown")
     ):
         where = (
@@ -172,6 +173,8 @@ def _check(**given: str | None) -> None:
             else "in the catalogue; give family single or pair"
         )
         raise InputError(f"blind make: effect '{given['effect']}' is {where}")
-    for option in ("effect", "level") if given["family"] == "none" else ():
+    for option in ("effect", "level") if given["family"] in SOUND else ():
         if given[option] is not None:
-            raise InputError(f"blind make: family 'none' has nothing at work; leave {option} out")
+            raise InputError(
+                f"blind make: family '{given['family']}' has nothing at work; leave {option} out"
+            )

@@ -23,6 +23,7 @@ SHARES: Mapping[str, Callable[[Judged], bool | None]] = {
     "top_1_at_place": lambda one: one.top_1_at_place,
     "whole": lambda one: one.whole,
     "false_alarms": lambda one: one.false_alarm,
+    "values": lambda one: one.values,
     "outside_detected": lambda one: one.outside,
     "false_unknown": lambda one: one.false_unknown,
     "covered": lambda one: one.covered,

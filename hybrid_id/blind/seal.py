@@ -3,6 +3,7 @@
 import hashlib
 import io
 import json
+import shutil
 import tarfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -60,10 +61,18 @@ def seal(cases: Path, archive: Path | None, about: Mapping[str, Any]) -> dict[st
         _write(archive, content)
     _write(cases / MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
     if archive is not None:
-        for sheet in (cases / ANSWERS).glob("*.yaml"):
-            sheet.unlink()
-        (cases / ANSWERS).rmdir()
+        shutil.rmtree(cases / ANSWERS)
     return manifest
+
+
+def was_sealed(cases: Path, archive: Path) -> bool:
+    """Whether an archive holds the answers to the cases already; sheets that a killed run has left beside them go."""
+    if not (cases / MANIFEST).is_file() or not archive.is_file():
+        return False
+    same = read_manifest(cases)["answers"]["sha256"] == _hash(archive)
+    if same:
+        shutil.rmtree(cases / ANSWERS, ignore_errors=True)
+    return same
 
 
 def case_names(cases: Path) -> list[str]:
@@ -96,26 +105,40 @@ def read_manifest(cases: Path) -> dict[str, Any]:
     raise InputError(f"{file} does not tell the hash of the answers; make the cases anew") from None
 
 
-def refuse_reachable(cases: Path, runs: Path, sha256: str) -> None:
+def refuse_others(cases: Path, **about: Any) -> None:
+    """Raise InputError where the cases of a folder were made otherwise than ``about`` tells."""
+    manifest = {"first": 1} | read_manifest(cases)
+    if any(manifest[key] != value for key, value in about.items()):
+        raise InputError(f"{cases} holds cases of another seed, number or kind; give another --out")
+
+
+def refuse_reachable(cases: Path, runs: Path, manifest: Mapping[str, Any]) -> None:
     """Raise InputError where answers lie in the folder of the cases or of the runs, or beside either.
+
+    The archive is found under any name, as long as nobody has packed it once more.
 
     Args:
         cases: folder of the cases.
         runs: folder of the diagnoses; need not exist.
-        sha256: hash of the archive, which is found under any name.
+        manifest: of the cases.
     """
     cases, runs = cases.resolve(), runs.resolve()
-    for folder in dict.fromkeys((cases, cases.parent, runs, runs.parent)):
-        for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-            named = path.name.split(".")[0] == ANSWERS
-            if named or (path.is_file() and _is_archive(path) and _hash(path) == sha256):
-                raise InputError(
-                    f"{path} can be read by the run, which must not see answers; move it to another folder"
-                )
+    sheets = {f"{name}.yaml" for name in manifest["names"]}
+    beside = [path for folder in (cases.parent, runs.parent) for path in _listed(folder, "*")]
+    for path in dict.fromkeys((*_listed(cases, "**/*"), *_listed(runs, "**/*"), *beside)):
+        named = ANSWERS in path.name.split(".") or path.name in sheets
+        if named or (_is_archive(path) and _hash(path) == manifest["answers"]["sha256"]):
+            raise InputError(
+                f"{path} can be read by the run, which must not see answers; move it to another folder"
+            )
+
+
+def _listed(folder: Path, pattern: str) -> list[Path]:
+    return sorted(folder.glob(pattern)) if folder.is_dir() else []
 
 
 def _is_archive(path: Path) -> bool:
-    """Whether a file, whatever its name, begins as an archive does; one that cannot be read gives nothing away."""
+    """Whether a path, whatever its name, is a file that begins as an archive; what cannot be read tells nothing."""
     try:
         with path.open("rb") as file:
             return file.read(262)[257:] == b"ustar"

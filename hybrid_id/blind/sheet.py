@@ -25,7 +25,7 @@ def answers(
 
     Args:
         graded: the case with its records.
-        family: single, pair, none or unknown.
+        family: single, pair, none, parameters or unknown.
         source: the seed that it was made from, and which of the machines that were drawn.
         rivals: for each effect others that were tried in its place, the best first; none where they were not tried.
         alone: what each effect of a pair leaves without the other; None where that was not tried.

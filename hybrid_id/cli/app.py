@@ -1,7 +1,6 @@
 """The commands by name, and the one place where errors become messages and exit codes."""
 
 import errno
-import io
 import re
 import sys
 from typing import Annotated, Any, NoReturn
@@ -15,6 +14,7 @@ from hybrid_id.cli.ablate import ablate
 from hybrid_id.cli.blind import blind
 from hybrid_id.cli.check import check
 from hybrid_id.cli.components import components
+from hybrid_id.cli.console import printable
 from hybrid_id.cli.demo import demo
 from hybrid_id.cli.diagnose import diagnose
 from hybrid_id.cli.doctor import doctor
@@ -27,8 +27,8 @@ from hybrid_id.cli.reproduce import reproduce
 from hybrid_id.cli.train import train
 from hybrid_id.errors import InputError
 
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
-"""The disk is full, the user's share of it is, or nobody may write there."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
+"""The disk is full, the user's share of it is, a file may not be that large, or nobody may write there."""
 NAMED = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 """A name that the user gave leads nowhere: no right to go there, too long, below a file, in a circle."""
 
@@ -83,8 +83,7 @@ def _plain(message: str) -> str:
 
 
 def _refuse(message: str, code: int = 2) -> int:
-    # what a file says may hold escape sequences, which a terminal obeys
-    sentence = "".join(c if c.isprintable() else "?" for c in " ".join(message.split()))
+    sentence = printable(" ".join(message.split()))
     print(f"Error: {sentence}{'' if sentence.endswith(('.', '?')) else '.'}", file=sys.stderr)
     return code
 
@@ -119,12 +118,3 @@ for command in (
 ):  # fmt: skip
     app.command()(command)
 app.add_typer(blind, name="blind")
-
-
-def main() -> NoReturn:
-    """Entry point of the console script."""
-    for stream in (sys.stdout, sys.stderr):  # a terminal in ASCII has no ±
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")
-    app()
-    raise AssertionError("a command line ends with its exit code")

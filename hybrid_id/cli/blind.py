@@ -20,7 +20,7 @@ from hybrid_id.cli.blind_run import (
     run_methods,
     seed_of,
 )
-from hybrid_id.cli.blind_score import AppendOption, gathered, score, write_scores
+from hybrid_id.cli.blind_score import AppendOption, check_append, gathered, score, write_scores
 from hybrid_id.cli.blind_ties import run_ties, ties
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
@@ -61,7 +61,7 @@ SystemOption = Annotated[
     str | None, typer.Option(help="one_link, one_link_flexible or two_link.", show_default="drawn")
 ]
 FamilyOption = Annotated[
-    str | None, typer.Option(help="single, pair, none or unknown.", show_default="drawn")
+    str | None, typer.Option(help="single, pair, none, parameters or unknown.", show_default="drawn")
 ]
 EffectOption = Annotated[
     str | None, typer.Option(help="Name of the effect, say backlash.", show_default="drawn")
@@ -119,9 +119,10 @@ def make_sealed(
     first: int = 1,
 ) -> None:
     """Make cases, move their answers into the archive, and say how it went."""
-    from hybrid_id.blind.seal import ANSWERS, seal
-    from hybrid_id.cli.folder import refuse_taken, sole_writer
+    from hybrid_id.blind.seal import ANSWERS, seal, was_sealed
+    from hybrid_id.cli.folder import make_parents, refuse_taken, remove_empty, sole_writer
     from hybrid_id.contenders.keep import write_json
+    from hybrid_id.contenders.run import read_case
     from hybrid_id.reporting.tables import count
 
     about: dict[str, Any] = {
@@ -137,13 +138,18 @@ def make_sealed(
         refuse_taken(out)
     elif json.loads(begun.read_text(encoding="utf-8")) != about:
         raise InputError(f"{out} holds unfinished cases of another seed, number, kind or commit; remove it")
-    place = None if archive is None else archive.resolve().parent
-    if place is not None and (place.is_relative_to(out.resolve()) or place == out.resolve().parent):
+    place, home = None if archive is None else archive.resolve().parent, out.resolve()
+    if place is not None and (place.is_relative_to(home) or place == home.parent):
         raise InputError(
             f"{archive} is in the folder of the cases or beside it, where 'blind run' could read it; give another"
         )
+    if archive is not None and begun.exists() and was_sealed(out, archive):  # killed before its last step
+        begun.unlink()
+        return show(f"the cases in {out} were sealed already, their answers in {archive}")
     if archive is not None and archive.exists():
-        raise InputError(f"{archive} exists already; remove it, or give another --answers")
+        raise InputError(f"{archive} exists already; give the name of a new file as --answers")
+    if archive is not None:
+        remove_empty(make_parents(archive))  # a trial, before anything is made
     out.mkdir(parents=True, exist_ok=True)
     with sole_writer(out):
         write_json(begun, about)
@@ -151,7 +157,8 @@ def make_sealed(
         if len(made) < cases:
             remark(f"{cases - len(made)} of {cases} cases were left out: their effect did not show as wanted")
         about["made"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        sealed = seal(out, archive, about)["answers"]["sha256"]
+        digests = {path.name: read_case(path).digest for path in made}
+        sealed = seal(out, archive, about | {"digests": digests})["answers"]["sha256"]
         begun.unlink()
     show(f"{count(len(made), 'case')} in {out}, their answers in {archive or out / ANSWERS}")
     show(f"hash of the answers: {sealed}")
@@ -162,6 +169,7 @@ def _make(
 ) -> list[Path]:
     """Make cases in a folder that remembers what it is to hold until they are sealed."""
     from hybrid_id.blind.make import make_cases
+    from hybrid_id.cli.folder import remove_empty
 
     try:
         with counting("cases") as bar:
@@ -175,6 +183,7 @@ def _make(
         raise KeyboardInterrupt(f"stopped; the same command goes on with the cases in {out}") from None
     except InputError:
         (out / BEGUN).unlink()
+        remove_empty([out])
         raise
     return made
 
@@ -204,11 +213,14 @@ def reproduce(
     The same command goes on after Ctrl-C.
     """
     check_backend(backend, scheduler)
+    check_append(append)
+    from hybrid_id.blind.seal import refuse_others
+
     made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
     options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
     with redirect_stdout(sys.stderr) if as_json else nullcontext():
-        if archive.exists():
-            _check_same(made, cases, seed_of(seed), options, first)
+        if archive.exists() and not (made / BEGUN).exists():
+            refuse_others(made, asked=cases, seed=seed_of(seed), options=options, first=first)
         else:
             make_sealed(made, archive, cases, seed_of(seed), options, jobs, first)
         runs.parent.mkdir(parents=True, exist_ok=True)
@@ -226,16 +238,6 @@ def reproduce(
         show(f"results are in {runs}")
     if broken:
         raise typer.Exit(BROKEN)
-
-
-def _check_same(made: Path, cases: int, seed: int, options: dict[str, str | None], first: int) -> None:
-    """Refuse to go on with cases that were made otherwise."""
-    from hybrid_id.blind.seal import read_manifest
-
-    manifest = read_manifest(made)
-    same = manifest["asked"], manifest["seed"], manifest["options"], manifest.get("first", 1)
-    if same != (cases, seed, options, first):
-        raise InputError(f"{made} holds cases of another seed, number or kind; give another --out")
 
 
 blind.command()(run)

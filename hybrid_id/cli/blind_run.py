@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hybrid_id import __version__
-from hybrid_id.cli.console import remark, show
+from hybrid_id.cli.console import printable, remark, show
 from hybrid_id.cli.options import Backend, BackendOption, ProcessesOption, SchedulerOption, check_backend
 from hybrid_id.cli.progress import counting
 from hybrid_id.errors import InputError
-from hybrid_id.reporting.provenance import UNKNOWN, commit
+from hybrid_id.reporting.provenance import DIRTY, UNKNOWN, commit
 
 BROKEN = 3
 """Exit code where a case has broken off, all others being done."""
 
 if TYPE_CHECKING:
-    from hybrid_id.contenders.run import Settings
+    from hybrid_id.contenders.run import Case, Settings
 
 
 class Method(StrEnum):
@@ -93,33 +93,37 @@ def run_methods(
 ) -> int:
     """Let contenders take the cases one after the other; returns how many cases broke."""
     from hybrid_id.blind.seal import case_names, read_manifest, refuse_reachable
-    from hybrid_id.cli.folder import sole_writer
-    from hybrid_id.contenders.external import refuse_missing, words_of
+    from hybrid_id.cli.folder import sole_writer, visible
+    from hybrid_id.contenders.external import digest_of, refuse_missing, words_of
     from hybrid_id.contenders.keep import make_room
-    from hybrid_id.contenders.run import Settings
+    from hybrid_id.contenders.run import Settings, read_cases
 
     if (Method.external in methods) != (command is not None):
         raise InputError("--method external and --command belong together; give both, or neither")
+    if command is not None and train_records is not None:
+        raise InputError("an external contender takes cases as they are; leave --train-records out")
     if command is not None:
         program = words_of(command)[0]
         if scheduler is None:
             refuse_missing(program)
     manifest = read_manifest(cases)
-    refuse_reachable(cases, out, manifest["answers"]["sha256"])
+    refuse_reachable(cases, out, manifest)
     if missing := sorted(set(manifest["names"]) ^ set(case_names(cases))):
         raise InputError(f"{cases} and its manifest differ in {', '.join(missing[:5])}; make the cases anew")
-    if out.is_dir() and any(out.iterdir()) and not any(out.glob("*/run.json")):
+    begun = [out / m.value for m in Method]  # killed before its first line, a run leaves an empty folder
+    if any(p not in begun or visible(p) for p in visible(out)) and not any(out.glob("*/run.json")):
         raise InputError(f"{out} holds files that are no runs; give another folder")
-    broken = 0
+    broken, todo = 0, read_cases(cases, manifest)
     for m in methods:
-        settings = Settings(m.value, train_records, command if m is Method.external else None)
+        own = (command, digest_of(command)) if m is Method.external else (None, None)
+        settings = Settings(m.value, train_records, *own)
         with sole_writer(make_room(out / m.value)):
-            broken += _run(cases, out / m.value, settings, manifest, jobs, scheduler)
+            broken += _run(todo, out / m.value, settings, manifest, jobs, scheduler)
     return broken
 
 
 def _run(
-    cases: Path,
+    todo: "Sequence[Case]",
     folder: Path,
     settings: "Settings",
     manifest: Mapping[str, Any],
@@ -128,7 +132,7 @@ def _run(
 ) -> int:
     """One contender's run; returns how many cases broke."""
     from hybrid_id.contenders.keep import begin, is_done, key_of, load, save
-    from hybrid_id.contenders.run import read_case, run_cases
+    from hybrid_id.contenders.run import run_cases
 
     method, at = settings.method, commit()
     begin(
@@ -143,7 +147,6 @@ def _run(
             "cases": manifest,
         },
     )
-    todo = [read_case(cases / name) for name in manifest["names"]]
     keys = {case.name: key_of(case, settings, __version__, at) for case in todo}
     left = [case for case in todo if not is_done(load(folder, case.name), keys[case.name])]
     done, broken = len(todo) - len(left), 0
@@ -158,7 +161,7 @@ def _run(
                 done, broken = done + 1, broken + bool(about["message"])
                 bar.advance(task)
                 how = about["message"] or f"{said['verdict']}, {about['seconds']:.0f} s"
-                line = f"{method} {done} of {len(todo)}: {case.name}, {how}"
+                line = f"{method} {done} of {len(todo)}: {case.name}, {printable(how)}"
                 bar.console.print(line, markup=False, soft_wrap=True, style="dim")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -176,6 +179,6 @@ def seed_of(text: str) -> int:
     if text != "commit":
         raise InputError(f"--seed {text} is neither a number nor 'commit'; give one of them")
     at = commit()
-    if at == UNKNOWN or at.endswith("-dirty"):
+    if at == UNKNOWN or DIRTY in at:
         raise InputError("--seed commit needs a checkout without changes; commit them, or give a number")
     return int(at[:8], 16)

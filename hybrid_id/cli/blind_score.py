@@ -14,6 +14,7 @@ from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import show
 from hybrid_id.cli.options import JsonOption
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.provenance import short
 
 if TYPE_CHECKING:
     from hybrid_id.blind.judge import Judged
@@ -58,6 +59,7 @@ def score(
     All contenders in the folder are scored side by side. Cases that were made and run in parts are scored together.
     Writes scores.json, scoreboard.md, report.html and pictures into the (first) folder.
     """
+    check_append(append)
     content = gathered(runs, answers, partial=partial)
     text = write_scores(runs[0], content, append)
     if as_json:
@@ -67,6 +69,12 @@ def score(
 
     show(markdown(content))
     show(f"results are in {runs[0]}: {SCORES}, {BOARD}, {PAGE}, pictures")
+
+
+def check_append(append: Path | None) -> None:
+    """Refuse a name for the file of scoreboards that leaves none for the folder of its pictures."""
+    if append is not None and (not append.suffix or append.is_dir()):
+        raise InputError(f"--append {append} is no name of a file of text; give one that ends in .md")
 
 
 def gathered(runs: Sequence[Path], archives: Sequence[Path], *, partial: bool = False) -> dict[str, Any]:
@@ -102,11 +110,12 @@ def gathered(runs: Sequence[Path], archives: Sequence[Path], *, partial: bool = 
         "commit": told[first]["commit"],
         "commits": {method: run["commit"] for method, run in told.items()},
         "seed": manifest["seed"],
+        "asked": asked,
         "cases": sum(len(one["names"]) for one in manifests),
         "scored": len(judged[first]),
         "made_at": manifest["commit"],
         "sha256": [one["answers"]["sha256"] for one in manifests],
-        "commands": [_command(manifest | {"asked": asked}, told)],
+        "commands": _commands(manifest | {"asked": asked}, told),
     }
     return {"about": about, "methods": methods, "ties": _ties(runs, about["commit"])}
 
@@ -130,14 +139,15 @@ def _check_parts(
     """Refuse parts that are not one set of cases, taken by the same programs."""
 
     def same(part: dict[str, Any], manifest: dict[str, Any]) -> Any:
-        programs = {method: (run["commit"], run["train_records"]) for method, run in part.items()}
+        known = ("commit", "train_records", "command")
+        programs = {method: [run.get(key) for key in known] for method, run in part.items()}
         return programs, manifest["seed"], manifest["options"], manifest["commit"]
 
     number = 1
     for folder, part, manifest in zip(runs, parts, manifests, strict=True):
         if same(part, manifest) != same(parts[0], manifests[0]):
             raise InputError(
-                f"{folder} and {runs[0]} differ in seed, kind of cases, method or commit; score them apart"
+                f"{folder} and {runs[0]} differ in seed, kind of cases, method, command or commit; score them apart"
             )
         if len(runs) > 1 and manifest.get("first", 1) != number:
             raise InputError(f"{folder} does not begin with case {number}; give all parts, in their order")
@@ -145,12 +155,15 @@ def _check_parts(
 
 
 def _ties(runs: Sequence[Path], commit: str) -> dict[str, Any] | None:
-    """What became of ties, of all parts together; None where not all have been tried at this commit."""
+    """What became of ties, of all parts together; None where not all that there are have been tried at this commit."""
     from hybrid_id.blind.score import of_ties
+    from hybrid_id.cli.blind_ties import tied_cases
 
     files = [folder / "ties.json" for folder in runs]
     found = [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
     if len(found) < len(files) or any(one["commit"] != commit for one in found):
+        return None
+    if any(set(one["cases"]) != set(tied_cases(f / "diagnose")) for one, f in zip(found, runs, strict=True)):
         return None
     return of_ties({name: one for part in found for name, one in part["cases"].items()}) | {"commit": commit}
 
@@ -172,7 +185,7 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
     left = [name for name in about["cases"]["names"] if name not in said]
     if left and not (partial and said):
         raise InputError(
-            f"{folder} lacks {len(left)} of {len(left) + len(said)} cases at commit {about['commit'][:7]} "
+            f"{folder} lacks {len(left)} of {len(left) + len(said)} cases at commit {short(about['commit'])} "
             f"({', '.join(left[:3])} ...); run them first, or give --partial"
         )
     return [judge(name, sheets[name], one) for name, one in said.items()]
@@ -202,7 +215,7 @@ def write_scores(runs: Path, content: dict[str, Any], append: Path | None) -> st
         for name in (*(f"{name}.png" for name in figures), PAGE, BOARD, SCORES):
             (new / name).replace(runs / name)
     if append is not None:
-        append_section(append, markdown(content))
+        append_section(append, content, {name: figure.image for name, figure in figures.items()})
     return text
 
 
@@ -212,8 +225,16 @@ def _order() -> list[str]:
     return [method.value for method in Method]
 
 
+def _commands(manifest: dict[str, Any], told: dict[str, dict[str, Any]]) -> list[str]:
+    """Commands that make, run and score the same cases again: one for all contenders with the same settings."""
+    alike: dict[Any, dict[str, dict[str, Any]]] = {}
+    for method, run in told.items():
+        alike.setdefault((run["train_records"], run["commit"]), {})[method] = run
+    return [_command(manifest, some) for some in alike.values()]
+
+
 def _command(manifest: dict[str, Any], told: dict[str, dict[str, Any]]) -> str:
-    """The command that makes, runs and scores the same cases again."""
+    """One of these."""
     first = manifest.get("first", 1)
     options = {
         "--seed": manifest["seed"],

@@ -44,11 +44,12 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     """Simulate and diagnose; returns what `resolved` does."""
     from hybrid_id.cli.folder import sole_writer
     from hybrid_id.contenders.keep import is_done, key_of, load, read_run, save, write_json
-    from hybrid_id.contenders.run import Settings, run_cases
+    from hybrid_id.contenders.run import Settings, read_cases, run_cases
 
     about = read_run(runs / "diagnose")
-    tied = tied_cases(runs / "diagnose", about["cases"]["names"])
+    tied = tied_cases(runs / "diagnose")
     sheets = _sheets(answers, about)
+    read_cases(cases, about["cases"], list(tied))
     among = about["train_records"]  # the further record comes before them, and displaces none
     folder, settings, at = runs / TIES, Settings("diagnose", among and among + 1), commit()
     folder.mkdir(exist_ok=True)
@@ -68,14 +69,15 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     return found
 
 
-def tied_cases(folder: Path, names: list[str]) -> dict[str, Mapping[str, Any]]:
-    """The proposed experiment of each case with a tie."""
-    from hybrid_id.contenders.keep import load
+def tied_cases(folder: Path) -> dict[str, Mapping[str, Any]]:
+    """The proposed experiment of each case with a tie, of a run of the diagnosis."""
+    from hybrid_id.contenders.keep import load, read_run
 
-    found = {}
-    for name in names:
+    found, about = {}, read_run(folder)
+    for name in about["cases"]["names"]:
         said = load(folder, name) or {}
-        if said.get("ties") and said.get("next_experiments"):
+        current = said.get("run", {}).get("commit") == about["commit"]
+        if current and said.get("ties") and said.get("next_experiments"):
             found[name] = said["next_experiments"][0]
     return found
 

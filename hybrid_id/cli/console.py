@@ -32,3 +32,8 @@ def show(*parts: RenderableType) -> None:
 def remark(sentence: str) -> None:
     """Say something beside the result."""
     err().print(sentence, markup=False, soft_wrap=True, style="dim")
+
+
+def printable(words: str) -> str:
+    """Words on one line: what a file or a program says may hold escape sequences, which a terminal obeys."""
+    return "".join(c if c.isprintable() else "?" for c in words)

@@ -13,6 +13,7 @@ from hybrid_id import __version__
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import show
 from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
+from hybrid_id.errors import InputError
 
 NEEDED = (
     "torch",
@@ -40,7 +41,7 @@ def doctor(as_json: JsonOption = False, threads: ThreadsOption = 1) -> None:
     Ends with exit code 1 when the self-test misses that truth. Its records are the same on every machine.
     """
     use_threads(threads)
-    told = {"machine": machine(), "packages": packages(), "self_test": self_test()}
+    told = {"machine": machine(), "packages": packages(), "self_test": _tried()}
     if as_json:
         from hybrid_id.reporting.results import as_json as to_json
 
@@ -49,6 +50,14 @@ def doctor(as_json: JsonOption = False, threads: ThreadsOption = 1) -> None:
         _say(told)
     if not told["self_test"]["passed"]:
         raise typer.Exit(1)
+
+
+def _tried() -> dict[str, Any]:
+    """The self-test, or what kept it from its end: a package that is missing, say."""
+    try:
+        return self_test()
+    except (ImportError, InputError, RuntimeError) as error:
+        return {"passed": False, "off": [], "error": f"{type(error).__name__}: {error}"}
 
 
 def machine() -> dict[str, Any]:
@@ -131,6 +140,9 @@ def _say(told: dict[str, Any]) -> None:
         )
         table.add_row(name, found or missing)
     test = told["self_test"]
+    if "error" in test:
+        show(table, f"self-test FAILED: {test['error']}")
+        return
     verdict = "passed" if test["passed"] else f"FAILED ({', '.join(test['off']) or 'the fit'} off)"
     how = f"{test['fit_percent']:.2f} % of a record that was held back explained (at least {FIT:g} %)"
     show(

@@ -1,8 +1,8 @@
 """`export`: what was found, in the formats of others."""
 
+import math
 from enum import StrEnum
 from pathlib import Path
-from statistics import fmean
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -138,11 +138,17 @@ def _program(system: "System", sample_time: float, width: float) -> tuple[bytes,
     from hybrid_id.export.program import to_program
 
     program = to_program(system, sample_time=sample_time, width=width)
-    smoothed = f"dry friction is smoothed over ±{width:g} rad/s, for a program has no events"
+    left_out = []
+    if any(system.dry):
+        left_out.append(
+            f"dry friction is smoothed over ±{width:g} rad/s of the side where it acts, for a program has no events"
+        )
+    if any(joint.drive.encoders or joint.gear.errors for joint in system.joints):
+        left_out.append("what encoders read (offset, dead time, error of a gear): the states are true angles")
     return program.content, {
         "interface": program.interface,
         "difference": program.difference,
-        "left_out": [smoothed] if any(system.dry) else [],
+        "left_out": left_out,
     }
 
 
@@ -154,8 +160,10 @@ def _ranges(system: "System", model: Path) -> str:
         remark(
             "there is no result of an identification beside this model: only its priors tell how far it may be off"
         )
-    result = read_result(file) if file.is_file() else None
-    return _as_json({"model": str(model), "format": "ranges"} | to_ranges(system, result))
+    found = to_ranges(system, read_result(file) if file.is_file() else None)
+    if lost := [name for name, one in found["parameters"].items() if one["from"] == "unknown"]:
+        remark(f"nothing tells how far {', '.join(lost)} may be off: their ranges are one value; give priors")
+    return _as_json({"model": str(model), "format": "ranges"} | found)
 
 
 def _say(to: Format, told: dict[str, Any], out: Path, beside: Path) -> None:
@@ -169,6 +177,7 @@ def _say(to: Format, told: dict[str, Any], out: Path, beside: Path) -> None:
         )
     elif told["check"]:
         from hybrid_id.reporting.tables import open_table
+        from hybrid_id.statistics.fit import known_mean
 
         table = open_table(
             "record", "role", "output", "MuJoCo - ours>", "measured - ours>", "measured - MuJoCo>"
@@ -176,10 +185,12 @@ def _say(to: Format, told: dict[str, Any], out: Path, beside: Path) -> None:
         for row in told["check"]:
             cells = (f"{row[name]:.5f}" for name in ("apart", "here", "there"))
             table.add_row(row["record"], row["role"], row["output"], *cells)
-        worst, judges = max(row["apart"] for row in told["check"]), _judges(told["check"])
+        # a record that stands still has no spread to hold an error against
+        known = (row["apart"] for row in told["check"] if not math.isnan(row["apart"]))
+        worst, judges = max(known, default=math.nan), _judges(told["check"])
         show("normalised RMSE, over the same records:", table)
         show(f"MuJoCo replays these records within {worst:.2g} of ours (normalised RMSE)", judges)
-        missed = fmean(row["here"] for row in told["check"])
+        missed = known_mean(row["here"] for row in told["check"])
         if missed > STRANGE:
             remark(
                 f"this model misses these records by {missed:.2g} of their spread; are they of the same robot?"
@@ -195,6 +206,8 @@ def _say(to: Format, told: dict[str, Any], out: Path, beside: Path) -> None:
 def _judges(rows: list[dict[str, Any]]) -> str:
     """The gap to what was measured, over the test records where there are any."""
     test = [row for row in rows if row["role"] == "test"]
-    means = (fmean(row[name] for row in test or rows) for name in ("there", "here"))
+    from hybrid_id.statistics.fit import known_mean
+
+    means = (known_mean(row[name] for row in test or rows) for name in ("there", "here"))
     what = "test records" if test else "records"
     return "measured against MuJoCo {:.3g}, against ours {:.3g} (mean over the {})".format(*means, what)

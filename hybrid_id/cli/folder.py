@@ -64,6 +64,9 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
         )
     if not _holds_ours(path):
         raise InputError(f"{path} holds {FOREIGN}")
+    below = (file for name in RESULTS for file in path.rglob(name) if file.parent != path)
+    if nested := next(filter(_is_ours, below), None):
+        raise InputError(f"{path} holds other results, in {nested.parent}; move them, or give another folder")
 
 
 def refuse_foreign(path: Path, parts: str, pattern: str) -> None:
@@ -76,8 +79,13 @@ def refuse_foreign(path: Path, parts: str, pattern: str) -> None:
     """
     if not (path / parts).is_dir():
         refuse_taken(path)
-    elif any((path / parts).iterdir()) and not any(_is_ours(file) for file in (path / parts).glob(pattern)):
+    elif visible(path / parts) and not any(_is_ours(file) for file in (path / parts).glob(pattern)):
         raise InputError(f"{path / parts} holds {FOREIGN}")
+
+
+def visible(path: Path) -> list[Path]:
+    """What is in a folder, if it is one, but for what a killed run was writing under a temporary name."""
+    return [file for file in path.iterdir() if not file.name.startswith(".")] if path.is_dir() else []
 
 
 def _holds_ours(path: Path) -> bool:

@@ -200,12 +200,15 @@ def fit_part(
     """The share of one process, train records by number; it ends early when the file `stop` is there."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the first process decides
     use_threads(1)
+    import torch
+
     from hybrid_id.identification.fit import fit
     from hybrid_id.simulation.prepare import make_batch
 
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
-    records = [dataset.train[number] for number in share]
-    batch = make_batch(system, records, noise_std=noise, signal_share=config.preprocessing.signal_share)
+    # all records first: the weight of an output that stands still in one is known from the others
+    batch = make_batch(system, dataset.train, noise_std=noise, signal_share=config.preprocessing.signal_share)
+    batch = batch.take(torch.tensor(share))
     device = config.identification.device
     settings = fit_settings(config, lambda *_: stop.exists())
     return fit(system.to(device), batch.to(device), numbers=share, **settings)

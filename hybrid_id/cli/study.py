@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
@@ -10,9 +10,8 @@ from hybrid_id.cli.folder import EVENTS, RESULT, page_and_pictures
 from hybrid_id.config import StudyConfig
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from hybrid_id.records.dataset import Dataset
+    from hybrid_id.reporting.html.twin import Drawn
     from hybrid_id.study import Replay, Study
 
 MAX_TITLE = 50  # characters that leave room for the legend
@@ -53,7 +52,8 @@ def write_study(
         from hybrid_id.study import replay
 
         runs = replay(dataset, study.selected.system, engine=study.selected.engine)
-        images = study_images(dataset, study, reach, runs)
+        figures = study_figures(dataset, study, reach, runs)
+        images = {name: figure.image for name, figure in figures.items()}
         if wish.figures:
             from hybrid_id.reporting.style import save
 
@@ -68,35 +68,24 @@ def write_study(
             from hybrid_id.reporting.html.made import how_made
             from hybrid_id.reporting.html.study_page import study_page
 
-            plots = study_plots(dataset, study, reach, runs)
-            found = remarks(dataset)
-            page = study_page(dataset, study, images, reach=reach, level=level, findings=found, plots=plots)
+            page = study_page(dataset, study, figures, reach=reach, level=level, findings=remarks(dataset))
             words = (folder / "config.yaml").read_text(encoding="utf-8")
             how_made(page, command, words, {"seed": config.identification.seed}).write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")
     return text
 
 
-def study_plots(
+def study_figures(
     dataset: "Dataset", study: "Study", reach: float, runs: "Sequence[Replay]"
-) -> "dict[str, dict[str, Any]]":
-    """Interactive twins of pictures of a study, by the names of these."""
+) -> "dict[str, Drawn]":
+    """Every picture of a study by the name of its file, with its interactive twin; ``runs`` replay all records."""
     from hybrid_id.reporting.html.live import cross_validation_plot, parameter_plot, record_plot
-    from hybrid_id.study import Comparison
-
-    plots = {"parameters": parameter_plot(study, reach), "cross_validation": cross_validation_plot(study)}
-    both = Comparison({"simulated": tuple(runs)})
-    return plots | {f"fit_{run.record.name}": record_plot(dataset, both, run.record.name) for run in runs}
-
-
-def study_images(
-    dataset: "Dataset", study: "Study", reach: float, runs: "Sequence[Replay]"
-) -> "dict[str, np.ndarray]":
-    """Every picture of a study by the name of its file, (H, W, 3); ``runs`` replay all records."""
+    from hybrid_id.reporting.html.twin import Drawn, twin
     from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure
     from hybrid_id.reporting.record_plots import fit_figure
     from hybrid_id.reporting.style import pixels
     from hybrid_id.statistics.residuals import whiteness
+    from hybrid_id.study import Comparison
 
     chosen = study.selected
     figures = {"parameters": parameter_figure(study, reach)}
@@ -115,15 +104,19 @@ def study_images(
         figures[f"fit_{run.record.name}"] = fit_figure(
             dataset, run, with_set if len(with_set) < MAX_TITLE else title
         )
-    return {name: pixels(figure) for name, figure in figures.items()}
+    both = Comparison({"simulated": tuple(runs)})
+    plots = {"parameters": parameter_plot(study, reach), "cross_validation": cross_validation_plot(study)}
+    plots |= {f"fit_{run.record.name}": record_plot(dataset, both, run.record.name) for run in runs}
+    return {name: Drawn(pixels(figure), plots.get(name) or twin(figure)) for name, figure in figures.items()}
 
 
 def show_study(study: "Study", config: StudyConfig, home: Path, text: str, *, as_json: bool) -> None:
     """Print the study, as a table or as JSON, and where its files are; say so where it explains nothing."""
-    from hybrid_id.study import check_fit
+    from hybrid_id.study import check_fit, check_priors
 
-    if words := check_fit(study):
-        remark(f"warning: {words}")
+    for words in (check_fit(study), *check_priors(study)):
+        if words:
+            remark(f"warning: {words}")
     if as_json:
         stdout().print(text, markup=False, soft_wrap=True)
         return

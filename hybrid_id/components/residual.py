@@ -82,16 +82,13 @@ class ResidualNetwork(Component):
             self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
         self.register_buffer("output_scale", torch.tensor(output_scale, dtype=torch.float64))
         widths = [count + memory, *self.hidden, 1]
-        with torch.random.fork_rng():
-            torch.manual_seed(seed)
+        with torch.random.fork_rng():  # what is drawn here is drawn again below
             pairs = pairwise(widths)
             self.layers = nn.ModuleList(nn.Linear(a, b, dtype=torch.float64) for a, b in pairs)
             self.cell = nn.Linear(widths[0], memory, dtype=torch.float64) if memory else None
         if memory:
-            first, last = map(math.log, MEMORY_TIMES)
-            times = torch.linspace(first, last, memory, dtype=torch.float64)
-            self.log_time = nn.Parameter(times)
-        self.fall_asleep()
+            self.log_time = nn.Parameter(torch.zeros(memory, dtype=torch.float64))
+        self.forget()
 
     def _check(self, shift: Sequence[float] | None, scale: Sequence[float] | None, output: float) -> None:
         """Raise InputError where the options do not describe a network."""
@@ -112,10 +109,19 @@ class ResidualNetwork(Component):
                 "a positive output_scale and lipschitz; correct its options."
             )
 
-    def fall_asleep(self) -> None:
-        """Make the last layer zero, and with it the output."""
-        for weight in self.last_weights().values():
-            nn.init.zeros_(weight)
+    def forget(self) -> None:
+        """Draw all weights anew from the seed, the last layer's zero, and with them the output."""
+        with torch.random.fork_rng(), torch.no_grad():
+            torch.manual_seed(self.seed)
+            for layer in (*self.layers, *([] if self.cell is None else [self.cell])):
+                cast(nn.Linear, layer).reset_parameters()
+            if self.memory:
+                first, last = map(math.log, MEMORY_TIMES)
+                self.log_time.copy_(
+                    torch.linspace(first, last, self.memory, dtype=torch.float64, device=self.log_time.device)
+                )
+            for weight in self.last_weights().values():
+                nn.init.zeros_(weight)
 
     def last_weights(self) -> dict[str, nn.Parameter]:
         """Those of the weights that the output is proportional to, by name."""

@@ -31,9 +31,10 @@ def begin(folder: Path, about: Mapping[str, Any]) -> None:
     Raises:
         InputError: the folder holds a run of other cases or settings, or cannot be made.
     """
-    kept = read_run(folder) if (folder / RUN).exists() else None
-    for name in ("method", "cases", "train_records", "command") if kept else ():
-        if kept is not None and kept.get(name) != about.get(name):
+    kept = read_run(folder) if (folder / RUN).exists() else about
+    for name in ("method", "cases", "train_records", "command"):
+        mended = name == "command" and not any(folder.glob(f"*/{DIAGNOSIS}"))
+        if kept.get(name) != about.get(name) and not mended:
             raise InputError(f"{folder} holds a run with other {name.replace('_', ' ')}; give another folder")
     write_json(make_room(folder) / RUN, about)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hybrid_id.gap.diagnose import PARAMETRIC
 from hybrid_id.gap.measure import errors
 from hybrid_id.gap.shrink import shrink
 from hybrid_id.identification.result import FitResult
@@ -32,12 +33,14 @@ def answer(
         unknown: whether it says that something outside the catalogue acts.
     """
     found = any(effect["selected"] for effect in effects)
-    verdict = "outside_catalogue" if unknown else "effects" if found else "no_gap"
+    wrong = bool(gap) and gap["nominal"] >= PARAMETRIC * gap["refit"]
+    silent = "parameters_only" if wrong else "no_gap"
+    verdict = "outside_catalogue" if unknown else "effects" if found else silent
     return {
         "case": case,
         "verdict": verdict,
         "unknown": unknown,
-        "no_gap": verdict == "no_gap",
+        "no_gap": verdict == silent,
         "effects": list(effects),
         "ties": [],
         "gap": dict(gap),

@@ -55,11 +55,28 @@ class Settings:
         method: one of `METHODS`, or ``external``.
         train_records: so many train records at most; all of them by default.
         command: of an external contender, see :func:`.external.external`.
+        digest: of the program that it starts.
     """
 
     method: str
     train_records: int | None = None
     command: str | None = None
+    digest: str | None = None
+
+
+def read_cases(folder: Path, manifest: Mapping[str, Any], names: Sequence[str] | None = None) -> list[Case]:
+    """The cases of a folder, all or some of them, as they were made.
+
+    Raises:
+        InputError: the files of one have changed since they were sealed.
+    """
+    found = [read_case(folder / name) for name in (manifest["names"] if names is None else names)]
+    for case in found:
+        if manifest.get("digests", {}).get(case.name, case.digest) != case.digest:
+            raise InputError(
+                f"{folder / case.name} does not hold the files that were sealed; make the cases anew"
+            )
+    return found
 
 
 def read_case(folder: Path) -> Case:
@@ -99,8 +116,6 @@ def take(settings: Settings, case: Case) -> dict[str, Any]:
         dataset = with_train_records(Dataset.load(folder), settings.train_records)
         wall, processor = time.perf_counter(), time.process_time()
         if settings.method == "external":
-            if settings.train_records is not None:
-                raise InputError("an external contender takes cases as they are; leave --train-records out")
             said = external(folder, settings.command)
         else:
             said = METHODS[settings.method](dataset, system)

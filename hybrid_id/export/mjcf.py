@@ -171,7 +171,12 @@ class _Document:
     def _spring(self, joint: Joint, rest: str) -> Attributes:
         """A spring load as attributes of a hinge or a tendon."""
         views = [self.p[key] for key, part in joint.loads if isinstance(part, Spring)]
-        return {"stiffness": number(views[0].k_s), rest: number(views[0].q_s)} if views else {}
+        if not views:
+            return {}
+        angle = float(views[0].q_s)
+        if rest == "springlength" and angle == -1.0:
+            angle -= 1e-9  # MuJoCo takes -1 for "where the model stands at first"
+        return {"stiffness": number(views[0].k_s), rest: number(angle)}
 
     def _gear(self, body: ET.Element, joint: Joint) -> None:
         """The hinge of a compliant gear's deflection, and the springs that set in beyond some of it."""

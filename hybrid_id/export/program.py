@@ -83,8 +83,12 @@ def to_program(system: System, *, sample_time: float, width: float = 0.5, seed: 
     reloaded = torch.export.load(io.BytesIO(buffer.getvalue())).module()
     worst = 0.0
     for rows in (1, 64):
-        x, u = (10.0 * torch.randn(rows, size, generator=draw, dtype=torch.float64) for size in sizes)
+        x, u = (torch.randn(rows, size, generator=draw, dtype=torch.float64) for size in sizes)
         after = step(x, u)
+        if not torch.isfinite(after).all():
+            raise InputError(
+                f"a step of {sample_time:g} s diverges; give a shorter --sample-time or a larger --width"
+            )
         worst = max(worst, float((reloaded(x, u) - after).abs().max() / after.abs().max()))
     interface = {
         "states": list(system.state_names),

@@ -8,21 +8,22 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from scipy.special import ndtri
+
 from hybrid_id.errors import InputError
 from hybrid_id.identification.result import NO_ESTIMATE
 from hybrid_id.parameters import Bounded
 from hybrid_id.systems.chain import System
 
-REACH = 1.96
-"""Half-width of a 95 % interval in standard errors."""
-
 
 def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Range of each parameter, and where it comes from.
 
-    ``interval``: what the identification claims. ``prior``: 95 % of the prior, where it claims nothing. ``spread``: the
-    smallest and largest value over the records' own sets, where there is neither. ``held``: the value alone.
-    A range never leaves the parameter's bounds.
+    ``profile``: its interval by profile likelihood, closed on both sides; ``interval``: what the identification claims
+    otherwise. Both are widened to the smallest and largest value over the records' own sets, among which a machine
+    moves, too. ``prior``: as much of the prior, where nothing is claimed. ``spread``: over the records' own sets alone,
+    where there is none. ``unknown``: estimated, and nothing tells how well: the value alone. ``held``: the value alone.
+    A range never leaves the parameter's bounds; ``trust`` is the identification's grade.
 
     Args:
         system: the model whose values are the centres.
@@ -53,19 +54,23 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
         if result
         else []
     )
+    level, known = (result or {}).get("level", 0.95), result or {}
     ranges = {}
     for info in system.table:
         name, spec = info.name, info.spec
-        low, high, source = _range(spec, half_widths.get(name), [s[name] for s in sets if name in s])
+        claimed = _claimed(spec, half_widths.get(name), known.get("profiles", {}).get(name))
+        spread = [s[name] for s in sets if name in s]
+        low, high, source = _range(spec, claimed, spread, float(ndtri(0.5 + level / 2)), name in values)
         ranges[name] = {
             "nominal": spec.value,
             "lower": max(low, spec.lower),
             "upper": min(high, spec.upper),
             "unit": spec.unit,
             "from": source,
+            "trust": known.get("trust", {}).get(name, {}).get("grade"),
             "component": info.component,
         }
-    return {"level": (result or {}).get("level", 0.95), "parameters": ranges}
+    return {"level": level, "parameters": ranges}
 
 
 def _at_bound(result: Mapping[str, Any]) -> list[str]:
@@ -76,15 +81,28 @@ def _at_bound(result: Mapping[str, Any]) -> list[str]:
     )
 
 
-def _range(spec: Bounded, half_width: float | None, spread: list[float]) -> tuple[float, float, str]:
+def _claimed(
+    spec: Bounded, half_width: float | None, profile: Mapping[str, Any] | None
+) -> tuple[float, float, str] | None:
+    """Ends of the interval that an identification claims, and by what; None where it claims none."""
+    if profile is not None and all(profile["closed"]):
+        return profile["lower"], profile["upper"], "profile"
     if half_width is not None and math.isfinite(half_width):
         return spec.value - half_width, spec.value + half_width, "interval"
+    return None
+
+
+def _range(
+    spec: Bounded, claimed: tuple[float, float, str] | None, spread: list[float], reach: float, fitted: bool
+) -> tuple[float, float, str]:
+    if claimed is not None:
+        return min(claimed[0], *spread, spec.value), max(claimed[1], *spread, spec.value), claimed[2]
     if spec.estimate and spec.prior_std is not None and spec.prior_mean is not None:
-        reach = REACH * spec.prior_std
-        return min(spec.prior_mean - reach, spec.value), max(spec.prior_mean + reach, spec.value), "prior"
-    if len(spread) > 1:
+        off = reach * spec.prior_std
+        return min(spec.prior_mean - off, spec.value), max(spec.prior_mean + off, spec.value), "prior"
+    if len(set(spread)) > 1:
         return min(*spread, spec.value), max(*spread, spec.value), "spread"
-    return spec.value, spec.value, "held"
+    return spec.value, spec.value, "unknown" if fitted and spec.estimate else "held"
 
 
 def read_result(path: Path) -> dict[str, Any]:

@@ -20,6 +20,9 @@ from hybrid_id.study.comparison import replay
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
+BROKEN = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
+"""MuJoCo's warnings that a position, speed or acceleration is no number or without bound: it then begins anew."""
+
 
 @dataclass(frozen=True)
 class Agreement:
@@ -86,7 +89,10 @@ def mujoco_replay(
             data.joint(name).qpos[:], data.joint(name).qvel[:] = angle, speed
     commands = [_Command(system, joint, record, model.opt.timestep) for joint in system.joints]
     for command, joint in zip(commands, system.joints, strict=True):
-        _fill_delay(mujoco, model, data, joint, command(0, data))
+        if command.delays:
+            model.actuator_delay[model.actuator(f"motor{joint.number}").id] = 0.0
+        else:
+            _fill_delay(mujoco, model, data, joint, command(0, data))
     limited = model.actuator_ctrllimited[: len(commands)].copy()
     found: dict[str, list[float]] = {n: [] for n in record.outputs if n[:-1] in ("q_m", "v_m", "q_a", "v_a")}
     ticks = np.rint((record.time - record.time[0]) / model.opt.timestep).astype(int)
@@ -101,6 +107,12 @@ def mujoco_replay(
             if tick == 0 or any(command.follows(k) for command in commands):
                 data.ctrl[: len(commands)] = [command(k, data) for command in commands]
             mujoco.mj_step(model, data)  # type: ignore[attr-defined]
+    kinds = mujoco.mjtWarning  # type: ignore[attr-defined]
+    if any(data.warning[int(getattr(kinds, name))].number for name in BROKEN):
+        raise InputError(
+            f"the exported model is unstable in MuJoCo on record '{record.name}': a spring is too stiff for steps of "
+            f"{1e3 * model.opt.timestep:g} ms; shorten 'timestep' in the file"
+        )
     return {name: _read(system, name, np.array(values)) for name, values in found.items()}
 
 
@@ -134,6 +146,7 @@ class _Command:
 
     Attributes:
         on: whether the motor is switched on at each sample, ``(T,)``.
+        delays: whether the command is held back here: a switch acts at once, and MuJoCo would delay it as well.
     """
 
     def __init__(self, system: System, joint: Joint, record: Record, tick: float) -> None:
@@ -153,6 +166,7 @@ class _Command:
         self._late = 0.0 if delay is None else delay[1].specs["T_d"].value
         zero = torch.zeros(1, dtype=torch.float64)
         self._held = None if self._closed else self._at(self._channels, zero).expand(record.n_samples)
+        self.delays = bool(self._late) and not self._closed and bool((self.on != 1.0).any())
 
     @torch.no_grad()
     def _at(self, channels: Mapping[str, torch.Tensor], angle: torch.Tensor) -> torch.Tensor:
@@ -160,7 +174,7 @@ class _Command:
 
     def follows(self, sample: int) -> bool:
         """Whether the command follows the motion within a sample."""
-        return self._closed or self.on[sample] != 1.0
+        return self._closed or self.delays or self.on[sample] != 1.0
 
     def __call__(self, sample: int, data: Any) -> float:
         """The command at a sample."""
@@ -169,15 +183,16 @@ class _Command:
         return on * self._given(sample, data) + (1.0 - on) * self._induced * speed
 
     def _given(self, sample: int, data: Any) -> float:
-        if self._held is not None:
-            return float(self._held[sample])  # whose delay is the actuator's
+        if self._held is not None:  # whose delay is the actuator's
+            return float(self._held[self._arrived(data) if self.delays else sample])
         turned = self._joint.gear_ratio * data.joint(f"joint{self._joint.number}").qpos[0]
         angle = torch.tensor([turned], dtype=torch.float64)
         for encoder, view in self._encoders:  # the loop closes over what its encoder reads
             angle = encoder.read(view, angle)
-        row = sample
-        if self._late:
-            # a delay holds back the goal, not the angle; half a step forgives the rounding to MuJoCo's
-            arrived = data.time - self._late + 0.5 * self._tick
-            row = max(int(np.searchsorted(self._time, arrived, side="right")) - 1, 0)
+        row = self._arrived(data) if self._late else sample  # a delay holds back the goal, not the angle
         return float(self._at({c: v[row : row + 1] for c, v in self._channels.items()}, angle)[0])
+
+    def _arrived(self, data: Any) -> int:
+        """The sample whose command has arrived; half a step forgives the rounding to MuJoCo's."""
+        arrived = data.time - self._late + 0.5 * self._tick
+        return max(int(np.searchsorted(self._time, arrived, side="right")) - 1, 0)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 from hybrid_id.gap.belief import COMPLETE_RATIO, LEAST_Z, better
 from hybrid_id.gap.catalogue import CATALOGUE
-from hybrid_id.gap.evidence import coloured
+from hybrid_id.gap.evidence import coloured, negligible
 from hybrid_id.gap.exchange import exchanges, refitted_without
 from hybrid_id.gap.ranking import LEAST_RATIO
 from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Name, Refit, Task, new_effect
@@ -36,12 +36,14 @@ class Attribution:
         rounds: the steps; the first tells the effects one by one.
         chosen: the set that the search stands by; ``base`` where no effect has earned its place.
         window: length [s] of the windows over which the rounds' models have been compared; None for whole records.
+        full: whether the search ended with as many effects as it may have, and something left.
     """
 
     base: Explanation
     rounds: tuple[Round, ...]
     chosen: Explanation
     window: float | None = None
+    full: bool = False
 
 
 def attribute(
@@ -70,7 +72,7 @@ def attribute(
     within = _search(shorter, system, most, progress)
     tasks = [Task(within.chosen.effects, within.chosen.system)] if within.chosen.effects else []
     ends = [e for e in refit.run(tasks, TO_THE_END) if e is not None]
-    return Attribution(found.base, within.rounds, ends[0] if ends else found.base, WINDOW)
+    return Attribution(found.base, within.rounds, ends[0] if ends else found.base, WINDOW, within.full)
 
 
 def search_on(
@@ -117,7 +119,7 @@ def _search(
             best = min(
                 (e.best for e in again if e.best is not None), key=lambda e: e.evidence.error, default=best
             )
-        if best is None or not better(best, chosen):
+        if best is None or negligible(chosen.result.residual) or not better(best, chosen):
             if chosen.effects and found.best is not None and _sure(found.best, chosen):
                 # what is too small to be believed may still have led the fit before out of the ripples of its cost
                 chosen = _second_chance(refit, base, chosen, found.best)
@@ -142,7 +144,8 @@ def _search(
             # one that has made the others needless is searched on from, where it does better than they did
             if len(chosen.effects) <= len(before.effects) and not _in_their_place(chosen, before):
                 break
-    return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen)
+    full = len(chosen.effects) >= most and _leaves_something(chosen)
+    return Attribution(base if chosen.effects else chosen, tuple(rounds), chosen, full=full)
 
 
 def sure_though_small(found: Attribution) -> Attribution | None:

@@ -17,7 +17,7 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
     """Parameters that a re-fit has moved by more than their priors or, without one, data sheets are wrong, in words.
 
     Torques, inertias and frictions may all be multiplied by one number without a change of the motion; the median of
-    their changes is taken for it.
+    their changes is taken for it, unless the command is a torque, or one of them is held or has a prior.
     """
     change, power, turned, words = {}, {}, set(), []
     now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
@@ -37,7 +37,7 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
         change[info.name] = math.log(max(value, 1e-12 * info.spec.value) / info.spec.value)
         power[info.name] = _power(info.spec.unit)
     scaled = sorted(change[n] / power[n] for n in change if power[n])
-    middle = scaled[len(scaled) // 2] if scaled else 0.0
+    middle = scaled[len(scaled) // 2] if scaled and not _has_scale(nominal) else 0.0
     for name, moved in change.items():
         own = moved - power[name] * middle
         if name in turned:
@@ -47,6 +47,13 @@ def bent_parameters(nominal: System, fitted: System) -> list[str]:
         elif abs(own) > (BENT_TORQUE if power[name] else BENT):
             words.append(f"{name} is {math.exp(own):.2f} times its nominal value")
     return words
+
+
+def _has_scale(system: System) -> bool:
+    """Whether a torque is known from elsewhere than the motion."""
+    torques = (i.spec for i in system.table if _power(i.spec.unit) and i.spec.value != 0.0)
+    known = any(not spec.estimate or spec.prior_std is not None for spec in torques)
+    return known or any("tau" in joint.channels for joint in system.joints)
 
 
 def _power(unit: str) -> int:

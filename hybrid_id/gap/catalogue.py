@@ -70,7 +70,10 @@ class Effect:
             left: what the model's fit leaves, for an effect that looks for its start points there.
         """
         joint = system.joints[scales.joint - 1]
-        places = self.places[:1] if joint.rigid else self.places
+        places = self.places
+        if joint.rigid:  # both sides move alike: where today's model has its friction, else the first
+            beyond = "link_friction" in places and joint.frictions["link_friction"]
+            places = ("link_friction",) if beyond and not joint.frictions["motor_friction"] else places[:1]
         found: dict[str, list[System]] = {}
         for place in places:
             where = f"{joint.name}/{place}"

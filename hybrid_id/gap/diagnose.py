@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.arbiter import decide, others
-from hybrid_id.gap.attribute import (
-    MOST,
-    Attribution,
-    Progress,
-    attribute,
-    sure_though_small,
-)
+from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure_though_small
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.gap.evidence import COLOURED, coloured
-from hybrid_id.gap.locate import Location, locate
+from hybrid_id.gap.evidence import COLOURED, negligible
+from hybrid_id.gap.judged import Judge
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import next_experiment
 from hybrid_id.gap.own_sets import own_sets
 from hybrid_id.gap.probability import believed, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.ranking import LEFT_OPEN
 from hybrid_id.gap.refit import Explanation, Refit, engine
-from hybrid_id.gap.remainder import halted_elsewhere, no_noise, outside, worst_unseen
-from hybrid_id.gap.shrink import Shrink, shrink
+from hybrid_id.gap.remainder import worst_unseen
 from hybrid_id.gap.untold import untold
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.facts import inseparable
@@ -103,7 +95,7 @@ def _diagnosed(
     progress: Progress | None,
     whole: Errors | None = None,
 ) -> Diagnosis:
-    """Search on the train records, judged by the test records; ``whole``: see :func:`_judged`."""
+    """Search on the train records, judged by the test records; ``whole``: see :class:`Judge`."""
     refit = Refit(dataset, jobs=jobs, signal_share=signal_share)
     say = progress or (lambda *_: None)
     say("today's model", 0, 1)
@@ -111,13 +103,10 @@ def _diagnosed(
     search = decision.search
     base, withdrawn = search.base, ()
     say("location", 0, 1)
-    before = tuple(locate(refit, base))
-    measured = partial(errors, dataset, signal_share=signal_share)
-    nominal, first = measured(system, engine()), measured(base.system, base.result.engine)
-    judged = partial(_judged, refit, before, first, whole, seed)
+    judged = Judge(refit, base, whole, seed)
     now = judged(search)
     # where the other test records lack nothing, it is enough that an effect does them no harm
-    silent = whole is not None and first is not None and first.coloured <= COLOURED
+    silent = whole is not None and judged.first is not None and judged.first.coloured <= COLOURED
     refused = now.gap is not None and not now.halted and now.gap.interval[silent] <= 0.0
     if search.chosen is not base and refused:
         called_for, now = search.chosen.effects, judged(replace(search, chosen=base))
@@ -136,9 +125,14 @@ def _diagnosed(
         own = None  # a wrong formula, too, explains each record by values of its own; they have to differ surely
     varying = () if own is None else own.varying
     if own is not None:
+        if not own.common.effects:
+            base = own.common
+            # where nothing varies, the common fit had not found its end: that from one record's values is the re-fit
+            if not own.varying:
+                judged = Judge(refit, base, whole, seed)
+                now = replace(now, search=replace(now.search, base=base))
         same = own.common is now.search.chosen
         now = replace(now if same else judged(replace(now.search, chosen=own.common)), unknown=False)
-        base = base if own.common.effects else own.common
     if now.unknown and now.gap is not None and now.search.chosen.effects and now.gap.share < LEFT_OPEN:
         # beside what the catalogue lacks, what closes next to nothing is not worth a name
         withdrawn, now = (*withdrawn, *now.search.chosen.effects), judged(replace(now.search, chosen=base))
@@ -153,11 +147,11 @@ def _diagnosed(
         effects=found,
         ties=tuple(tied_sets(found)),
         unknown=now.unknown,
-        nominal=nominal,
-        refit=first,
+        nominal=errors(dataset, system, engine(), signal_share=signal_share),
+        refit=judged.first,
         with_effect=now.last,
         shrink=gap,
-        before=before,
+        before=judged.before,
         after=now.after,
         bent=tuple(bent_parameters(system, base.system)),
         experiments=tuple(
@@ -172,62 +166,6 @@ def _diagnosed(
         beyond=tuple(beyond(dataset)),
         search=search,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Judged:
-    """A search's chosen model on the test records.
-
-    Attributes:
-        search: it.
-        after: torques that would explain what it leaves.
-        last: its errors.
-        gap: how far it shrinks.
-        left: share of what it leaves that has a cause.
-        halted: whether its free runs halt elsewhere than the machine.
-        unknown: whether it leaves something that the catalogue lacks.
-    """
-
-    search: Attribution
-    after: tuple[Location, ...]
-    last: Errors | None
-    gap: Shrink | None
-    left: float
-    halted: bool
-    unknown: bool
-
-    @property
-    def borne_out(self) -> bool:
-        """Whether the test records surely gain by it, or by all that a free run may tell."""
-        return self.halted or (self.gap is not None and self.gap.interval[0] > 0.0)
-
-
-def _judged(
-    refit: Refit,
-    before: tuple[Location, ...],
-    first: Errors | None,
-    whole: Errors | None,
-    seed: int,
-    search: Attribution,
-) -> _Judged:
-    """A search's chosen model held against the test records; ``before`` and ``first`` are of the re-fitted one.
-
-    ``whole`` is, too, but on all test records, where one of these has joined the train records: what is left is held
-    against that gap.
-    """
-    chosen = search.chosen
-    if chosen is search.base:
-        after, last = before, first
-    else:
-        after = tuple(locate(refit, chosen))
-        last = errors(refit.dataset, chosen.system, chosen.result.engine, signal_share=refit.signal_share)
-    gap, left = None, coloured(chosen.result.residual)
-    if first is not None and last is not None:
-        left = no_noise(chosen, after, last)
-        floor = max(last.noise, last.nrmse * math.sqrt(1.0 - min(left, 0.99)))
-        gap = shrink(first, last, min(floor, last.nrmse), seed=seed)
-    halted = halted_elsewhere(refit, search.base, chosen, last)
-    return _Judged(search, after, last, gap, left, halted, outside(chosen, whole or first, last, halted))
 
 
 def _wrong_values(dataset: Dataset, system: System, base: Explanation) -> bool:
@@ -245,6 +183,6 @@ def _verdict(base: Explanation, search: Attribution, wrong: bool, unknown: bool,
         return "effects"
     if varying:
         return "parameters_only"
-    if base.evidence.effective < TOO_SHORT:
+    if base.evidence.effective < TOO_SHORT and not negligible(base.result.residual):
         return "inconclusive"
     return "parameters_only" if wrong else "no_gap"

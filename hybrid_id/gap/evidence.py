@@ -11,6 +11,8 @@ BLOCK = 0.25
 """Length [s] of the blocks in which errors are compared."""
 WHITE = 0.1
 """Share of residuals that is no white noise, below which they are taken for it."""
+NEGLIGIBLE = 0.1
+"""RMS of weighted errors up to which nothing is looked for in them; 1 are the noise and what a good model misses."""
 COLOURED = 0.3
 """The same, of train or of test records, from which something acts that a model lacks. Small random torques alone leave
 a fifth at most in generated cases."""
@@ -79,6 +81,12 @@ def coloured(residuals: Sequence[np.ndarray]) -> float:
     if not np.isfinite(total):  # a run that has diverged is no noise
         return 1.0
     return max(0.0, 1.0 - 0.5 * steps / total) if total > 0 else 0.0
+
+
+def negligible(residuals: Sequence[np.ndarray]) -> bool:
+    """Whether errors in units of the measurements' weights are far below what any good model misses."""
+    square = sum(float(np.square(one).sum()) for one in residuals)
+    return square < NEGLIGIBLE**2 * sum(one.size for one in residuals)
 
 
 def effective_samples(residuals: Sequence[np.ndarray]) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.measures import quantisation_step
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -30,7 +31,8 @@ class Errors:
         by_record: of each record, outputs averaged.
         blocks: for each record and output the mean squares of short blocks, each over the signal's variance.
         noise: normalised RMSE that the encoders' noise alone would leave.
-        coloured: share of the errors' mean square, in units of the measurements' weights, that is no white noise.
+        coloured: share of the errors' mean square, in units of the measurements' weights, that is no white noise; an
+            offset of half a count is none, whether an encoder rounds or counts edges.
         over_noise: RMS errors of each record in those units.
     """
 
@@ -43,15 +45,11 @@ class Errors:
 
     def resampled(self, draw: list[list[np.ndarray]]) -> float:
         """Normalised RMSE of blocks drawn with replacement; ``draw`` holds the blocks of each record and output."""
-        return float(
-            np.mean(
-                [
-                    np.sqrt(np.mean(b[d]))
-                    for row, rows in zip(self.blocks, draw, strict=True)
-                    for b, d in zip(row, rows, strict=True)
-                ]
-            )
-        )
+        rows = [
+            np.mean([np.sqrt(np.mean(b[d])) for b, d in zip(row, drawn, strict=True)])
+            for row, drawn in zip(self.blocks, draw, strict=True)
+        ]
+        return float(np.mean(rows))
 
 
 def errors(
@@ -73,24 +71,27 @@ def errors(
     length = max(1, round(BLOCK / step))
     blocks, by_record, over_noise, noise, weighted = [], {}, {}, [], []
     for r, name in enumerate(batch.names):
-        row = []
+        row, floors = [], []
         for c, output in enumerate(batch.outputs):
             valid = (batch.weight[r, :, c] > 0).numpy()
             measured, simulated = batch.y[r, valid, c].numpy(), run.y[r, valid, c].numpy()
             if not measured.size or np.ptp(measured) <= 1e-12 * np.abs(measured).max():
                 continue  # nothing to explain
             error = np.clip(np.nan_to_num(simulated - measured, nan=LOST), -LOST, LOST)
-            weighted.append((error * batch.weight[r, valid, c].numpy())[:, None])
+            within = 0.5 * quantisation_step(measured)  # where in a count the run began, no reading tells
+            centred = error - np.clip(error.mean(), -within, within)
+            weighted.append((centred * batch.weight[r, valid, c].numpy())[:, None])
             square = np.square(error)
             starts = np.arange(0, len(square), length)
             size = np.add.reduceat(np.ones(len(square)), starts)
             variance = float(measured.var())
             row.append(np.add.reduceat(square, starts) / size / variance)
             declared = next((ch.noise_std for ch in dataset.outputs if ch.name == output), None)
-            noise.append((declared or 0.0) / np.sqrt(variance))
+            floors.append((declared or 0.0) / np.sqrt(variance))
         if not row:
             continue
         blocks.append(tuple(row))
+        noise.append(float(np.mean(floors)))
         by_record[name] = float(np.mean([np.sqrt(b.mean()) for b in row]))
         over_noise[name] = float(np.sqrt(np.square(np.concatenate(weighted[-len(row) :])).mean()))
     if not blocks:

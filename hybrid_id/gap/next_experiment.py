@@ -10,11 +10,12 @@ import numpy as np
 
 from hybrid_id.gap.refit import Explanation
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.measures import DRIVES
+from hybrid_id.records.measures import DRIVES, estimate_noise
 from hybrid_id.records.record import Record
 from hybrid_id.records.units import stem
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
 
 DURATION = 8.0
 """Length [s] of a proposed record."""
@@ -34,7 +35,7 @@ class Experiment:
         name: what it is, in words.
         joint: whose command moves; the others rest.
         time: [s], ``(T,)``.
-        inputs: all channels of the record, in the units of the records', ``(T,)`` each.
+        inputs: all channels of the record, in SI units as the records hold them, ``(T,)`` each.
         channel: that of the command that moves.
         distance: RMS difference of the outputs of two tied models, in units of the encoders' noise: the smallest of
             those pairs that the record parts, or the largest where it parts none.
@@ -96,7 +97,7 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
     if len(tied) < 2:
         return []
     reference = dataset.train[0]
-    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
+    noise = _noise(dataset)
     step = reference.sample_time
     time = np.arange(0.0, DURATION, step)
     moving = time >= REST
@@ -109,9 +110,9 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
         )
         if name is None:
             continue
-        amplitude = max(float(np.abs(record.inputs[name]).max()) for record in dataset.train)
+        centre, amplitude = _room(dataset, name)
         for title, signal in signals(amplitude, 0.15 * amplitude).items():
-            command = np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
+            command = centre + np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
             # a supply, a loop's gain and a switch stay as they were; the other joints' drives rest
             inputs = {
                 other: np.full_like(time, 0.0 if stem(other) in DRIVES else float(np.median(values)))
@@ -120,6 +121,8 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
             outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
             record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
             apart = _distances(dataset, [record], tied, noise)
+            if not np.isfinite(apart).all():
+                continue  # one of the models diverges under it
             parted = apart >= TELLS
             told = parted if parted.any() else apart == apart.max()
             found.append(
@@ -128,8 +131,24 @@ def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Exper
                     tuple(pair for pair, one in zip(names, parted, strict=True) if not one),
                 )
             )  # fmt: skip
-    known = (e for e in found if np.isfinite(e.distance))
-    return sorted(known, key=lambda e: (len(e.together), -e.distance))
+    return sorted(found, key=lambda e: (len(e.together), -e.distance))
+
+
+def _noise(dataset: Dataset) -> dict[str, float]:
+    """Noise of each output, estimated from the train records where none is declared."""
+    known = {channel.name: channel.noise_std for channel in dataset.outputs}
+    return {
+        name: std or float(np.median([estimate_noise(r.outputs[name]) for r in dataset.train])) or 1.0
+        for name, std in known.items()
+    }
+
+
+def _room(dataset: Dataset, name: str) -> tuple[float, float]:
+    """Centre and amplitude of a command: a drive's around nothing, a goal's within what the records have reached."""
+    values = np.concatenate([record.inputs[name] for record in dataset.train])
+    if stem(name) in DRIVES:
+        return 0.0, float(np.abs(values).max())
+    return float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
 
 
 def _names(tied: Sequence[Explanation]) -> list[str]:
@@ -139,17 +158,12 @@ def _names(tied: Sequence[Explanation]) -> list[str]:
 
 
 def _distances(
-    dataset: Dataset, records: Sequence[Record], tied: Sequence[Explanation], noise: dict[str, float | None]
+    dataset: Dataset, records: Sequence[Record], tied: Sequence[Explanation], noise: Mapping[str, float]
 ) -> np.ndarray:
     """RMS difference between the outputs of every two models ``(pairs,)``, in units of the noise."""
-    scale = np.array([noise.get(channel.name) or 1.0 for channel in dataset.outputs])
-    runs = []
+    scale, runs = np.array(list(noise.values())), []
     for one in tied:
-        batch = make_batch(
-            one.system,
-            records,
-            outputs=[c.name for c in dataset.outputs],
-            noise_std=dict(zip(noise, scale, strict=True)),
-        )
-        runs.append(simulate(one.system, one.result.engine, batch).y.numpy() / scale)
+        batch = make_batch(one.system, records, outputs=list(noise), noise_std=noise)
+        fine = with_substeps(one.system, one.result.engine, batch)
+        runs.append(simulate(one.system, fine, batch).y.numpy() / scale)
     return np.array([np.sqrt(np.mean(np.square(a - b))) for a, b in combinations(runs, 2)])

@@ -21,6 +21,8 @@ NAMED = 3
 """Parameters that are named."""
 BEYOND = 4.0
 """Variance of the sets along a direction, over that of their own errors, from which the records differ along it."""
+FAINT = 0.5
+"""RMS of weighted errors up to which their colour says nothing: that of an encoder's counts, which dwell at rest."""
 TOLD = 1e-6
 """Eigenvalue of the information on relative changes, over the greatest, below which records do not tell a direction."""
 
@@ -65,7 +67,7 @@ def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets |
         sets = fit(start, batch, pooled=False, engine=engine(), options=options)
     except RuntimeError:  # one of them breaks off
         return None
-    if any(one.status == "diverged" or coloured(one.residual) > WHITE for one in sets):
+    if any(one.status == "diverged" or not _explained(one) for one in sets):
         return None
     if is_explained(explanation):
         return OwnSets(explanation, _scatter(sets))
@@ -79,6 +81,12 @@ def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets |
     return None if there is None or not words else OwnSets(there, words)
 
 
+def _explained(one: FitResult) -> bool:
+    """Whether a record's own values leave noise, or so little that only the encoder's counts are left."""
+    square = sum(float(np.square(r).sum()) for r in one.residual) / sum(r.size for r in one.residual)
+    return coloured(one.residual) <= WHITE or square < FAINT**2
+
+
 def _scatter(sets: list[FitResult]) -> tuple[str, ...]:
     """Parameters by how much their differences move the outputs, along the directions that the records tell.
 
@@ -86,18 +94,23 @@ def _scatter(sets: list[FitResult]) -> tuple[str, ...]:
     little are not taken for others.
     """
     values = np.array([one.values for one in sets])
-    relative = values / np.where(values.any(0), values.mean(0), 1.0) - 1.0
-    roots = [
-        np.concatenate([np.reshape(j, (-1, len(v))) for j in one.jacobian]) * v
-        for one, v in zip(sets, values, strict=True)
-    ]
+    sizes = np.sqrt(np.mean(np.square(values), axis=0))  # a mean may be near zero, where signs differ
+    sizes = np.where(sizes > 0.0, sizes, 1.0)
+    relative = (values - values.mean(0)) / sizes
+    roots = [np.concatenate([np.reshape(j, (-1, len(sizes))) for j in one.jacobian]) * sizes for one in sets]
     squares = np.array([root.T @ root for root in roots])
     eigenvalues, directions = np.linalg.eigh(squares.sum(0))
     told = directions[:, eigenvalues > TOLD * eigenvalues[-1]]
     coordinates, information = relative @ told, told.T @ squares @ told
     noise = np.array([max(one.noise_scale, 1e-300) ** 2 for one in sets])
-    own = np.diagonal(np.linalg.pinv(information / noise[:, None, None]), axis1=1, axis2=2).mean(0)
-    differ = told[:, coordinates.var(0, ddof=1) > BEYOND * own]
+    own = np.diagonal(np.linalg.pinv(information / noise[:, None, None]), axis1=1, axis2=2)
+    seen = np.diagonal(information, axis1=1, axis2=2)
+    seen = seen > TOLD * seen.max(0)  # a record in which a joint stands still tells nothing of its friction
+    surely = [
+        here.sum() > 1 and line[here].var(ddof=1) > BEYOND * errors[here].mean()
+        for line, errors, here in zip(coordinates.T, own.T, seen.T, strict=True)
+    ]
+    differ = told[:, surely]
     scatter = (relative @ differ @ differ.T).std(0, ddof=1)
     order = np.argsort(-scatter * np.sqrt(np.diag(squares.sum(0))))[:NAMED]
     return tuple(f"{sets[0].names[i]} by {100 * scatter[i]:.2g} %" for i in order if scatter[i] > 0)

@@ -108,7 +108,7 @@ def best_of_each(
     best = []
     for one in sorted(found, key=lambda e: e.evidence.error):
         known = ends.setdefault(key(one), [])
-        if len(known) < each and all(one.result.cost > (1.0 + SAME) * end for end in known):
+        if len(known) < each and all(abs(one.result.cost - end) > SAME * end for end in known):
             known.append(one.result.cost)
             best.append(one)
     return best

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hybrid_id.gap.catalogue import over_angle
-from hybrid_id.gap.evidence import COLOURED, coloured
+from hybrid_id.gap.evidence import COLOURED, NEGLIGIBLE, coloured, negligible
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.ranking import LEFT_OPEN, is_explained
@@ -59,9 +59,12 @@ def outside(chosen: Explanation, first: Errors | None, last: Errors | None, halt
     The test records count, too: a wrong formula may pass for a right one on the records that it has been fitted to.
     Not so behind play, whose fits end in ripples of their cost and predict other records no better than that. Beside an
     effect, what is left has to be a part of the gap that is worth a name, or more than the noise on records that the
-    model follows, where no torque over the angle may halt it elsewhere; nothing where that is known (``halted``).
+    model follows, where no torque over the angle may halt it elsewhere; nothing where that is known (``halted``), and
+    where errors are far below the noise and what a good model misses.
     """
     unseen = 0.0 if last is None or halted or behind_play(chosen) else last.coloured
+    if negligible(chosen.result.residual) and max(last.over_noise.values() if last else (0.0,)) < NEGLIGIBLE:
+        return False
     if is_explained(chosen) and unseen <= COLOURED:
         return False
     if not chosen.effects or first is None or last is None:

@@ -32,6 +32,7 @@ class Scales:
         dry: level of dry friction at the motor [N m]; a tenth of ``torque`` where the model has none.
         inertia: everything that moves, at the motor [kg m^2].
         rotor: part of it on the rotor's side of the gear.
+        shows_torque: whether the motor's current or torque is measured, or the motor switched off at times.
     """
 
     joint: int
@@ -48,6 +49,7 @@ class Scales:
     dry: float
     inertia: float
     rotor: float
+    shows_torque: bool = False
 
 
 def scales(system: System, batch: Batch) -> list[Scales]:
@@ -80,14 +82,14 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         key, inertia = joint.inertia
         total = float(inertia.total(views[key], joint.gear_ratio))
         rotor = float(inertia.rotor(views[key], joint.gear_ratio))
-        level = joint.dry_level(
-            "motor_friction",
-            views,
-            torch.full_like(v[:1], float(v.abs().max())),
-            torch.ones_like(v[:1]),
-            states,
-        )
+        fastest, forward = torch.full_like(v[:1], float(v.abs().max())), torch.ones_like(v[:1])
+        level = joint.dry_level("motor_friction", views, fastest, forward, states)
+        if joint.rigid:
+            beyond = joint.dry_level("link_friction", views, fastest / joint.gear_ratio, forward, states)
+            level = level + beyond / joint.gear_ratio
         highest = float(level.max())
+    off = channels.get(f"enable{joint.number}")
+    shown = {f"i{joint.number}", f"tau{joint.number}"} & set(batch.outputs)
     moving = command[command.abs() > 0.02 * command.abs().max()]
     link = q / joint.gear_ratio
     fast = float(v.abs().quantile(0.95)) if v.numel() < 2**24 else float(v.abs().max())
@@ -106,4 +108,5 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         dry=highest if highest > 1e-9 * torque else 0.1 * (torque or 1.0),
         inertia=total,
         rotor=rotor,
+        shows_torque=bool(shown) or (off is not None and bool((off < 1.0).any())),
     )

@@ -83,6 +83,15 @@ class Snapshot:
     simulated: Tensor
     scalars: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def parameter_tags(self) -> list[str]:
+        """``parameters/<joint>/<symbol>`` of each, with the place where a joint has the symbol twice."""
+        short = [f"{component.split('/')[0]}/{symbol}" for component, symbol in self.table]
+        return [
+            f"parameters/{name}" if short.count(name) == 1 else f"parameters/{component}/{symbol}"
+            for name, (component, symbol) in zip(short, self.table, strict=True)
+        ]
+
 
 class Writer(Protocol):
     """Takes the course of a training, for example into TensorBoard."""

@@ -27,6 +27,7 @@ from hybrid_id.identification.hybrid_course import Progress, Trainer
 from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, excess, typical
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.network_data import with_scales
+from hybrid_id.identification.quasi_newton import State, prolonged
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.prepare import Batch
@@ -118,6 +119,11 @@ def train_hybrid(
         raise InputError(
             "The model has no residual network to train; add one to a place, or use a plain fit."
         )
+    if options.augmentation == "projection" and any(part.memory for part in system.networks.values()):
+        raise InputError(
+            "The augmentation 'projection' prices networks along the records, where their memory is not known; take "
+            "'norm', or networks without memory."
+        )
     prices = options.prices
     if not prices or sorted(set(prices), reverse=True) != list(prices) or prices[-1] < 0.0:
         raise InputError(
@@ -129,9 +135,10 @@ def train_hybrid(
     identity = ["hybrid", fingerprint(system, [batch, validation], *settings)]
     physics = fit_physics(system, batch, engine, options)
     values = {name: physics.system.parameter(name).spec.value for name in physics.names}
-    system = with_scales(system.with_values(values), batch, engine.width).to(batch.x.device)
+    system = with_scales(system.with_values(values), batch, engine.width)
     for part in system.networks.values():
-        part.fall_asleep()
+        part.forget()
+    system = system.to(batch.x.device)
     free = system.estimated
     theta = system.theta().detach()[:, None]
     engine = engine.stable(system, batch, theta.expand(-1, batch.rows))
@@ -147,6 +154,8 @@ def train_hybrid(
     course = Course(0, theta, fresh)
     if resume is not None:
         course = read_checkpoint(resume, trainer.identity, Course.of, batch.x.device)
+        if isinstance(course.state, State):
+            course.state = prolonged(course.state, options.max_iterations)
     try:
         interrupted = trainer.run(course)
     except KeyboardInterrupt:

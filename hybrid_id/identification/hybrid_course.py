@@ -170,7 +170,11 @@ class Trainer:
         train, validation = (
             self.losses(theta, batch, walk=True) for batch in (self.whole.batch, self.validation)
         )
-        return Found(theta, weights, float(train.mean()), validation, iterations, status)
+        counts = (
+            (self.whole.batch.weight > 0).sum((1, 2)).to(train.dtype)
+        )  # a long record tells more of the noise
+        mean = float(train.mean(0) @ counts / counts.sum())
+        return Found(theta, weights, mean, validation, iterations, status)
 
     def _data(self, problem: Problem) -> int:
         """Number of measurements, the networks' outputs not among them."""

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
 from hybrid_id.records.readers import Table, Window, load_any, record_name
 from hybrid_id.records.record import Record, find_fault
@@ -63,7 +64,7 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
         frame.to_csv(
             folder / file, index=False, compression={"method": "gzip", "compresslevel": 6, "mtime": 0}
         )
-        optional = {"note": record.note, "meta": dict(record.meta)}
+        optional = {"note": record.note, "meta": plain(dict(record.meta))}
         entries.append(
             {"file": file, "role": record.role} | {key: item for key, item in optional.items() if item}
         )
@@ -73,7 +74,7 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
             {key: item for key, item in vars(channel).items() if item is not None}
             for channel in getattr(dataset, group)
         ]
-    write_yaml(folder / FILE_NAME, values | {"records": entries})
+    write_yaml(folder / FILE_NAME, plain(values) | {"records": entries})
 
 
 def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:

@@ -102,12 +102,16 @@ def stretches(mask: np.ndarray) -> np.ndarray:
 def find_stop(values: np.ndarray, extreme: float, fine: float) -> int | None:
     """Return the sample at which a signal runs at speed into an extreme and stays there, or None.
 
+    At speed means a tenth of what it often reaches: dry friction, too, holds a motion that turns, but slowly.
+
     Args:
         values: Signal, (T,).
         extreme: Its greatest or least value.
         fine: Noise or quantisation step, whichever is greater, in the signal's unit.
     """
+    moves = np.abs(values[3:] - values[:-3])
+    least = max(6 * fine, 0.1 * float(np.quantile(moves, 0.9))) if moves.size else np.inf
     for start, stop in stretches(values == extreme):
-        if stop - start >= STUCK and start >= 3 and abs(values[start] - values[start - 3]) > 6 * fine:
+        if stop - start >= STUCK and start >= 3 and moves[start - 3] > least:
             return int(start)
     return None

@@ -18,7 +18,7 @@ from hybrid_id.records.measures import (
     start_position,
     stretches,
 )
-from hybrid_id.records.record import Record
+from hybrid_id.records.record import Record, stamp
 from hybrid_id.records.sampling import check_sampling, check_steps
 from hybrid_id.records.units import stem
 
@@ -113,7 +113,9 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
     wrapped = np.abs(np.abs(jumps) - 2 * np.pi) < 1.0
     if position and wrapped.any() and np.quantile(np.abs(jumps), 0.98) < 1.0:
         at = record.time[np.argmax(wrapped) + 1]
-        words = f"it jumps by a turn {wrapped.sum()} times, first at {at:.4g} s; set 'unwrap' for its column"
+        words = (
+            f"it jumps by a turn {wrapped.sum()} times, first at {stamp(at)} s; set 'unwrap' for its column"
+        )
         yield "warning", "wrapped", words
     if values.size > 4:
         near = np.sort(np.lib.stride_tricks.sliding_window_view(values, 5), axis=1)
@@ -123,13 +125,14 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
         spikes = (away > SPIKE * fine) & (away > 2 * moved)
         if spikes.any():
             at = record.time[np.argmax(spikes) + 2]
-            words = f"{spikes.sum()} samples stand out as spikes, first at {at:.4g} s; use a robust loss or repair them"
+            count = spikes.sum()
+            words = f"{count} samples stand out as spikes, first at {stamp(at)} s; use a robust loss or repair them"
             yield "warning", "spikes", words
     for extreme in (values.max(), values.min()):
         if (at := find_stop(values, extreme, fine)) is not None:
             words = (
-                f"it stops dead at {extreme:.4g}, first at {record.time[at]:.4g} s: an end stop or the sensor's range; "
-                "keep clear of it or cut the record with 'between'"
+                f"it stops dead at {extreme:.4g}, first at {stamp(record.time[at])} s: an end stop or the sensor's "
+                "range; keep clear of it or cut the record with 'between'"
             )
             yield "warning", "clipped", words
     if position and count_turns(values, 5 * fine) == 0:
@@ -147,7 +150,7 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
         yield (
             "warning",
             "start_motion",
-            "it is moving at the start; begin at rest, or let the start speed be estimated",
+            "it is moving at the start, so that its speed there has to be estimated; begin at rest",
         )
 
 

@@ -16,6 +16,11 @@ LARGEST = 1e10  # of a signal in SI; what is larger is a fault of the log, and i
 _NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")  # names become file names
 
 
+def stamp(time: float) -> str:
+    """A time [s] as a message tells it: to the millisecond where stamps count from 1970, too."""
+    return f"{time:.13g}"
+
+
 @dataclass(frozen=True, eq=False)
 class Record:
     """One experiment, checked on construction; its arrays cannot be written to.
@@ -114,14 +119,14 @@ class Record:
         """Return the part whose stamps lie in [start, stop] (s), the stamps unchanged."""
         if not start < stop:
             raise InputError(
-                f"{self.title}: between [{start:g}, {stop:g}] is reversed; give the earlier time first"
+                f"{self.title}: between [{stamp(start)}, {stamp(stop)}] is reversed; give the earlier time first"
             )
         first, last = np.searchsorted(self.time, (start, stop), side="left")
         last += last < self.n_samples and self.time[last] == stop
         if last - first < 2:
             raise InputError(
-                f"{self.title}: fewer than 2 samples lie between {start:g} s and {stop:g} s; "
-                f"its stamps run from {self.time[0]:g} s to {self.time[-1]:g} s"
+                f"{self.title}: fewer than 2 samples lie between {stamp(start)} s and {stamp(stop)} s; "
+                f"its stamps run from {stamp(self.time[0])} s to {stamp(self.time[-1])} s"
             )
         cut = slice(first, last)
         return replace(

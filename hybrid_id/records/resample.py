@@ -19,7 +19,8 @@ from typing import Literal
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.record import UNIFORM_TOLERANCE, Record
+from hybrid_id.records.record import UNIFORM_TOLERANCE, Record, stamp
+from hybrid_id.records.units import stem
 
 MAX_GAP = 3.0  # median steps
 MOST = 1000  # new samples for each old one: more are a slip of the step, and fill the memory
@@ -67,7 +68,9 @@ class ResampleReport:
                 f"{name} {rms:.2g} RMS" for name, rms in self.lost.items()
             )
         if self.gaps:
-            words += "; bridged gaps at " + ", ".join(f"{t:.4g} s ({1e3 * d:.3g} ms)" for t, d in self.gaps)
+            words += "; bridged gaps at " + ", ".join(
+                f"{stamp(t)} s ({1e3 * d:.3g} ms)" for t, d in self.gaps
+            )
         return words
 
 
@@ -111,7 +114,7 @@ def resample_record(
         )
     if gaps := find_gaps(record, max_gap):
         raise InputError(
-            f"{record.title}: after {gaps[0][0]:.6g} s samples are missing for {1e3 * gaps[0][1]:.3g} ms "
+            f"{record.title}: after {stamp(gaps[0][0])} s samples are missing for {1e3 * gaps[0][1]:.3g} ms "
             f"({gaps[0][1] / record.sample_time:.0f} steps, {len(gaps)} gap{'s' * (len(gaps) > 1)} in all); "
             "cut the record there with 'between', or raise 'max_gap'"
         )
@@ -143,16 +146,15 @@ def _on_grid(record: Record, grid: np.ndarray, step: float, method: str) -> Reco
         name: Akima1DInterpolator(record.time, values, method="makima")(instants)
         for name, values in record.outputs.items()
     }
-    in_force = (
-        np.searchsorted(record.time, grid + 1e-6 * step, side="right") - 1
-    )  # past the rounding of stamps
+    # past the rounding of stamps, which is coarse where they count from 1970
+    in_force = np.searchsorted(record.time, grid + UNIFORM_TOLERANCE * step, side="right") - 1
     inputs = {}
     for name, values in record.inputs.items():
         if method == "hold":
             inputs[name] = values[in_force]
             continue
         mean = _mean_of_held(record.time, values, grid, step)
-        inputs[name] = np.round(mean) if np.isin(values, (0.0, 1.0)).all() else mean
+        inputs[name] = np.round(mean) if stem(name) == "enable" else mean
     return replace(record, time=grid, inputs=inputs, outputs=outputs)
 
 

@@ -6,11 +6,13 @@ import numpy as np
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
-from hybrid_id.records.record import Record
+from hybrid_id.records.record import Record, stamp
 from hybrid_id.records.resample import find_gaps
 
 MIN_SAMPLES = 200
 SLOW_STEP = 0.2  # s; nobody samples a drive that slowly, but 5 kHz stamped in ms looks like it
+STAMPS = ((1e2, "ms", "unit: ms"), (1e5, "us", "unit: us"), (np.inf, "ns", "scale: 1.0e-9"))
+"""Units of stamps by the step below which they explain one that is too long, and what says so."""
 UNEQUAL = 10.0  # ratio of two records' steps
 
 
@@ -21,16 +23,17 @@ def check_sampling(record: Record) -> Iterator[Finding]:
         words = f"{name} has {record.n_samples} samples; record longer, at least {MIN_SAMPLES}"
         yield Finding("warning", "short", words, name)
     if step >= SLOW_STEP:
+        unit, key = next((u, k) for most, u, k in STAMPS if step < most)
         words = (
-            f"{name}: its samples are {step:.4g} s apart, too far for most drives; if its stamps are in ms, set "
-            "'t: {column: t, unit: ms}' under 'columns'"
+            f"{name}: its samples are {step:.4g} s apart, too far for most drives; if its stamps are in {unit}, set "
+            f"'t: {{column: t, {key}}}' under 'columns'"
         )
         yield Finding("warning", "slow_step", words, name)
     if gaps := find_gaps(record):
         places = "place" if len(gaps) == 1 else "places"
         longest = np.floor(max(length for _, length in gaps) / step) + 1
         words = (
-            f"{record.title}: samples are missing at {len(gaps)} {places}, first after {gaps[0][0]:.4g} s for "
+            f"{record.title}: samples are missing at {len(gaps)} {places}, first after {stamp(gaps[0][0])} s for "
             f"{1e3 * gaps[0][1]:.3g} ms ({gaps[0][1] / step:.0f} steps), and a fit would take the input as held "
             f"meanwhile; cut the record there with 'between', or bridge it with 'resample: {{max_gap: {longest:.0f}}}'"
         )

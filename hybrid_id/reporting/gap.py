@@ -30,6 +30,9 @@ TOP = 4
 UNLIKELY = 0.01
 """Probability below which an effect's parameters are noise and no news."""
 
+WORSE = 1.5
+"""Error of the re-fit over that of today's values from which it is said."""
+
 
 def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> str:
     """The diagnosis as plain text of at most 25 lines of 120 characters.
@@ -60,6 +63,7 @@ def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.
         *bent_lines(diagnosis, 4),
         *untold_lines(diagnosis, 1),
         *beyond_lines(diagnosis)[:1],
+        *caution_lines(diagnosis),
     )
     parts += [Text(line, style="yellow") for line in remarks]
     return Group(*parts)
@@ -71,14 +75,33 @@ def beyond_lines(diagnosis: Diagnosis) -> list[str]:
     return [f"beyond: {words}: what acts there only, these train records cannot tell." for words in said]
 
 
+def caution_lines(diagnosis: Diagnosis) -> list[str]:
+    """What speaks against the re-fit as a ground to stand on, and against "outside the catalogue"."""
+    nominal, refit, lines = diagnosis.nominal, diagnosis.refit, []
+    told = nominal is not None and refit is not None and refit.nrmse > WORSE * nominal.nrmse
+    if told and diagnosis.verdict != "no_gap":
+        lines.append(
+            "the re-fit predicts unseen records worse than today's values do: a train record may contradict the "
+            "others; 'hybrid-id check' looks at each."
+        )
+    if diagnosis.unknown and diagnosis.search.full:
+        lines.append(
+            "more effects at once were not looked for; what is left may be one more: give a larger --most."
+        )
+    return lines
+
+
 def suspects_table(
     diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95, most: int | None = None
 ) -> Table:
     """The effects that were tried (the first ``most``), the selected ones first, then by probability."""
     table = open_table("probability>", "effect", "where", f"parameters ± ({100 * level:g} %)", "")
+    # with a selected one, as the sentence says
+    tied = {member for group in diagnosis.ties for member in group}
     for one in diagnosis.effects[:most]:
         values = values_of(diagnosis, one, reach) if one.selected or one.probability >= UNLIKELY else []
-        mark = Text("selected", style="green") if one.selected else Text("tied" if one.tied_with else "")
+        others = "tied" if f"{one.name}@{one.where}" in tied else ""
+        mark = Text("selected", style="green") if one.selected else Text(others)
         table.add_row(
             f"{one.probability:.3f}", words_of(one.name), f"{joint_words(one.where)}, {place_words(one.where)}",
             ", ".join(values), mark,

@@ -151,7 +151,7 @@ def withdrawn_lines(diagnosis: Diagnosis) -> list[str]:
     words = _joined(list(diagnosis.withdrawn))
     verb = "lowers" if len(diagnosis.withdrawn) == 1 else "lower"
     return [
-        f"withdrawn: {words} {verb} the errors of the train records, but not surely those of the test records."
+        f"withdrawn: {words} {verb} the errors of the train records, hardly or not surely those of the test records."
     ]
 
 

@@ -85,7 +85,7 @@ def drift_table(study: HybridStudy, reach: float, level: float) -> Table:
         strict=True,
     )  # fmt: skip
     for name, before, error, after, other, unit, drift in rows:
-        moved = f"{drift:+.1f}" if math.isfinite(drift) else "0"
+        moved = f"{drift:+.1f}" if math.isfinite(drift) else "unknown"
         table.add_row(
             name, f"{before:.5g}", f"{reach * error:.2g}", f"{after:.5g}", f"{reach * other:.2g}", unit, moved
         )

@@ -165,7 +165,7 @@ def residual_figure(study: Study, white: Whiteness, sample_time: float) -> Figur
             left.plot(lags, white.correlation[:, k], color=COLOURS[k % len(COLOURS)], label=symbol(name))
             shown = np.clip(residual[:, k] / max(sizes[k], 1e-300), -4, 4)
             words, colour = f"{symbol(name)}, RMS {sizes[k]:.2g}", COLOURS[k % len(COLOURS)]
-            right.hist(shown, bins, density=True, histtype="stepfilled", alpha=0.6, color=colour, label=words)
+            right.hist(shown, bins, density=True, alpha=0.6, color=colour, label=words)
         grid = np.linspace(-4, 4, 301)
         right.plot(
             grid, np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi), color="black", lw=0.9, label="normal"

@@ -1,20 +1,31 @@
 """Which commit of this program is running."""
 
 import functools
+import hashlib
 import subprocess
 from pathlib import Path
 
 from hybrid_id import __version__
 
-UNKNOWN = "unknown"
+UNKNOWN, DIRTY = "unknown", "-dirty"
 
 
 def commit() -> str:
-    """The commit's hash, `-dirty` behind it where files were changed since; `unknown` outside of a checkout."""
+    """The commit's hash; `-dirty` and a hash of the changes behind it where files were changed since.
+
+    `unknown` outside of a checkout.
+    """
     found = _git("rev-parse", "HEAD")
     if found is None:
         return UNKNOWN
-    return f"{found}-dirty" if _git("status", "--porcelain", "--untracked-files=no") else found
+    changes = _git("diff", "HEAD")
+    return f"{found}{DIRTY}.{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else found
+
+
+def short(commit: str) -> str:
+    """The first digits of a commit's hash, and whether files had been changed since."""
+    head, dirty, _ = commit.partition(DIRTY)
+    return head[:7] + dirty
 
 
 @functools.cache

@@ -178,7 +178,7 @@ def write_parameters(path: Path, study: Study, reach: float) -> None:
                 [
                     study.cross_validation.set_names[i], int(i == study.selection.index), name,
                     f"{result.values[k]:.10g}", result.units[k], *(f"{v:.6g}" if known else "" for v in interval),
-                    int(known and not at_bound), int(at_bound), result.status,
+                    int(known), int(at_bound), result.status,
                 ]
             )  # fmt: skip
     _write_rows(path, heads, rows)

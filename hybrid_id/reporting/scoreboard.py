@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
+
+import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.reporting.provenance import short
+from hybrid_id.reporting.style import save
 
 Scores = Mapping[str, Any]
 """What ``blind score`` keeps in ``scores.json``."""
@@ -19,6 +26,7 @@ ROWS = {
     "f1": "F1 of the set (pairs)",
     "whole": "exactly what was at work named (all cases)",
     "false_alarms": "false alarms (nothing at work)",
+    "values": "nothing wrong or the values alone, as it is (nothing at work)",
     "outside_detected": "outside the catalogue: detected",
     "false_unknown": "false 'unknown'",
     "shrink_error": "error of the claimed shrink, median [points]",
@@ -50,8 +58,10 @@ def value(name: str, score: Mapping[str, Any] | None, *, interval: bool = True) 
         return f"{100 * x:.0f}" if percent else form.format(x)
 
     text = number(score["value"]) + (" %" if percent else "")
-    if not interval or name == "seconds" or score.get("low") is None:
+    if not interval or name == "seconds":
         return text
+    if score.get("low") is None:  # of few cases
+        return f"{text} ({score['n']})"
     return f"{text} ({number(score['low'])} to {number(score['high'])}; {score['n']})"
 
 
@@ -74,18 +84,22 @@ def score_rows(content: Scores) -> tuple[list[str], list[list[str]]]:
 
 def target_rows(targets: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
     """Heads and rows of the targets."""
-    verdict = {True: "met; its interval reaches beyond", False: "**missed**", None: "no case"}
     rows = [
         [
             t["claim"],
             t["target"],
             value(t["score"], t["seen"]),
-            "met" if t["shown"] else verdict[t["met"]],
+            "no case" if t["met"] is None else _verdict(t["met"], t["shown"]),
             ", ".join(t["cases"][:12]),
         ]
         for t in targets
     ]
     return ["claim", "target", "seen", "", "cases to look at"], rows
+
+
+def _verdict(met: bool, shown: bool) -> str:
+    """What is said of a target by the figure seen, and by all of its interval."""
+    return ("met" if shown else "met; its interval reaches beyond") if met else "**missed**"
 
 
 def group_rows(groups: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -103,10 +117,14 @@ def markdown(content: Scores) -> str:
     """
     about, first = content["about"], next(iter(content["methods"]))
     hashes = ", ".join(one[:16] for one in about["sha256"])
+    others = {m: c for m, c in about.get("commits", {}).items() if c != about["commit"]}
     parts = [
-        f"## {about['date']}, commit {about['commit'][:7]}, seed {about['seed']}",
-        f"{about['scored']} of {about['cases']} cases scored; made at commit {about['made_at'][:7]}, hash of the "
-        f"answers {hashes}. Shares with Wilson's 95 % interval and the number of cases behind them.",
+        f"## {about['date']}, commit {short(about['commit'])}, seed {about['seed']}",
+        f"{about['scored']} of {about['cases']} cases scored"
+        + (f", {lost} more could not be made" if (lost := about["asked"] - about["cases"]) else "")
+        + f"; made at commit {short(about['made_at'])}, hash of the answers {hashes}. "
+        + "".join(f"`{method}` was run at commit {short(at)}. " for method, at in others.items())
+        + "Shares with Wilson's 95 % interval and the number of cases behind them.",
         "\n".join(f"    {line}" for line in about["commands"]),
         table(*score_rows(content)),
         f"Targets, for `{first}`:",
@@ -134,7 +152,7 @@ def ties_line(told: Mapping[str, Any]) -> str:
     """How many ties the proposed experiment resolves, in a sentence or two."""
     if told["resolved"] is None:
         return "No case had a tie for which an experiment was proposed."
-    verdict = "met" if told["resolved"]["value"] >= TIES_RESOLVED else "**missed**"
+    verdict = _verdict(*(told["resolved"][key] >= TIES_RESOLVED for key in ("value", "low")))
     left = [name for name, one in told["cases"].items() if not one["resolved"]]
     look = f" Not resolved: {', '.join(left[:12])}." if left else ""
     return (
@@ -144,11 +162,28 @@ def ties_line(told: Mapping[str, Any]) -> str:
     )
 
 
-def append_section(path: Path, section: str) -> None:
-    """Add a section at the end of a file; what stands there is never touched."""
+def append_section(path: Path, content: Mapping[str, Any], pictures: Mapping[str, np.ndarray]) -> None:
+    """Add a scoreboard at the end of a file, its pictures in a folder of the file's name; what stands there stays.
+
+    A board that the file has already is not added again.
+
+    Args:
+        path: file of the scoreboards.
+        content: what is kept in ``scores.json``.
+        pictures: by name, (H, W, 3) uint8.
+    """
+    about, folder, section = content["about"], path.with_suffix(""), markdown(content)
+    # one commit may take several sets of cases, and with several programs
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
+    shown = {name: f"{short(about['commit'])}-{about['scored']}-{digest}-{name}.png" for name in pictures}
+    links = (f"![{name.capitalize()}]({quote(folder.name)}/{file})\n" for name, file in shown.items())
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.exists() and section in path.read_text(encoding="utf-8"):
+            return
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, file in shown.items():
+            save(pictures[name], folder / file)
         with path.open("a", encoding="utf-8") as file:
-            file.write(("\n" if file.tell() else "") + section)
+            file.write(("\n" if file.tell() else "") + "\n".join([section, *links]))
     except OSError as error:
         raise InputError(f"{path} cannot be written ({error.strerror}); give another file") from None

@@ -18,7 +18,8 @@ from hybrid_id.statistics.fit import fit_by_signal
 class TrainingLog:
     """Writer of a training; pass it to :func:`hybrid_id.identification.adjoint.train`, best in a ``with``.
 
-    Tags: ``loss/train``, ``loss/validation`` (per measurement), ``gradient/norm`` (in standard errors),
+    Tags: ``loss/train`` (the whole cost, price and priors in it, per measurement; of windows at first) and
+    ``loss/validation`` (of the data alone, its typical part), ``gradient/norm`` (in standard errors; Adam's per datum),
     ``fit/<signal>`` [%], ``parameters/<joint>/<symbol>``, of networks ``residual/share_<output>`` and
     ``residual/price``; figures ``simulated/<signal>`` when it is closed.
 
@@ -45,7 +46,7 @@ class TrainingLog:
     def record(self, snapshot: Snapshot) -> None:
         """Write the scalars of one snapshot."""
         self._last = snapshot
-        tags = _parameter_tags(snapshot.table)
+        tags = snapshot.parameter_tags
         measured, simulated, used = (
             np.asarray(t.cpu()) for t in (snapshot.batch.y, snapshot.simulated, snapshot.batch.weight > 0)
         )
@@ -85,15 +86,6 @@ class TrainingLog:
         if name not in self._writers:
             self._writers[name] = SummaryWriter(str(self.folder / name))
         return self._writers[name]
-
-
-def _parameter_tags(table: tuple[tuple[str, str], ...]) -> list[str]:
-    """``parameters/<joint>/<symbol>``, with the place where a joint has the symbol twice."""
-    short = [f"{component.split('/')[0]}/{symbol}" for component, symbol in table]
-    return [
-        f"parameters/{name}" if short.count(name) == 1 else f"parameters/{component}/{symbol}"
-        for name, (component, symbol) in zip(short, table, strict=True)
-    ]
 
 
 def _overlay(snapshot: Snapshot, row: int, column: int) -> Figure:

@@ -11,11 +11,11 @@ from scipy.integrate import cumulative_trapezoid
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.measures import rest_samples
+from hybrid_id.records.measures import quantisation_step, rest_samples
 from hybrid_id.records.record import Record
 from hybrid_id.records.smoothing import noise_level, smooth_derivatives
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.rest import resting_twist
+from hybrid_id.simulation.rest import hidden_side, resting_twist
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
@@ -36,8 +36,8 @@ def make_batch(
 ) -> Batch:
     """Prepare records for simulation and fitting.
 
-    The start angle is the mean of the samples at rest; a record that starts in motion starts from a local
-    polynomial. A link that nobody has measured starts at rest where its load has wound up the gear, bristles unloaded.
+    The start angle is the mean of the samples at rest; a record that starts in motion starts from a local polynomial.
+    The side of a gear that nobody has measured starts at rest where the load has wound it up, bristles unloaded.
 
     Args:
         system: tells channels and states.
@@ -176,30 +176,28 @@ def _states(
             states[:, link : link + 2], stds[link : link + 2] = _motion(joint, record, f"q_a{n}", noise, rest)
         else:
             states[:, link : link + 2] = states[:, row : row + 2] / ratio
-            # in motion nobody knows the spring's deflection
-            unknown = 0.1 * states[:, link : link + 2].std(0) if rest < RESTING else 0.0
-            stds[link : link + 2] = stds[row : row + 2] / ratio + unknown
+            stds[link : link + 2] = stds[row : row + 2] / ratio
+        hidden = hidden_side(joint, record.outputs)
+        if hidden is not None and rest < RESTING:  # in motion nobody knows the spring's deflection
+            stds[hidden : hidden + 2] += 0.1 * states[:, hidden : hidden + 2].std(0)
     return states, stds if estimate_start else np.zeros_like(stds)
 
 
 def _wind_up(
     system: System, records: Sequence[Record], x: Tensor, x0_std: Tensor, u: Mapping[str, Tensor]
 ) -> None:
-    """Put the links that nobody has measured where their loads let them rest, in records that start at rest.
-
-    How far that is depends on parameters that a fit moves: the start may move as far.
-    """
+    """Put the hidden side of a gear where the load lets it rest at the start; a fit may move it as far."""
     for joint in system.joints:
-        if joint.rigid or f"q_a{joint.number}" in records[0].outputs:
+        hidden = hidden_side(joint, records[0].outputs)
+        if hidden is None:
             continue
         still = torch.tensor([rest_samples(record) >= RESTING for record in records])
         first = {name: channel[:, 0] for name, channel in u.items()}
         twist = resting_twist(system, joint, list(x[:, 0].unbind(1)), first) * still
-        link = joint.positions[1]
-        x[:, :, link] += twist[:, None]
-        x0_std[:, link] = torch.where(
-            x0_std[:, link] > 0, torch.hypot(x0_std[:, link], twist), x0_std[:, link]
-        )
+        turn = twist if hidden == joint.positions[1] else -joint.gear_ratio * twist
+        x[:, :, hidden] += turn[:, None]
+        std = x0_std[:, hidden]
+        x0_std[:, hidden] = torch.where(std > 0, torch.hypot(std, turn), std)
 
 
 def _motion(
@@ -218,7 +216,9 @@ def _motion(
         # at its end a cubic through nine samples, the smoothing's short window, has this slope's error
         first = std, std / record.sample_time
         if rest >= RESTING:
-            angle[:rest], first = np.mean(measured[:rest]), (std / np.sqrt(rest), 0.0)
+            # readings that stay on one count do not average: the angle lies anywhere within it
+            count = quantisation_step(measured) / np.sqrt(12) if np.ptp(measured[:rest]) == 0.0 else 0.0
+            angle[:rest], first = np.mean(measured[:rest]), (max(std / np.sqrt(rest), count), 0.0)
         if estimated:
             first = np.ptp(angle) + 1.0, first[1]
     if rest >= RESTING:

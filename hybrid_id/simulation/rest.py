@@ -1,6 +1,8 @@
-"""Where a link rests behind a compliant gear when nobody has measured it: its load has wound the gear up."""
+"""Where the side of a compliant gear rests that nobody has measured: the load has wound the gear up."""
 
 from __future__ import annotations
+
+from collections.abc import Collection
 
 import torch
 from torch import Tensor
@@ -10,6 +12,16 @@ from hybrid_id.systems.joint import Joint
 
 SMALLEST, LARGEST, HALVINGS = 1e-5, 2.0, 50
 """Twists [rad at the link] between which the balance is looked for, and steps of the bisection."""
+
+
+def hidden_side(joint: Joint, outputs: Collection[str]) -> int | None:
+    """Row of the angle, the motor's or the link's, that outputs do not tell behind a gear that gives way; else None."""
+    if joint.rigid:
+        return None
+    motor, link = joint.positions
+    if f"q_a{joint.number}" not in outputs:
+        return link
+    return None if {f"q_m{joint.number}", f"v_m{joint.number}"} & set(outputs) else motor
 
 
 @torch.no_grad()

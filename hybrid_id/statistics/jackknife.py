@@ -42,8 +42,8 @@ def jackknife_covariance(
     for j, r in records:
         share = max(1, round(blocks * len(r) / samples))
         pieces += zip(np.array_split(j, share), np.array_split(r, share), strict=True)
-    gradients = np.stack([np.einsum("tyi,ty->i", j, r) for j, r in pieces]) / variance
-    hessians = np.stack([np.einsum("tyi,tyj->ij", j, j) for j, _ in pieces]) / variance
+    gradients = np.stack([np.einsum("tyi,ty->i", j, r) for j, r in pieces])
+    hessians = np.stack([np.einsum("tyi,tyj->ij", j, j) for j, _ in pieces])
     prior = prior_matrix(prior_information, n_parameters)
     information = hessians.sum(0) + prior
     inverse, determined = scaled_inverse(information)
@@ -58,7 +58,8 @@ def jackknife_covariance(
     drawn = axes.T @ prior @ axes  # the prior's mean counts as one more measurement
     matrix = axes @ ((len(pieces) - 1) / len(pieces) * steps.T @ steps + drawn) @ axes.T
     std_error = np.where(determined, np.sqrt(np.maximum(np.diag(matrix), 0.0)), np.inf)
-    return Covariance(matrix, std_error, variance, "jackknife", max(len(r) for _, r in pieces))
+    longest = max(len(r) for _, r in pieces)
+    return Covariance(matrix, std_error, variance, "jackknife", longest, inverse)
 
 
 def autocorrelation_robust(

@@ -1,6 +1,8 @@
 """Covariance of estimates from the Jacobian: plain, and robust against autocorrelated residuals.
 
 Convention of this package: ``residual = w (y - ŷ)`` and ``jacobian = w ∂ŷ/∂θ`` with ``w`` = 1 / standard deviation.
+A fit weighs the records by that w, whatever residuals it ends with, and a prior of information P as it is given: the
+Hessian of its cost is ``JᵀJ + P``, and its inverse A tells how the estimate answers to either.
 One record has arrays (T,) and (T, p), or (T, n_y) and (T, n_y, p); several records come as sequences of such.
 """
 
@@ -29,6 +31,7 @@ class Covariance:
         noise_variance: Variance of the weighted residuals; 1 where the weights are right.
         method: "plain" or "robust".
         lag: Samples over which the robust version sums; 0 for the plain one.
+        inverse_hessian: A, (p, p).
     """
 
     matrix: np.ndarray
@@ -36,6 +39,7 @@ class Covariance:
     noise_variance: float
     method: str
     lag: int
+    inverse_hessian: np.ndarray
 
     def interval(self, estimate: np.ndarray, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Normal confidence interval (lower, upper), each (p,)."""
@@ -50,7 +54,7 @@ def covariance(
     prior_information: np.ndarray | None = None,
     noise_variance: float | None = None,
 ) -> Covariance:
-    """``(JᵀJ / s² + P)⁻¹``: right where residuals are white and the model is.
+    """``A (s² JᵀJ + P) A``: right where residuals are white and the model is; ``s² (JᵀJ)⁻¹`` without a prior.
 
     Args:
         jacobian: Weighted Jacobian of one record or of several.
@@ -61,9 +65,11 @@ def covariance(
     records = as_records(jacobian, residual)
     variance = noise_variance_of(records) if noise_variance is None else noise_variance
     hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
-    information = hessian / variance + prior_matrix(prior_information, len(hessian))
-    matrix, determined = scaled_inverse(information)
-    return Covariance(matrix, _std_error(matrix, determined), variance, "plain", 0)
+    prior = prior_matrix(prior_information, len(hessian))
+    inverse, determined = scaled_inverse(hessian + prior)
+    # the same, without cancellation where there is no prior
+    matrix = variance * inverse + (1.0 - variance) * inverse @ prior @ inverse
+    return Covariance(matrix, _std_error(matrix, determined), variance, "plain", 0, inverse)
 
 
 def robust_covariance(
@@ -72,7 +78,7 @@ def robust_covariance(
     *,
     prior_information: np.ndarray | None = None,
 ) -> Covariance:
-    """``A⁻¹ B A⁻¹`` with B the long-run covariance of the scores ``J_tᵀ r_t``: residuals may be autocorrelated.
+    """``A (B + P) A`` with B the long-run covariance of the scores ``J_tᵀ r_t``: residuals may be autocorrelated.
 
     Records are independent of each other. A model error that lasts as long as a record escapes it: compare with
     the scatter between records (`trust`).
@@ -86,19 +92,19 @@ def robust_covariance(
     variance = noise_variance_of(records)
     hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
     prior = prior_matrix(prior_information, len(hessian))
-    inverse, determined = scaled_inverse(hessian / variance + prior)
+    inverse, determined = scaled_inverse(hessian + prior)
     # principal axes of the information: along a null direction the scores are zero, and must stay zero
     scale = diagonal_scale(hessian)
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
     kept = values > _NUMERICALLY_NULL * len(values)
     root = np.sqrt(values[kept])
     axes, back = vectors[:, kept] / scale[:, None] / root, vectors[:, kept] * scale[:, None] * root
-    rotated, lag = long_run_covariance([np.einsum("tyi,ty->ti", j @ axes, r) / variance for j, r in records])
+    rotated, lag = long_run_covariance([np.einsum("tyi,ty->ti", j @ axes, r) for j, r in records])
     scores = back @ rotated @ back.T
     n_residuals = sum(r.size for _, r in records)
     correction = n_residuals / max(n_residuals - len(hessian), 1)
     matrix = inverse @ (correction * scores + prior) @ inverse
-    return Covariance(matrix, _std_error(matrix, determined), variance, "robust", lag)
+    return Covariance(matrix, _std_error(matrix, determined), variance, "robust", lag, inverse)
 
 
 def as_records(jacobian: Arrays, residual: Arrays) -> list[tuple[np.ndarray, np.ndarray]]:

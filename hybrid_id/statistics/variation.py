@@ -108,3 +108,21 @@ def mean_interval(parameter_sets: np.ndarray, *, level: float = 0.95) -> MeanInt
     std_error = sets.std(axis=0, ddof=1) / np.sqrt(n_sets)
     reach = stdtrit(n_sets - 1, 0.5 + level / 2) * std_error
     return MeanInterval(mean, std_error, mean - reach, mean + reach, level, n_sets)
+
+
+def prior_variances(
+    inverse_hessians: Sequence[np.ndarray], precision: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a prior that all sets share adds to the variance of each set (n, p), and to that of their mean (p,).
+
+    A prior whose mean is off by e moves set k by ``A_k P e``, and their mean by the mean of that: it does not average
+    out, as errors do that each record has for itself.
+
+    Args:
+        inverse_hessians: ``A_k = (JᵀJ + P)⁻¹`` of each set, (p, p); see `uncertainty`.
+        precision: P, of the prior of each parameter, 0 where it has none (p,).
+    """
+    sets, known = np.asarray(inverse_hessians), precision > 0
+    pulls = sets * precision
+    mean = pulls.mean(0)[:, known]
+    return np.einsum("kij,kij->ki", pulls, sets), np.sum(mean**2 / precision[known], 1)

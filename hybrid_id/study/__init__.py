@@ -2,7 +2,7 @@
 
 from hybrid_id.study.comparison import Comparison, Replay, compare, replay
 from hybrid_id.study.identifiable import preflight
-from hybrid_id.study.plausibility import check_fit, check_start_values
+from hybrid_id.study.plausibility import check_fit, check_priors, check_start_values
 from hybrid_id.study.profiles import profiles
 from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import assess, identify
@@ -14,6 +14,7 @@ __all__ = [
     "Study",
     "assess",
     "check_fit",
+    "check_priors",
     "check_start_values",
     "compare",
     "identify",

@@ -82,8 +82,7 @@ class Course:
         scalars = {"loss/train": snapshot.train[0], "gradient/norm": snapshot.gradient_norm[0]}
         if snapshot.validation is not None:
             scalars["loss/validation"] = snapshot.validation[0]
-        for (component, symbol), value in zip(snapshot.table, snapshot.values[0], strict=True):
-            scalars[f"parameters/{component.split('/')[0]}/{symbol}"] = value
+        scalars |= dict(zip(snapshot.parameter_tags, snapshot.values[0], strict=True))
         for tag, value in (scalars | dict(snapshot.scalars)).items():
             self.history.setdefault(tag, []).append((snapshot.step, float(value)))
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_id.statistics.fit import known_mean
 from hybrid_id.statistics.paired import PairedDifference, paired_difference
 from hybrid_id.statistics.variation import Variation, variation
 from hybrid_id.study.ablation_cell import DONE, CellResult, Rung
@@ -155,14 +156,14 @@ def _errors(rungs: Mapping[int, Rung], splits: Mapping[int, Split], records: str
 
 
 def _drift(physics: Rung, hybrid: Rung) -> float:
-    """Largest change of a parameter when the network came in, in standard errors of the difference."""
-    found = [0.0]
+    """Largest change of a parameter when the network came in, in its standard errors; NaN where none is known."""
+    found = []
     for name, value in hybrid.values.items():
         error = math.hypot(physics.std_errors[name], hybrid.std_errors[name])
         if 0.0 < error < math.inf:
             found.append(abs(value - physics.values[name]) / error)
-    return max(found)
+    return max(found, default=math.nan)
 
 
 def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values)) if values else math.nan
+    return known_mean(values)

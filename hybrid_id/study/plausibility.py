@@ -6,17 +6,24 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hybrid_id.errors import listed
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
 from hybrid_id.study.comparison import replay
 from hybrid_id.study.result import Study
 from hybrid_id.systems.chain import System
 
+FROM_PRIOR = 6.0
+"""Standard deviations of a prior from which its parameter is called odd."""
+FAR_OUT = 20.0
+"""Error of a record over the median of all from which it contradicts the others."""
+
 
 def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
     """Simulate the train records with the model's start values; one warning where that explains nothing."""
-    runs = replay(dataset.select([record.name for record in dataset.train or dataset.records]), system)
-    words = _verdict("the model's start values", [list(run.nrmse.values()) for run in runs])
+    names = [record.name for record in dataset.train or dataset.records]
+    runs = replay(dataset.select(names), system)
+    words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs])
     return [Finding("warning", "start_values", words)] if words else []
 
 
@@ -26,19 +33,44 @@ def check_fit(study: Study) -> str:
     outputs = study.selected.residual[0].shape[-1]
     train = 1.0 - cross.fits[index, :, :outputs] / 100.0
     test = [[value] for value in study.test_nrmse.values()]
-    return _verdict("the identified parameters", train) or _verdict("the identified parameters", test)
+    who = "the identified parameters"
+    return _verdict(who, cross.record_names, train) or _verdict(who, tuple(study.test_nrmse), test)
 
 
-def _verdict(who: str, nrmse: Sequence[Sequence[float]] | np.ndarray) -> str:
-    """Say that the normalised RMSE (n_records, n_outputs) of the worst output, median of the records, is above 1."""
+def check_priors(study: Study) -> list[str]:
+    """Say which identified values lie further from their priors than data sheets are wrong: units are, or the model."""
+    lines, selected = [], study.selected
+    for name, value in zip(selected.names, selected.values, strict=True):
+        spec = selected.system.parameter(name).spec
+        if spec.prior_std is None or spec.prior_mean is None:
+            continue
+        away = abs(value - spec.prior_mean) / spec.prior_std
+        if away > FROM_PRIOR:
+            lines.append(
+                f"{name} = {value:.4g} is {away:.0f} standard deviations from its prior {spec.prior_mean:.4g}; check "
+                "the units of commands and outputs, and that nothing is missing ('hybrid-id diagnose')"
+            )
+    return lines
+
+
+def _verdict(who: str, names: Sequence[str], nrmse: Sequence[Sequence[float]] | np.ndarray) -> str:
+    """Say that the normalised RMSE (n_records, n_outputs) of the worst output, median of the records, is above 1.
+
+    Or that of single records which stand far out of the others.
+    """
     errors = np.array(nrmse, float)
     if not errors.size:
         return ""
     moving = errors[:, ~np.isnan(errors).all(0)]  # an output that stands still in all records has none
     worst = float(np.max(np.nanmedian(moving, axis=0), initial=0.0)) if moving.size else 0.0
-    size = f"normalised RMSE {worst:.3g}" if np.isfinite(worst) else "the simulation diverges"
+    if worst > 1.0:
+        size = f"normalised RMSE {worst:.3g}" if np.isfinite(worst) else "the simulation diverges"
+        return f"{who} explain less than the mean of the records ({size}); check signs, units and gear ratio"
+    largest = np.nanmax(np.where(np.isnan(errors), -np.inf, errors), axis=1)
+    out = [k for k, error in enumerate(largest) if error > max(1.0, FAR_OUT * float(np.median(largest)))]
+    if not out:
+        return ""
     return (
-        f"{who} explain less than the mean of the records ({size}); check signs, units and gear ratio"
-        if worst > 1.0
-        else ""
+        f"{who} explain the records but for {listed([names[k] for k in out])} (normalised RMSE {largest[out[0]]:.3g}, "
+        f"median {np.median(largest):.2g}); check signs, units and columns there"
     )

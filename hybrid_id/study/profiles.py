@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
@@ -37,9 +36,8 @@ def profiles(
 ) -> dict[str, Profile]:
     """Profile likelihood of some parameters of the selected set, by name: every point is a fit of all the others.
 
-    The threshold is that of the study's own noise, inflated where residuals are autocorrelated as much as the robust
-    standard error is larger than the plain one; priors count as they do in the standard errors. Ctrl-C ends it with the
-    profiles that are complete.
+    The cost rises to where the larger of the plain and the robust standard error would end if the model were linear, so
+    that noise, autocorrelation and priors count as they do there. Ctrl-C ends it with the profiles that are complete.
 
     Args:
         dataset: of the study.
@@ -63,9 +61,8 @@ def profiles(
         k = chosen.names.index(name)
         errors = plain.std_error[k], robust.std_error[k]
         known = bool(np.isfinite(errors).all()) and min(errors) > 0.0
-        variance = plain.noise_variance * (max(errors[1] / errors[0], 1.0) ** 2 if known else 1.0)
-        system = _with_noise(chosen.system, study.system, math.sqrt(variance))
-        spec, number = system.parameter(name).spec, count(1)
+        variance = max(errors) ** 2 / plain.inverse_hessian[k, k] if known else plain.noise_variance
+        spec, number = chosen.system.parameter(name).spec, count(1)
 
         def fitted(start: System) -> FitResult:
             if progress is not None:
@@ -73,12 +70,12 @@ def profiles(
             return fit(start, batch, pooled=True, engine=chosen.engine, options=options, warm=False)[0]
 
         def cost_at(value: float, start: np.ndarray) -> tuple[float, np.ndarray]:
-            moved = system.with_values(dict(zip(chosen.names, start, strict=True)))
+            moved = chosen.system.with_values(dict(zip(chosen.names, start, strict=True)))
             one = fitted(moved.with_specs({name: replace(spec, value=value, estimate=False)}))
             found = dict(zip(one.names, one.values, strict=True)) | {name: value}
             return 2.0 * one.cost + _prior(spec, value), np.array([found[n] for n in chosen.names])
 
-        best = fitted(system)
+        best = fitted(chosen.system)
         return profile_likelihood(
             cost_at,
             best.values,
@@ -97,18 +94,6 @@ def profiles(
     except KeyboardInterrupt:
         return found
     return found
-
-
-def _with_noise(chosen: System, start: System, noise: float) -> System:
-    """The fitted system, its priors as strong beside residuals of size 1 as beside those of the noise."""
-    specs = {}
-    for info in start.table:
-        own = info.spec
-        if own.estimate and own.prior_std is not None:
-            mean = own.value if own.prior_mean is None else own.prior_mean
-            fitted = chosen.parameter(info.name).spec
-            specs[info.name] = replace(fitted, prior_mean=mean, prior_std=own.prior_std / noise)
-    return chosen.with_specs(specs)
 
 
 def _prior(spec: Bounded, value: float) -> float:

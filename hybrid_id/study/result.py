@@ -93,12 +93,14 @@ class Study:
     def standard_errors(self, index: int) -> np.ndarray:
         """Standard errors of a set: the larger of plain and robust; inf where no interval may be claimed.
 
-        None may for a parameter that the records do not tell alone, nor for any of a set that was stopped on its way.
+        None may for a parameter that the records do not tell alone or that lies at a bound, nor for any of a set that
+        was stopped on its way.
         """
         if self.sets[index].left_early:
             return np.full(len(self.names), np.inf)
         larger = np.maximum(self.covariances[index].std_error, self.robust[index].std_error)
-        return np.where(self.identifiability.claimable, larger, np.inf)
+        free = [name not in self.sets[index].at_bound for name in self.names]
+        return np.where(self.identifiability.claimable & np.array(free), larger, np.inf)
 
     @property
     def test_error(self) -> float:

@@ -21,7 +21,7 @@ from hybrid_id.statistics.jackknife import autocorrelation_robust
 from hybrid_id.statistics.selection import select
 from hybrid_id.statistics.trust import Trust, trust_grades
 from hybrid_id.statistics.uncertainty import Covariance, covariance
-from hybrid_id.statistics.variation import mean_interval, variation
+from hybrid_id.statistics.variation import mean_interval, prior_variances, variation
 from hybrid_id.study.identifiable import told_by
 from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_nrmse
 from hybrid_id.study.result import Study
@@ -128,8 +128,8 @@ def assess(
 def _spread(way: Callable[..., Covariance], result: FitResult) -> Covariance:
     """Covariance of a set; a fit that diverged has none."""
     if result.status == "diverged":
-        size = len(result.values)
-        return Covariance(np.full((size, size), np.nan), np.full(size, np.nan), math.nan, "none", 0)
+        nothing = np.full((len(result.values),) * 2, np.nan)
+        return Covariance(nothing, nothing[0], math.nan, "none", 0, nothing)
     return way(result.jacobian, result.residual, prior_information=result.prior_precision)
 
 
@@ -149,21 +149,24 @@ def _standard_errors(
     if not pooled:
         ended = [k for k, result in enumerate(sets) if result.status != "diverged"]
         count = len(ended)
-        mean = {
-            way: np.sqrt(np.mean([ways[k].std_error ** 2 for k in ended], 0) / count)
-            for way, ways in (("plain", plain), ("robust", robust))
-        }
+        # all sets have the same prior: what that is off by moves them alike, and no mean over them lessens it
+        prior, shared = prior_variances([plain[k].inverse_hessian for k in ended], sets[0].prior_precision)
+
+        def of_mean(ways: Sequence[Covariance]) -> np.ndarray:
+            own = np.maximum([ways[k].std_error ** 2 for k in ended] - prior, 0.0)
+            return np.sqrt(np.mean(own, 0) / count + shared)
+
+        mean = {"plain": of_mean(plain), "robust": of_mean(robust)}
         if count < 2:
             return mean
-        return mean | {"between records": mean_interval(_estimates(sets)).std_error}
+        scatter = mean_interval(_estimates(sets)).std_error
+        return mean | {"between records": np.sqrt(scatter**2 + shared)}
     result = sets[0]
-    scale = result.noise_scale
-    jacobian, residual = [j / scale for j in result.jacobian], [r / scale for r in result.residual]
     errors = {"plain": plain[0].std_error, "robust": robust[0].std_error}
     ways: dict[str, Literal["auto", "record"]] = {"block bootstrap": "auto"}
-    ways |= {"record bootstrap": "record"} if len(residual) > 4 else {}
+    ways |= {"record bootstrap": "record"} if len(result.residual) > 4 else {}
     for way, block in ways.items():
-        blocks = block_contributions(jacobian, residual, block=block)
+        blocks = block_contributions(result.jacobian, result.residual, block=block)
         errors[way] = one_step_bootstrap(
             result.values, blocks, prior_information=result.prior_precision, seed=seed
         ).std_error

@@ -130,3 +130,16 @@ def test_machine_settles_before_its_record() -> None:
     angles = replay(machine, held(0.0, 60), sample_time=0.002)
     assert np.ptp(angles) < 1e-3  # rad of the rotor; a shorted motor brakes for ever
     assert angles[0, 0, 0] / RATIO == pytest.approx(0.4, abs=0.06)  # where friction holds it
+
+
+@pytest.mark.parametrize("coulomb", [F_C, 0.1])
+def test_a_link_behind_a_spring_settles_too(coulomb: float) -> None:
+    k, weight = 40.0, 2.0
+    machine = one_link(spring=LinearSpring(k, 0.05), laws=[Gravity(weight, 0.4)], coulomb=coulomb)
+    assert np.ptp(replay(machine, held(0.0, 300), sample_time=0.002)) < 1e-4 * RATIO
+    link = machine.drives[0].x
+    twist = float((link.q_a - link.q_m / RATIO)[0])
+    assert k * twist == pytest.approx(-weight * np.sin(float(link.q_a[0]) - 0.4), rel=1e-3)
+    rest = np.array([[float(link.q_m[0]) / RATIO]])
+    replayed = replay(machine, held(0.0, 300), sample_time=0.002, start=rest)
+    assert np.ptp(replayed) < 1e-4 * RATIO, "from angles that are given the link is as wound up as it was"

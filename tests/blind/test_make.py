@@ -71,13 +71,19 @@ def test_record_starts_at_rest_without_voltage(tmp_path: Path) -> None:
             assert abs(np.mean(start[:25]) - np.mean(start[25:])) < np.std(start)
 
 
-def test_sound_case_is_re_fitted_to_its_noise_floor(tmp_path: Path) -> None:
-    case = make_case(4, tmp_path, family="none", system="one_link")
+@pytest.mark.parametrize("family", ["none", "parameters"])
+def test_sound_case_is_re_fitted_to_its_noise_floor(family: str, tmp_path: Path) -> None:
+    """In one the simulator is right as it stands, in the other its values are wrong."""
+    case = make_case(4, tmp_path, family=family, system="one_link")
     answers = answers_of(case)
     assert answers["effects"] == []
     assert answers["level"] == "none"
-    assert answers["oracle"]["refit"] < 1.1 * answers["oracle"]["noise_floor"]
-    assert answers["oracle"]["nominal"] > 2 * answers["oracle"]["refit"]
+    oracle = answers["oracle"]
+    assert oracle["refit"] < 1.1 * oracle["noise_floor"]
+    if family == "none":
+        assert 0.9 * oracle["refit"] < oracle["nominal"] < 1.05 * oracle["refit"]
+    else:
+        assert oracle["nominal"] > 2 * oracle["refit"]
 
 
 def test_seed_decides_everything(tmp_path: Path) -> None:

@@ -54,6 +54,14 @@ def test_right_name_at_right_place() -> None:
     assert one.false_unknown is False and one.false_alarm is None and one.outside is None and one.pair is None
 
 
+def test_a_case_that_broke_and_an_interval_without_ends_say_nothing_of_the_gap() -> None:
+    gap = {"refit": 0.11, "with_effect": 0.02, "shrink": 0.95, "shrink_interval": [None, 1.0]}
+    one = judge("c1", STRIBECK, said(effect("stribeck_friction", selected=True), gap=gap))
+    assert one.covered is None and one.shrink_error == pytest.approx(5.0)
+    broke = judge("c1", STRIBECK, {"run": {"message": "ValueError: no"}})
+    assert broke.closed is None and broke.whole is False
+
+
 def test_equivalent_of_a_tie_counts_as_the_effect() -> None:
     tied = effect(
         "presliding_friction", FRICTION.replace("motor", "link"), 0.6, True, tied_with=["stribeck_friction@x"]
@@ -83,6 +91,21 @@ def test_wrong_name_keeps_its_place_and_its_rank() -> None:
 def test_right_name_at_wrong_place() -> None:
     one = judge("c1", STRIBECK, said(effect("stribeck_friction", "joint2/motor_friction", selected=True)))
     assert (one.top_1, one.place, one.top_1_at_place, one.whole) == (True, False, False, False)
+
+
+@pytest.mark.parametrize(
+    ("nominal", "verdict", "right"),
+    [
+        (0.4, "parameters_only", True), (0.4, "no_gap", False), (0.4, "effects", False),
+        (0.11, "no_gap", True), (0.11, "parameters_only", False), (0.12, "no_gap", None),
+    ],
+)  # fmt: skip
+def test_values_are_rightly_called_right_or_wrong(nominal: float, verdict: str, right: bool | None) -> None:
+    family = "none" if nominal == 0.11 else "parameters"
+    about = NONE | {"family": family, "oracle": ORACLE | {"nominal": nominal}}
+    one = judge("c1", about, said(gap={"refit": 0.11}) | {"verdict": verdict})
+    assert one.values is right and one.false_alarm is False
+    assert judge("c1", about, said() | {"verdict": verdict}).values is None  # a method that fits nothing
 
 
 @pytest.mark.parametrize(
@@ -155,7 +178,7 @@ def test_outside_the_catalogue() -> None:
 def test_broken_case_has_nothing_right(broken: dict[str, Any] | None) -> None:
     one = judge("c1", STRIBECK, broken)
     assert one.top_1 is False and one.place is False and not one.whole and one.said == "broken" and one.broken
-    assert one.closed == 0.0 and one.confidence is None
+    assert one.closed is None and one.confidence is None
     quiet = judge("c1", NONE, broken)
     assert quiet.false_alarm is None and not quiet.whole
 

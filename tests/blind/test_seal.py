@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hybrid_id.blind.seal import MANIFEST, open_answers, read_manifest, refuse_reachable, seal
+from hybrid_id.blind.seal import MANIFEST, open_answers, read_manifest, refuse_reachable, seal, was_sealed
 from hybrid_id.errors import InputError
 
 
@@ -36,7 +36,7 @@ def test_sealed_answers_leave_the_folder_and_open_again(tmp_path: Path) -> None:
     assert read_manifest(cases) == sealed and sealed["names"] == ["c001", "c002"] and sealed["seed"] == 1
     sheets = open_answers(archive, sealed["answers"]["sha256"])
     assert sheets == {"c001": {"family": "none", "seed": 1}, "c002": {"family": "none", "seed": 2}}
-    refuse_reachable(cases, tmp_path / "runs" / "a", sealed["answers"]["sha256"])
+    refuse_reachable(cases, tmp_path / "runs" / "a", sealed)
 
 
 def test_open_answers_stay_and_are_refused_by_a_run(tmp_path: Path) -> None:
@@ -44,15 +44,38 @@ def test_open_answers_stay_and_are_refused_by_a_run(tmp_path: Path) -> None:
     sealed = seal(cases, None, {})
     assert (cases / "answers" / "c001.yaml").exists()
     with pytest.raises(InputError, match="cases/answers can be read by the run"):
-        refuse_reachable(cases, tmp_path / "runs", sealed["answers"]["sha256"])
+        refuse_reachable(cases, tmp_path / "runs", sealed)
 
 
-@pytest.mark.parametrize("place", ["cases/x.tar", "x.tar", "deep/runs/x.tar", "deep/x.tar"])
+@pytest.mark.parametrize(
+    "place", ["cases/x.tar", "cases/c001/x.tar", "cases/sub/x.tar", "x.tar", "deep/runs/x.tar", "deep/x.tar"]
+)
 def test_archive_is_found_under_any_name(tmp_path: Path, place: str) -> None:
     cases, archive = made(tmp_path / "cases"), tmp_path / place
     sealed = seal(cases, archive, {})
     with pytest.raises(InputError, match=r"x\.tar can be read by the run"):
-        refuse_reachable(cases, tmp_path / "deep" / "runs", sealed["answers"]["sha256"])
+        refuse_reachable(cases, tmp_path / "deep" / "runs", sealed)
+
+
+@pytest.mark.parametrize("place", ["cases.answers/c001.yaml", "c001.yaml", "cases/c001/c002.yaml"])
+def test_opened_sheets_are_found(tmp_path: Path, place: str) -> None:
+    cases = made(tmp_path / "cases")
+    sealed = seal(cases, tmp_path / "elsewhere" / "a.tar", {})
+    (tmp_path / place).parent.mkdir(exist_ok=True)
+    (tmp_path / place).write_text("family: none\n")
+    with pytest.raises(InputError, match="can be read by the run"):
+        refuse_reachable(cases, tmp_path / "runs" / "a", sealed)
+
+
+def test_a_sealing_that_was_killed_before_its_last_step_is_known(tmp_path: Path) -> None:
+    cases, archive = made(tmp_path / "cases"), tmp_path / "a.tar"
+    assert not was_sealed(cases, archive)
+    seal(cases, archive, {})
+    (cases / "answers").mkdir()
+    (cases / "answers" / ".c001.yaml.left").touch()
+    assert was_sealed(cases, archive) and not (cases / "answers").exists()
+    archive.write_bytes(b"others")
+    assert not was_sealed(cases, archive)
 
 
 def test_other_answers_are_refused(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from drives import make_records, multisine, rigid_drive
 from typer.testing import CliRunner
 
-from hybrid_id.cli import app
+from hybrid_id.cli.app import app
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems.model_file import save_model
 

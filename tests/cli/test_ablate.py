@@ -8,6 +8,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 import pytest
+from browser import look_at
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from hybrid_id import __version__
@@ -102,6 +103,7 @@ def test_everything_is_written_and_said(run, study: Path, cells: Cells, tmp_path
     again = run("ablate", out / "config.yaml", "--out", out, "--json")
     assert again.code == 0 and json.loads(again.out) == result
     assert len(cells.seen) == ARMS * SEEDS
+    look_at(out / "report.html", tmp_path, figures=3)
 
 
 def test_tensorboard_gets_settings_and_final_figures(run, study: Path, cells: Cells, tmp_path: Path) -> None:

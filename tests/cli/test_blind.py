@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import look_at
 from gapcase import small_case
 from typer.testing import CliRunner
 
@@ -19,6 +20,7 @@ from hybrid_id.cli.app import app
 from hybrid_id.cli.folder import sole_writer
 from hybrid_id.components import ConstantTorque
 from hybrid_id.contenders import run as runner
+from hybrid_id.contenders.run import read_case
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.systems.model_file import save_model
@@ -84,8 +86,17 @@ def test_run_is_scored_and_published(home: Path) -> None:
         p.name for p in runs.iterdir()
     }
     call("score", runs, "--answers", archive, "--append", board)
+    assert board.read_text().count(", seed 5\n") == 1, "the same board is there already"
+    first = {path.name: path.read_bytes() for path in (home / "blind").iterdir()}
+    call("run", cases, "--out", home / "others", "--method", "sparse")
+    call("score", home / "others", "--answers", archive, "--append", board)
+    assert all((home / "blind" / name).read_bytes() == picture for name, picture in first.items())
+    call("score", runs, "--answers", archive, "--append", home / "NOTES", fails=r"ends in \.md")
     text = board.read_text()
     assert text.startswith("# Earlier\n\n## ") and text.count(", seed 5\n") == 2
+    links = set(re.findall(r"!\[\w+\]\((.*?)\)", text))
+    assert len(links) == 4 and all((home / link).stat().st_size > 1000 for link in links)
+    look_at(runs / "report.html", home, figures=2)
 
 
 def test_answers_within_reach_and_other_answers_are_refused(home: Path) -> None:
@@ -98,8 +109,19 @@ def test_answers_within_reach_and_other_answers_are_refused(home: Path) -> None:
     call("score", runs, "--answers", archive, fails="not the archive that was sealed")
 
 
+def test_cases_that_were_changed_after_they_were_sealed_are_refused(home: Path) -> None:
+    cases = home / "cases"
+    manifest = json.loads((cases / "manifest.json").read_text())
+    manifest["digests"] = {name: read_case(cases / name).digest for name in manifest["names"]}
+    (cases / "manifest.json").write_text(json.dumps(manifest))
+    call("run", cases, "--out", home / "runs", "--method", "sparse")
+    (cases / "c002" / "notes.txt").write_text("a hint")
+    call("run", cases, "--out", home / "runs", "--method", "stribeck", fails="c002 does not hold the files")
+
+
 def test_unfinished_run_is_scored_on_demand_only(home: Path) -> None:
     cases, runs, archive = home / "cases", home / "runs", home / "sealed" / "a.tar"
+    (runs / "sparse" / ".half").mkdir(parents=True)  # of a run that was killed before it wrote its first line
     call("run", cases, "--out", runs, "--method", "sparse")
     (runs / "sparse" / "c002" / "diagnosis.json").unlink()
     call("score", runs, "--answers", archive, fails="lacks 1 of 3 cases")
@@ -168,6 +190,15 @@ def test_another_program_takes_part(home: Path) -> None:
     assert "| first name right (single effects) | 100 % (21 to 100; 1) |" in told
     assert "--command '" in told and f"{program} {{case}}" in told
     call("run", cases, "--out", runs, "--method", "external", fails="belong together")
+    told = ("--method", "external", "--command", command, "--train-records", 2)
+    call("run", cases, "--out", home / "fewer", *told, fails="takes cases as they are")
+    assert "2 of 3 cases broke" in call(
+        "run", cases, "--out", runs, "--method", "external", "--command", command
+    )
+    program.write_text("# another version\n" + program.read_text())
+    assert "kept from before" not in call(
+        "run", cases, "--out", runs, "--method", "external", "--command", command
+    )
     absent = ("--method", "external", "--command", "theirs {case} {answer}")
     call("run", cases, "--out", runs, *absent, fails="theirs is not a program")
     call(

@@ -20,6 +20,7 @@ import pandas as pd
 import pytest
 import typer
 import yaml
+from browser import look_at
 from drives import make_record, rigid_drive
 
 from hybrid_id import __version__
@@ -148,7 +149,7 @@ def test_check_as_json(run, drive: Path) -> None:
     assert {finding["severity"] for finding in result["findings"]} <= {"info", "warning"}
 
 
-def test_identify_writes_everything(identified: tuple[Path, str]) -> None:
+def test_identify_writes_everything(identified: tuple[Path, str], tmp_path: Path) -> None:
     out, words = identified
     assert len(words.splitlines()) <= 25
     assert "results are in" in words
@@ -169,6 +170,7 @@ def test_identify_writes_everything(identified: tuple[Path, str]) -> None:
         "report.html",
     }
     assert not any(path.name.startswith(".") for path in out.parent.iterdir())
+    look_at(out / "report.html", tmp_path, figures=len(pictures))
 
 
 def test_identified_values_are_right_and_agree(identified: tuple[Path, str]) -> None:
@@ -316,9 +318,20 @@ def test_a_training_that_was_killed_before_its_first_checkpoint_is_begun_anew(tm
     refuse_taken(out, force=True)
 
 
+def test_force_never_takes_results_that_lie_inside_the_folder(run, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert run("simulate", drive, "--out", out).code == 0
+    assert run("simulate", drive, "--out", out / "second").code == 0
+    said = run("simulate", drive, "--out", out, "--force")
+    assert said.code == 2 and f"holds other results, in {out / 'second'}; move them" in said.err
+    assert (out / "second" / "result.json").exists()
+
+
 def test_a_folder_of_parts_is_taken_over_only_from_a_run_of_the_same_kind(tmp_path: Path) -> None:
     refuse_foreign(tmp_path / "none", "cells", "*/cell.json")
     (tmp_path / "cells").mkdir()
+    refuse_foreign(tmp_path, "cells", "*/cell.json")
+    (tmp_path / "cells" / ".half").mkdir()  # of a run that was killed while it wrote its first cell
     refuse_foreign(tmp_path, "cells", "*/cell.json")
     (tmp_path / "cells" / "liver").mkdir()
     with pytest.raises(InputError, match="no results of hybrid-id"):

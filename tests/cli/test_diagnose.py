@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from browser import look_at
 from gapcase import small_case
 
 import hybrid_id.cli.diagnose as command
@@ -24,6 +25,39 @@ FILES = {
     "config.yaml", "diagnosis.json", "gap.png", "missing_torque.png", "model.yaml", "refit.yaml", "report.html",
     "suspects.png", "tensorboard", "where.png", "worst_record.png",
 }  # fmt: skip
+
+SEARCHED = """
+import hybrid_id.cli.diagnose as command
+from hybrid_id.cli import main
+
+search = command.run
+command.run = lambda *given: print("searching", flush=True) or search(*given)
+main()
+"""
+IMPORTING = """
+import builtins, os, signal
+from hybrid_id.cli import main
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # see below
+load = builtins.__import__
+
+def interrupted(name, *further):
+    if name == "typer":
+        os.kill(os.getpid(), signal.SIGINT)
+    return load(name, *further)
+
+builtins.__import__ = interrupted
+main()
+"""
+ENDING = """
+import atexit, os, signal, sys
+from hybrid_id.cli import main
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.argv = ["hybrid-id", "--version"]
+atexit.register(os.kill, os.getpid(), signal.SIGINT)
+main()
+"""
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +90,7 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
     )
     assert result["verdict"] == "effects"
     assert load_config(out / "config.yaml").dataset.resolve() == records.resolve()
+    look_at(out / "report.html", tmp_path, figures=5)
 
 
 def test_the_next_experiment_is_ready_to_be_played(
@@ -145,25 +180,17 @@ def test_wrong_input_ends_with_one_sentence(
 
 def test_ctrl_c_leaves_nothing_behind(records: Path, tmp_path: Path) -> None:
     """The signal goes to every process of the group, as from a terminal."""
-    line = [
-        sys.executable,
-        "-m",
-        "hybrid_id",
-        "diagnose",
-        str(records),
-        "--out",
-        str(tmp_path / "runs" / "gap"),
-    ]
+    line = [sys.executable, "-c", SEARCHED, "diagnose", str(records), "--out", str(tmp_path / "runs" / "gap")]
     # a shell that started the tests in its background has told them to ignore the signal
     own = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        process = subprocess.Popen(line, stderr=subprocess.PIPE, text=True, start_new_session=True)
+        process = subprocess.Popen(
+            line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
     finally:
         signal.signal(signal.SIGINT, own)
-    time.sleep(2.0)
-    while process.poll() is None and not _searching(process.pid):
-        time.sleep(0.2)
-    time.sleep(3.0)  # an import in progress may swallow the interrupt
+    assert process.stdout is not None and process.stdout.readline() == "searching\n"
+    time.sleep(1.0)
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate()
     assert process.returncode == 130
@@ -172,10 +199,17 @@ def test_ctrl_c_leaves_nothing_behind(records: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "runs").exists()
 
 
-def _searching(pid: int) -> bool:
-    """Whether the process has loaded torch, so that it is past the start of Python."""
-    maps = Path(f"/proc/{pid}/maps")
-    return maps.exists() and "libtorch" in maps.read_text()
+@pytest.mark.parametrize(
+    ("program", "code", "said"),
+    [
+        (IMPORTING, 130, "Error: stopped; no results were written.\n"),
+        (ENDING, 0, ""),
+    ],
+    ids=["while the program is loaded", "when all is said"],
+)
+def test_ctrl_c_before_and_after_a_command(program: str, code: int, said: str) -> None:
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (code, said)
 
 
 def test_effects_are_listed(run) -> None:

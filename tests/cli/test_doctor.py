@@ -8,8 +8,8 @@ import typer
 from PIL import Image
 
 from hybrid_id import __version__
-from hybrid_id.cli import app
 from hybrid_id.cli import doctor as module
+from hybrid_id.cli.app import app
 
 
 def test_doctor_tells_the_machine_and_passes_its_self_test(run) -> None:
@@ -28,6 +28,19 @@ def test_doctor_fails_aloud(run, monkeypatch: pytest.MonkeyPatch) -> None:
     done = run("doctor")
     assert done.code == 1
     assert "self-test FAILED (J off)" in done.out
+
+
+def test_doctor_says_what_kept_the_self_test_from_its_end(run, monkeypatch: pytest.MonkeyPatch) -> None:
+    def missing() -> None:
+        raise ModuleNotFoundError("No module named 'pandas'")
+
+    monkeypatch.setattr(module, "self_test", missing)
+    done = run("doctor")
+    assert done.code == 1
+    assert (
+        "self-test FAILED: ModuleNotFoundError: No module named 'pandas'" in done.out and "torch" in done.out
+    )
+    assert json.loads(run("doctor", "--json").out)["self_test"]["passed"] is False
 
 
 def test_completion_knows_commands_and_choices(run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import look_at
 from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.cli.inputs import remark_uneven
@@ -97,6 +98,7 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
         ).code
         == 0
     )
+    look_at(out / "report.html", tmp_path, figures=2)
 
 
 def test_identify_says_who_uses_the_section(run, study: Path, tmp_path: Path) -> None:

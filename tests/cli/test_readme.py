@@ -18,6 +18,7 @@ README = Path(__file__).resolve().parents[2] / "README.md"
 BLOCKS = re.findall(r"^```sh\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("hybrid-id ")]
 YAML = re.findall(r"^```yaml\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+PYTHON = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
 
 
 def test_example_files_are_sound() -> None:
@@ -31,7 +32,9 @@ def test_tour_names_the_commands(ending: str) -> None:
     assert any(ending in command for command in COMMANDS)
 
 
-def test_tour_runs_as_written(run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tour_runs_as_written(
+    run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     dataset = Dataset.load(drive)
     short = tuple(record.between(0.0, 0.5) for record in dataset.records[1:])  # more take a minute
     replace(dataset, records=short).save(tmp_path / "my_robot")
@@ -43,3 +46,6 @@ def test_tour_runs_as_written(run, drive: Path, tmp_path: Path, monkeypatch: pyt
         assert outcome.code == 0, (command, outcome.err)
     assert {path.name for path in (tmp_path / "runs").iterdir()} == {"my_robot", "replay", "compare", "train"}
     assert (tmp_path / "multisine.csv").exists()
+    (block,) = PYTHON
+    exec(compile(block, "README.md", "exec"), {})
+    assert "selected set" in capsys.readouterr().out

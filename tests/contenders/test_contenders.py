@@ -1,6 +1,8 @@
 """Contenders on a small gap of this package's own models, and the runner around them."""
 
+import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ from gapcase import WHERE, small_case
 
 from hybrid_id.components import ConstantTorque
 from hybrid_id.contenders import run as runner
+from hybrid_id.contenders.external import external
 from hybrid_id.contenders.keep import begin, is_done, key_of, load, save
 from hybrid_id.contenders.run import METHODS, Case, Settings, read_case, run_cases, with_train_records
 from hybrid_id.errors import InputError
@@ -128,3 +131,48 @@ def test_reconstructed_torque_fits_a_model_without_gap() -> None:
     weights = np.linalg.lstsq(torque.own, torque.target, rcond=None)[0]
     left = torque.target - torque.own @ weights
     assert np.mean(left**2) < 0.05 * np.mean(torque.target**2)
+
+
+GOOD = {
+    "unknown": False,
+    "effects": [{"name": "delay", "where": "joint1/input", "probability": 0.8, "selected": True}],
+}
+
+
+def answered(folder: Path, text: str) -> dict:
+    """What is taken of a program that writes a text as its answer."""
+    program = folder.parent / "theirs.py"
+    program.write_text("import pathlib, sys\npathlib.Path(sys.argv[2]).write_bytes(" + repr(text.encode()) + ")\n"
+                       "sys.stdout.buffer.write(b'caf\\xe9')\n")  # fmt: skip
+    return external(folder, f"{sys.executable} {program} {{case}} {{answer}}")
+
+
+def test_what_another_program_says_is_taken_as_it_is(tmp_path: Path) -> None:
+    case = tmp_path / "c001"
+    assert answered(case, json.dumps(GOOD))["verdict"] == "effects"
+    assert answered(case, json.dumps({"unknown": True, "effects": []}))["verdict"] == "outside_catalogue"
+    said = answered(case, json.dumps({"unknown": False, "effects": [], "gap": {"refit": 0.1}, "opened": "r"}))
+    assert said["verdict"] == "no_gap" and said["gap"]["refit"] == 0.1 and "opened" not in said
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"unknown": "false"}, "unknown: "),
+        ({"effects": [GOOD["effects"][0] | {"selected": "false"}]}, "selected: "),
+        ({"effects": [GOOD["effects"][0] | {"probability": 1.5}]}, "probability: "),
+        ({"effects": [GOOD["effects"][0] | {"probability": float("nan")}]}, "probability: "),
+        ({"effects": [GOOD["effects"][0] | {"name": "a$\\frac$"}]}, "name: "),
+        ({"effects": [GOOD["effects"][0] | {"where": "here"}]}, "where: "),
+        ({"effects": [GOOD["effects"][0] | {"name": "unknown"}]}, "one that is none"),
+        ({"effects": GOOD["effects"] * 2}, "names an effect twice"),
+        ({"gap": {"with_effect": -5.0}}, "with_effect: "),
+        ({"gap": {"shrink_interval": [float("-inf"), 1.0]}}, "shrink_interval"),
+        ({"gap": [1, 2]}, "gap: "),
+    ],
+)  # fmt: skip
+def test_answers_that_would_spoil_a_scoreboard_break_their_case_alone(
+    change: dict, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=words):
+        answered(tmp_path / "c001", json.dumps(GOOD | change))

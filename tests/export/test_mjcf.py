@@ -223,8 +223,9 @@ def test_arm_that_no_bodies_have_is_refused() -> None:
         .with_values({"G_l": 0.8})
         .with_component("joint1/input", Saturation(V_max=1.0)),
         one_link(RATIO).with_component("joint1/motor", ElectricalLag(T_e=3e-3)),
+        one_link(RATIO).with_component("joint1/input", Delay(T_d=0.02)),
     ],
-    ids=["weight", "limit", "lag"],
+    ids=["weight", "limit", "lag", "delay"],
 )
 def test_motor_that_is_switched_off_runs_free_there_too(system: System) -> None:
     pytest.importorskip("mujoco")
@@ -250,3 +251,10 @@ def test_play_of_nothing_makes_a_file_that_mujoco_reads() -> None:
 def test_motor_without_back_emf_is_refused() -> None:
     with pytest.raises(InputError, match="P_m2 is 0, but MuJoCo's dcmotor needs a back-EMF"):
         to_mjcf(one_link(100.0).with_values({"P_m2": 0.0}))
+
+
+def test_a_spring_that_is_too_stiff_for_mujocos_step_is_told() -> None:
+    pytest.importorskip("mujoco")
+    stiff = one_link_flexible(RATIO).with_values({"k": 5e7, "d": 0.0, "J_a": 1e-3})
+    with pytest.raises(InputError, match="unstable in MuJoCo on record"):
+        mujoco_replay(stiff, to_mjcf(stiff), dataset().records[0])

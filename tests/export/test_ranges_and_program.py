@@ -91,3 +91,21 @@ def test_program_is_the_hybrid_step() -> None:
 def test_program_without_the_past_is_refused() -> None:
     with pytest.raises(InputError, match="joint1 has a delay"):
         to_program(one_link(100.0).with_component("joint1/input", Delay()), sample_time=0.002)
+
+
+def test_a_range_holds_what_the_records_own_sets_say() -> None:
+    result = RESULT | {
+        "selected": {"values": {"J": 2e-5, "F_c": 0.01}, "half_widths": {"J": 1e-7, "F_c": None}},
+        "trust": {"J": {"grade": "C"}},
+        "profiles": {"F_c": {"lower": 0.007, "upper": 0.011, "closed": [True, True]}},
+    }
+    found = to_ranges(one_link(100.0), result)["parameters"]
+    assert (found["J"]["lower"], found["J"]["upper"]) == pytest.approx((1.99e-5, 2.1e-5))
+    assert (found["J"]["trust"], found["F_c"]["trust"]) == ("C", None)
+    assert (found["F_c"]["lower"], found["F_c"]["upper"], found["F_c"]["from"]) == (0.007, 0.013, "profile")
+
+
+def test_what_nobody_knows_is_not_called_held() -> None:
+    one = RESULT | {"sets": RESULT["sets"][:1]}
+    found = to_ranges(one_link(100.0), one)["parameters"]
+    assert (found["F_c"]["from"], found["F_c"]["lower"], found["F_c"]["upper"]) == ("unknown", 0.01, 0.01)

@@ -10,7 +10,7 @@ import hybrid_id.gap.arbiter as module
 from hybrid_id.gap.arbiter import Decision, decide
 from hybrid_id.gap.attribute import Attribution
 from hybrid_id.gap.evidence import Evidence
-from hybrid_id.gap.probability import Suspect
+from hybrid_id.gap.probability import Suspect, believed
 from hybrid_id.gap.round import Round
 
 WHERE = "joint1/load"
@@ -96,3 +96,9 @@ def test_what_is_outvoted_hands_its_probability_on() -> None:
     first, other = Decision(SEARCH, {("constant_torque", WHERE): 5.0}, ("gravity_load", WHERE)).weighed(found)
     assert first.probability == pytest.approx(0.9, abs=1e-4) and other.probability < 1e-4
     assert first.tied_with == (f"spring_load@{WHERE}",) and other.tied_with == ()
+
+
+def test_a_name_beside_something_unknown_is_neither_sure_nor_impossible() -> None:
+    found = [Suspect("delay", "joint1/input", 0.9, True, (), {})]
+    assert [believed(found, False, left)[0].probability for left in (0.0, 1.0)] == pytest.approx([0.9, 0.27])
+    assert believed(found, True, 0.0)[0].probability == 0.9

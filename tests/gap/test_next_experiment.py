@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 from gapcase import small_case
 
-from hybrid_id.components import Stribeck
+from hybrid_id.components import PositionLoop, Stribeck
 from hybrid_id.gap.next_experiment import REST, next_experiment
 from hybrid_id.gap.refit import engine
+from hybrid_id.records.dataset import Channel
 from hybrid_id.systems import System
+
+GOAL = Channel("goal1", "rad"), Channel("gain1", "1"), Channel("supply1", "V")
 
 
 def explanation(system: System, name: str = "today") -> SimpleNamespace:
@@ -43,6 +46,30 @@ def test_what_no_command_parts_is_said_and_the_rest_parted() -> None:
     best = next_experiment(dataset, tied)[0]
     assert best.tells and best.together == (("bias@joint1/load", "uneven@joint1/load"),)
     assert best.distance == pytest.approx(next_experiment(dataset, tied[1:])[0].distance)
+
+
+def test_noise_that_nobody_declared_is_estimated() -> None:
+    dataset, today = small_case()
+    other = today.with_component("joint1/motor_friction", Stribeck(F_drop=0.005, v_s=20.0))
+    tied = [explanation(today), explanation(other, "fall")]
+    silent = replace(dataset, outputs=tuple(replace(one, noise_std=None) for one in dataset.outputs))
+    declared, estimated = (next_experiment(one, tied)[0] for one in (dataset, silent))
+    assert estimated.distance == pytest.approx(declared.distance, rel=0.1)
+
+
+def test_goals_stay_where_the_records_have_been() -> None:
+    dataset, today = small_case()
+    servo = today.with_component("joint1/input", PositionLoop())
+    goal = {"goal1": 1.5 + 0.5 * np.sin(dataset.train[0].time), "gain1": 1.0 + 0.0 * dataset.train[0].time}
+    first = dataset.train[0]
+    supply = {"supply1": np.full_like(first.time, 7.4)}
+    record = replace(first, inputs=goal | supply, outputs={"q_m1": 1.5 + 0.0 * first.time})
+    served = replace(dataset, inputs=GOAL, records=(record,))
+    tied = [explanation(servo), explanation(servo, "other")]
+    for one in next_experiment(served, tied):
+        low, high = goal["goal1"].min(), goal["goal1"].max()
+        assert low - 1e-9 <= one.command.min() and one.command.max() <= high + 1e-9
+        assert one.command[0] == pytest.approx((low + high) / 2)
 
 
 def test_models_that_are_alike_are_parted_by_none() -> None:

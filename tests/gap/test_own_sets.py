@@ -1,7 +1,10 @@
 """Parameters that differ from record to record are no effect that a model lacks."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from drives import make_record, multisine, rigid_drive
 from gapcase import NOISE, RATIO, SAMPLES, STEP, small_case
@@ -9,7 +12,7 @@ from gapcase import NOISE, RATIO, SAMPLES, STEP, small_case
 import hybrid_id.gap.diagnose as module
 from hybrid_id.components import REGISTRY
 from hybrid_id.gap.attribute import Attribution
-from hybrid_id.gap.own_sets import own_sets
+from hybrid_id.gap.own_sets import _explained, _scatter, own_sets
 from hybrid_id.gap.refit import Refit
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.gap import summary
@@ -81,3 +84,26 @@ def test_diagnosis_names_no_effect_but_the_drift(drift, monkeypatch) -> None:
     assert "differ from record to record (standard deviation): F_c by" in words
     still = module.diagnose(*small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3)))
     assert still.verdict == "outside_catalogue" and not still.varying
+
+
+def test_a_record_that_does_not_see_a_parameter_says_nothing_of_it() -> None:
+    seen, blind = np.array([[1.0, 0.0], [0.0, 1.0]] * 50) * 1e3, np.array([[1.0, 0.0], [0.0, 0.0]] * 50) * 1e3
+
+    def one(values: list[float], jacobian: np.ndarray) -> Any:
+        return SimpleNamespace(
+            values=np.array(values), jacobian=[jacobian], noise_scale=1.0, names=("a", "b")
+        )
+
+    alike = [one([1.0, 1.3], seen), one([1.0, 1.3], seen), one([1.0, 1.0], blind)]
+    assert _scatter(alike) == ()
+    differ = [one([1.0, 1.3], seen), one([1.0, 1.1], seen), one([1.0, 1.2], seen)]
+    assert [words.split()[0] for words in _scatter(differ)] == ["b"]
+    turned = [one([1.0, 0.2], seen), one([1.0, -0.2], seen), one([1.0, 1e-9], seen)]  # a mean of nothing
+    assert _scatter(turned) == ("b by 1.2e+02 %",)
+
+
+def test_what_an_encoder_rounds_is_no_sign_of_something_missing_within_a_record() -> None:
+    """Small errors that dwell where the drive rests have a colour, and mean nothing."""
+    slow = np.repeat([[0.3], [-0.3]], 50, axis=0)
+    assert _explained(SimpleNamespace(residual=[slow]))  # type: ignore[arg-type]
+    assert not _explained(SimpleNamespace(residual=[3.0 * slow]))  # type: ignore[arg-type]

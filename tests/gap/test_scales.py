@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 import torch
 from drives import STEP, multisine
-from gapcase import small_case
+from gapcase import RATIO, small_case
 
-from hybrid_id.components import Dahl, ElectricalLag
+from hybrid_id.components import Coulomb, Dahl, ElectricalLag
+from hybrid_id.gap.catalogue import effect
 from hybrid_id.gap.scales import scales
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
@@ -46,3 +47,30 @@ def test_a_drive_that_never_moves_has_scales_to_divide_by() -> None:
     )
     (size,) = scales(today, still)
     assert min(size.speed, size.turns, size.angle, size.torque, size.command, size.command_rms) == 1.0
+
+
+def test_friction_on_the_links_side_of_a_rigid_gear_is_known() -> None:
+    dataset, today = small_case()
+    level = today.parameter("F_c").spec.value
+    moved = today.without_component("joint1/motor_friction", "coulomb_friction")
+    moved = moved.with_component("joint1/link_friction", Coulomb(F_c=RATIO * level))
+    plain, known = (scales(s, batch_of(dataset, s, dataset.train, 0.1, "cpu"))[0] for s in (today, moved))
+    assert known.dry == pytest.approx(plain.dry)
+    alone = moved.without_component("joint1/motor_friction", "viscous_friction")
+    for name in ("stribeck_friction", "presliding_friction"):
+        assert list(effect(name).models(alone, known)) == ["joint1/link_friction"]
+        assert list(effect(name).models(today, plain)) == ["joint1/motor_friction"]
+
+
+def test_viscous_friction_is_looked_for_where_the_motors_torque_is_seen() -> None:
+    dataset, today = small_case()
+    bare = today.without_component("joint1/motor_friction", "viscous_friction")
+    batch = batch_of(dataset, bare, dataset.train, 0.1, "cpu")
+    off = replace(batch, u=dict(batch.u) | {"enable1": torch.zeros_like(batch.dt)})
+    for seen, places in (
+        (batch, []),
+        (replace(batch, outputs=("i1",)), ["joint1/motor_friction"]),
+        (off, None),
+    ):
+        found = list(effect("viscous_friction").models(bare, scales(bare, seen)[0]))
+        assert found == (["joint1/motor_friction"] if places is None else places)

@@ -14,12 +14,12 @@ import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
 from hybrid_id import load_model, save_model
 from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
 from hybrid_id.components.base import Component
-from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.catalogue import CATALOGUE, effect
 from hybrid_id.gap.evidence import evidence
 from hybrid_id.gap.probability import _parameters
 from hybrid_id.gap.refit import Explanation, engine
 from hybrid_id.gap.scales import scales
-from hybrid_id.gap.scan import Left, friction_spots, friction_waves, gear_waves, rotor_waves
+from hybrid_id.gap.scan import GEAR_PERIODS, Left, friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study.replays import batch_of
@@ -46,6 +46,15 @@ def test_error_of_a_gear() -> None:
     found = gear_waves(fit, 1, "transmission")
     assert found[0][0] == 0.5
     assert found[0][1] > 0 > found[0][2]
+
+
+def test_fits_begin_with_every_period_of_a_gear() -> None:
+    """Whole runs have lost the phase, so that the strongest wave there need not be the right one."""
+    left = left_by(KinematicError, E_c=2e-3, E_s=-3e-3, n=0.5)
+    system = left.result.system
+    found = effect("kinematic_error").models(system, scales(system, left.batch)[0], left)
+    begun = [one.parameter("n").spec.value for one in found["joint1/transmission"]]
+    assert set(begun) == set(GEAR_PERIODS)
 
 
 def test_errors_of_a_compliant_gear_and_their_overtone() -> None:

@@ -57,6 +57,24 @@ def test_a_held_input_is_not_late_by_rounding() -> None:
     np.testing.assert_array_equal(new.inputs["u1"], count[::2])
 
 
+def test_a_held_input_is_not_late_where_stamps_count_from_1970() -> None:
+    stamps = (1_700_000_000_123_456_789 + 1_000_000 * np.arange(4000)).astype(np.int64)
+    time, count = stamps * 1.0e-9, np.arange(4000.0)
+    record = Record(name="a", time=time, inputs={"u1": count}, outputs={"q_m1": np.sin(count / 50)})
+    new, _ = resample_record(record, 0.002, inputs="hold")
+    np.testing.assert_array_equal(new.inputs["u1"], count[::2])
+
+
+def test_a_command_of_noughts_and_ones_is_no_switch() -> None:
+    time = 0.001 * np.arange(200)
+    pulses = (np.arange(200) % 7 == 3).astype(float)
+    record = Record("a", time, {"duty1": pulses, "enable1": pulses}, {"q_m1": np.sin(20 * time)})
+    new, _ = resample_record(record, 0.002)
+    assert new.inputs["duty1"].mean() == pytest.approx(pulses.mean(), rel=0.05)
+    assert np.unique(new.inputs["duty1"].round(6)).tolist() == [0.0, 0.5]
+    assert set(new.inputs["enable1"]) <= {0.0, 1.0}
+
+
 def test_longer_step_reports_what_is_lost() -> None:
     time = 0.001 * np.arange(2000)
     record = Record("a", time, {"u1": time}, {"q_m1": np.sin(2 * np.pi * 80 * time)})

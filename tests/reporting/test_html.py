@@ -1,13 +1,12 @@
 """The page: what the terminal says, complete, escaped, in one file that fetches nothing."""
 
 import re
-import shutil
-import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import look_at
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
@@ -96,27 +95,14 @@ def test_page_says_how_it_was_made() -> None:
     assert "<pre>seed: 0\nname: &lt;b&gt;</pre>" in text
 
 
-@pytest.mark.parametrize("size", ["1280,900", "390,844"])
-def test_interactive_figures_are_drawn_in_a_browser(tmp_path: Path, size: str) -> None:
-    browser = shutil.which("chromium") or shutil.which("chromium-browser")
-    if browser is None:
-        pytest.skip("needs Chromium")
-    click = (
-        "<script>(async () => { for (const b of document.querySelectorAll('button.live')) await toggle(b); "
-        "document.title = 'drawn ' + document.querySelectorAll('.plot .scatterlayer path.js-line').length "
-        "+ ' hidden ' + document.querySelectorAll('.frame[hidden]').length "
-        "+ ' wide ' + (document.documentElement.scrollWidth > window.innerWidth); })()</script></body>"
-    )
+def test_interactive_figures_are_drawn_in_a_browser(tmp_path: Path) -> None:
     file = tmp_path / "page.html"
-    file.write_text(live_page().html().replace("</body>", click), encoding="utf-8")
-    options = [
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--enable-logging=stderr",
-        f"--window-size={size}",
-    ]
-    options += ["--virtual-time-budget=20000", f"--user-data-dir={tmp_path / 'profile'}", "--dump-dom"]
-    done = subprocess.run([browser, *options, file.as_uri()], capture_output=True, text=True, timeout=120)
-    assert "<title>drawn 2 hidden 2 wide false</title>" in done.stdout, done.stderr[-500:]
-    assert "CONSOLE" not in done.stderr, done.stderr
+    file.write_text(live_page().html(), encoding="utf-8")
+    look_at(file, tmp_path, figures=2)
+
+
+def test_a_fault_in_a_page_is_seen(tmp_path: Path) -> None:
+    file = tmp_path / "page.html"
+    file.write_text(live_page().html().replace("</footer>", "</footer><script>nothing()</script>"), "utf-8")
+    with pytest.raises(AssertionError, match="nothing is not defined"):
+        look_at(file, tmp_path, figures=2)

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import look_at
 from typer.testing import CliRunner
 
-from hybrid_id.cli import app
+from hybrid_id.cli.app import app
 from hybrid_id.errors import InputError
 from hybrid_id.reporting.provenance import program
 from hybrid_id.reproduction import plan as plans
@@ -136,6 +137,7 @@ def page_has_every_table_and_figure(quick: Reproduction, folder: Path) -> None:
     found = json.loads((out / "result.json").read_text(encoding="utf-8"))
     assert found["quick"] and found["claims"]
     assert "all tables and figures" in ended.stdout
+    look_at(out / "report.html", out.parent, figures=8)
 
 
 def test_the_paper_in_short(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.arms import one_link_flexible
 
 NOISE = {"q_m1": 0.01, "q_a1": 1e-4, "v_m1": 0.1, "i1": 0.01}
 
@@ -100,6 +101,36 @@ def test_guess_of_the_states_from_any_output(outputs: tuple[str, ...]) -> None:
     settled = simulate(system, Engine(substeps=4), replace(batch, x0_std=0 * batch.x0_std))
     assert settled.status == ("ok",)
     assert batch.outputs == outputs
+
+
+@pytest.mark.parametrize("outputs", [("q_m1",), ("q_a1",), ("q_m1", "q_a1")])
+def test_a_hanging_load_has_wound_up_the_gear_from_whichever_side_it_is_seen(
+    outputs: tuple[str, ...],
+) -> None:
+    """The motor's dry friction holds the load: both sides stay at rest, as far apart as its torque asks."""
+    bare = one_link_flexible(156.0, vertical=True)
+    system = bare.with_values(
+        {"k": 300.0, "G_l": 6.0, "F_cm": 0.05, "F_va": 0.3, "P_m1": 0.019, "P_m2": 0.0254}
+    )
+    angle = 0.6
+    twist = -6.0 * np.sin(angle) / 300.0
+    seen = {"q_m1": np.full(400, 156.0 * (angle - twist)), "q_a1": np.full(400, angle)}
+    still = Record(
+        "r0", 0.002 * np.arange(400), {"u1": np.zeros(400)}, {name: seen[name] for name in outputs}
+    )
+    batch = make_batch(system, [still], noise_std=dict.fromkeys(seen, 1e-4))
+    assert batch.x[0, 0, 2] - batch.x[0, 0, 0] / 156.0 == pytest.approx(twist, rel=0.02)
+    run = simulate(system, Engine(substeps=4), replace(batch, x0_std=0 * batch.x0_std))
+    assert np.ptp(run.x[0, :, 2].numpy()) < 0.05 * abs(twist)
+
+
+def test_readings_that_stay_on_one_count_do_not_average() -> None:
+    r = record()
+    count = 0.2
+    coarse = replace(r, outputs={"q_m1": count * np.floor(r.outputs["q_m1"] / count + 0.5)})
+    assert np.ptp(coarse.outputs["q_m1"][:20]) == 0.0
+    std = make_batch(rigid_drive(), [coarse], noise_std=NOISE).x0_std[0, 0].item()
+    assert std == pytest.approx(count / np.sqrt(12), rel=0.01)
 
 
 def test_encoder_offset_is_taken_off_the_start() -> None:

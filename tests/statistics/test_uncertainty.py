@@ -8,6 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
+from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap
+from hybrid_id.statistics.jackknife import jackknife_covariance
 from hybrid_id.statistics.uncertainty import covariance, robust_covariance
 
 
@@ -113,3 +115,23 @@ def test_perfect_residuals_do_not_break_it(regression):
 def test_records_that_tell_nothing_leave_no_standard_error():
     result = robust_covariance(np.zeros((10, 3)), np.linspace(-1, 1, 10))
     assert np.all(np.isinf(result.std_error))
+
+
+@pytest.mark.parametrize("scale", [0.3, 3.0], ids=["less noise than declared", "more"])
+def test_beside_a_prior_errors_are_those_of_the_fit_that_weighs_noise_as_declared(scale, rng):
+    """Estimates of many simulated records, each with a prior whose mean is drawn, against every way of the package."""
+    design = rng.standard_normal((400, 2)) @ np.array([[1.0, 0.9], [0.0, 0.3]])
+    prior = np.array([600.0, 0.0])
+    hessian = design.T @ design
+    inverse = np.linalg.inv(hessian + np.diag(prior))
+    noise = scale * rng.standard_normal((3000, 400))
+    means = rng.standard_normal((3000, 2)) * np.array([prior[0] ** -0.5, 0.0])
+    found = (noise @ design + means * prior) @ inverse
+    scatter = found.std(axis=0)
+    residual = noise[0] - design @ found[0]
+    for way in (covariance, robust_covariance, jackknife_covariance):
+        error = way(design, residual, prior_information=prior).std_error
+        np.testing.assert_allclose(error, scatter, rtol=0.25 if way is not covariance else 0.08)
+    blocks = block_contributions(design, residual, block=10)
+    drawn = one_step_bootstrap(found[0], blocks, prior_information=prior, prior_mean=found[0]).std_error
+    np.testing.assert_allclose(drawn, scatter, rtol=0.25)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybrid_id.statistics.variation import mean_interval, variation
+from hybrid_id.statistics.variation import mean_interval, prior_variances, variation
 
 SETS = np.array([[9.0, 1.0, 5.0], [10.0, 2.0, 5.0], [11.0, 3.0, 5.0]])
 NAMES = ["J", "f_3", "P_m1"]
@@ -66,3 +66,19 @@ def test_interval_of_one_experiment_is_unknown():
     interval = mean_interval(SETS[:1])
     np.testing.assert_allclose(interval.mean, SETS[0])
     assert np.isnan(interval.lower).all()
+
+
+def test_what_a_prior_is_off_by_does_not_average_out(rng):
+    """Sets of one parameter each, from data of information H beside a prior of information P, simulated."""
+    H, P, n, draws = 4.0, 6.0, 5, 40_000
+    off = rng.standard_normal(draws) / np.sqrt(P)
+    data = rng.standard_normal((draws, n)) / np.sqrt(H)
+    means = ((H * data + P * off[:, None]) / (H + P)).mean(1)
+    own, shared = prior_variances([np.array([[1 / (H + P)]])] * n, np.array([P]))
+    expected = (1 / (H + P) - own[0, 0]) / n + shared[0]
+    assert means.var() == pytest.approx(expected, rel=0.03)
+
+
+def test_without_a_prior_nothing_is_shared():
+    own, shared = prior_variances([np.eye(2)] * 3, np.zeros(2))
+    assert not own.any() and not shared.any()

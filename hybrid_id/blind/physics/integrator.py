@@ -40,15 +40,15 @@ class Machine:
             drive.start(lanes, np.array(angle, float))
 
     def begin(self, lanes: int, samples: int, sample_time: float, angles: np.ndarray | None = None) -> None:
-        """Prepare B runs of so many samples [s], at rest at link angles (n_joints, B) [rad].
+        """Prepare B runs of so many samples [s], at rest with rotors where link angles (n_joints, B) [rad] have them.
 
         Without them the machines come to rest from angles zero, without voltage.
         """
         self.start(lanes, angles)
         for drive in self.drives:
             drive.x.history, drive.x.sample_time = np.zeros((samples, lanes)), sample_time
-        if angles is None:
-            self._settle()
+        if angles is None or any(drive.spring is not None for drive in self.drives):
+            self._settle(held=angles is not None)
         self.sample_time, self.samples_done = sample_time, 0
         self._aged = [
             None if d.sensor_delay is None else np.tile(d.x.q_m, (samples * self.substeps + 1, 1))
@@ -81,14 +81,18 @@ class Machine:
         link = [d.gear.angle(d.x.q_m) if d.spring is None else d.x.q_a for d in self.drives]
         return np.array(rotor), np.array(link)
 
-    def _settle(self) -> None:
-        """Let what pulls at rest come to rest, before the clock starts."""
+    def _settle(self, *, held: bool) -> None:
+        """Let what pulls at rest come to rest, before the clock starts: links alone where the rotors are held."""
         still, left = np.zeros((len(self.drives), self.drives[0].x.q_m.size)), 1 - BRAKE * SETTLING_STEP
+        places = [drive.x.q_m for drive in self.drives]
         for k in range(round(SETTLING / SETTLING_STEP)):
             self.step(k * SETTLING_STEP - SETTLING, SETTLING_STEP, still)
-            for drive in self.drives:  # a hand holds back what would swing for long
+            for drive, place in zip(self.drives, places, strict=True):
+                # a hand holds back what would swing for long
                 drive.x.v_m, drive.x.v_a = left * drive.x.v_m, left * drive.x.v_a
-            if k % 100 == 9 and all(np.abs(d.x.v_m).max() < 1e-6 for d in self.drives):
+                if held:
+                    drive.x.q_m, drive.x.v_m = place, np.zeros_like(place)
+            if k % 100 == 9 and all(np.abs([d.x.v_m, d.x.v_a]).max() < 1e-6 for d in self.drives):
                 break
         for drive in self.drives:
             drive.x.v_m, drive.x.v_a = np.zeros_like(drive.x.v_m), np.zeros_like(drive.x.v_a)

@@ -33,9 +33,9 @@ def _viscous(system, s, place):
     where = f"joint{s.joint}/{place}"
     law = part_of(system, where, "viscous_friction")
     motor = part_of(system, f"joint{s.joint}/motor", "dc_motor")
-    # on the motor's side it hides in a back-EMF that is estimated
-    hidden = place == "motor_friction" and motor is not None and motor.specs["P_m2"].estimate
-    if hidden or (law is not None and law.specs["F_v"].estimate):
+    # on the motor's side it hides in a back-EMF that is estimated, unless the motor's torque is seen
+    unknown = motor is not None and motor.specs["P_m2"].estimate and not s.shows_torque
+    if (place == "motor_friction" and unknown) or (law is not None and law.specs["F_v"].estimate):
         return []
     size = 0.1 * s.torque * _side(s, place) ** 2 / s.speed
     return [("viscous_friction", {"F_v": free(size, 0.0, 100.0 * size, "N m s/rad")})]

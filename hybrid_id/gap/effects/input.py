@@ -30,7 +30,7 @@ def _deadband(system, s, place):
         (
             "voltage_deadband",
             {"V_0": free(share * s.command_rms, 0.0, s.command_rms, "V"), "jump": free(jump, 0.0, 1.0),
-             "width": 0.002 * s.command_rms},
+             "width": max(0.002 * s.command_rms, 1e-6)},
         )
         for share in (0.05, 0.2) for jump in (0.05, 0.95)
     ]  # fmt: skip

@@ -72,7 +72,8 @@ def _kinematic(system, s, place, found=()):
             "kinematic_error",
             {"E_c": free(c, -limit, limit, "rad"), "E_s": free(d, -limit, limit, "rad"), "n": n},
         )
-        for n, c, d in (*((n, small, small) for n in (1.0, 2.0)), *found[:2])
+        # a linear estimate from whole runs tells little of the period, and the fits from all of them soon tell it
+        for n, c, d in (*((n, small, small) for n in (1.0, 2.0)), *found)
     ]
 
 

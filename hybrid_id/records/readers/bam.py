@@ -51,7 +51,11 @@ def read_bam(path: Path, wanted: Collection[str]) -> Table:
     """
     header = _load(path)
     entries = header.pop("entries")
-    meta = {key: value for key, value in header.items() if isinstance(value, str | int | float)}
+    meta = {
+        key: float(value) if isinstance(value, bool) else value
+        for key, value in header.items()
+        if isinstance(value, str | int | float)
+    }
     heat = [e["temp"] for e in entries if isinstance(e, dict) and isinstance(e.get("temp"), int | float)]
     if len(heat) == len(entries):
         meta["temperature1"] = float(np.mean(heat))

@@ -43,7 +43,8 @@ def read_mat(path: Path, wanted: Collection[str]) -> Table:
         if name.startswith("__") or not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
             continue
         if value.size == 1:
-            scalars[name] = float(value.item())
+            if np.isfinite(value).all():
+                scalars[name] = float(value.item())
         elif value.ndim == 2 and 1 in value.shape:
             columns[name] = value.ravel().astype(np.float64)
         elif value.ndim == 2:

@@ -29,8 +29,11 @@ def refuse_bomb(path: Path) -> None:
             engine = zlib.decompressobj(window)
             while left > 0 and (data := file.read(min(_CHUNK, left))):
                 left -= len(data)
-                unpacked += _length(engine, data)
-                refuse_growth(path, size, unpacked)
+                while data:
+                    unpacked += _length(engine, data)
+                    refuse_growth(path, size, unpacked)
+                    data = engine.unused_data  # a gzip file may hold several, one behind the other
+                    engine = zlib.decompressobj(window) if engine.eof else engine
 
 
 def refuse_growth(path: Path, size: int, unpacked: int) -> None:
@@ -65,7 +68,7 @@ def _length(engine: "zlib._Decompress", data: bytes) -> int:
     try:
         while data:
             total += len(engine.decompress(data, _CHUNK))
-            data = engine.unconsumed_tail
+            data = b"" if engine.eof else engine.unconsumed_tail  # at the end that may hold what is unused
     except zlib.error:
         pass
     return total

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from hybrid_id.reporting.html.made import how_made
 from hybrid_id.reporting.html.page import Page
 from hybrid_id.reporting.html.twin import Drawn
+from hybrid_id.reporting.provenance import short
 from hybrid_id.reporting.scoreboard import Scores, calibration, group_rows, score_rows, target_rows, ties_line
 from hybrid_id.reporting.tables import open_table
 
@@ -29,7 +30,7 @@ def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
     missed = [t["claim"] for t in told["targets"] if t["met"] is False]
     page = Page(
         f"Blind check, seed {about['seed']}",
-        f"{about['scored']} of {about['cases']} cases, commit {about['commit'][:7]}. "
+        f"{about['scored']} of {about['cases']} cases, commit {short(about['commit'])}. "
         + (f"{first} misses {len(missed)} of {len(told['targets'])} targets." if missed else ""),
     )
     page.section("Scoreboard").add(_table(*score_rows(content)), _HOW)

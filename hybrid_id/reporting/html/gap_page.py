@@ -9,7 +9,7 @@ from rich.text import Text
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
-from hybrid_id.reporting.gap import UNLIKELY, beyond_lines, parameters_table, suspects_table
+from hybrid_id.reporting.gap import UNLIKELY, beyond_lines, caution_lines, parameters_table, suspects_table
 from hybrid_id.reporting.gap_ties import experiment_lines, outvoted_lines, tie_lines
 from hybrid_id.reporting.gap_words import (
     LEAST_SHARE,
@@ -90,6 +90,7 @@ def gap_page(
         *varying_lines(diagnosis),
         *withdrawn_lines(diagnosis),
         *beyond_lines(diagnosis),
+        *caution_lines(diagnosis),
         *experiment_lines(diagnosis),
     )
     likely = sum(one.selected or one.probability >= UNLIKELY for one in diagnosis.effects)

@@ -51,7 +51,8 @@ def record_plot(dataset: Dataset, comparison: Comparison, record: str) -> Plot:
         for m, (label, replay) in enumerate(replays.items()):
             colour, dash = COLOURS[m % len(COLOURS)], DASHES[m % len(DASHES)]
             shown.append((label, replay.outputs[signal], upper, colour, dash))
-            shown.append((f"{label}: residual", y - replay.outputs[signal], lower, colour, dash))
+            thin = "solid" if m == 0 else dash  # noise in dashes is hard to read
+            shown.append((f"{label}: residual", y - replay.outputs[signal], lower, colour, thin))
         for label, values, panel, colour, dash in shown:
             curve = {"type": "scattergl" if measured.n_samples > POINTS else "scatter", "mode": "lines"}
             curve |= {

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
-from hybrid_id.reporting.html.live import Plot
 from hybrid_id.reporting.html.page import Page
+from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.tables import (
     count,
     findings_list,
@@ -31,25 +29,22 @@ _CAPTIONS = {
 def study_page(
     dataset: Dataset,
     study: Study,
-    images: Mapping[str, np.ndarray],
+    figures: Mapping[str, Drawn],
     *,
     reach: float,
     level: float,
     findings: Sequence[Finding] = (),
-    plots: Mapping[str, Plot] | None = None,
 ) -> Page:
     """The page of a study.
 
     Args:
         dataset: the records.
         study: the result.
-        images: its pictures by name, (H, W, 3).
+        figures: its pictures by name, with their interactive twins.
         reach: half-width of an interval in standard errors.
         level: level of the intervals.
         findings: what the check of the records remarked.
-        plots: interactive twins of some pictures, by the same names.
     """
-    plots = plots or {}
     page = Page(f"Identification of {dataset.name}", _lead(dataset, study))
     page.section("Parameters").add(study_table(study, reach, level))
     told = page.section("What these records can tell").add(identifiability_table(study.identifiability))
@@ -57,13 +52,13 @@ def study_page(
     if findings:
         records.add(findings_list(findings))
     statistics, fits = page.section("Statistics"), page.section("Measured and simulated")
-    for name, image in images.items():
+    for name, figure in figures.items():
         if name in ("parameters", "profiles"):
-            told.picture(image, _CAPTIONS[name], plots.get(name))
+            told.figure(figure, _CAPTIONS[name])
         elif name in _CAPTIONS:
-            statistics.picture(image, _CAPTIONS[name], plots.get(name))
+            statistics.figure(figure, _CAPTIONS[name])
         else:
-            fits.picture(image, f"Record {name.removeprefix('fit_')}.", plots.get(name))
+            fits.figure(figure, f"Record {name.removeprefix('fit_')}.")
     return page
 
 

@@ -1,0 +1,23 @@
+"""The console script: from the first import to the last line, Ctrl-C ends it with one sentence or not at all."""
+
+import io
+import signal
+import sys
+from typing import NoReturn
+
+
+def main() -> NoReturn:
+    """Run the command line of this process and leave with its exit code."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal in ASCII has no ±
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
+    try:
+        from hybrid_id.cli.app import app
+    except KeyboardInterrupt:
+        print("Error: stopped; no results were written.", file=sys.stderr)
+        sys.exit(130)
+    try:
+        app()
+    finally:  # what the command had to say is said: a Ctrl-C while Python tidies up would deny it
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    raise AssertionError("a command line ends with its exit code")
