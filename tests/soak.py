@@ -32,6 +32,10 @@ SOONER = 0.8
 """Share of the whole run's time before which a kill comes: a later run finds the computer warm."""
 CASES = 5
 """Of a blind run."""
+REPEATS = 2
+"""Of an ablation."""
+SAMPLES = 300
+"""Of a record."""
 QUIET = {"report": False, "figures": False, "tensorboard": False}
 """Pages and pictures take longer than the runs."""
 
@@ -52,7 +56,7 @@ class Job:
 def make_drive(folder: Path, records: int) -> None:
     """Short records of a rigid drive and a model whose values are off."""
     truth = rigid_drive()
-    voltages = [multisine(k, samples=300, amplitude=7.0) for k in range(records)]
+    voltages = [multisine(k, samples=SAMPLES, amplitude=7.0) for k in range(records)]
     made = tuple(make_records(truth, voltages, noise={"q_m1": 0.01}))
     Dataset("soak", (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),), made, 0.002).save(folder)
     start = truth.with_values({"J": 2.4e-5, "F_c": 0.008})
@@ -81,7 +85,7 @@ def ablation(folder: Path) -> Job:
         "dataset": ".", "model": "model.yaml", "output": QUIET, "training": {"width": 2.0, "fine": 4},
         "hybrid": {"networks": [{"inputs": ["speed"], "hidden": [3]}], "prices": [1.0], "windows": [],
                    "max_iterations": 1},
-        "ablation": {"residual": ["static"], "seeds": 2},
+        "ablation": {"residual": ["static"], "seeds": REPEATS},
     }  # fmt: skip
     (folder / "study.yaml").write_text(yaml.safe_dump(study))
 

@@ -11,6 +11,8 @@ from hybrid_id.blind import levels
 @pytest.mark.parametrize("name", soak.JOBS)
 def test_killed_and_run_again_ends_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(soak, "CASES", 2)
+    monkeypatch.setattr(soak, "REPEATS", 1)
+    monkeypatch.setattr(soak, "SAMPLES", 150)
     monkeypatch.setattr(plans, "LENGTHS", (700, 900))
     monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
     failures, kills = soak.soak(name, trials=1, seed=0, most=1)

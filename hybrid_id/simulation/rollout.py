@@ -13,6 +13,9 @@ from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
+CHUNK = 8
+"""Samples that are walked between two iterations; longer walks cost more than the iterations that they save."""
+
 
 @dataclass(frozen=True)
 class Simulation:
@@ -56,7 +59,7 @@ def simulate(
     open_rows = torch.arange(batch.rows, device=x.device)
     for _ in range(0 if walks(system, engine, x) else 12):  # its loop takes less time than one iteration
         part = batch.take(open_rows)
-        nodes = shoot(system, engine, x[open_rows], part.u, part.dt, theta[:, open_rows], 32)
+        nodes = shoot(system, engine, x[open_rows], part.u, part.dt, theta[:, open_rows], CHUNK)
         step = condensed(system, engine, nodes, part.u, part.dt, theta[:, open_rows], [], ())[1][..., -1]
         nodes = nodes + step
         nodes[:, 0] = first[open_rows]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -68,8 +69,10 @@ def engine_error(result: FitResult, batch: Batch) -> float:
     """
     rows = torch.tensor([batch.names.index(name) for name in result.records])
     part = batch.take(rows)
-    runs = [simulate(result.system, engine, part).y for engine in (result.engine, result.engine.halved())]
-    change = ((runs[1] - runs[0]) * part.weight).cpu().numpy()
+    coarse = simulate(result.system, result.engine, part)
+    near = part if "diverged" in coarse.status else replace(part, x=coarse.x)
+    fine = simulate(result.system, result.engine.halved(), near)
+    change = ((fine.y - coarse.y) * part.weight).cpu().numpy()
     change = np.concatenate([c[: len(r)].reshape(-1) for c, r in zip(change, result.residual, strict=True)])
     jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])
     if not np.all(np.isfinite(change)):

@@ -36,7 +36,7 @@ def test_tour_runs_as_written(
     run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     dataset = Dataset.load(drive)
-    short = tuple(record.between(0.0, 0.5) for record in dataset.records[1:])  # more take a minute
+    short = tuple(record.between(0.0, 0.3) for record in dataset.records[1:])  # more take a minute
     replace(dataset, records=short).save(tmp_path / "my_robot")
     shutil.copy(drive / "model.yaml", tmp_path / "my_robot")
     shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / "model_priors.yaml")

@@ -354,7 +354,7 @@ def test_a_start_state_that_no_measurement_sees_takes_up_nothing() -> None:
 
 def test_sets_behind_play_grow_on_records_of_less_than_half_a_second() -> None:
     loose = rigid_drive().with_component("joint1/transmission", Backlash(gap=0.02))
-    made = make_records(loose, [multisine(k, samples=150, rest=20) for k in range(2)], noise={"q_m1": 0.01})
+    made = make_records(loose, [multisine(k, samples=60, rest=10) for k in range(2)], noise={"q_m1": 0.01})
     batch = make_batch(loose, made, noise_std={"q_m1": 0.01})
     ends = fit(loose, batch, starts=2, options=Options(max_iterations=2))
     assert len(ends) == 2 and all(np.isfinite(end.values).all() for end in ends)
