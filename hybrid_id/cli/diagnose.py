@@ -30,6 +30,8 @@ if TYPE_CHECKING:
 
 NEXT = "next_experiment.csv"
 """Commands of the record that would part effects which are tied."""
+LONG, MOST_JOBS = 200_000, 8
+"""Samples from which a fit may need a gigabyte, and processes that are started without being asked for."""
 
 
 def diagnose(
@@ -38,7 +40,8 @@ def diagnose(
     out: OutOption = None,
     most: Annotated[int | None, typer.Option(help="Effects at most.", min=1, show_default="3")] = None,
     jobs: Annotated[
-        int | None, typer.Option(help="Processes that share the fits.", min=1, show_default="1")
+        int | None,
+        typer.Option(help="Processes that share the fits.", min=1, show_default="one on each core"),
     ] = None,
     seed: SeedOption = None,
     force: ForceOption = False,
@@ -86,6 +89,14 @@ def diagnose(
     show(f"results are in {home}: {page}{DIAGNOSIS}, model.yaml, refit.yaml, {further}{pictures}config.yaml")
 
 
+def fitting_jobs(dataset: "Dataset") -> int:
+    """Processes that this machine bears: each holds the records, and what its fit makes of them."""
+    from joblib import cpu_count
+
+    samples = sum(record.n_samples for record in dataset.records)
+    return 1 if samples > LONG else min(cpu_count(), MOST_JOBS)
+
+
 def run(dataset: "Dataset", system: "System", config: StudyConfig) -> "Diagnosis":
     """Diagnose as the config says, with a bar on stderr."""
     from hybrid_id.gap.diagnose import diagnose as find
@@ -95,7 +106,7 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig) -> "Diagnosis
             dataset,
             system,
             most=config.gap.most,
-            jobs=config.gap.jobs,
+            jobs=config.gap.jobs or fitting_jobs(dataset),
             seed=config.identification.seed,
             signal_share=config.preprocessing.signal_share,
             progress=progress,

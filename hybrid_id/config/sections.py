@@ -186,11 +186,12 @@ class Gap(Section):
 
     Attributes:
         most: effects at most.
-        jobs: processes that share the fits.
+        jobs: processes that share the fits; None for one on each core, up to eight, and one alone where the records are
+            so long that each would need a gigabyte.
     """
 
     most: PositiveInt = 3
-    jobs: PositiveInt = 1
+    jobs: PositiveInt | None = None
 
 
 class Statistics(Section):

@@ -12,10 +12,11 @@ from hybrid_id.gap.attribute import MOST, Attribution, Progress, search_on
 from hybrid_id.gap.belief import better
 from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import Evidence
+from hybrid_id.gap.explanation import Explanation, Name, new_effect
 from hybrid_id.gap.measure import errors
 from hybrid_id.gap.probability import TIE, Suspect
 from hybrid_id.gap.ranking import LEFT_OPEN, TOLD
-from hybrid_id.gap.refit import Explanation, Name, Refit, new_effect
+from hybrid_id.gap.refit import Refit
 from hybrid_id.gap.remainder import behind_play
 from hybrid_id.gap.round import Round, finished
 from hybrid_id.systems.chain import System

@@ -15,8 +15,9 @@ from hybrid_id.gap.belief import COMPLETE_RATIO, LEAST_Z, better
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import coloured, negligible
 from hybrid_id.gap.exchange import exchanges, refitted_without
+from hybrid_id.gap.explanation import Explanation, Name, new_effect
 from hybrid_id.gap.ranking import LEAST_RATIO
-from hybrid_id.gap.refit import TO_THE_END, WINDOW, Explanation, Name, Refit, Task, new_effect
+from hybrid_id.gap.refit import TO_THE_END, WINDOW, Refit, Task
 from hybrid_id.gap.round import FINALISTS, IDLE, Progress, Round, finished, one_round
 from hybrid_id.gap.scan import Left
 from hybrid_id.systems.chain import System

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.ranking import LEAST_RATIO, is_explained, is_white
-from hybrid_id.gap.refit import Explanation
 
 MORE_RATIO = 1.15
 """Least fall of the RMS of the errors beside another effect, whose fit may leave what another can pick up."""

@@ -11,13 +11,14 @@ from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.evidence import COLOURED, negligible
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.judged import Judge
 from hybrid_id.gap.measure import Errors, errors
 from hybrid_id.gap.next_experiment import next_experiment
 from hybrid_id.gap.own_sets import own_sets
 from hybrid_id.gap.probability import believed, suspects, tied_explanations, tied_sets
 from hybrid_id.gap.ranking import LEFT_OPEN
-from hybrid_id.gap.refit import Explanation, Refit, engine
+from hybrid_id.gap.refit import Refit, engine
 from hybrid_id.gap.remainder import worst_unseen
 from hybrid_id.gap.untold import untold
 from hybrid_id.records.dataset import Dataset

@@ -8,8 +8,9 @@ from contextlib import suppress
 from hybrid_id.errors import InputError
 from hybrid_id.gap.belief import better
 from hybrid_id.gap.catalogue import CATALOGUE, part_of, rotor_share
+from hybrid_id.gap.explanation import Explanation, Name, new_effect
 from hybrid_id.gap.ranking import LEAST_RATIO
-from hybrid_id.gap.refit import TO_THE_END, Explanation, Name, Refit, Task, new_effect
+from hybrid_id.gap.refit import TO_THE_END, Refit, Task
 from hybrid_id.gap.round import HOPELESS, SECOND_LOOK, Round
 from hybrid_id.gap.starts import without
 from hybrid_id.systems.chain import System

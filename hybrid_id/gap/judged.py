@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from hybrid_id.gap.attribute import Attribution
 from hybrid_id.gap.evidence import coloured
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.locate import Location, locate
 from hybrid_id.gap.measure import Errors, errors
-from hybrid_id.gap.refit import Explanation, Refit
+from hybrid_id.gap.refit import Refit
 from hybrid_id.gap.remainder import halted_elsewhere, no_noise, outside
 from hybrid_id.gap.shrink import Shrink, shrink
 

@@ -10,8 +10,9 @@ import torch
 from scipy.signal import bilinear, lfilter
 from torch import Tensor
 
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.probe import Probe, bumps, probe
-from hybrid_id.gap.refit import Explanation, Refit
+from hybrid_id.gap.refit import Refit
 
 SPEEDS, ANGLES, COMMANDS = 9, 10, 9
 MEMORY = (0.02, 0.2)

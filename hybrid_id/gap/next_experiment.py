@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from hybrid_id.gap.refit import Explanation
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import DRIVES, estimate_noise
 from hybrid_id.records.record import Record

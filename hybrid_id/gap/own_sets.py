@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid_id.gap.evidence import WHITE, coloured
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.ranking import is_explained
-from hybrid_id.gap.refit import TO_THE_END, Explanation, Refit, Task, engine
+from hybrid_id.gap.refit import TO_THE_END, Refit, Task, engine
 from hybrid_id.gap.starts import as_today
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options

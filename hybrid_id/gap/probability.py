@@ -10,8 +10,8 @@ import numpy as np
 from hybrid_id.gap.attribute import Attribution
 from hybrid_id.gap.belief import LEAST_Z, better, least_ratio
 from hybrid_id.gap.catalogue import effect
+from hybrid_id.gap.explanation import Explanation, Name, new_effect
 from hybrid_id.gap.ranking import LEFT_OPEN, TOLD
-from hybrid_id.gap.refit import Explanation, Name, new_effect
 from hybrid_id.gap.round import Round
 
 NEEDLESS = 0.1

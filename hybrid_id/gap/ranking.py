@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.evidence import COLOURED, WHITE, coloured
-from hybrid_id.gap.refit import Explanation, Name
+from hybrid_id.gap.explanation import Explanation, Name
 
 SAME = 2e-3
 """Costs that differ by less than this share are of one valley."""

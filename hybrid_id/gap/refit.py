@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import multiprocessing
 import signal
 from collections.abc import Callable, Sequence
@@ -14,7 +15,8 @@ from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.catalogue import over_angle
-from hybrid_id.gap.evidence import WHITE, Evidence, coloured, evidence
+from hybrid_id.gap.evidence import WHITE, coloured, evidence
+from hybrid_id.gap.explanation import Explanation, Name
 from hybrid_id.gap.windows import windows
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import hidden_links
@@ -44,35 +46,9 @@ WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which models are compared instead."""
 WINDOW_LOOK = 12
 """Iterations of a first look over windows."""
-Name = tuple[str, str]
-"""An effect's name and where it acts."""
-
-
-@dataclass(frozen=True, eq=False)
-class Explanation:
-    """A model with some effects added, fitted to the train records.
-
-    Attributes:
-        effects: what has been added to today's model, in the order of their names.
-        result: the fit.
-        evidence: its errors on records left out.
-        finished: whether it has been fitted to the end.
-    """
-
-    effects: tuple[Name, ...]
-    result: FitResult
-    evidence: Evidence
-    finished: bool = True
-
-    @property
-    def system(self) -> System:
-        """The fitted model."""
-        return self.result.system
-
-
-def new_effect(richer: Explanation, simpler: Explanation) -> Name:
-    """The effect that a model has beyond another one."""
-    return next(name for name in richer.effects if name not in simpler.effects)
+SHARED_FROM = 5_000_000
+"""States times samples that have been fitted when further fits are shared: about the time that processes take to start,
+and not the time itself, on which no result may depend."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +77,7 @@ class Refit:
 
     Args:
         dataset: only its train records are used.
-        jobs: processes.
+        jobs: processes that share the fits, once a search turns out to be long.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         window: length [s] of the windows that models are fitted to; None for whole records.
     """
@@ -115,10 +91,13 @@ class Refit:
         window: float | None = None,
     ) -> None:
         self.dataset, self.jobs, self.signal_share, self.window = dataset, jobs, signal_share, window
+        self.fitted = 0
 
     def within(self, window: float) -> Refit:
         """The same over windows."""
-        return Refit(self.dataset, jobs=self.jobs, signal_share=self.signal_share, window=window)
+        shorter = copy.copy(self)
+        shorter.window = window
+        return shorter
 
     def records(self, system: System) -> Batch:
         """The train records, whole."""
@@ -161,7 +140,9 @@ class Refit:
         """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted."""
         if not tasks:
             return []
-        found, jobs = [], min(self.jobs, len(tasks))
+        found, jobs = [], min(self.jobs, len(tasks)) if self.fitted >= SHARED_FROM else 1
+        samples = sum(record.n_samples for record in self.dataset.train)
+        self.fitted += sum(len(task.system.state_names) for task in tasks) * samples
         calls = (delayed(_fit)(self, task, iterations) for task in tasks)
         for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
             found.append(outcome)

@@ -6,10 +6,11 @@ import numpy as np
 
 from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import COLOURED, NEGLIGIBLE, coloured, negligible
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.ranking import LEFT_OPEN, is_explained
-from hybrid_id.gap.refit import STRAYED, WINDOW, Explanation, Refit, engine
+from hybrid_id.gap.refit import STRAYED, WINDOW, Refit, engine
 from hybrid_id.gap.windows import window_errors
 from hybrid_id.study.replays import batch_of
 

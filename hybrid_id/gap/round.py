@@ -7,8 +7,9 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 from hybrid_id.gap.catalogue import over_angle
+from hybrid_id.gap.explanation import Explanation, Name
 from hybrid_id.gap.ranking import best_of_each, effects_of, is_white, simpler_ones, simplest_first
-from hybrid_id.gap.refit import LOOK, TO_THE_END, WINDOW, Explanation, Name, Refit, Task
+from hybrid_id.gap.refit import LOOK, TO_THE_END, WINDOW, Refit, Task
 from hybrid_id.gap.starts import special_cases, tasks
 from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.systems.chain import System
@@ -79,11 +80,9 @@ def one_round(
 
 def finished(refit: Refit, some: Sequence[Explanation]) -> list[Explanation]:
     """Candidates fitted to the end, as far as they can be."""
-    found = [
-        e if e.finished else refit.run([Task(e.effects, e.system, x0=e.result.x0)], TO_THE_END)[0]
-        for e in some
-    ]
-    return [e for e in found if e is not None]
+    todo = [Task(e.effects, e.system, x0=e.result.x0) for e in some if not e.finished]
+    ends = iter(refit.run(todo, TO_THE_END))
+    return [e for e in (one if one.finished else next(ends) for one in some) if e is not None]
 
 
 def _ranked(

@@ -9,7 +9,8 @@ import hybrid_id.gap.effects  # noqa: F401  (fills the catalogue)
 from hybrid_id.errors import InputError
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE, part_of, rotor_share
-from hybrid_id.gap.refit import Explanation, Name, Refit, Task, new_effect
+from hybrid_id.gap.explanation import Explanation, Name, new_effect
+from hybrid_id.gap.refit import Refit, Task
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import Left
 from hybrid_id.identification.horizons import hidden_links

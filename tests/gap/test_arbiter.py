@@ -44,7 +44,7 @@ def decided(
     monkeypatch: pytest.MonkeyPatch, test: dict[Any, float], search: Attribution = SEARCH
 ) -> Decision:
     monkeypatch.setattr(module, "_on_test", lambda _, one: blocks(test[one]))
-    refit: Any = SimpleNamespace(dataset=SimpleNamespace(test=(1,)))
+    refit: Any = SimpleNamespace(dataset=SimpleNamespace(test=(1,)), run=lambda *_: [])
     return decide(refit, search)
 
 
@@ -75,7 +75,7 @@ def test_free_runs_that_may_be_lost_and_windows_have_no_word(monkeypatch: pytest
 
 def test_test_records_that_stand_still_have_no_word(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "errors", lambda *_, **__: None)
-    refit: Any = SimpleNamespace(dataset=SimpleNamespace(test=(1,)), signal_share=0.004)
+    refit: Any = SimpleNamespace(dataset=SimpleNamespace(test=(1,)), signal_share=0.004, run=lambda *_: [])
     for one in (BIAS, WEIGHT):
         one.result.engine = None
     assert decide(refit, SEARCH).search is SEARCH

@@ -8,7 +8,8 @@ from gapcase import small_case
 
 import hybrid_id.gap.remainder as module
 from hybrid_id.components import Backlash
-from hybrid_id.gap.refit import Explanation, Refit
+from hybrid_id.gap.explanation import Explanation
+from hybrid_id.gap.refit import Refit
 from hybrid_id.gap.remainder import halted_elsewhere, no_noise, outside, worst_unseen
 from hybrid_id.reporting.gap_words import gap_line
 

@@ -16,8 +16,9 @@ from hybrid_id.components import Cogging, KinematicError, PositionDependent, Tig
 from hybrid_id.components.base import Component
 from hybrid_id.gap.catalogue import CATALOGUE, effect
 from hybrid_id.gap.evidence import evidence
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.probability import _parameters
-from hybrid_id.gap.refit import Explanation, engine
+from hybrid_id.gap.refit import engine
 from hybrid_id.gap.scales import scales
 from hybrid_id.gap.scan import GEAR_PERIODS, Left, friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.identification.secant import secant_fit

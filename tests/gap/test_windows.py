@@ -9,6 +9,7 @@ from gapcase import small_case
 from joblib import parallel_config
 
 import hybrid_id.gap.attribute as module
+import hybrid_id.gap.refit as refit_module
 import hybrid_id.gap.starts as starts
 from hybrid_id.components import REGISTRY
 from hybrid_id.gap.attribute import attribute
@@ -93,12 +94,13 @@ def test_what_holds_the_scale_is_said_and_free_scales_are_not_said_twice() -> No
     assert any("P_m1" in w and "only the claim of J at" in w for w in words), words
 
 
-def test_fits_in_processes_are_those_in_turn() -> None:
+def test_fits_in_processes_are_those_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     dataset, today = small_case()
     spring = today.with_component("joint1/load", REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     lost = today.with_values({"J": 1e-12, "F_c": 0.0})
     some = [Task((), today), Task((), lost), Task((("spring_load", "joint1/load"),), spring)]
     in_turn = Refit(dataset).run(some, 2)
+    monkeypatch.setattr(refit_module, "SHARED_FROM", 0)
     with parallel_config(backend="threading"):  # what a process is given is another test's
         together = Refit(dataset, jobs=2).run(some, 2)
     assert [None if e is None else (e.effects, e.result.cost) for e in together] == [
