@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 from joblib import Parallel, delayed
+from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.errors import InputError
 from hybrid_id.gap.catalogue import over_angle
@@ -144,10 +145,14 @@ class Refit:
         samples = sum(record.n_samples for record in self.dataset.train)
         self.fitted += sum(len(task.system.state_names) for task in tasks) * samples
         calls = (delayed(_fit)(self, task, iterations) for task in tasks)
-        for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
-            found.append(outcome)
-            if done is not None:
-                done()
+        try:
+            for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
+                found.append(outcome)
+                if done is not None:
+                    done()
+        except BrokenProcessPool:  # for want of memory, say: the rest in turn
+            self.jobs = 1
+            found += self.run(tasks[len(found) :], iterations, done)
         return found
 
 

@@ -1,12 +1,14 @@
 """Windows begin where the machine was seen to be, and with what only the model knows where its free run had it."""
 
 import pickle
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 import pytest
 import torch
 from gapcase import small_case
 from joblib import parallel_config
+from joblib.externals.loky.process_executor import BrokenProcessPool
 
 import hybrid_id.gap.attribute as module
 import hybrid_id.gap.refit as refit_module
@@ -109,3 +111,28 @@ def test_fits_in_processes_are_those_in_turn(monkeypatch: pytest.MonkeyPatch) ->
     assert in_turn[0] is not None and in_turn[2] is not None
     refit, task = pickle.loads(pickle.dumps((Refit(dataset, jobs=2), some[2])))
     assert refit.jobs == 2 and task.effects == some[2].effects
+
+
+def test_fits_whose_process_is_lost_are_done_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Lost:
+        """Loses its processes after the first result."""
+
+        def __init__(self, n_jobs: int, **_: str) -> None:
+            self.lost = n_jobs > 1
+
+        def __call__(self, calls: Iterable[tuple]) -> Iterator[object]:
+            for k, (function, args, named) in enumerate(calls):
+                if self.lost and k == 1:
+                    raise BrokenProcessPool
+                yield function(*args, **named)
+
+    dataset, today = small_case()
+    monkeypatch.setattr(refit_module, "SHARED_FROM", 0)
+    monkeypatch.setattr(refit_module, "Parallel", Lost)
+    refit, some = (
+        Refit(dataset, jobs=2),
+        [Task((), today.with_values({"F_v": v})) for v in (4e-5, 5e-5, 6e-5)],
+    )
+    together, in_turn = refit.run(some, 1), Refit(dataset).run(some, 1)
+    assert [e and e.result.cost for e in together] == [e and e.result.cost for e in in_turn]
+    assert refit.jobs == 1
