@@ -1,6 +1,7 @@
 """The console script: from the first import to the last line, Ctrl-C ends it with one sentence or not at all."""
 
 import io
+import os
 import signal
 import sys
 from typing import NoReturn
@@ -8,6 +9,8 @@ from typing import NoReturn
 
 def main() -> NoReturn:
     """Run the command line of this process and leave with its exit code."""
+    # the matrices are small: a second thread costs time, and rounds them otherwise than a process of --jobs does
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):  # a terminal in ASCII has no ±
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")

@@ -47,7 +47,7 @@ WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which models are compared instead."""
 WINDOW_LOOK = 12
 """Iterations of a first look over windows."""
-SHARED_FROM = 5_000_000
+SHARED_FROM = 2_000_000
 """States times samples that have been fitted when further fits are shared: about the time that processes take to start,
 and not the time itself, on which no result may depend."""
 
@@ -139,24 +139,25 @@ class Refit:
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
     ) -> list[Explanation | None]:
         """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted."""
-        if not tasks:
-            return []
-        found, jobs = [], min(self.jobs, len(tasks)) if self.fitted >= SHARED_FROM else 1
-        samples = sum(record.n_samples for record in self.dataset.train)
-        self.fitted += sum(len(task.system.state_names) for task in tasks) * samples
-        calls = (delayed(_fit)(self, task, iterations) for task in tasks)
-        try:
-            for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
-                found.append(outcome)
-                if done is not None:
-                    done()
-        except BrokenProcessPool:  # for want of memory, say: the rest in turn
-            self.jobs = 1
-            found += self.run(tasks[len(found) :], iterations, done)
+        samples, found = sum(record.n_samples for record in self.dataset.train), []
+        while len(found) < len(tasks):
+            left = tasks[len(found) :]
+            shared = self.jobs > 1 and self.fitted >= SHARED_FROM
+            some, jobs = (left, min(self.jobs, len(left))) if shared else (left[:1], 1)
+            try:
+                # another process need not know the catalogue, to which the user may have added
+                calls = (delayed(_fit)(self, t, iterations, over_angle(t.effects)) for t in some)
+                for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
+                    found.append(outcome)
+                    if done is not None:
+                        done()
+            except BrokenProcessPool:  # for want of memory, say: the rest in turn
+                self.jobs = 1
+            self.fitted += sum(len(task.system.state_names) for task in some) * samples
         return found
 
 
-def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
+def _fit(refit: Refit, task: Task, iterations: int, halting: bool) -> Explanation | None:
     torch.set_num_threads(1)
     if multiprocessing.parent_process() is not None:  # Ctrl-C is for the first process to answer
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -171,7 +172,7 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
                 task.system, batch, engine=engine(), iterations=iterations, near=task.near, x0=task.x0
             )
         else:
-            result = _nearest(task, batch, iterations)
+            result = _nearest(task, batch, iterations, halting)
         if loose and task.shake and last:
             result = shaken(result, batch)
         blind = result.residual if iterations <= LOOK else left_out(result, batch)
@@ -182,15 +183,14 @@ def _fit(refit: Refit, task: Task, iterations: int) -> Explanation | None:
     return Explanation(task.effects, kept, found, last) if found.error < float("inf") else None
 
 
-def _nearest(task: Task, batch: Batch, iterations: int) -> FitResult:
+def _nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> FitResult:
     """The best of several ways to a fit; the last words are had from windows, too, where that leaves more than noise.
 
-    The cost of whole rollouts ripples where a torque over the angle may halt the motion, that of windows from measured
-    states does not.
+    The cost of whole rollouts ripples where a torque over the angle may halt the motion (``halting``), that of windows
+    from measured states does not.
     """
     ends = _both_ways(task.system, batch, iterations, task.cost, task.x0)
-    last = iterations == TO_THE_END and over_angle(task.effects)
-    if last and min(coloured(end.residual) for end in ends) > WHITE:
+    if halting and iterations == TO_THE_END and min(coloured(end.residual) for end in ends) > WHITE:
         with suppress(InputError, RuntimeError):
             near = _within(task, windows(task.system, engine(), batch, WINDOW), WINDOW_LOOK)
             ends += _both_ways(near.system, batch, iterations, task.cost, None)

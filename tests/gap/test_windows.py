@@ -19,6 +19,7 @@ from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.refit import Refit, Task, engine
 from hybrid_id.gap.untold import untold
 from hybrid_id.gap.windows import windows
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replays import batch_of
@@ -136,3 +137,29 @@ def test_fits_whose_process_is_lost_are_done_in_turn(monkeypatch: pytest.MonkeyP
     together, in_turn = refit.run(some, 1), Refit(dataset).run(some, 1)
     assert [e and e.result.cost for e in together] == [e and e.result.cost for e in in_turn]
     assert refit.jobs == 1
+
+
+def test_a_process_need_not_know_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where fits are shared, an effect of the user's own is registered in the first process alone."""
+    told = []
+
+    def nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> None:
+        told.append(halting)
+        raise RuntimeError("this is all that was asked")
+
+    class Elsewhere:
+        def __init__(self, **_: object) -> None:
+            pass
+
+        def __call__(self, calls: Iterable[tuple]) -> Iterator[object]:
+            for function, args, named in calls:
+                with monkeypatch.context() as there:
+                    for name in list(CATALOGUE):
+                        there.delitem(CATALOGUE, name)
+                    yield function(*args, **named)
+
+    dataset, today = small_case()
+    monkeypatch.setattr(refit_module, "_nearest", nearest)
+    monkeypatch.setattr(refit_module, "Parallel", Elsewhere)
+    Refit(dataset, jobs=2).run([Task((("cogging", "joint1/motor"),), today), Task((), today)], 10)
+    assert told == [True, False]
