@@ -21,6 +21,10 @@ class InputError(Exception):
     """
 
 
+class MachineError(InputError):
+    """What was given is right, but this machine fails at it: its compiler does, say. No try with other values helps."""
+
+
 def close_match(name: str, known: Iterable[str]) -> str:
     """``" (did you mean 'speed'?)"``, or nothing where no known name is near."""
     close = difflib.get_close_matches(name, list(known), n=1)

@@ -125,6 +125,8 @@ def _attempt(seed: int, folder: str | Path, name: str, options: Mapping[str, Any
         return make_case(seed, folder, name=name, **options)
     except InputError:
         return None
+    except (OSError, MemoryError):  # of the machine and not of the case, which comes with the next try
+        raise
     except Exception as error:  # a fault of ours, which is to lose this case alone, and to be seen
         warnings.warn(
             f"case {name} of seed {seed} is left out: {type(error).__name__}: {error}", stacklevel=2

@@ -65,6 +65,12 @@ def seal(cases: Path, archive: Path | None, about: Mapping[str, Any]) -> dict[st
     return manifest
 
 
+def is_half_sealed(cases: Path, archive: Path) -> bool:
+    """Whether an archive holds the sheets beside the cases, for want of a manifest only."""
+    unsealed = (cases / ANSWERS).is_dir() and not (cases / MANIFEST).exists()
+    return unsealed and archive.is_file() and archive.read_bytes() == pack(cases / ANSWERS)
+
+
 def was_sealed(cases: Path, archive: Path) -> bool:
     """Whether an archive holds the answers to the cases already; sheets that a killed run has left beside them go."""
     if not (cases / MANIFEST).is_file() or not archive.is_file():

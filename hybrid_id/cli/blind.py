@@ -119,8 +119,8 @@ def make_sealed(
     first: int = 1,
 ) -> None:
     """Make cases, move their answers into the archive, and say how it went."""
-    from hybrid_id.blind.seal import ANSWERS, seal, was_sealed
-    from hybrid_id.cli.folder import make_parents, refuse_taken, remove_empty, sole_writer
+    from hybrid_id.blind.seal import ANSWERS, is_half_sealed, seal, was_sealed
+    from hybrid_id.cli.folder import make_parents, refuse_taken, remove_empty, sole_writer, visible
     from hybrid_id.contenders.keep import write_json
     from hybrid_id.contenders.run import read_case
     from hybrid_id.reporting.tables import count
@@ -135,7 +135,8 @@ def make_sealed(
     }
     begun = out / BEGUN
     if not begun.exists():
-        refuse_taken(out)
+        if visible(out) or not out.is_dir():
+            refuse_taken(out)
     elif json.loads(begun.read_text(encoding="utf-8")) != about:
         raise InputError(f"{out} holds unfinished cases of another seed, number, kind or commit; remove it")
     place, home = None if archive is None else archive.resolve().parent, out.resolve()
@@ -146,7 +147,7 @@ def make_sealed(
     if archive is not None and begun.exists() and was_sealed(out, archive):  # killed before its last step
         begun.unlink()
         return show(f"the cases in {out} were sealed already, their answers in {archive}")
-    if archive is not None and archive.exists():
+    if archive is not None and archive.exists() and not (begun.exists() and is_half_sealed(out, archive)):
         raise InputError(f"{archive} exists already; give the name of a new file as --answers")
     if archive is not None:
         remove_empty(make_parents(archive))  # a trial, before anything is made

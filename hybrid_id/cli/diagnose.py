@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 NEXT = "next_experiment.csv"
 """Commands of the record that would part effects which are tied."""
-LONG, MOST_JOBS = 200_000, 8
+LONG, MOST_JOBS = 200_000, 4
 """Samples from which a fit may need a gigabyte, and processes that are started without being asked for."""
 
 

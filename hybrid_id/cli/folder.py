@@ -120,11 +120,17 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
             new.mkdir()
             yield new
             refuse_taken(path, force=force)  # a long run: somebody may have written there meanwhile
-            if path.exists():
-                with sole_writer(path):  # nobody's folder is taken under his hands
-                    path.replace(Path(temporary) / "old")
-            new.replace(path)
-            complete = True
+            old = Path(temporary) / "old"
+            try:
+                if path.exists():
+                    with sole_writer(path):  # nobody's folder is taken under his hands
+                        path.replace(old)
+                new.replace(path)
+                complete = True
+            except BaseException:
+                if old.exists() and not path.exists():
+                    old.replace(path)
+                raise
     finally:
         remove_empty([] if complete else made)
 

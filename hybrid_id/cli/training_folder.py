@@ -48,7 +48,10 @@ def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: boo
     """Raise InputError where a training can neither begin nor go on, before anything is computed."""
     if resume and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
-    refuse_taken(path, force=force or resume, reads=[] if resume else config.reads)
+    anew = (
+        force or resume or only_begun(path)
+    )  # what was killed before its first checkpoint has nothing to lose
+    refuse_taken(path, force=anew, reads=[] if resume else config.reads)
 
 
 @contextmanager
@@ -111,5 +114,8 @@ def added_results(path: Path) -> Iterator[Path]:
             old.unlink()
         last = new / RESULT
         last.replace(Path(temporary) / RESULT)
-        shutil.copytree(new, path, dirs_exist_ok=True)
+        for file in (p for p in new.rglob("*") if p.is_file()):  # a move needs no room
+            place = path / file.relative_to(new)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
         (Path(temporary) / RESULT).replace(path / RESULT)

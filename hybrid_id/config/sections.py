@@ -186,7 +186,7 @@ class Gap(Section):
 
     Attributes:
         most: effects at most.
-        jobs: processes that share the fits; None for one on each core, up to eight, and one alone where the records are
+        jobs: processes that share the fits; None for one on each core, up to four, and one alone where the records are
             so long that each would need a gigabyte.
     """
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import multiprocessing
-import signal
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -14,7 +12,7 @@ import torch
 from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, MachineError
 from hybrid_id.gap.catalogue import over_angle
 from hybrid_id.gap.evidence import WHITE, coloured, evidence
 from hybrid_id.gap.explanation import Explanation, Name
@@ -31,6 +29,7 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.step import Engine
+from hybrid_id.study.fan_out import leave_ctrl_c_to_the_first
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
@@ -143,7 +142,7 @@ class Refit:
         while len(found) < len(tasks):
             left = tasks[len(found) :]
             shared = self.jobs > 1 and self.fitted >= SHARED_FROM
-            some, jobs = (left, min(self.jobs, len(left))) if shared else (left[:1], 1)
+            some, jobs = (left, self.jobs) if shared and len(left) > 1 else (left[:1], 1)
             try:
                 # another process need not know the catalogue, to which the user may have added
                 calls = (delayed(_fit)(self, t, iterations, over_angle(t.effects)) for t in some)
@@ -151,7 +150,9 @@ class Refit:
                     found.append(outcome)
                     if done is not None:
                         done()
-            except BrokenProcessPool:  # for want of memory, say: the rest in turn
+            except (BrokenProcessPool, OSError):  # for want of memory, say: the rest in turn
+                if jobs == 1:
+                    raise
                 self.jobs = 1
             self.fitted += sum(len(task.system.state_names) for task in some) * samples
         return found
@@ -159,8 +160,8 @@ class Refit:
 
 def _fit(refit: Refit, task: Task, iterations: int, halting: bool) -> Explanation | None:
     torch.set_num_threads(1)
-    if multiprocessing.parent_process() is not None:  # Ctrl-C is for the first process to answer
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if refit.jobs > 1:
+        leave_ctrl_c_to_the_first()
     step, last = min(record.sample_time for record in refit.dataset.train), iterations == TO_THE_END
     try:
         batch = refit.batch(task.system)
@@ -177,7 +178,9 @@ def _fit(refit: Refit, task: Task, iterations: int, halting: bool) -> Explanatio
             result = shaken(result, batch)
         blind = result.residual if iterations <= LOOK else left_out(result, batch)
         found = evidence(blind, step)
-    except (InputError, RuntimeError, np.linalg.LinAlgError):
+    except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
+        if isinstance(error, MachineError) or "allocate memory" in str(error):
+            raise
         return None  # a start that the physics refuses is no candidate
     kept = result.condensed()  # a search keeps hundreds
     return Explanation(task.effects, kept, found, last) if found.error < float("inf") else None

@@ -178,12 +178,14 @@ def append_section(path: Path, content: Mapping[str, Any], pictures: Mapping[str
     shown = {name: f"{short(about['commit'])}-{about['scored']}-{digest}-{name}.png" for name in pictures}
     links = (f"![{name.capitalize()}]({quote(folder.name)}/{file})\n" for name, file in shown.items())
     try:
-        if path.exists() and section in path.read_text(encoding="utf-8"):
+        before = path.read_text(encoding="utf-8") if path.exists() else ""
+        if section in before:
             return
         folder.mkdir(parents=True, exist_ok=True)
         for name, file in shown.items():
             save(pictures[name], folder / file)
-        with path.open("a", encoding="utf-8") as file:
-            file.write(("\n" if file.tell() else "") + "\n".join([section, *links]))
+        new = path.with_name(f".{path.name}.new")
+        new.write_text(before + ("\n" if before else "") + "\n".join([section, *links]), encoding="utf-8")
+        new.replace(path)
     except OSError as error:
         raise InputError(f"{path} cannot be written ({error.strerror}); give another file") from None

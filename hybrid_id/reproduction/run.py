@@ -75,8 +75,9 @@ def reproduce(
             continue
         say(head)
         stages[name] = run_stage(stage, stages, quick=quick, progress=progress)
-        save_model(stages[name][1], model)
+        model.unlink(missing_ok=True)  # a kill between the two leaves no model beside another run's result
         save(stages[name][0], folder / f"{name}.json", key)
+        save_model(stages[name][1], model)
     tracking = {
         case: _closed_loop(folder, plan, case, stages, seeds, quick, program, say)
         for case in plan.tracking.cases

@@ -8,6 +8,7 @@ import functools
 import hashlib
 import os
 import platform
+import re
 import shutil
 import subprocess
 import tempfile
@@ -17,7 +18,7 @@ from string import Template
 
 from torch import Tensor
 
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, MachineError
 
 FLAGS = (
     "-O1", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC", "-fopenmp-simd", "-fno-math-errno",
@@ -62,10 +63,12 @@ def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
                     _put(built, kept)
                 if (made := _loaded(kept) or _loaded(built)) is not None:
                     return made
-                raise InputError(
+                raise MachineError(
                     f"Nothing compiled may be run from {folder}; set TMPDIR, or leave 'compiled' off."
                 )
-        raise InputError(f"The C compiler {found} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}")
+        # killed for want of memory, or without room: another model would fail as well
+        kind = MachineError if re.search("Killed|No space left", done.stderr) else InputError
+        raise kind(f"The C compiler {found} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}")
 
 
 def _loaded(path: Path) -> ctypes.CDLL | None:

@@ -49,16 +49,21 @@ def fan_out(
     if scheduler is not None:
         yield from _on_dask(work, shared, pieces, scheduler)
     elif jobs > 1:
-        yield from _in_processes(work, shared, pieces, jobs)
+        yield from _in_processes(work, shared, dict(enumerate(pieces)), jobs)
     else:
         yield from (_attempt(work, shared, k, piece) for k, piece in enumerate(pieces))
 
 
+def leave_ctrl_c_to_the_first() -> None:
+    """In a process of a pool, let the first one answer Ctrl-C, which a terminal sends to all of them."""
+    first = threading.main_thread()  # a worker of Dask, or of a pool in a pool, works in another thread
+    if multiprocessing.parent_process() is not None and threading.current_thread() is first:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
 def _attempt(work: Work, shared: Any, number: int, piece: Any) -> tuple[int, Any]:
     torch.set_num_threads(1)
-    if multiprocessing.parent_process() is not None and threading.current_thread() is threading.main_thread():
-        # a terminal sends Ctrl-C to all; the first process decides
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_ctrl_c_to_the_first()
     try:
         return number, work(shared, piece)
     except Exception as error:  # whatever breaks one piece must not take the others along
@@ -76,23 +81,24 @@ def _failure(error: BaseException | None) -> Failure:
     return Failure(words)
 
 
-def _in_processes(work: Work, shared: Any, pieces: Sequence[Any], jobs: int) -> Iterator[tuple[int, Any]]:
-    left = dict(enumerate(pieces))
+def _in_processes(work: Work, shared: Any, left: dict[int, Any], jobs: int) -> Iterator[tuple[int, Any]]:
     try:
-        calls = (delayed(_attempt)(work, shared, k, piece) for k, piece in enumerate(pieces))
+        calls = [delayed(_attempt)(work, shared, k, piece) for k, piece in left.items()]
         found = Parallel(jobs, return_as="generator_unordered", pre_dispatch="n_jobs")(calls)
         for number, result in cast("Iterator[tuple[int, Any]]", found):
             del left[number]
             yield number, result
     except BrokenProcessPool:
-        # a process was killed: the rest in pools of their own, which tells the guilty piece
-        for number, piece in left.items():
+        # a process was killed: what was at work gets pools of its own, which tells the guilty piece
+        for number in list(left)[:jobs]:
+            piece = left.pop(number)
             try:
                 yield from cast(
                     "list[tuple[int, Any]]", Parallel(2)([delayed(_attempt)(work, shared, number, piece)])
                 )
             except BrokenProcessPool as error:
                 yield number, _failure(error)
+        yield from _in_processes(work, shared, left, jobs)
 
 
 def _on_dask(work: Work, shared: Any, pieces: Sequence[Any], address: str) -> Iterator[tuple[int, Any]]:

@@ -1,5 +1,6 @@
 """Case folders: the format, the answers, repeatability by seed, and what is refused."""
 
+import errno
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ import yaml
 
 from hybrid_id.blind import campaign as plans
 from hybrid_id.blind import levels
+from hybrid_id.blind import make as making
 from hybrid_id.blind.campaign import noise_std
 from hybrid_id.blind.case import record as measured_again
 from hybrid_id.blind.draw import family_and_level, same_case
@@ -160,3 +162,14 @@ def test_winding_that_lags_is_as_good_an_answer_as_a_short_delay(tmp_path: Path)
     assert min(rest, key=rest.__getitem__) == "electrical_lag@1"
     assert rest["electrical_lag@1"] < 0.5
     assert "cogging" not in answers["effects"][0]["accept"]
+
+
+def test_a_full_disk_ends_the_making_and_loses_no_case_from_the_set(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> Path:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(making, "make_case", full)
+    with pytest.raises(OSError, match="No space"):
+        make_cases(1, 4, tmp_path)

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from hybrid_id.blind import campaign as plans
 from hybrid_id.blind import levels
 from hybrid_id.blind import make as making
+from hybrid_id.blind import seal as sealing
 from hybrid_id.blind.seal import seal
 from hybrid_id.cli.app import app
 from hybrid_id.cli.folder import sole_writer
@@ -229,6 +230,17 @@ def test_making_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(making, "_attempt", attempt)
     first = (tmp_path / "a" / "c001" / "dataset.yaml").stat().st_mtime_ns
     call("make", *wish[:-1], 9, fails="unfinished cases of another seed")
+    write = sealing._write
+
+    def killed(path: Path, content: bytes) -> None:
+        if path.name == "manifest.json":
+            raise KeyboardInterrupt
+        write(path, content)
+
+    monkeypatch.setattr(sealing, "_write", killed)
+    call("make", *wish)
+    assert (tmp_path / "sealed" / "a.answers.tar").exists()
+    monkeypatch.setattr(sealing, "_write", write)
     call("make", *wish)
     assert (tmp_path / "a" / "c001" / "dataset.yaml").stat().st_mtime_ns == first
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["c001", "c002", "manifest.json"]

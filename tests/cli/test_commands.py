@@ -385,6 +385,34 @@ def test_nothing_is_left_of_a_failure(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
+def test_results_come_back_where_new_ones_cannot_take_their_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, replace_ = tmp_path / "out", Path.replace
+    with results_folder(out, force=False) as folder:
+        (folder / "result.json").write_text('{"program": "hybrid_id 0"}')
+
+    def stopped(self: Path, target: Path) -> Path:
+        if self.name == "new":
+            raise KeyboardInterrupt
+        return replace_(self, target)
+
+    monkeypatch.setattr(Path, "replace", stopped)
+    with pytest.raises(KeyboardInterrupt), results_folder(out, force=True):
+        pass
+    assert (out / "result.json").exists() and [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_training_killed_before_its_first_checkpoint_begins_anew(tmp_path: Path) -> None:
+    out, config = tmp_path / "out", StudyConfig(dataset=tmp_path, model=tmp_path / "model.yaml")
+    out.mkdir()
+    (out / BEGUN).write_text("")
+    (out / "config.yaml").write_text("")
+    with live_folder(out, config, force=False, resume=False), added_results(out) as folder:
+        (folder / "result.json").write_text("new")
+    assert (out / "result.json").read_text() == "new"
+
+
 def test_live_folder_brings_the_old_results_back(tmp_path: Path) -> None:
     out, config = tmp_path / "out", StudyConfig(dataset=tmp_path, model=tmp_path / "model.yaml")
     with results_folder(out, force=False) as folder:
