@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
+from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.blind.draw import FAMILIES, LEAST, SEEN, draw_case, family_and_level
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE
@@ -18,7 +19,7 @@ from hybrid_id.blind.pairs import with_only
 from hybrid_id.blind.rivals import find_rivals
 from hybrid_id.blind.robots import SYSTEMS
 from hybrid_id.blind.sheet import answers
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, MachineError
 from hybrid_id.records.yaml_file import write_yaml
 
 NEEDED = 1.2
@@ -111,10 +112,16 @@ def make_cases(
     numbers = range(first, first + n)
     calls = (delayed(_attempt)(seed + i - 1, folder, f"c{i:03d}", options) for i in numbers)
     made = []
-    for path in Parallel(n_jobs=jobs, return_as="generator")(calls):
-        made.append(path)
-        if done is not None:
-            done()
+    try:
+        for path in Parallel(n_jobs=jobs, return_as="generator")(calls):
+            made.append(path)
+            if done is not None:
+                done()
+    except BrokenProcessPool:
+        raise MachineError(
+            f"a process was lost, for want of memory, say; the same command goes on with the cases in {folder}, "
+            "better with fewer --jobs"
+        ) from None
     return [path for path in made if path is not None]
 
 
@@ -123,10 +130,10 @@ def _attempt(seed: int, folder: str | Path, name: str, options: Mapping[str, Any
         return Path(folder) / name
     try:
         return make_case(seed, folder, name=name, **options)
+    except (OSError, MemoryError, MachineError):  # not of the case, which comes with the next try
+        raise
     except InputError:
         return None
-    except (OSError, MemoryError):  # of the machine and not of the case, which comes with the next try
-        raise
     except Exception as error:  # a fault of ours, which is to lose this case alone, and to be seen
         warnings.warn(
             f"case {name} of seed {seed} is left out: {type(error).__name__}: {error}", stacklevel=2

@@ -33,7 +33,7 @@ from hybrid_id.cli.options import (
     check_backend,
 )
 from hybrid_id.cli.progress import counting
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, MachineError
 from hybrid_id.reporting.provenance import commit
 
 BEGUN = ".begun.json"
@@ -182,6 +182,8 @@ def _make(
             raise InputError(f"no case of {cases} could be made; give another seed, level or effect")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(f"stopped; the same command goes on with the cases in {out}") from None
+    except MachineError:
+        raise
     except InputError:
         (out / BEGUN).unlink()
         remove_empty([out])

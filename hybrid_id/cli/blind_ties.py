@@ -121,11 +121,15 @@ def _extended(
 ) -> "list[Case]":
     """The files of each case with the proposed record among them."""
     from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    made = Parallel(n_jobs=jobs)(
-        delayed(extended)(cases / name, experiment, sheets[name], options)
-        for name, experiment in tied.items()
-    )
+    try:
+        made = Parallel(n_jobs=jobs)(
+            delayed(extended)(cases / name, experiment, sheets[name], options)
+            for name, experiment in tied.items()
+        )
+    except BrokenProcessPool:
+        raise InputError("a process was lost, for want of memory, say; give fewer --jobs") from None
     return list(made)  # type: ignore[arg-type]
 
 
