@@ -15,6 +15,14 @@ def test_killed_and_run_again_ends_the_same(name: str, monkeypatch: pytest.Monke
     monkeypatch.setattr(soak, "SAMPLES", 150)
     monkeypatch.setattr(plans, "LENGTHS", (700, 900))
     monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
-    failures, kills = soak.soak(name, trials=1, seed=0, most=1)
-    assert failures == 0
+    kills = 0
+    for seed in (
+        0,
+        3,
+    ):  # the second kills sooner: a computer that has become faster may have ended before the first
+        failures, met = soak.soak(name, trials=1, seed=seed, most=1)
+        kills += met
+        assert failures == 0
+        if kills:
+            break
     assert kills == 1
