@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from joblib import Parallel, delayed
-from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.blind.draw import FAMILIES, LEAST, SEEN, draw_case, family_and_level
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE
@@ -112,16 +111,10 @@ def make_cases(
     numbers = range(first, first + n)
     calls = (delayed(_attempt)(seed + i - 1, folder, f"c{i:03d}", options) for i in numbers)
     made = []
-    try:
-        for path in Parallel(n_jobs=jobs, return_as="generator")(calls):
-            made.append(path)
-            if done is not None:
-                done()
-    except BrokenProcessPool:
-        raise MachineError(
-            f"a process was lost, for want of memory, say; the same command goes on with the cases in {folder}, "
-            "better with fewer --jobs"
-        ) from None
+    for path in Parallel(n_jobs=jobs, return_as="generator")(calls):
+        made.append(path)
+        if done is not None:
+            done()
     return [path for path in made if path is not None]
 
 

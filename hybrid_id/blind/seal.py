@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.whole_file import write_whole
 
 MANIFEST, ANSWERS = "manifest.json", "answers"
 
@@ -58,8 +59,8 @@ def seal(cases: Path, archive: Path | None, about: Mapping[str, Any]) -> dict[st
     }
     if archive is not None:
         archive.parent.mkdir(parents=True, exist_ok=True)
-        _write(archive, content)
-    _write(cases / MANIFEST, (json.dumps(manifest, indent=1) + "\n").encode())
+        write_whole(archive, content)
+    write_whole(cases / MANIFEST, json.dumps(manifest, indent=1) + "\n")
     if archive is not None:
         shutil.rmtree(cases / ANSWERS)
     return manifest
@@ -182,9 +183,3 @@ def open_answers(archive: Path, sha256: str) -> dict[str, Sheet]:
 
 def _hash(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
-def _write(path: Path, content: bytes) -> None:
-    new = path.with_name(f".{path.name}.new")
-    new.write_bytes(content)
-    new.replace(path)

@@ -171,9 +171,11 @@ def _make(
     """Make cases in a folder that remembers what it is to hold until they are sealed."""
     from hybrid_id.blind.make import make_cases
     from hybrid_id.cli.folder import remove_empty
+    from hybrid_id.study.fan_out import whole_pool
 
     try:
-        with counting("cases") as bar:
+        advice = f"the same command goes on with the cases in {out}, better with fewer --jobs"
+        with counting("cases") as bar, whole_pool(advice):
             task = bar.add_task("cases", total=cases)
             made = make_cases(
                 cases, seed, out, first=first, jobs=jobs, done=lambda: bar.advance(task), **options

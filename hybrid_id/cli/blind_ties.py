@@ -121,15 +121,14 @@ def _extended(
 ) -> "list[Case]":
     """The files of each case with the proposed record among them."""
     from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    try:
+    from hybrid_id.study.fan_out import whole_pool
+
+    with whole_pool():
         made = Parallel(n_jobs=jobs)(
             delayed(extended)(cases / name, experiment, sheets[name], options)
             for name, experiment in tied.items()
         )
-    except BrokenProcessPool:
-        raise InputError("a process was lost, for want of memory, say; give fewer --jobs") from None
     return list(made)  # type: ignore[arg-type]
 
 

@@ -181,18 +181,17 @@ def _fit_in_processes(
 ) -> list[Any]:
     """One fit a record, the records shared between processes."""
     from joblib import Parallel, delayed
-    from joblib.externals.loky.process_executor import BrokenProcessPool
+
+    from hybrid_id.study.fan_out import whole_pool
 
     records = dataset.train
     shares = [range(k, len(records), jobs) for k in range(min(jobs, len(records)))]
     with TemporaryDirectory() as folder:
         progress.flag = stop = Path(folder) / "stop"
-        try:
+        with whole_pool():
             found = Parallel(n_jobs=jobs)(
                 delayed(fit_part)(dataset, share, system, config, stop) for share in shares
             )
-        except BrokenProcessPool:
-            raise InputError("a process was lost, for want of memory, say; give fewer --jobs") from None
         progress.flag = None
     by_record = {result.records[0]: result for results in found for result in results}  # type: ignore[union-attr]
     return [by_record[record.name] for record in records]

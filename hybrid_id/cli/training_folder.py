@@ -48,10 +48,8 @@ def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: boo
     """Raise InputError where a training can neither begin nor go on, before anything is computed."""
     if resume and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
-    anew = (
-        force or resume or only_begun(path)
-    )  # what was killed before its first checkpoint has nothing to lose
-    refuse_taken(path, force=anew, reads=[] if resume else config.reads)
+    # what was killed before its first checkpoint has nothing to lose
+    refuse_taken(path, force=force or resume or only_begun(path), reads=[] if resume else config.reads)
 
 
 @contextmanager

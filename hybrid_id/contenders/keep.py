@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from hybrid_id.contenders.run import Case, Settings
 from hybrid_id.errors import InputError
 from hybrid_id.plain import plain
+from hybrid_id.records.whole_file import write_whole
 
 RUN, DIAGNOSIS = "run.json", "diagnosis.json"
 
@@ -90,7 +90,4 @@ def is_done(said: Mapping[str, Any] | None, key: str) -> bool:
 
 def write_json(path: Path, content: Any) -> None:
     """Write under a temporary name and rename."""
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".") as temporary:
-        new = Path(temporary) / path.name
-        new.write_text(json.dumps(plain(content), indent=1) + "\n", encoding="utf-8")
-        new.replace(path)
+    write_whole(path, json.dumps(plain(content), indent=1) + "\n")

@@ -83,10 +83,14 @@ def coloured(residuals: Sequence[np.ndarray]) -> float:
     return max(0.0, 1.0 - 0.5 * steps / total) if total > 0 else 0.0
 
 
+def mean_square(residuals: Sequence[np.ndarray]) -> float:
+    """Of errors in units of the measurements' weights."""
+    return sum(float(np.square(one).sum()) for one in residuals) / sum(one.size for one in residuals)
+
+
 def negligible(residuals: Sequence[np.ndarray]) -> bool:
     """Whether errors in units of the measurements' weights are far below what any good model misses."""
-    square = sum(float(np.square(one).sum()) for one in residuals)
-    return square < NEGLIGIBLE**2 * sum(one.size for one in residuals)
+    return mean_square(residuals) < NEGLIGIBLE**2
 
 
 def effective_samples(residuals: Sequence[np.ndarray]) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.gap.evidence import WHITE, coloured
+from hybrid_id.gap.evidence import WHITE, coloured, mean_square
 from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.ranking import is_explained
 from hybrid_id.gap.refit import TO_THE_END, Refit, Task, engine
@@ -84,8 +84,7 @@ def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets |
 
 def _explained(one: FitResult) -> bool:
     """Whether a record's own values leave noise, or so little that only the encoder's counts are left."""
-    square = sum(float(np.square(r).sum()) for r in one.residual) / sum(r.size for r in one.residual)
-    return coloured(one.residual) <= WHITE or square < FAINT**2
+    return coloured(one.residual) <= WHITE or mean_square(one.residual) < FAINT**2
 
 
 def _scatter(sets: list[FitResult]) -> tuple[str, ...]:

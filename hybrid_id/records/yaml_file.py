@@ -1,9 +1,7 @@
 """Reading, checking and writing of the YAML files of a user, every fault as one sentence."""
 
 import difflib
-import os
 import re
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
@@ -13,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
+from hybrid_id.records.whole_file import write_whole
 
 Schema = TypeVar("Schema", bound=BaseModel)
 MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser
@@ -86,11 +85,7 @@ def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     if yaml.safe_load(text) != values:  # PyYAML loses rare line separators unless they are escaped
         text = yaml.safe_dump(values, **layout)
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        file.write(f"# hybrid_id {__version__}\n{text}")
-    os.chmod(temporary, 0o644)  # mkstemp makes files that nobody else may read
-    os.replace(temporary, path)
+    write_whole(path, f"# hybrid_id {__version__}\n{text}")
 
 
 def _refuse_what_misleads(text: str, path: Path) -> None:

@@ -12,6 +12,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.whole_file import write_whole
 from hybrid_id.reporting.provenance import short
 from hybrid_id.reporting.style import save
 
@@ -184,8 +185,6 @@ def append_section(path: Path, content: Mapping[str, Any], pictures: Mapping[str
         folder.mkdir(parents=True, exist_ok=True)
         for name, file in shown.items():
             save(pictures[name], folder / file)
-        new = path.with_name(f".{path.name}.new")
-        new.write_text(before + ("\n" if before else "") + "\n".join([section, *links]), encoding="utf-8")
-        new.replace(path)
+        write_whole(path, before + ("\n" if before else "") + "\n".join([section, *links]))
     except OSError as error:
         raise InputError(f"{path} cannot be written ({error.strerror}); give another file") from None

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import numpy as np
 
 from hybrid_id import __version__
 from hybrid_id.plain import plain
+from hybrid_id.records.whole_file import write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +96,8 @@ class TrackingResult:
 
 def save(result: StageResult | TrackingResult, path: Path, key: dict[str, Any]) -> None:
     """Write a result with what it was made from, under a temporary name first."""
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(handle, "w", encoding="utf-8") as file:
-        json.dump(plain({"program": f"hybrid_id {__version__}", "key": key, "result": asdict(result)}), file)
-    os.chmod(temporary, 0o644)
-    os.replace(temporary, path)
+    content = plain({"program": f"hybrid_id {__version__}", "key": key, "result": asdict(result)})
+    write_whole(path, json.dumps(content))
 
 
 def load(kind: type[Any], path: Path, key: dict[str, Any]) -> Any:

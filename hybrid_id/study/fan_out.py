@@ -7,6 +7,7 @@ import signal
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -15,7 +16,7 @@ import torch
 from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, MachineError
 
 TIMEOUT = 20.0
 """Time [s] within which a Dask scheduler has to answer."""
@@ -52,6 +53,15 @@ def fan_out(
         yield from _in_processes(work, shared, dict(enumerate(pieces)), jobs)
     else:
         yield from (_attempt(work, shared, k, piece) for k, piece in enumerate(pieces))
+
+
+@contextmanager
+def whole_pool(advice: str = "give fewer --jobs") -> Iterator[None]:
+    """Say that a process of a pool was lost in one sentence, with what to do (a :class:`MachineError`)."""
+    try:
+        yield
+    except BrokenProcessPool:
+        raise MachineError(f"a process was lost, for want of memory, say; {advice}") from None
 
 
 def leave_ctrl_c_to_the_first() -> None:

@@ -230,17 +230,17 @@ def test_making_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(making, "_attempt", attempt)
     first = (tmp_path / "a" / "c001" / "dataset.yaml").stat().st_mtime_ns
     call("make", *wish[:-1], 9, fails="unfinished cases of another seed")
-    write = sealing._write
+    write = sealing.write_whole
 
     def killed(path: Path, content: bytes) -> None:
         if path.name == "manifest.json":
             raise KeyboardInterrupt
         write(path, content)
 
-    monkeypatch.setattr(sealing, "_write", killed)
+    monkeypatch.setattr(sealing, "write_whole", killed)
     call("make", *wish)
     assert (tmp_path / "sealed" / "a.answers.tar").exists()
-    monkeypatch.setattr(sealing, "_write", write)
+    monkeypatch.setattr(sealing, "write_whole", write)
     call("make", *wish)
     assert (tmp_path / "a" / "c001" / "dataset.yaml").stat().st_mtime_ns == first
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["c001", "c002", "manifest.json"]
