@@ -17,11 +17,13 @@ from torch import Tensor
 
 from hybrid_id.simulation.c_code import call, library
 from hybrid_id.simulation.dry_code import FLAGS
-from hybrid_id.simulation.dry_equations import source
+from hybrid_id.simulation.dry_equations import source, structure
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
-_LIBRARIES: WeakKeyDictionary[System, dict[tuple[Any, ...], tuple[CDLL, Tensor]]] = WeakKeyDictionary()
+_STRUCTURES: WeakKeyDictionary[System, tuple[Any, ...]] = WeakKeyDictionary()
+_LIBRARIES: dict[tuple[Any, ...], tuple[CDLL, Tensor]] = {}
+"""By structure, channels and free parameters: a search meets the same equations in hundreds of systems."""
 
 
 def walks(system: System, engine: Engine, x: Tensor) -> bool:
@@ -95,11 +97,13 @@ def _library(
     system: System, channels: tuple[str, ...], free: tuple[int, ...] | None = None
 ) -> tuple[CDLL, Tensor]:
     """The code of a system, and the constants that follow its parameters."""
-    known, key = _LIBRARIES.setdefault(system, {}), (channels, free)
-    if key not in known:
+    if system not in _STRUCTURES:
+        _STRUCTURES[system] = structure(system)
+    key = (_STRUCTURES[system], channels, free)
+    if key not in _LIBRARIES:
         code, constants = source(system, channels, free)
-        known[key] = library(code, FLAGS), torch.tensor(constants, dtype=torch.float64)
-    return known[key]
+        _LIBRARIES[key] = library(code, FLAGS), torch.tensor(constants, dtype=torch.float64)
+    return _LIBRARIES[key]
 
 
 def _point(

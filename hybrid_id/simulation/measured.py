@@ -57,6 +57,13 @@ def measure(
     """
     rows, samples, n_x = x.shape
     n_y, n_f = len(outputs), len(free)
+    states = x.unbind(2)
+    with torch.no_grad():
+        found = system.outputs(outputs, states, u, system.views(list(theta[..., None])))
+    picks = [next((j for j, state in enumerate(states) if one is state), None) for one in found]
+    if all(pick is not None for pick in picks):
+        c = torch.eye(n_x, dtype=x.dtype, device=x.device)[picks].expand(rows, samples, n_y, n_x)
+        return Measured(x[..., picks], c, x.new_zeros(1).expand(rows, samples, n_y, n_f), tuple(picks))
     leaves = [column.reshape(-1).requires_grad_() for column in x.detach().clone().unbind(2)]
     values = list(theta.repeat_interleave(samples, 1).unbind(0))
     for i in free:
@@ -65,10 +72,6 @@ def measure(
     with torch.enable_grad():
         found = system.outputs(outputs, leaves, channels, system.views(values))
         sums = [target.sum() for target in found]  # lanes do not mix: one sweep a row
-    picks = [next((j for j, leaf in enumerate(leaves) if target is leaf), None) for target in found]
-    if all(pick is not None for pick in picks):
-        c = torch.eye(n_x, dtype=x.dtype, device=x.device)[picks].expand(rows, samples, n_y, n_x)
-        return Measured(x[..., picks], c, x.new_zeros(1).expand(rows, samples, n_y, n_f), tuple(picks))
     jacobian = x.new_zeros(rows * samples, n_y, n_x + n_f)
     wanted = [*leaves, *(values[i] for i in free)]
     for i, total in enumerate(sums):
