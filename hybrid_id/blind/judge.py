@@ -11,6 +11,8 @@ Said = Mapping[str, Any]
 """The content of a ``diagnosis.json``."""
 SOUND = ("none", "parameters")
 """Families whose structure is right; on sheets of earlier generators, ``none`` has wrong values, too."""
+LINK = ("link_friction", "load")
+"""Places on the link's side of a gear."""
 RIGHT, WRONG = 1.05, 1.2
 """Error of today's values over that of the re-fit up to which they are right, and from which they are wrong."""
 
@@ -37,6 +39,8 @@ class Judged:
         false_alarm: whether something is named in a case where the structure is right.
         values: whether it is told there that nothing is wrong, or the parameters alone.
         outside: whether something outside the catalogue is detected where it acts.
+        outside_at: whether the joint, and the side of its gear, at which it is said to act are right; None where
+            neither is told.
         false_unknown: whether it is claimed where nothing like it acts.
         confidence: probability of the effect that is ranked first, and whether that one was at work.
         shrink_error: claimed share of the gap that closes, less the true one [points].
@@ -63,6 +67,7 @@ class Judged:
     false_alarm: bool | None = None
     values: bool | None = None
     outside: bool | None = None
+    outside_at: bool | None = None
     false_unknown: bool | None = None
     confidence: tuple[float, bool] | None = None
     shrink_error: float | None = None
@@ -117,6 +122,7 @@ def judge(case: str, sheet: Sheet, said: Said | None) -> Judged:
         false_alarm=(bool(chosen) or unknown) if family in SOUND and not broken else None,
         values=_values(said, sheet) if family in SOUND and not broken else None,
         outside=unknown if not known else None,
+        outside_at=_acts_there(said.get("unknown_at") or {}, truth[0]) if unknown and not known else None,
         false_unknown=unknown if known and not broken else None,
         confidence=None if first is None else (float(first["probability"]), bool(_hits([first], truth))),
         shrink_error=error,
@@ -152,6 +158,17 @@ def _in_a_word(family: str, truth: Sequence[Sheet], chosen: Sequence[Said], unkn
     if family == "single" and _named(chosen[0], truth[0]):
         return str(truth[0]["name"])
     return str(chosen[0]["name"])
+
+
+def _acts_there(told: Said, truth: Sheet) -> bool | None:
+    """Whether a joint, and a side where one is told, hold what acts outside the catalogue."""
+    if told.get("joint") is None:
+        return None
+    places = [where.split("/") for where in truth["accept_where"]]
+    return any(
+        joint == told["joint"] and told.get("place") in (None, "load" if place in LINK else "motor")
+        for joint, place in places
+    )
 
 
 def _values(said: Said, sheet: Sheet) -> bool | None:

@@ -25,6 +25,7 @@ SHARES: Mapping[str, Callable[[Judged], bool | None]] = {
     "false_alarms": lambda one: one.false_alarm,
     "values": lambda one: one.values,
     "outside_detected": lambda one: one.outside,
+    "outside_at": lambda one: one.outside_at,
     "false_unknown": lambda one: one.false_unknown,
     "covered": lambda one: one.covered,
     "broken": lambda one: bool(one.broken),

@@ -35,8 +35,14 @@ class _Gap(BaseModel):
     shrink_interval: tuple[Share, Share] | None = None
 
 
+class _Place(BaseModel):
+    joint: str | None = Field(default=None, pattern=r"^joint[12]$")
+    place: Literal["motor", "load", None] = None
+
+
 class _Answer(BaseModel):
     unknown: StrictBool
+    unknown_at: _Place | None = None
     effects: list[_Effect]
     gap: _Gap = Field(default_factory=_Gap)
     verdict: Literal["effects", "parameters_only", "no_gap", "outside_catalogue", "inconclusive", None] = None

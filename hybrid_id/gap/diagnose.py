@@ -9,6 +9,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.gap.arbiter import decide, others
 from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure_though_small
 from hybrid_id.gap.bent import bent_parameters
+from hybrid_id.gap.course import courses
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.evidence import COLOURED, negligible
 from hybrid_id.gap.explanation import Explanation
@@ -166,6 +167,7 @@ def _diagnosed(
         together=tuple(inseparable(dataset.records)),
         beyond=tuple(beyond(dataset)),
         search=search,
+        courses=tuple(courses(refit, search.chosen)) if now.unknown else (),
     )
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hybrid_id.gap.attribute import Attribution
+from hybrid_id.gap.course import Course, acts_at
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.next_experiment import Experiment
@@ -35,6 +36,8 @@ class Diagnosis:
         halted: whether free runs over the test records halt at other detents than the machine, while the corrected
             model follows them from measured states as closely as the train records.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
+        courses: where something outside the catalogue acts, what a torque of any course would explain at each side of
+            each joint, best first.
         outvoted: effects that explain the train records as well as the selected ones, in words, and predict the test
             records surely worse.
         untold: changes of the chosen model's parameters that these records do not see, in words.
@@ -68,6 +71,7 @@ class Diagnosis:
     varying: tuple[str, ...] = ()
     halted: bool = False
     outvoted: tuple[str, ...] = ()
+    courses: tuple[Course, ...] = ()
 
     @property
     def selected(self) -> tuple[Suspect, ...]:
@@ -121,6 +125,10 @@ class Diagnosis:
                 {"joint": o.joint, "place": o.place, "signal": o.signal, "share": max(o.share, 0.0)}
                 for o in self.after[:3]
             ],
+            "unknown_at": dict(zip(("joint", "place"), acts_at(self.courses), strict=True))
+            if self.unknown
+            else None,
+            "courses": [vars(one) for one in self.courses],
             "bent_parameters": list(self.bent),
             "withdrawn": list(self.withdrawn),
             "outvoted": list(self.outvoted),

@@ -42,7 +42,7 @@ class Location:
 
     Attributes:
         joint: ``joint1`` ...
-        place: ``motor`` or ``load``: the side of the gear.
+        place: ``motor`` or ``load``: the side of the gear; ``joint`` where both move alike.
         signal: what it depends on, in words.
         share: part of the gap's mean square that it explains on records left out.
         grid: the signal's values, ``(k,)``; empty where the dependence has no single signal.
@@ -72,7 +72,8 @@ def locate(refit: Refit, explanation: Explanation) -> list[Location]:
             for signal, waves, axis in signals(opened):
                 share, coefficients = opened.explained(waves)
                 grid, torque = _profile(axis, coefficients)
-                found.append(Location(joint.name, side, signal, share, grid, torque))
+                place = "joint" if joint.rigid else side
+                found.append(Location(joint.name, place, signal, share, grid, torque))
     return sorted(found, key=lambda one: -one.share)
 
 

@@ -27,6 +27,8 @@ FOLDS = 5
 """Parts that the windows of a single record are dealt to."""
 RIDGE = 1e-3
 """Ridge of the regression, relative to the strongest column."""
+FREE_RIDGE = 1e-6
+"""The same where every window has a torque of its own, relative to the mean column."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +65,40 @@ class Probe:
 
     def response(self, waves: Tensor) -> Tensor:
         """Weighted response of the windows' outputs to torques ``(R, T, m)`` [N m], ``(W, L n_y, m)``."""
-        waves = waves[self.record[:, None], self.index]
+        return self._chained(waves[self.record[:, None], self.index])
+
+    def _chained(self, waves: Tensor) -> Tensor:
+        """The same of torques within each window, ``(W, L, m)``."""
         empty = self.lin.d.new_zeros(1).expand(*self.lin.d.shape[:-1], waves.shape[-1])
         chained = condense(replace(self.lin, b=self.lin.b * waves[:, :, None, :], d=empty), self.x)
         n_x = self.x.shape[-1]
         found = (self.lin.c @ chained[..., n_x:-1] * self.weight[..., None]).flatten(1, 2)
         return found - self.start @ (self.start.transpose(1, 2) @ found)
+
+    def unexplained(self, knot: float) -> tuple[np.ndarray, np.ndarray]:
+        """Squares that a torque of any course in time cannot explain, and all of them, in each window, ``(W,)``.
+
+        Each window has a torque of its own, smooth over a time; both are per degree of freedom, so that noise alone
+        leaves them equal.
+
+        Args:
+            knot: distance of the bumps that make up the torque [s].
+        """
+        length = self.index.shape[1]
+        count = max(2, round(length * self.batch.step / knot))
+        waves = bumps(torch.linspace(0.0, 1.0, length, dtype=self.x.dtype), count, 0.0, 1.0)
+        columns = self._chained(waves.expand(len(self.record), length, count))
+        columns = columns / columns.square().sum((0, 1)).sqrt().max().clamp_min(1e-300)
+        squares = columns.transpose(1, 2) @ columns
+        ridge = FREE_RIDGE * squares.diagonal(dim1=1, dim2=2).mean().clamp_min(1e-300)
+        slopes = columns.transpose(1, 2) @ self.left[..., None]
+        found = torch.linalg.solve(squares + ridge * torch.eye(count, dtype=squares.dtype), slopes)
+        rest = self.left - (columns @ found)[..., 0]
+        freedom = self.left.shape[1] - self.x.shape[2]
+        return (
+            (rest.square().sum(1) / max(freedom - count, 1)).numpy(),
+            (self.left.square().sum(1) / max(freedom, 1)).numpy(),
+        )
 
     def explained(self, waves: Tensor) -> tuple[float, np.ndarray]:
         """Share of the residuals' mean square that torques explain on records left out, and their coefficients.

@@ -9,6 +9,7 @@ from rich.text import Text
 from hybrid_id.errors import InputError
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.reporting.gap_ties import experiment_lines, outvoted_lines, tie_lines
+from hybrid_id.reporting.gap_verdict import verdict_sentence
 from hybrid_id.reporting.gap_words import (
     bent_lines,
     gap_line,
@@ -17,7 +18,6 @@ from hybrid_id.reporting.gap_words import (
     untold_lines,
     values_of,
     varying_lines,
-    verdict_sentence,
     where_line,
     withdrawn_lines,
     words_of,

@@ -112,7 +112,7 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
                 ylabel=f"missing torque {scaled_unit(_units(dataset, one)[1], exponent)}",
             )
             axes.set_title(
-                f"{joint_words(one.joint)}, {SIDES[one.place]}: {100 * max(one.share, 0.0):.0f} %", loc="left"
+                f"{joint_words(one.joint)}{SIDES[one.place]}: {100 * max(one.share, 0.0):.0f} %", loc="left"
             )
             axes.set_xlim(one.grid[0], one.grid[-1])
         handles, labels = panels[0].get_legend_handles_labels()
@@ -135,7 +135,7 @@ def share_figure(diagnosis: Diagnosis) -> Figure:
             axes.barh(rows + 0.18, left, 0.34, color=MODELS["corrected"], label="corrected model")
         else:
             axes.barh(rows, before, 0.6, color=MODELS["re-fitted"], label="re-fitted model")
-        axes.set_yticks(rows, [f"{joint_words(o.joint)}, {SIDES[o.place]}: {o.signal}" for o in shown])
+        axes.set_yticks(rows, [f"{joint_words(o.joint)}{SIDES[o.place]}: {o.signal}" for o in shown])
         axes.set(xlim=(0, 100), xlabel="explained part of what the model leaves [% of the mean square]")
         axes.invert_yaxis()
         axes.legend(loc="lower right")

@@ -1,4 +1,4 @@
-"""A diagnosis in sentences: the verdict, where, how far, what is not told apart, what the re-fit has bent."""
+"""A diagnosis in sentences: where, how far, what is not told apart, what the re-fit has bent."""
 
 from __future__ import annotations
 
@@ -12,94 +12,11 @@ from hybrid_id.reporting.tables import count
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
-LEFT_SHARE = 0.1
-"""The same of what the best model leaves, noise and all."""
 PLACES = {
     "input": "at the input", "motor": "in the motor", "motor_friction": "on the motor side",
     "transmission": "in the gear", "link_friction": "on the link side", "load": "at the load",
 }  # fmt: skip
-SIDES = {"motor": "motor side", "load": "link side"}
-
-
-def verdict_sentence(diagnosis: Diagnosis, reach: float = 1.96) -> str:
-    """What the diagnosis stands by, in plain words."""
-    return {
-        "effects": _effects,
-        "outside_catalogue": _outside,
-        "parameters_only": _parameters_only,
-        "no_gap": _no_gap,
-        "inconclusive": _inconclusive,
-    }[diagnosis.verdict](diagnosis, reach)
-
-
-def _effects(diagnosis: Diagnosis, reach: float) -> str:
-    chosen = diagnosis.selected
-    found = _joined([_described(diagnosis, one, reach) for one in chosen])
-    verb = "explains" if len(chosen) == 1 else "explain"
-    return f"{_capital(found)} {verb} the gap{_falls(diagnosis)}."
-
-
-def _outside(diagnosis: Diagnosis, reach: float) -> str:
-    one = next((one for one in diagnosis.after if one.share > LEFT_SHARE), None)
-    words = "Something that the catalogue lacks is at work" if one is None else (
-        f"Something that the catalogue lacks acts at {joint_words(one.joint)}, on the {SIDES[one.place]}: "
-        f"{goes_with(one)}. A torque of this shape explains {percent(one.share)} of what the best model leaves (mean "
-        "square)"
-    )  # fmt: skip
-    last, chosen = diagnosis.with_effect, diagnosis.selected
-    if one is None and last is not None:
-        words += f": {percent(last.coloured)} of what the best model leaves on unseen records (mean square) is no noise"
-    if not chosen:
-        return f"{words}, and no effect of the catalogue earns its place."
-    found = _joined([_described(diagnosis, s, reach) for s in chosen])
-    return f"{words}. {_capital(found)} {'is' if len(chosen) == 1 else 'are'} only a part of it{_falls(diagnosis)}."
-
-
-def _parameters_only(diagnosis: Diagnosis, _reach: float) -> str:
-    nominal, refit = diagnosis.nominal, diagnosis.refit
-    errors = "" if nominal is None or refit is None else (
-        f": on unseen records the normalised error {_goes(nominal.nrmse, refit.nrmse)} when today's model is fitted to "
-        "the train records"
-    )  # fmt: skip
-    if diagnosis.varying:
-        return (
-            "No effect is missing, but the parameters differ from record to record: each record's own values leave "
-            f"nothing but noise, one common set does not{errors}."
-        )
-    return f"Wrong parameters explain the gap, and no effect is missing{errors}."
-
-
-def _no_gap(diagnosis: Diagnosis, _reach: float) -> str:
-    tried = count(len(diagnosis.effects), "effect")
-    if diagnosis.nominal is None:
-        return f"No effect is missing: none of {tried} predicts parts left out clearly better; no record is a test."
-    clearly = "unseen records surely" if diagnosis.withdrawn else "parts left out clearly"
-    return (
-        "There is no gap: on unseen records today's model leaves a normalised error of "
-        f"{_error(diagnosis.nominal.nrmse)}, and none of {tried} predicts {clearly} better."
-    )
-
-
-def _inconclusive(diagnosis: Diagnosis, _reach: float) -> str:
-    worth = diagnosis.search.base.evidence.effective
-    return (
-        f"These records are too short to say: their errors are worth {worth:.0f} independent samples. Record longer, "
-        "or with faster changes of the command."
-    )
-
-
-def _falls(diagnosis: Diagnosis) -> str:
-    gap = diagnosis.shrink
-    if gap is None:
-        return " (no test record says how far)"
-    if diagnosis.opened is not None and gap.share == 0.0:
-        return (
-            f" on record '{diagnosis.opened}'; the other test records lack nothing: normalised error "
-            f"{_error(gap.refit)} without it, {_error(gap.with_effect)} with it"
-        )
-    low, high = (f"{100 * min(end, 1.0):.0f}" for end in gap.interval)
-    closed = f", {100 * gap.share:.0f} % ({low}-{high} %) of what can be closed" if gap.share > 0 else ""
-    return f": normalised error on unseen records {_goes(gap.refit, gap.with_effect)}{closed}"
+SIDES = {"motor": ", motor side", "load": ", link side", "joint": ""}
 
 
 def goes_with(location: Location) -> str:
@@ -117,7 +34,7 @@ def where_line(diagnosis: Diagnosis) -> str:
     """The sides of joints and the signals that explain most of what the re-fitted model leaves."""
     sides: dict[str, list[str]] = {}
     for one in [one for one in diagnosis.before if one.share > LEAST_SHARE][:3]:
-        side = f"{joint_words(one.joint)}, {SIDES[one.place]}"
+        side = f"{joint_words(one.joint)}{SIDES[one.place]}"
         signal = one.signal if one.signal.startswith("what") else f"the {one.signal}"
         sides.setdefault(side, []).append(f"{signal} ({percent(one.share)})")
     if not sides:
@@ -131,7 +48,9 @@ def gap_line(diagnosis: Diagnosis) -> str:
     if diagnosis.nominal is None or diagnosis.shrink is None:
         return "there is no test record with motion, so no unseen record says."
     gap, records = diagnosis.shrink, count(len(diagnosis.nominal.by_record), "test record")
-    corrected = f", corrected {_error(gap.with_effect)}" if diagnosis.selected or diagnosis.varying else ""
+    corrected = (
+        f", corrected {error_words(gap.with_effect)}" if diagnosis.selected or diagnosis.varying else ""
+    )
     window = diagnosis.search.window
     lost = f" Free runs lose these records: effects were compared over {window:g} s." if window else ""
     if diagnosis.halted:
@@ -139,8 +58,8 @@ def gap_line(diagnosis: Diagnosis) -> str:
     if diagnosis.opened is not None:
         lost += f" Test record '{diagnosis.opened}' joined the train records, which show too little of it."
     return (
-        f"normalised error on {records}: today's model {_error(diagnosis.nominal.nrmse)}, re-fitted "
-        f"{_error(gap.refit)}{corrected}; the right model would leave {_error(gap.floor)}.{lost}"
+        f"normalised error on {records}: today's model {error_words(diagnosis.nominal.nrmse)}, re-fitted "
+        f"{error_words(gap.refit)}{corrected}; the right model would leave {error_words(gap.floor)}.{lost}"
     )
 
 
@@ -148,7 +67,7 @@ def withdrawn_lines(diagnosis: Diagnosis) -> list[str]:
     """Effects that the test records have not borne out, as one line; none where there is none."""
     if not diagnosis.withdrawn:
         return []
-    words = _joined(list(diagnosis.withdrawn))
+    words = joined(list(diagnosis.withdrawn))
     verb = "lowers" if len(diagnosis.withdrawn) == 1 else "lower"
     return [
         f"withdrawn: {words} {verb} the errors of the train records, hardly or not surely those of the test records."
@@ -160,7 +79,7 @@ def varying_lines(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.varying:
         return []
     return [
-        f"differ from record to record (standard deviation): {_joined(list(diagnosis.varying))}. `identify` fits a set "
+        f"differ from record to record (standard deviation): {joined(list(diagnosis.varying))}. `identify` fits a set "
         "a record; a simulator is drawn from such sets, not from one."
     ]
 
@@ -195,13 +114,6 @@ def words_of(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _described(diagnosis: Diagnosis, one: Suspect, reach: float) -> str:
-    values = values_of(diagnosis, one, reach)
-    size = f" of {values[0].split(' = ')[1]}" if len(values) == 1 else ""
-    more = f" ({', '.join(values)})" if len(values) > 1 else ""
-    return f"{words_of(one.name)}{size} {place_words(one.where)} of {joint_words(one.where)}{more}"
-
-
 def _units(diagnosis: Diagnosis, one: Suspect) -> dict[str, str]:
     name, joint = (one.name, one.where), one.where.split("/")[0]
     for found in (e for r in diagnosis.search.rounds for e in r.candidates if name in e.effects):
@@ -234,17 +146,21 @@ def percent(share: float) -> str:
     return f"{100 * min(share, 1.0):.0f} %"
 
 
-def _goes(before: float, after: float) -> str:
-    return f"{'falls' if after < before else 'rises'} from {_error(before)} to {_error(after)}"
+def goes(before: float, after: float) -> str:
+    """How an error changes."""
+    return f"{'falls' if after < before else 'rises'} from {error_words(before)} to {error_words(after)}"
 
 
-def _error(value: float) -> str:
+def error_words(value: float) -> str:
+    """An error as it is printed."""
     return f"{value:.3g}"
 
 
-def _joined(words: Sequence[str]) -> str:
+def joined(words: Sequence[str]) -> str:
+    """A list as people say it."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
-def _capital(words: str) -> str:
+def capital(words: str) -> str:
+    """A sentence's start."""
     return words[:1].upper() + words[1:]

@@ -29,6 +29,7 @@ ROWS = {
     "false_alarms": "false alarms (nothing at work)",
     "values": "nothing wrong or the values alone, as it is (nothing at work)",
     "outside_detected": "outside the catalogue: detected",
+    "outside_at": "joint (and side) of it right, where told",
     "false_unknown": "false 'unknown'",
     "shrink_error": "error of the claimed shrink, median [points]",
     "covered": "95 % intervals that hold the true shrink",

@@ -169,6 +169,14 @@ def test_outside_the_catalogue() -> None:
     seen = judge("c1", OUTSIDE, said(effect("delay", p=0.3), unknown=True))
     assert seen.outside and seen.whole and seen.said == "unknown" and seen.false_unknown is None
     missed = judge("c1", OUTSIDE, said(effect("delay", selected=True)))
+    assert seen.outside_at is None
+    for told, right in (
+        ({"joint": "joint1", "place": None}, True), ({"joint": "joint1", "place": "motor"}, True),
+        ({"joint": "joint1", "place": "load"}, False), ({"joint": "joint2", "place": None}, False),
+    ):  # fmt: skip
+        sheet_of = sheet("unknown", truth("unknown") | {"accept_where": ["joint1/motor"]})
+        one = judge("c1", sheet_of, said(unknown=True) | {"unknown_at": told})
+        assert one.outside_at is right
     assert missed.outside is False and not missed.whole and missed.said == "delay"
 
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from hybrid_id.gap.course import Course
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.next_experiment import Experiment
@@ -14,7 +15,8 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.events import write_gap_events
 from hybrid_id.reporting.gap import parameters_table, summary, suspects_table
 from hybrid_id.reporting.gap_figures import diagnosis_figures
-from hybrid_id.reporting.gap_words import goes_with, verdict_sentence
+from hybrid_id.reporting.gap_verdict import verdict_sentence
+from hybrid_id.reporting.gap_words import goes_with
 from hybrid_id.reporting.html.gap_page import gap_page
 from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.systems import System
@@ -39,6 +41,7 @@ def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
             verdict="outside_catalogue",
             unknown=True,
             after=(place,),
+            courses=(Course("joint2", "load", 0.7, 0.0), Course("joint1", "joint", 0.1, 9.0)),
             ties=(TIED, TIED),
             bent=bent,
             together=("what kp does from what temperature1 does: they rise together",),
@@ -137,6 +140,19 @@ def test_what_no_torque_explains_has_no_place(diagnosed) -> None:
         "Something that the catalogue lacks is at work: 42 % of what the best model leaves on unseen records (mean "
         "square) is no noise. Spring load"
     )
+
+
+def test_a_joint_is_told_where_no_shape_is(diagnosed) -> None:
+    found = diagnosed[2]
+    nowhere = replace(
+        found, verdict="outside_catalogue", unknown=True, after=(replace(found.after[0], share=0.03),),
+        courses=(Course("joint2", "joint", 0.7, 0.0), Course("joint1", "joint", 0.1, 9.0)),
+    )  # fmt: skip
+    assert verdict_sentence(nowhere).startswith(
+        "Something that the catalogue lacks acts at joint 2: a torque there, whatever its course, explains 70 % of "
+        "what the best model leaves within short windows (mean square), elsewhere 10 % at most."
+    )
+    assert nowhere.as_dict()["unknown_at"] == {"joint": "joint2", "place": None}
 
 
 def test_tables_hold_every_suspect_and_parameter(diagnosed) -> None:

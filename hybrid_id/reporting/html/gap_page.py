@@ -11,6 +11,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
 from hybrid_id.reporting.gap import UNLIKELY, beyond_lines, caution_lines, parameters_table, suspects_table
 from hybrid_id.reporting.gap_ties import experiment_lines, outvoted_lines, tie_lines
+from hybrid_id.reporting.gap_verdict import verdict_sentence
 from hybrid_id.reporting.gap_words import (
     LEAST_SHARE,
     bent_lines,
@@ -18,7 +19,6 @@ from hybrid_id.reporting.gap_words import (
     percent,
     untold_lines,
     varying_lines,
-    verdict_sentence,
     where_line,
     withdrawn_lines,
     words_of,
