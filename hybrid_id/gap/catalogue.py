@@ -20,6 +20,13 @@ ROTOR_SHARES = (0.1, 0.02)
 Values = Mapping[str, float | Bounded]
 Start = tuple[str, Values]
 """A component's kind and its parameter values."""
+SIDES = (
+    "encoders on both sides of the gear, or commands faster than the joint's resonance: only what acts on the link "
+    "winds the gear up, and above the resonance the rotor swings without it"
+)
+"""The excitation that tells the sides of a gear apart, where the same effect may act on either."""
+JOINTS = "one joint moved while the other is held"
+"""The same of two joints."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +37,9 @@ class Effect:
         name: how a diagnosis calls it.
         places: where it may act, most usual first; of several places on a rigid joint only the first is tried.
         starts: start points of its fit for one joint, each a component's kind and values; none where it cannot act.
-        mistaken_for: effects that records easily confuse with it.
-        separated_by: the excitation that tells them apart.
+        mistaken_for: effects that records easily confuse with it, each with the excitation that tells the two apart.
+            Either of the two may state a pair: ask :func:`rivals`.
+        source: where the effect is described: authors, title, where it appeared, year.
         splits: components of it that need the split of inertia between rotor and link, which is then estimated.
         kinds: components that model it, where they are not called as it is.
         scan: looks in what a fit leaves for start points, by (what is left, joint, place); ``starts`` takes what it
@@ -47,8 +55,8 @@ class Effect:
     name: str
     places: tuple[str, ...]
     starts: Callable[..., Sequence[Start]]
-    mistaken_for: tuple[str, ...]
-    separated_by: str
+    mistaken_for: Mapping[str, str]
+    source: str
     splits: tuple[str, ...] = ()
     kinds: tuple[str, ...] = ()
     scan: Callable[[Left, int, str], Sequence[object]] | None = None
@@ -146,6 +154,20 @@ def effect(name: str) -> Effect:
     if name not in CATALOGUE:
         raise InputError(f"Effect '{name}' is not in the catalogue; it has {', '.join(sorted(CATALOGUE))}.")
     return CATALOGUE[name]
+
+
+def rivals(name: str) -> dict[str, str]:
+    """Effects that an effect is mistaken for, each with the excitation that tells the two apart."""
+    own = CATALOGUE[name].mistaken_for if name in CATALOGUE else {}
+    return {**own, **{e.name: e.mistaken_for[name] for e in CATALOGUE.values() if name in e.mistaken_for}}
+
+
+def separation(one: tuple[str, str], other: tuple[str, str]) -> str:
+    """The excitation that tells two effects apart, each by name and place; empty where none is known."""
+    (name, here), (rival, there) = one, other
+    if name != rival:
+        return rivals(name).get(rival, "")
+    return SIDES if here.split("/")[0] == there.split("/")[0] else JOINTS
 
 
 def has(system: System, where: str, *kinds: str) -> bool:

@@ -55,7 +55,7 @@ def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.
     parts += [Text(f"{head}: {line}") for head, line in lines.items() if line]
     parts.append(suspects_table(diagnosis, reach, level, TOP))
     remarks = (
-        *tie_lines(diagnosis)[:2],
+        *tie_lines(diagnosis, brief=True)[:2],
         *outvoted_lines(diagnosis),
         *varying_lines(diagnosis),
         *withdrawn_lines(diagnosis),

@@ -2,21 +2,39 @@
 
 from __future__ import annotations
 
-from hybrid_id.gap.catalogue import CATALOGUE
+from collections.abc import Sequence
+from itertools import combinations
+
+from hybrid_id.gap.catalogue import separation
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.reporting.gap_words import joint_words, place_words, words_of
 
 
-def tie_lines(diagnosis: Diagnosis) -> list[str]:
-    """Effects that these records cannot tell apart, each group with the experiment that would."""
+def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
+    """Effects that these records cannot tell apart, each group with what would; ``brief`` leaves out why."""
     lines = []
     for group in diagnosis.ties:
-        pairs = [member.split("@") for member in group]
-        names = [_at(name, where) for name, where in pairs]
-        known = CATALOGUE.get(pairs[0][0])
-        told = f" What would: {known.separated_by}." if known is not None else ""
-        lines.append(f"these records do not tell apart: {', '.join(names)}.{told}")
+        members = [(name, where) for name, where in (member.split("@") for member in group)]
+        names = ", ".join(_at(*member) for member in members)
+        words = _excitations(members, brief)
+        told = f" What would: {words}." if words else ""
+        lines.append(f"these records do not tell apart: {names}.{told}")
     return lines
+
+
+def _excitations(members: Sequence[tuple[str, str]], brief: bool) -> str:
+    """What would tell the members of a tie apart, pairs with the first one first; each excitation is said once."""
+    told: dict[str, list[str]] = {}
+    for one, other in combinations(members, 2):
+        pair = f"{words_of(one[0])} and {words_of(other[0])}"
+        if one[0] == other[0]:
+            pair = f"the places of {words_of(one[0])}"
+        if words := separation(one, other):
+            pairs = told.setdefault(words.partition(": ")[0] if brief else words, [])
+            pairs += [pair] if pair not in pairs else []
+    if brief or len(members) == 2:
+        return "; ".join(told)
+    return "; ".join(f"for {', and for '.join(pairs)}, {words}" for words, pairs in told.items())
 
 
 def outvoted_lines(diagnosis: Diagnosis) -> list[str]:

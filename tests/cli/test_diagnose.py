@@ -219,3 +219,6 @@ def test_effects_are_listed(run) -> None:
     assert rows[1] == "| --- | --- | --- | --- | --- |"
     assert len(rows) >= 2 + 21
     assert any(row.startswith("| `backlash` | transmission | ") for row in rows)
+    told = {one["effect"]: one for one in json.loads(run("effects", "--json").out)["effects"]}
+    assert told["delay"]["mistaken_for"]["electrical_lag"] == told["electrical_lag"]["mistaken_for"]["delay"]
+    assert told["quadratic_drag"]["source"].endswith("1968")

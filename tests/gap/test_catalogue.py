@@ -1,5 +1,6 @@
 """The catalogue: complete, buildable, and what it builds goes through a model file."""
 
+import re
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,7 @@ from gapcase import STEP
 import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
 from hybrid_id import InputError, Record, load_model, one_link, save_model, two_link
 from hybrid_id.components import REGISTRY, Viscous
-from hybrid_id.gap.catalogue import CATALOGUE, effect
+from hybrid_id.gap.catalogue import CATALOGUE, JOINTS, SIDES, effect, rivals, separation
 from hybrid_id.gap.scales import Scales, scales
 from hybrid_id.simulation.dry_equations import source
 from hybrid_id.simulation.prepare import make_batch
@@ -37,11 +38,57 @@ NAMES = {
 def test_every_name_is_there_with_its_places(name: str) -> None:
     found = effect(name)
     assert set(NAMES[name].split()) <= set(found.places)
-    assert found.separated_by
     assert found.equation
     assert found.smoothness.split()[0] in ("smooth", "kinks", "jumps")
-    assert set(found.mistaken_for) <= set(CATALOGUE)
-    assert name not in found.mistaken_for
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_every_effect_has_a_source_and_what_it_is_mistaken_for(name: str) -> None:
+    assert re.search(r"\w\w.*, (1[6-9]|20)\d\d\b", effect(name).source), (
+        "author, title, where it appeared, year"
+    )
+    others = rivals(name)
+    assert others
+    assert set(others) <= set(CATALOGUE) - {name}
+    for other, words in others.items():
+        # "What would: one; another.", on the screen without what comes after the colon, which says why
+        assert words[0].islower() and not words.endswith(".") and ";" not in words
+        assert words.count(": ") == 1
+        assert rivals(other)[name] == words
+        assert separation((name, "joint1/x"), (other, "joint1/y")) == words
+    assert not [other for other in effect(name).mistaken_for if name in effect(other).mistaken_for], (
+        "stated twice"
+    )
+
+
+def test_what_nobody_mistakes_and_what_acts_at_two_places() -> None:
+    assert separation(("delay", "joint1/input"), ("gravity_load", "joint1/load")) == ""
+    assert separation(("gremlins", "joint1/load"), ("delay", "joint1/input")) == ""
+    sides = ("viscous_friction", "joint1/motor_friction"), ("viscous_friction", "joint1/link_friction")
+    assert separation(*sides) == SIDES
+    assert separation(("backlash", "joint1/transmission"), ("backlash", "joint2/transmission")) == JOINTS
+
+
+# Confused by diagnoses of published boards (docs/boards), by people, or explained as well by a rival there.
+CONFUSED = (
+    ("thermal_derating", "kinematic_error"), ("load_dependent_friction", "position_dependent_friction"),
+    ("load_dependent_friction", "thermal_derating"), ("load_dependent_friction", "voltage_saturation"),
+    ("load_dependent_friction", "supply_sag"), ("voltage_deadband", "constant_torque"),
+    ("voltage_deadband", "backlash"), ("voltage_deadband", "cogging"), ("voltage_deadband", "delay"),
+    ("voltage_deadband", "position_dependent_friction"), ("asymmetric_friction", "constant_torque"),
+    ("asymmetric_friction", "spring_load"), ("asymmetric_friction", "quadratic_drag"),
+    ("stribeck_friction", "quadratic_drag"), ("stribeck_friction", "cogging"),
+    ("stribeck_friction", "kinematic_error"), ("stribeck_friction", "voltage_saturation"),
+    ("quadratic_drag", "kinematic_error"), ("voltage_saturation", "kinematic_error"),
+    ("coulomb_friction", "position_dependent_friction"), ("presliding_friction", "backlash"),
+    ("joint_flexibility", "delay"), ("joint_flexibility", "kinematic_error"),
+    ("hardening_flexibility", "kinematic_error"), ("spring_load", "constant_torque"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("one", "other"), CONFUSED)
+def test_what_has_been_confused_is_told_apart(one: str, other: str) -> None:
+    assert rivals(one)[other]
 
 
 def test_other_names_are_refused() -> None:

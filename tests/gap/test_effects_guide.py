@@ -11,9 +11,9 @@ import pytest
 from gapcase import small_case
 
 import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
-from hybrid_id.cli.effects import effect_rows
+from hybrid_id.cli.effects import effect_rows, pair_rows
 from hybrid_id.components.base import REGISTRY
-from hybrid_id.gap.catalogue import CATALOGUE
+from hybrid_id.gap.catalogue import CATALOGUE, SIDES, rivals
 from hybrid_id.gap.diagnose import diagnose
 
 GUIDE = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
@@ -44,6 +44,7 @@ def catalogue(tmp_path: Path) -> Iterator[None]:
 def test_effect_of_the_guide_is_found() -> None:
     dataset, today = small_case(REGISTRY["cubic_spring"](k_3=0.5))
     found = diagnose(dataset, today, most=1)
+    assert "spring_load" in rivals("cubic_spring") and "cubic_spring" in rivals("spring_load")
     assert found.verdict == "effects" and [s.name for s in found.selected] == ["cubic_spring"]
     suspects = {s.name: s for s in found.effects}
     assert set(suspects) == set(RIVALS)
@@ -55,5 +56,8 @@ def test_effect_of_the_guide_is_found() -> None:
 
 def test_table_of_the_guide_is_the_catalogue() -> None:
     text = GUIDE.read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \| (.*?) \| (.*?) \|$", text, re.MULTILINE)
+    rows = re.findall(r"^\| `(\w+)` \| ([^`|]*) \| ([^|]*) \| ([^|]*) \| ([^|]*) \|$", text, re.MULTILINE)
     assert rows == effect_rows(), "print it anew: hybrid-id effects --markdown"
+    pairs = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*?) \|$", text, re.MULTILINE)
+    assert pairs == pair_rows()
+    assert SIDES in text

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from hybrid_id.gap.catalogue import SIDES
 from hybrid_id.gap.course import Course
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.locate import Location
@@ -15,6 +16,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.events import write_gap_events
 from hybrid_id.reporting.gap import parameters_table, summary, suspects_table
 from hybrid_id.reporting.gap_figures import diagnosis_figures
+from hybrid_id.reporting.gap_ties import tie_lines
 from hybrid_id.reporting.gap_verdict import verdict_sentence
 from hybrid_id.reporting.gap_words import goes_with
 from hybrid_id.reporting.html.gap_page import gap_page
@@ -23,6 +25,10 @@ from hybrid_id.systems import System
 
 PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", 12.345, 1.3)
 TIED = ("spring_load@joint1/load", "gravity_load@joint1/load")
+MANY = (
+    "asymmetric_friction@joint1/motor_friction", "asymmetric_friction@joint1/link_friction",
+    "constant_torque@joint1/load", "gravity_load@joint1/load", "spring_load@joint1/load", "delay@joint1/input",
+)  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +48,7 @@ def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
             unknown=True,
             after=(place,),
             courses=(Course("joint2", "load", 0.7, 0.0), Course("joint1", "joint", 0.1, 9.0)),
-            ties=(TIED, TIED),
+            ties=(MANY[:4],),
             bent=bent,
             together=("what kp does from what temperature1 does: they rise together",),
             experiments=(PROPOSED,),
@@ -86,7 +92,7 @@ def test_ties_come_with_the_experiment_that_tells_them_apart(diagnosed) -> None:
     assert (
         "do not tell apart: spring load (joint 1, at the load), gravity load (joint 1, at the load)." in words
     )
-    assert "What would: holding at angles all over the range." in words
+    assert "What would: slow motion both ways over a quarter turn and more." in words
     assert (
         "next experiment: reversals of growing size at joint 1: the outputs of the tied models would differ"
         in words
@@ -97,6 +103,38 @@ def test_ties_come_with_the_experiment_that_tells_them_apart(diagnosed) -> None:
     assert idle.as_dict()["next_experiments"] == []
     clear = summary(replace(diagnosed[2], ties=(), experiments=()))
     assert "tell apart" not in clear and "next experiment" not in clear
+
+
+def test_a_tie_quotes_what_tells_its_own_pair_apart(diagnosed) -> None:
+    spring, lag = "joint_flexibility@joint1/transmission", "electrical_lag@joint1/motor"
+    tied = tie_lines(
+        replace(diagnosed[2], ties=((spring, "delay@joint1/input"), (lag, "delay@joint1/input")))
+    )
+    assert "What would: a slow sweep through the resonance" in tied[0] and "lag" not in tied[0]
+    assert "What would: a fast sweep: a delay turns the phase on" in tied[1]
+    (unknown,) = tie_lines(replace(diagnosed[2], ties=(("delay@joint1/input", TIED[0]),)))
+    assert unknown.endswith("(joint 1, at the load).")  # nothing is known of this pair
+    (sides,) = tie_lines(replace(diagnosed[2], ties=(MANY[:2],)))
+    assert sides.endswith(f"What would: {SIDES}.")
+
+
+def test_a_tie_of_many_says_each_excitation_once(diagnosed) -> None:
+    (line,) = tie_lines(replace(diagnosed[2], ties=(MANY,)))
+    assert (
+        f"What would: for the places of asymmetric friction, {SIDES}; for asymmetric friction and constant"
+        in line
+    )
+    shared = "slow motion both ways over the whole range: uneven friction is the same all over"
+    assert line.count(shared) == 1
+    assert (
+        f"for asymmetric friction and gravity load, and for asymmetric friction and spring load, {shared}"
+        in line
+    )
+    (brief,) = tie_lines(replace(diagnosed[2], ties=(MANY,)), brief=True)
+    assert brief.split("What would: ")[1] == (
+        f"{SIDES.split(': ')[0]}; steady speeds both ways at several heights, cold and warm; slow motion both ways "
+        "over the whole range; slow motion both ways over a quarter turn and more."
+    )
 
 
 def test_without_test_records_no_unseen_record_is_claimed(diagnosed, sound) -> None:

@@ -135,46 +135,110 @@ def _position(system, s, place, found=(((1.0, 1e-6, 0.0),), ((0.0, 0.1, 1e-6),))
 
 JUMPS = "jumps with the direction"
 BOTH = ("motor_friction", "link_friction")
+MODELS = (
+    "H. Olsson, K. J. Astrom, C. Canudas de Wit, M. Gafvert, P. Lischinsky, Friction models and friction compensation, "
+    "European Journal of Control 4(3), 1998"
+)
 register(Effect(
-    "coulomb_friction", BOTH, _coulomb, ("voltage_deadband", "stribeck_friction", "presliding_friction"),
-    "slow motion and stops: dry friction holds the joint against a small torque",
+    "coulomb_friction", BOTH, _coulomb,
+    {
+        "viscous_friction": "steady speeds at several heights: dry friction stays, viscous friction grows with speed",
+        "stribeck_friction": "steady speeds from creeping upwards: Coulomb friction stays, a Stribeck fall does not",
+        "asymmetric_friction": "the same steady speeds both ways: Coulomb friction is the same either way",
+        "presliding_friction": "small reversals from rest, below what breaks it away: a bristle gives and springs "
+        "back, dry friction holds",
+        "position_dependent_friction": "slow motion both ways over the whole range: Coulomb friction is the same all "
+        "over",
+        "load_dependent_friction": "the same slow move with two payloads: Coulomb friction stays as it is",
+        "constant_torque": "the same slow move both ways: dry friction turns with the direction, a bias does not",
+    },
+    MODELS, smoothness=JUMPS,
+))  # fmt: skip
+register(Effect(
+    "viscous_friction", BOTH, _viscous,
+    {
+        "stribeck_friction": "steady speeds from creeping to the top: a Stribeck fall is over early, viscous friction "
+        "grows all the way",
+        "quadratic_drag": "steady speeds up to the top: one grows with the speed, the other with its square",
+        "joint_flexibility": "long steady speeds: viscous friction brakes, the damping of a spring acts only while its "
+        "twist changes",
+    },
+    MODELS,
+))  # fmt: skip
+register(Effect(
+    "stribeck_friction", BOTH, _stribeck,
+    {
+        "presliding_friction": "creeping at steady speeds, then small reversals from rest: the one shows a Stribeck "
+        "fall, the other a bristle",
+        "quadratic_drag": "steady speeds from creeping to the top: the slow end bends by a Stribeck fall, the fast by "
+        "drag",
+        "kinematic_error": "creeping at steady speeds over several turns: Stribeck friction goes with the speed alone, "
+        "an error of the gear repeats with the rotor's angle",
+    },
+    "L. C. Bo, D. Pavelescu, The friction-speed relation and its influence on the critical velocity of stick-slip "
+    "motion, Wear 82(3), 1982",
+    smoothness=JUMPS,
+))  # fmt: skip
+ALL_OVER = "slow motion both ways over the whole range: uneven friction is the same all over, the load is not"
+register(Effect(
+    "asymmetric_friction", BOTH, _asymmetric,
+    {
+        "constant_torque": "steady speeds both ways at several heights, cold and warm: friction changes, a bias stays "
+        "(an uneven dry level that never changes is the same law as a bias on its side of the gear)",
+        "gravity_load": ALL_OVER,
+        "spring_load": ALL_OVER,
+        "quadratic_drag": "the same steady speeds both ways up to the top: drag is the same both ways",
+        "load_dependent_friction": "the same moves both ways with two payloads: uneven friction keeps to the "
+        "direction, the other grows with the load",
+    },
+    "B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, A survey of models, analysis tools and compensation methods "
+    "for the control of machines with friction, Automatica 30(7), 1994",
     smoothness=JUMPS,
 ))  # fmt: skip
 register(Effect(
-    "viscous_friction", BOTH, _viscous, ("quadratic_drag", "joint_flexibility"),
-    "steady speeds at several heights, with both encoders",
-))  # fmt: skip
-register(Effect(
-    "stribeck_friction", BOTH, _stribeck, ("voltage_deadband", "presliding_friction", "quadratic_drag"),
-    "slow constant speeds, one after another, below a tenth of the top speed",
-    smoothness=JUMPS,
-))  # fmt: skip
-register(Effect(
-    "asymmetric_friction", BOTH, _asymmetric, ("constant_torque", "gravity_load"),
-    "the same move both ways at rest angles all over the range: a bias torque acts at standstill, too",
-    smoothness=JUMPS,
-))  # fmt: skip
-register(Effect(
-    "presliding_friction", BOTH, _presliding, ("backlash", "joint_flexibility", "stribeck_friction"),
-    "small reversals from rest of growing size: a bristle springs back, play does not",
+    "presliding_friction", BOTH, _presliding,
+    {
+        "backlash": "small reversals from rest of growing size: a bristle resists at once and springs back, play does "
+        "neither",
+        "joint_flexibility": "the same sweep from small amplitudes to large ones: a bristle gives way at breakaway, "
+        "the spring of a gear stays",
+    },
+    "C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, A new model for control of systems with friction, IEEE "
+    "Trans. Automatic Control 40(3), 1995",
     kinds=("dahl", "maxwell_slip", "lugre"),
     smoothness="kinks at reversals",
 ))  # fmt: skip
 register(Effect(
-    "quadratic_drag", BOTH, _drag, ("voltage_saturation", "stribeck_friction", "thermal_derating"),
-    "steady speeds up to the top: drag grows with the square",
+    "quadratic_drag", BOTH, _drag,
+    {
+        "kinematic_error": "steady high speeds over many turns: drag brakes evenly, an error of the gear ripples with "
+        "the rotor's angle and takes nothing on average",
+    },
+    "J. E. Vrancik, Prediction of windage power loss in alternators, NASA TN D-4849, 1968",
     smoothness="smooth (its curvature jumps at rest)",
 ))  # fmt: skip
 register(Effect(
-    "load_dependent_friction", ("motor_friction",), _load_dependent, ("coulomb_friction", "asymmetric_friction"),
-    "the same move with two payloads, or lifting against lowering",
+    "load_dependent_friction", ("motor_friction",), _load_dependent,
+    {"position_dependent_friction": "the same slow move with two payloads: friction over the angle stays as it is"},
+    "A. C. Bittencourt, S. Gunnarsson, Static friction in a robot joint - modeling and identification of load and "
+    "temperature effects, J. Dynamic Systems, Measurement, and Control 134(5), 2012",
     kinds=("load_dependent_friction", "effort_dependent_friction"),
     splits=("load_dependent_friction",),
     smoothness=JUMPS,
 ))  # fmt: skip
+LOADED = (
+    "slow motion both ways over the whole range: friction turns with the direction, a load torque does not"
+)
 register(Effect(
-    "position_dependent_friction", BOTH, _position, ("cogging", "gravity_load", "spring_load"),
-    "slow motion both ways over the whole range: friction changes sign with the direction, a load torque does not",
+    "position_dependent_friction", BOTH, _position,
+    {
+        "gravity_load": LOADED,
+        "spring_load": LOADED,
+        "kinematic_error": "slow motion both ways over several turns: friction turns with the direction, an error of "
+        "the gear does not",
+    },
+    "M. R. Popovic, A. A. Goldenberg, Modeling of friction using spectral analysis, IEEE Trans. Robotics and "
+    "Automation 14(1), 1998",
     kinds=("position_dependent_friction", "tight_spot"),
     contains=("coulomb_friction",),
     scan=_over_angle,

@@ -62,21 +62,30 @@ def _coupling(system, s, place):
     ]
 
 
+ALL_OVER = (
+    "slow motion both ways over the whole range: a bias is the same all over, a weight or a spring is not"
+)
+ROBOTS = "W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002"
 register(Effect(
-    "gravity_load", ("load",), _weight, ("spring_load", "constant_torque", "asymmetric_friction"),
-    "holding at angles all over the range, more than a quarter turn apart",
+    "gravity_load", ("load",), _weight,
+    {
+        "spring_load": "slow motion both ways over a quarter turn and more: the pull of a spring grows evenly, that of "
+        "a weight bends over",
+        "constant_torque": ALL_OVER,
+        "joint_coupling": "each joint moved alone, slowly and fast: a weight acts at rest, a coupling with "
+        "acceleration",
+    },
+    ROBOTS,
     kinds=("gravity_load", "arm_gravity"),
 ))  # fmt: skip
 register(Effect(
-    "spring_load", ("load",), _spring, ("gravity_load", "constant_torque"),
-    "holding at angles all over the range",
+    "spring_load", ("load",), _spring, {"constant_torque": ALL_OVER},
+    "R. Hooke, Lectures de Potentia Restitutiva, or of Spring, London, 1678",
 ))  # fmt: skip
 register(Effect(
-    "constant_torque", ("load",), _constant, ("asymmetric_friction", "gravity_load"),
-    "standstill and slow motion both ways: a bias torque acts at rest, too",
+    "constant_torque", ("load",), _constant, {},
+    "A. Janot, P.-O. Vandanjon, M. Gautier, A generic instrumental variable approach for industrial robot "
+    "identification, IEEE Trans. Control Systems Technology 22(1), 2014",
     kinds=("constant_torque", "rotor_bias"),
 ))  # fmt: skip
-register(Effect(
-    "joint_coupling", ("load",), _coupling, ("gravity_load",),
-    "one joint accelerated while the other is free",
-))  # fmt: skip
+register(Effect("joint_coupling", ("load",), _coupling, {}, ROBOTS))

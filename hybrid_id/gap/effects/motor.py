@@ -46,17 +46,42 @@ def _thermal(system, s, place):
 
 
 register(Effect(
-    "electrical_lag", ("motor",), _lag, ("delay", "joint_flexibility"),
-    "a fast sweep: a lag weakens the response as well as delaying it",
+    "electrical_lag", ("motor",), _lag,
+    {
+        "joint_flexibility": "a sweep through the resonance with two payloads: a resonance moves with the inertia, the "
+        "winding's lag stays",
+    },
+    "W. Leonhard, Control of Electrical Drives, 3rd ed., Springer, 2001, chapter 5",
 ))  # fmt: skip
 register(Effect(
-    "cogging", ("motor",), _cogging, ("position_dependent_friction", "kinematic_error"),
-    "slow motion both ways over several turns: cogging pushes alike in both directions, friction opposes both",
+    "cogging", ("motor",), _cogging,
+    {
+        "position_dependent_friction": "slow motion both ways over several turns: cogging pushes alike in both "
+        "directions, friction opposes both",
+        "kinematic_error": "slow and fast motion over the same turns: cogging keeps its torque, that of a gear's error "
+        "grows with the square of the speed",
+        "coulomb_friction": "released at many angles: cogging pulls the rotor into the next detent, dry friction lets "
+        "it rest anywhere",
+        "stribeck_friction": "creeping over several turns of the rotor: cogging ripples over the angle, Stribeck "
+        "friction goes with the speed alone",
+        "presliding_friction": "small reversals at many angles: detents stay where they are, a bristle springs about "
+        "any angle",
+    },
+    "T. M. Jahns, W. L. Soong, Pulsating torque minimization techniques for permanent magnet AC motor drives - a "
+    "review, IEEE Trans. Industrial Electronics 43(2), 1996",
     scan=rotor_waves,
     shape={"n": "T_c", "n_2": "T_c2"},
     further=second_wave(rotor_waves, ("T_c2", "T_s2"), 1.5),
 ))  # fmt: skip
 register(Effect(
-    "thermal_derating", ("motor",), _thermal, ("voltage_saturation", "quadratic_drag"),
-    "the same move cold and after minutes of heavy work: only heat has a memory that long",
+    "thermal_derating", ("motor",), _thermal,
+    {
+        "quadratic_drag": "the same fast move cold and after minutes of heavy work: drag is there at once and stays, "
+        "heat builds up",
+        "load_dependent_friction": "the same payload moved cold and after minutes of heavy work: friction under load "
+        "is there at once, heat builds up",
+        "kinematic_error": "the same slow turns cold and after minutes of heavy work: an error of the gear repeats "
+        "with the rotor's angle, heat knows no angle",
+    },
+    "W. Leonhard, Control of Electrical Drives, 3rd ed., Springer, 2001, chapter 4",
 ))  # fmt: skip

@@ -77,24 +77,45 @@ def _kinematic(system, s, place, found=()):
     ]
 
 
+HARMONIC = (
+    "T. D. Tuttle, W. P. Seering, A nonlinear model of a harmonic drive gear transmission, IEEE Trans. Robotics and "
+    "Automation 12(3), 1996"
+)
+UNLOADED = (
+    "slow turns without load and with it, with an encoder on the link: an error of the gear repeats with the rotor's "
+    "angle, a spring's twist goes with the load"
+)
 register(Effect(
-    "backlash", ("transmission",), _backlash, ("presliding_friction", "joint_flexibility", "hardening_flexibility"),
-    "reversals under little load, with an encoder on the link",
+    "backlash", ("transmission",), _backlash,
+    {
+        "joint_flexibility": "slow reversals under little load and much, with an encoder on the link: play is as wide "
+        "under any load, a spring's twist grows with it",
+        "hardening_flexibility": "loads from one side to the other, with an encoder on the link: play gives way "
+        "without torque, a spring never does",
+        "kinematic_error": "slow turns both ways, with an encoder on the link: play shifts with the direction, an "
+        "error of the gear does not",
+    },
+    "M. Nordin, P.-O. Gutman, Controlling mechanical systems with backlash - a survey, Automatica 38(10), 2002",
     splits=("backlash",),
     smoothness="kinks where the teeth touch",
 ))  # fmt: skip
 register(Effect(
-    "joint_flexibility", ("transmission",), _flexibility, ("delay", "electrical_lag", "backlash"),
-    "a sweep through the resonance, with an encoder on the link",
+    "joint_flexibility", ("transmission",), _flexibility,
+    {
+        "hardening_flexibility": "the same sweep at several amplitudes: a hardening spring moves its resonance",
+        "kinematic_error": UNLOADED,
+        "spring_load": "slow motion over the whole range: a spring at the load pulls the harder the further, that of a "
+        "gear does not",
+    },
+    "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems, Measurement, and Control 109(4), "
+    "1987",
     splits=("joint_flexibility",),
 ))  # fmt: skip
 register(Effect(
-    "hardening_flexibility", ("transmission",), _hardening, ("backlash", "joint_flexibility"),
-    "the same sweep at several amplitudes: a hardening spring moves its resonance",
+    "hardening_flexibility", ("transmission",), _hardening, {"kinematic_error": UNLOADED}, HARMONIC,
 ))  # fmt: skip
 register(Effect(
-    "kinematic_error", ("transmission",), _kinematic, ("cogging", "position_dependent_friction"),
-    "slow and fast motion over the same turns: an error of the ratio grows with speed, cogging does not",
+    "kinematic_error", ("transmission",), _kinematic, {}, HARMONIC,
     splits=("kinematic_error",),
     scan=gear_waves,
     shape={"n": "E_c", "n_2": "E_c2"},
