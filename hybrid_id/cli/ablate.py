@@ -71,7 +71,7 @@ def ablate(
     refuse_foreign(home, CELLS, "*/cell.json")
     dataset = checked_records(config)
     use_threads(1)
-    task, cells = planned(config, dataset, load_system(config))
+    task, cells = planned(config, dataset, load_system(config, dataset))
     try:
         (home / CELLS).mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -31,16 +31,21 @@ def check(
     data = load_records(dataset)
     findings = check_dataset(data)
     path = model or (beside(dataset) if beside(dataset).exists() else None)
-    told = None
+    told, contradicted = None, False
     if path is not None:
         use_threads(threads)
+        from hybrid_id.records.encoders import check_encoders
         from hybrid_id.records.finding import worst_first
         from hybrid_id.study import check_start_values, preflight
         from hybrid_id.systems.model_file import load_model
 
         system = load_model(path)
-        told = preflight(data, system)
-        findings = worst_first([*check_start_values(data, system), *findings])
+        odd = check_encoders(data, system.gear_ratio)
+        contradicted = any(finding.severity == "error" for finding in odd)
+        if not contradicted:  # else what the model would do means nothing, and takes its time
+            told = preflight(data, system)
+            odd += check_start_values(data, system)
+        findings = worst_first([*odd, *findings])
     if as_json:
         from hybrid_id.reporting.results import as_json as to_json
         from hybrid_id.reporting.results import check_result
@@ -61,7 +66,7 @@ def check(
     if told is not None:
         show("", f"What these records tell about {path}, at its start values and before any fit:")
         show(identifiability_table(told))
-    else:
+    elif not contradicted:
         show(
             f"no {beside(dataset)}: with a model (docs/formats.md) it is said what these records can tell about it"
         )

@@ -74,7 +74,7 @@ def diagnose(
     dataset = checked_records(config)
     remark_uneven(dataset)
     use_threads(1)
-    system = load_system(config)
+    system = load_system(config, dataset)
     diagnosis = run(dataset, system, config)
     with results_folder(home, force=force) as folder:
         text = write_diagnosis(folder, home, config, dataset, system, diagnosis)

@@ -90,7 +90,7 @@ def identify(
     use_threads(threads)
     from hybrid_id.study.profiles import check_names
 
-    system = load_system(config)
+    system = load_system(config, dataset)
     use_device(config.identification.device)
     check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
     study, progress = run(dataset, system, config, jobs=jobs)

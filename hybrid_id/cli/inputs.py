@@ -80,11 +80,19 @@ def checked_records(config: StudyConfig) -> "Dataset":
     return dataset
 
 
-def load_system(config: StudyConfig) -> "System":
-    """The model of a study, started at what an earlier stage has found where the study names one."""
+def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
+    """The model of a study, started at what an earlier stage has found where the study names one.
+
+    Records whose encoders contradict its gear ratio end the command.
+    """
+    from hybrid_id.records.encoders import check_encoders
     from hybrid_id.systems.model_file import load_model
 
     system, stage = load_model(config.model), config.previous
+    odd = check_encoders(dataset, system.gear_ratio)
+    refuse_errors(odd)
+    for finding in odd:
+        remark(f"warning: {finding.message}")
     idle = [i.name for i in system.table if i.spec.prior_std is not None and not i.spec.estimate]
     if idle:
         remark(f"the prior of {', '.join(idle)} has no effect, for 'estimate' is false")

@@ -76,7 +76,7 @@ def train(
         refuse_training(home, config, force=force, resume=resume)
         dataset = checked_records(config)
         use_threads(threads)
-        system = load_system(config)
+        system = load_system(config, dataset)
         use_device(config.identification.device)
         if config.hybrid is not None:
             if pooled is False:

@@ -185,9 +185,11 @@ def _root(jacobian: Arrays | None, information: np.ndarray | None) -> tuple[np.n
 
 def _marginal(information: np.ndarray) -> np.ndarray:
     """Standard errors (p,) from an information matrix on a relative scale; inf where a null direction leads."""
-    squares, vectors = np.linalg.eigh(information)
+    # in units of each parameter's own error: else one that is told far better than another drowns it
+    unit = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
+    squares, vectors = np.linalg.eigh(information / np.outer(unit, unit))
     null = squares <= 1e-13 * len(squares) * squares[-1]
-    std = np.linalg.norm(vectors[:, ~null] / np.sqrt(squares[~null]), axis=1)
+    std = np.linalg.norm(vectors[:, ~null] / np.sqrt(squares[~null]), axis=1) / unit
     return np.where(np.linalg.norm(vectors[:, null], axis=1) > 1e-3, np.inf, std)
 
 

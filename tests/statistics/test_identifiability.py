@@ -241,3 +241,8 @@ def test_a_negative_parameter_scales_with_the_others():
     told = identifiability(np.array([2.0, -0.5, 3.0]), ["P", "c", "J"], jacobian=jacobian, references=["P"])
     assert told.directions[0].text.startswith("P, c, J may all be multiplied by one number")
     assert [c.text for c in told.combinations] == ["c/P", "J/P"]
+
+
+def test_one_that_is_told_far_better_does_not_drown_the_others() -> None:
+    told = identifiability([1.0, 1.0], ["a", "b"], jacobian=np.diag([1e9, 1e1]))
+    np.testing.assert_allclose(told.relative_std, [1e-9, 1e-1], rtol=1e-9)
