@@ -23,7 +23,7 @@ from hybrid_id.gap.next_experiment import next_experiment
 
 FILES = {
     "config.yaml", "diagnosis.json", "gap.png", "missing_torque.png", "model.yaml", "refit.yaml", "report.html",
-    "suspects.png", "tensorboard", "where.png", "worst_record.png",
+    "reversals.png", "suspects.png", "tensorboard", "torque_map.png", "where.png", "worst_record.png",
 }  # fmt: skip
 
 SEARCHED = """
@@ -90,7 +90,7 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
     )
     assert result["verdict"] == "effects"
     assert load_config(out / "config.yaml").dataset.resolve() == records.resolve()
-    look_at(out / "report.html", tmp_path, figures=5)
+    look_at(out / "report.html", tmp_path, figures=7)
 
 
 def test_the_next_experiment_is_ready_to_be_played(
