@@ -20,7 +20,8 @@ LABELS = {
     "test": "test records",
     "re-fitted": "re-fitted model",
     "corrected": "corrected model",
-    "hybrid": "with networks",
+    "physics": "physics alone",
+    "hybrid": "physics with networks",
 }
 _COLOURS = {"white": "green", "nearly white": "green", "not white": "yellow", "diverged": "red"}
 _HOW = (

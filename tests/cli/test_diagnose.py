@@ -89,6 +89,8 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
         7,
     )
     assert result["verdict"] == "effects"
+    verdicts = {name: tests[0]["verdict"] for name, tests in result["residual_tests"].items()}
+    assert verdicts["re-fitted"] == "not white" and verdicts["corrected"] in ("white", "nearly white")
     assert load_config(out / "config.yaml").dataset.resolve() == records.resolve()
     look_at(out / "report.html", tmp_path, figures=7)
 
