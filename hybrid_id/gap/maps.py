@@ -19,6 +19,8 @@ ANGLES, SPEEDS = 7, 6
 """Bumps of the map along each axis; six along the speed leave its middle to a step, as dry friction makes it."""
 CELLS = 31
 """Cells of the map along each axis."""
+LARGEST = 200_000
+"""Samples that a map is made of: of longer datasets so many records, for each of its bumps is simulated over all."""
 STILL = 0.02
 """Share of the joint's usual top speed that counts as motion in a direction."""
 LONGEST, BINS = 1.0, 40
@@ -76,10 +78,12 @@ def torque_map(refit: Refit, explanation: Explanation, joint: int, side: str) ->
         joint: number, from 1.
         side: ``motor`` or ``load``.
     """
-    opened = probe(
-        explanation.system, explanation.result.engine, refit.records(explanation.system), joint, side
-    )
-    batch, row = opened.batch, opened.row
+    batch = refit.records(explanation.system)
+    shown = max(2, LARGEST // batch.x.shape[1])
+    if batch.rows > shown:
+        batch = batch.take(torch.linspace(0, batch.rows - 1, shown).round().long())
+    opened = probe(explanation.system, explanation.result.engine, batch, joint, side)
+    row = opened.row
     valid = (batch.weight > 0).any(2)
     q, v = batch.x[..., row], batch.x[..., row + 1]
     low, high = float(q[valid].min()), float(q[valid].max())
