@@ -9,7 +9,7 @@ from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.maps import Reversals, TorqueMap, after_reversals, torque_map
 from hybrid_id.gap.refit import Refit
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.gap_words import SIDES, joint_words, percent
+from hybrid_id.reporting.gap_words import LEAST_SHARE, SIDES, joint_words, percent
 from hybrid_id.reporting.style import COLOURS, DASHES, journal, new_figure, scaled_unit, symbol, unit
 
 JOINTS, ANGLES = 3, 4
@@ -18,7 +18,7 @@ MODELS = {"today": COLOURS[0], "re-fitted": COLOURS[1], "corrected": COLOURS[2]}
 
 
 def map_figures(dataset: Dataset, diagnosis: Diagnosis, signal_share: float) -> dict[str, Figure]:
-    """The maps by the name of their file; no reversals where the joints hardly turn round.
+    """The maps by the name of their file: of joints at which something is told, and where joints turn round.
 
     Args:
         dataset: the records.
@@ -36,9 +36,10 @@ def map_figures(dataset: Dataset, diagnosis: Diagnosis, signal_share: float) -> 
         }
         for joint in sorted(places)[:JOINTS]
     ]
+    told = [one for one in maps if max(found.share for found in one.values()) > LEAST_SHARE]
     window = diagnosis.search.window
     left = {name: after_reversals(refit, one, window) for name, one in diagnosis.fitted.items()}
-    figures = {"torque_map": torque_map_figure(dataset, maps)}
+    figures = {"torque_map": torque_map_figure(dataset, told)} if told else {}
     return figures | ({"reversals": reversal_figure(dataset, left)} if all(left.values()) else {})
 
 
@@ -59,7 +60,8 @@ def torque_map_figure(dataset: Dataset, maps: list[dict[str, TorqueMap]]) -> Fig
                     xlabel=f"{side} angle [{unit(angle_unit)}]", ylabel=f"{side} speed [{unit(angle_unit)}/s]"
                 )
                 where = f"{joint_words(one.joint)}, {SIDES[one.side]}"
-                axes.set_title(f"{where}, {name}: {percent(max(one.share, 0.0))}", loc="left")
+                share = percent(one.share) if one.share > LEAST_SHARE else "chance"
+                axes.set_title(f"{where}, {name}: {share}", loc="left")
                 figure.colorbar(image, ax=axes, label=f"missing torque [{unit(torque_unit)}]")
         return figure
 

@@ -58,9 +58,10 @@ _CAPTIONS = {
     "records left out. The rows overlap: speed, angle and command go together in most records.",
     "suspects": "Left: error of prediction with one effect added, over the re-fitted model's. Right: probability.",
     "torque_map": "The missing torque over angle and speed, where the records have been; above each map the part of "
-    "what the model leaves that such a torque explains on records left out. What changes along the speed is friction "
-    "or the motor, what changes along the angle a load or the gear; a step at speed 0 is dry friction. What "
-    "the model's own parameters could do (a slope over the speed, say) is not told. A right model's map is pale.",
+    "what the model leaves that such a torque explains on records left out (chance: none). What changes along the "
+    "speed is friction or the motor, what changes along the angle a load or the gear; a step at speed 0 is dry "
+    "friction. What the model's own parameters could do (a slope over the speed, say) is not told. A right model's map "
+    "is pale.",
     "reversals": "What free runs leave after the joint has turned round, mean of all reversals in all records with its "
     "standard error; positive where the machine is ahead in its new direction. Play, stiction and friction with memory "
     "begin anew at each reversal, so they show here; a right model stays at 0, about.",
