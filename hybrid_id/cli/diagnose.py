@@ -165,10 +165,18 @@ def write_diagnosis(
     Returns:
         The result as JSON.
     """
+    from hybrid_id.reporting.residual_words import residual_result
     from hybrid_id.reporting.results import as_json
+    from hybrid_id.study.residual_tests import residual_tests
     from hybrid_id.systems.model_file import save_model
 
-    text = as_json("diagnose", {"seed": config.identification.seed} | diagnosis.as_dict())
+    share, seen = config.preprocessing.signal_share, diagnosis.as_searched(dataset)
+    residuals = {
+        name: residual_tests(seen, one.system, one.result.engine, signal_share=share)
+        for name, one in diagnosis.fitted.items()
+    }
+    told = diagnosis.as_dict() | {"residual_tests": residual_result(residuals)}
+    text = as_json("diagnose", {"seed": config.identification.seed} | told)
     save_model(diagnosis.model, folder / "model.yaml")
     save_model(diagnosis.search.base.system, folder / "refit.yaml")
     if diagnosis.experiments and diagnosis.experiments[0].tells:
@@ -181,7 +189,7 @@ def write_diagnosis(
     if wish.figures or wish.tensorboard or wish.report:
         from hybrid_id.reporting.gap_figures import diagnosis_figures
 
-        figures = diagnosis_figures(dataset, system, diagnosis)
+        figures = diagnosis_figures(dataset, system, diagnosis, signal_share=share)
         images = {name: figure.image for name, figure in figures.items()}
         if wish.figures:
             from hybrid_id.reporting.style import save
@@ -193,18 +201,24 @@ def write_diagnosis(
 
             write_gap_events(folder / EVENTS, diagnosis, images)
         if wish.report:
+            from hybrid_id.gap.confidence import as_identified
             from hybrid_id.records.quality import remarks
             from hybrid_id.reporting.html.gap_page import gap_page
             from hybrid_id.reporting.html.made import how_made
 
-            reach, level = reach_of(config), config.statistics.level
+            judged = [
+                as_identified(seen, one, signal_share=share, seed=config.identification.seed)
+                for one in diagnosis.fitted.values()
+            ]
             page = gap_page(
                 dataset,
                 system,
                 diagnosis,
                 figures,
-                reach=reach,
-                level=level,
+                reach=reach_of(config),
+                level=config.statistics.level,
+                judged=judged,
+                residuals=residuals,
                 findings=remarks(dataset),
             )
             study = (folder / "config.yaml").read_text(encoding="utf-8")

@@ -18,6 +18,7 @@ from hybrid_id.config import Hybrid, StudyConfig
 if TYPE_CHECKING:
     from hybrid_id.identification.hybrid import HybridOptions
     from hybrid_id.records.dataset import Dataset
+    from hybrid_id.reporting.residual_words import Residuals
     from hybrid_id.simulation.solvers import OdeEngine
     from hybrid_id.study.hybrid import HybridStudy
     from hybrid_id.systems.chain import System
@@ -36,6 +37,7 @@ def train_with_networks(
     """Train, write the folder of results and print them."""
     assert config.hybrid is not None  # the caller's condition
     from hybrid_id.reporting.hybrid import hybrid_result, hybrid_tables
+    from hybrid_id.reporting.residual_words import residual_result
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.study.hybrid import split
 
@@ -46,9 +48,11 @@ def train_with_networks(
     with live_folder(home, config, force=force, resume=resume):
         study = _train(dataset, system, config, home, resume=resume)
         leave_without_checkpoint(home, interrupted=study.result.interrupted)
-        text = to_json("train", {"dataset": dataset.name} | hybrid_result(study))
+        residuals = _residuals(dataset, study, config)
+        told = hybrid_result(study) | {"residual_tests": residual_result(residuals)}
+        text = to_json("train", {"dataset": dataset.name} | told)
         with added_results(home) as folder:
-            _write(folder, home, config, dataset, study, text)
+            _write(folder, home, config, dataset, study, residuals, text)
         if as_json:
             stdout().print(text, markup=False, soft_wrap=True)
         else:
@@ -151,8 +155,26 @@ def _train(
         )  # fmt: skip
 
 
+def _residuals(dataset: "Dataset", study: "HybridStudy", config: StudyConfig) -> "Residuals":
+    """Tests of what physics alone leaves, and the chosen system where that is another one."""
+    from hybrid_id.study.residual_tests import residual_tests
+
+    result = study.result
+    models = {"physics": result.rungs[0].system} | ({"hybrid": result.system} if result.chosen else {})
+    share = config.preprocessing.signal_share
+    return {
+        name: residual_tests(dataset, one, result.engine, signal_share=share) for name, one in models.items()
+    }
+
+
 def _write(
-    folder: Path, home: Path, config: StudyConfig, dataset: "Dataset", study: "HybridStudy", text: str
+    folder: Path,
+    home: Path,
+    config: StudyConfig,
+    dataset: "Dataset",
+    study: "HybridStudy",
+    residuals: "Residuals",
+    text: str,
 ) -> None:
     """Write all files of a hybrid study into `folder`, which will be `home`."""
     from hybrid_id.reporting.html.hybrid_page import hybrid_page
@@ -175,9 +197,20 @@ def _write(
                 writer.add_image(f"figures/{name}", picture.image, dataformats="HWC")
     if config.output.report:
         from hybrid_id.reporting.html.made import how_made
+        from hybrid_id.study import assess
 
         words = (folder / "config.yaml").read_text(encoding="utf-8")
-        page = hybrid_page(dataset, study, pictures, reach=reach_of(config), level=config.statistics.level)
+        share, physics = config.preprocessing.signal_share, study.result.physics
+        fitted = dataset.select(physics.records)  # the others have validated
+        page = hybrid_page(
+            dataset,
+            study,
+            pictures,
+            reach=reach_of(config),
+            level=config.statistics.level,
+            alone=assess(fitted, physics.system, [physics], pooled=True, signal_share=share),
+            residuals=residuals,
+        )
         page = how_made(page, "train", words)
         page.write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")

@@ -40,10 +40,14 @@ def write_study(
     Returns:
         The result as JSON.
     """
+    from hybrid_id.reporting.residual_words import residual_result
     from hybrid_id.reporting.results import as_json, study_result, write_models, write_parameters
+    from hybrid_id.study.residual_tests import study_residuals
 
     reach, level = reach_of(config), config.statistics.level
-    text = as_json(command, {"dataset": dataset.name} | study_result(study, reach=reach, level=level))
+    residuals = study_residuals(dataset, study, signal_share=config.preprocessing.signal_share)
+    told = study_result(study, reach=reach, level=level) | {"residual_tests": residual_result(residuals)}
+    text = as_json(command, {"dataset": dataset.name} | told)
     write_models(folder, study)
     write_parameters(folder / "parameters.csv", study, reach)
     config.save(folder / "config.yaml", home=home)
@@ -68,7 +72,15 @@ def write_study(
             from hybrid_id.reporting.html.made import how_made
             from hybrid_id.reporting.html.study_page import study_page
 
-            page = study_page(dataset, study, figures, reach=reach, level=level, findings=remarks(dataset))
+            page = study_page(
+                dataset,
+                study,
+                figures,
+                reach=reach,
+                level=level,
+                findings=remarks(dataset),
+                residuals=residuals,
+            )
             words = (folder / "config.yaml").read_text(encoding="utf-8")
             how_made(page, command, words, {"seed": config.identification.seed}).write(folder / "report.html")
     (folder / RESULT).write_text(text + "\n", encoding="utf-8")
@@ -120,7 +132,7 @@ def show_study(study: "Study", config: StudyConfig, home: Path, text: str, *, as
     if as_json:
         stdout().print(text, markup=False, soft_wrap=True)
         return
-    from hybrid_id.reporting.tables import study_table
+    from hybrid_id.reporting.parameter_tables import study_table
 
     show(study_table(study, reach_of(config), config.statistics.level))
     page, pictures = page_and_pictures(config)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hybrid_id.gap.attribute import Attribution
 from hybrid_id.gap.course import Course, acts_at
+from hybrid_id.gap.explanation import Explanation
 from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.next_experiment import Experiment
 from hybrid_id.gap.probability import Suspect
 from hybrid_id.gap.shrink import Shrink
+from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 
 
@@ -82,6 +84,17 @@ class Diagnosis:
     def model(self) -> System:
         """Today's model, re-fitted, with the selected effects."""
         return self.search.chosen.system
+
+    @property
+    def fitted(self) -> dict[str, Explanation]:
+        """The models that were fitted: ``re-fitted``, and ``corrected`` where that is another one."""
+        same = self.search.chosen is self.search.base
+        return {"re-fitted": self.search.base} | ({} if same else {"corrected": self.search.chosen})
+
+    def as_searched(self, dataset: Dataset) -> Dataset:
+        """The records with the roles that they had in the search: a test record may have joined the train records."""
+        seen = (replace(r, role="train") if r.name == self.opened else r for r in dataset.records)
+        return replace(dataset, records=tuple(seen))
 
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from hybrid_id.gap.evidence import coloured
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.measures import quantisation_step
+from hybrid_id.records.measures import less_half_a_count
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -78,8 +78,7 @@ def errors(
             if not measured.size or np.ptp(measured) <= 1e-12 * np.abs(measured).max():
                 continue  # nothing to explain
             error = np.clip(np.nan_to_num(simulated - measured, nan=LOST), -LOST, LOST)
-            within = 0.5 * quantisation_step(measured)  # where in a count the run began, no reading tells
-            centred = error - np.clip(error.mean(), -within, within)
+            centred = less_half_a_count(error, measured)
             weighted.append((centred * batch.weight[r, valid, c].numpy())[:, None])
             square = np.square(error)
             starts = np.arange(0, len(square), length)

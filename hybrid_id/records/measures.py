@@ -30,6 +30,19 @@ def quantisation_step(values: np.ndarray) -> float:
     return step if np.mean(on_grid) > 0.95 and levels.size < 0.9 * values.size else 0.0
 
 
+def less_half_a_count(error: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return an error of a free run without the offset of up to half a count that no reading can tell.
+
+    Where in a count the run began is not measured, whether an encoder rounds or counts edges.
+
+    Args:
+        error: Of the run, (T,).
+        measured: The output, (T,).
+    """
+    within = 0.5 * quantisation_step(measured)
+    return error - np.clip(error.mean(), -within, within)
+
+
 def estimate_noise(values: np.ndarray) -> float:
     """Estimate the standard deviation of a sensor's noise from one signal, in its unit.
 

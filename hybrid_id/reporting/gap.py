@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -22,7 +24,9 @@ from hybrid_id.reporting.gap_words import (
     withdrawn_lines,
     words_of,
 )
+from hybrid_id.reporting.parameter_tables import JUDGED, half_width, judged_cells
 from hybrid_id.reporting.tables import open_table
+from hybrid_id.study import Study
 from hybrid_id.systems.chain import System
 
 TOP = 4
@@ -109,14 +113,37 @@ def suspects_table(
     return table
 
 
-def parameters_table(nominal: System, diagnosis: Diagnosis) -> Table:
-    """Every estimated parameter in today's model, after its re-fit, and beside the selected effects."""
-    models = (nominal, diagnosis.search.base.system, diagnosis.model)
+def parameters_table(
+    nominal: System, diagnosis: Diagnosis, judged: Sequence[Study], reach: float = 1.96, level: float = 0.95
+) -> Table:
+    """Every estimated parameter in today's model, after its re-fit, and in the corrected model where there is one.
+
+    Args:
+        nominal: today's model.
+        diagnosis: the result.
+        judged: the re-fitted model as `identify` would judge it, then the corrected one, unless that is the same.
+        reach: half-width of an interval in standard errors.
+        level: level of the intervals.
+    """
+    last = judged[-1]
+    fitted = ("re-fitted", "corrected")[: len(judged)]
+    heads = [head for name in fitted for head in (f"{name}>", f"± ({100 * level:g} %)>")]
+    table = open_table("parameter", "today>", *heads, "unit", *JUDGED)
+    models = (nominal, *(one.selected_model for one in judged))
     names = {i.name: i.spec.unit for model in models for i in model.table if i.spec.estimate}
-    table = open_table("parameter", "today>", "re-fitted>", "corrected>", "unit")
     for name, unit in names.items():
-        table.add_row(name, *(_value(model, name) for model in models), unit)
+        cells = [cell for one in judged for cell in _estimate(one, name, reach)]
+        grades = judged_cells(last, name) if name in last.names else []
+        table.add_row(name, _value(nominal, name), *cells, unit, *grades)
     return table
+
+
+def _estimate(study: Study, name: str, reach: float) -> tuple[str, str]:
+    """Value of a parameter in a fitted model, and half of its interval."""
+    if name not in study.names:
+        return _value(study.selected_model, name), ""
+    error = study.standard_errors(0)[study.names.index(name)]
+    return _value(study.selected_model, name), half_width(reach * error)
 
 
 def _value(system: System, name: str) -> str:

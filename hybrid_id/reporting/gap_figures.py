@@ -11,12 +11,12 @@ from hybrid_id.gap.locate import Location
 from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.round import Round
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.gap_maps import MODELS, map_figures, units_of
 from hybrid_id.reporting.gap_words import LEAST_SHARE, SIDES, joint_words, place_words, words_of
 from hybrid_id.reporting.html.live import record_plot
 from hybrid_id.reporting.html.twin import Drawn, drawn
 from hybrid_id.reporting.record_plots import comparison_figure
 from hybrid_id.reporting.style import (
-    COLOURS,
     DASHES,
     GREY,
     journal,
@@ -26,21 +26,24 @@ from hybrid_id.reporting.style import (
     scaled_unit,
     unit,
 )
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study import Comparison, replay
 from hybrid_id.systems.chain import System
 
 PROFILES, SHARES, ODDS = 3, 9, 12
 MAX_NAME = 16
-MODELS = {"today": COLOURS[0], "re-fitted": COLOURS[1], "corrected": COLOURS[2]}
 
 
-def diagnosis_figures(dataset: Dataset, nominal: System, diagnosis: Diagnosis) -> dict[str, Drawn]:
+def diagnosis_figures(
+    dataset: Dataset, nominal: System, diagnosis: Diagnosis, *, signal_share: float = SIGNAL_SHARE
+) -> dict[str, Drawn]:
     """Every picture of a diagnosis by the name of its file.
 
     Args:
         dataset: the records.
         nominal: today's model.
         diagnosis: the result.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
     figures: dict[str, Figure] = {}
     if diagnosis.nominal is not None:
@@ -50,6 +53,7 @@ def diagnosis_figures(dataset: Dataset, nominal: System, diagnosis: Diagnosis) -
         figures["missing_torque"] = torque_figure(dataset, diagnosis)
     if told:
         figures["where"] = share_figure(diagnosis)
+    figures |= map_figures(dataset, diagnosis, signal_share)
     figures["suspects"] = odds_figure(diagnosis)
     worst = worst_comparison(dataset, nominal, diagnosis)
     image = pixels(comparison_figure(dataset, worst, worst.records[0]))
@@ -109,7 +113,7 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
                 axes.plot(left.grid, torque, color=colour, ls=DASHES[1], label="corrected model")
             axes.set(
                 xlabel=_axis(dataset, one),
-                ylabel=f"missing torque {scaled_unit(_units(dataset, one)[1], exponent)}",
+                ylabel=f"missing torque {scaled_unit(units_of(dataset, one.joint)[1], exponent)}",
             )
             axes.set_title(
                 f"{joint_words(one.joint)}{SIDES[one.place]}: {100 * max(one.share, 0.0):.0f} %", loc="left"
@@ -194,18 +198,11 @@ def _key(one: Location) -> tuple[str, str, str]:
     return one.joint, one.place, one.signal
 
 
-def _units(dataset: Dataset, one: Location) -> tuple[str, str]:
-    """Units of a joint's angle and torque; a linear axis has a way and a force."""
-    number = one.joint.removeprefix("joint")
-    angle = next((c.unit for c in dataset.outputs if c.name in (f"q_m{number}", f"q_a{number}")), "rad")
-    return angle, "N" if angle == "m" else "N m"
-
-
 def _axis(dataset: Dataset, one: Location) -> str:
     """Axis label of the signal that a missing torque depends on."""
-    side = "motor" if one.place == "motor" else "link"
+    side = "link" if one.place == "load" else "motor"
     if one.signal != "command":
-        return f"{side} {one.signal} [{_units(dataset, one)[0]}{'/s' * (one.signal == 'speed')}]"
+        return f"{side} {one.signal} [{units_of(dataset, one.joint)[0]}{'/s' * (one.signal == 'speed')}]"
     drives = [f"{stem}{one.joint.removeprefix('joint')}" for stem in ("u", "duty", "tau", "i")]
     text = next((unit(channel.unit) for channel in dataset.inputs if channel.name in drives), "")
     return f"command [{text}]" if text else "command"

@@ -13,10 +13,14 @@ from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.html.twin import Drawn, drawn
+from hybrid_id.reporting.parameter_tables import bound_cells, judged_cells
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol
 from hybrid_id.reporting.tables import open_table
-from hybrid_id.study.hybrid import HybridStudy
+from hybrid_id.study import Study
+from hybrid_id.study.hybrid import BLUR, DRIFT, HybridStudy
 from hybrid_id.study.network_role import NetworkRole
+
+FULL = ("trust, physics alone", "lower bound", "upper bound", "what speaks against it")
 
 
 def hybrid_result(study: HybridStudy) -> dict[str, Any]:
@@ -76,20 +80,48 @@ def hybrid_tables(study: HybridStudy, dataset: Dataset, reach: float, level: flo
     return Group(*parts)
 
 
-def drift_table(study: HybridStudy, reach: float, level: float) -> Table:
-    """Parameters without and with the networks; intervals of a level, ``reach`` standard errors to each side."""
+def drift_table(study: HybridStudy, reach: float, level: float, alone: Study | None = None) -> Table:
+    """Parameters without and with the networks; intervals of a level, ``reach`` standard errors to each side.
+
+    With the physics ``alone`` as `identify` would judge it, its grades, the bounds and what speaks against a value are
+    told, too, for which a terminal has no room.
+    """
     sides = f"± ({100 * level:g} %)>", "± >"
     table = open_table("parameter", "physics alone>", sides[0], "hybrid>", sides[1], "unit", "drift [σ]>")
+    for head in FULL if alone is not None else ():
+        table.add_column(head, justify="right" if "bound" in head else "left")
     rows = zip(
         study.names, study.physics, study.physics_error, study.hybrid, study.hybrid_error, study.units, study.drift,
         strict=True,
     )  # fmt: skip
     for name, before, error, after, other, unit, drift in rows:
         moved = f"{drift:+.1f}" if math.isfinite(drift) else "unknown"
+        judged = []
+        if alone is not None:
+            grade, *_, why = judged_cells(alone, name)
+            against = [*_against(study, name), *([str(why)] if str(why) else [])]
+            judged = [grade, *bound_cells(study.result.system, name), "; ".join(against)]
         table.add_row(
-            name, f"{before:.5g}", f"{reach * error:.2g}", f"{after:.5g}", f"{reach * other:.2g}", unit, moved
+            name,
+            f"{before:.5g}",
+            f"{reach * error:.2g}",
+            f"{after:.5g}",
+            f"{reach * other:.2g}",
+            unit,
+            moved,
+            *judged,
         )
     return table
+
+
+def _against(study: HybridStudy, name: str) -> list[str]:
+    """What the networks may have done to a parameter, so that it does not mean what its name says."""
+    k = study.names.index(name)
+    said = {
+        "moved by the networks": math.isfinite(study.drift[k]) and abs(study.drift[k]) > DRIFT,
+        "a network could do its work": study.result.chosen > 0 and study.blur[k] > BLUR,
+    }
+    return [words for words, holds in said.items() if holds]
 
 
 def ladder_table(study: HybridStudy) -> Table:

@@ -15,11 +15,6 @@ from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.study import Comparison, Study
 
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": "dim"}
-_GRADES = (
-    "trust: A all ways to compute the error agree; B only the plain covariance is too confident; C the ways disagree; "
-    "D no value to use on its own"
-)
-_GRADE = {"A": "green", "B": "green", "C": "yellow", "D": "red"}
 
 
 def records_table(dataset: Dataset) -> Table:
@@ -61,7 +56,7 @@ def identifiability_table(told: Identifiability) -> RenderableType:
         for c, std in zip(told.combinations, told.combination_std, strict=True)
     ]
     if cells:
-        parts.append(_two_a_row(["what the records tell", "predicted ± (95 %)>"], cells))
+        parts.append(two_a_row(["what the records tell", "predicted ± (95 %)>"], cells))
     if told.not_claimable:
         parts.append(
             Text(
@@ -73,80 +68,13 @@ def identifiability_table(told: Identifiability) -> RenderableType:
     return Group(*parts)
 
 
-def study_table(study: Study, reach: float, level: float) -> RenderableType:
-    """Parameters of the selected set with intervals, their variation and their trust grade, and what follows."""
-    index = study.selection.index
-    errors = reach * study.standard_errors(index)
-    heads = ["parameter", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
-    heads += [f"± ({100 * level:g} %)>", "unit"]
-    heads += [] if study.variation is None else ["mean of sets>", "std/mean>"]
-    table = open_table(*heads, "trust")
-    for k, name in enumerate(study.names):
-        trust = study.trust[k]
-        row = [
-            name,
-            f"{study.selected.values[k]:.5g}",
-            _half_width(errors[k]),
-            study.selected.units[k],
-        ]
-        if study.variation is not None:
-            spread = Text(f"{study.variation.percent[k]:.2f} %")
-            if not study.variation.acceptable[k] and not study.variation.held[k]:
-                spread.stylize("red")
-            row += [f"{study.variation.mean[k]:.5g}", spread]
-        table.add_row(*row, Text(trust.grade, style=_GRADE[trust.grade]))
-    combined = [] if study.identifiability.claimable.all() else _combinations(study, reach, level)
-    return Group(table, *combined, *(Text(line) for line in _remarks(study)))
-
-
-def _combinations(study: Study, reach: float, level: float) -> list[Table]:
-    """The functions of parameters that do have an interval where parameters alone have none; no table without any."""
-    told, index = study.combinations, study.selection.index
-    heads = ["what is identified", "value>", f"± ({100 * level:g} %)>"]
-    heads += [] if told.variation is None else ["std/mean>"]
-    rows = []
-    for k, name in enumerate(told.names):
-        if name in study.names:
-            continue
-        row = [name, f"{told.values[index, k]:.5g}", _half_width(reach * told.std_error[index, k])]
-        rows.append(row if told.variation is None else [*row, f"{told.variation.percent[k]:.2f} %"])
-    return [_two_a_row(heads, rows)] if rows else []
-
-
-def _half_width(value: float) -> str:
-    """Half of an interval; none where the records set no bound."""
-    return f"{value:.2g}" if np.isfinite(value) else "none"
-
-
-def _two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+def two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """A table of two columns of rows, so that it is half as long; of one where there is a single row."""
     half = (len(rows) + 1) // 2
     table = open_table(*heads, *(f" {head}" for head in heads if len(rows) > 1))
     for k in range(half):
         table.add_row(*rows[k], *(rows[half + k] if half + k < len(rows) else ()))
     return table
-
-
-def _remarks(study: Study) -> list[str]:
-    lines = [_GRADES]
-    lines += [f"identifiability: {direction.text}" for direction in study.identifiability.directions]
-    failed = [result for result in study.sets if not result.ok]
-    lines += [f"{', '.join(r.records[:3])}: {r.message}" for r in failed[:3]]
-    hits = [sum(name in result.at_bound for result in study.sets) for name in study.names]
-    if any(hits):
-        of = f" (in {{}} of {len(study.sets)} sets)" if len(study.sets) > 1 else ""
-        words = [name + of.format(n) for name, n in zip(study.names, hits, strict=True) if n]
-        lines.append(f"at a bound: {', '.join(words)}")
-    if len(study.sets) > 1 or not study.selection.candidate.any():
-        lines.append(f"selection: {study.selection.summary()}")
-    if study.test_nrmse:
-        seen = count(len(study.test_nrmse), "record")
-        lines.append(f"test: normalised RMSE {study.test_error:.4g} on {seen} that no fit has seen")
-    lines.append(f"integration error (step halved): {study.engine_error:.2g} standard errors at most")
-    lines += [
-        f"profile of {n}: {p.lower:.5g} to {p.upper:.5g}, {p.message}" for n, p in study.profiles.items()
-    ]
-    return lines
 
 
 def comparison_table(comparison: Comparison) -> Table:

@@ -97,6 +97,15 @@ def test_run_is_scored_and_published(home: Path) -> None:
     assert text.startswith("# Earlier\n\n## ") and text.count(", seed 5\n") == 2
     links = set(re.findall(r"!\[\w+\]\((.*?)\)", text))
     assert len(links) == 4 and all((home / link).stat().st_size > 1000 for link in links)
+    page = (runs / "report.html").read_text()
+    assert (
+        "sparse meets 2 of 5 targets, 2 of these with an interval that reaches beyond the target (7 more"
+        in page
+    )
+    assert (
+        "missed: strong effects: first name right; " in page
+        and "Over all cases: the right effect first 0" in page
+    )
     look_at(runs / "report.html", home, figures=2)
 
 

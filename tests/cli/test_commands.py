@@ -170,6 +170,10 @@ def test_identify_writes_everything(identified: tuple[Path, str], tmp_path: Path
         "report.html",
     }
     assert not any(path.name.startswith(".") for path in out.parent.iterdir())
+    page = (out / "report.html").read_text()
+    assert all(
+        words in page for words in ("lower bound", "Records it was fitted to, q_m1: ", "Test records, q_m1: ")
+    )
     look_at(out / "report.html", tmp_path, figures=len(pictures))
 
 

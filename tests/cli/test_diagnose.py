@@ -23,7 +23,7 @@ from hybrid_id.gap.next_experiment import next_experiment
 
 FILES = {
     "config.yaml", "diagnosis.json", "gap.png", "missing_torque.png", "model.yaml", "refit.yaml", "report.html",
-    "suspects.png", "tensorboard", "where.png", "worst_record.png",
+    "reversals.png", "suspects.png", "tensorboard", "torque_map.png", "where.png", "worst_record.png",
 }  # fmt: skip
 
 SEARCHED = """
@@ -89,8 +89,10 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
         7,
     )
     assert result["verdict"] == "effects"
+    verdicts = {name: tests[0]["verdict"] for name, tests in result["residual_tests"].items()}
+    assert verdicts["re-fitted"] == "not white" and verdicts["corrected"] in ("white", "nearly white")
     assert load_config(out / "config.yaml").dataset.resolve() == records.resolve()
-    look_at(out / "report.html", tmp_path, figures=5)
+    look_at(out / "report.html", tmp_path, figures=7)
 
 
 def test_the_next_experiment_is_ready_to_be_played(

@@ -75,6 +75,13 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
     )
     page = (out / "report.html").read_text()
     assert page.count("data:image/png") == 2 == page.count('class="live"') and "Ladder of prices" in page
+    assert all(
+        words in page for words in ("trust, physics alone", "upper bound", "a network could do its work")
+    )
+    assert "Physics alone, q_m1: not white" in page
+    assert list(result["residual_tests"]) == ["physics", "hybrid"]
+    before, after = (one["rms_over_noise"] for (one,) in result["residual_tests"].values())
+    assert after < before
     assert (out / "map_joint1_motor.png").stat().st_size > 1000
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

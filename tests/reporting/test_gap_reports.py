@@ -8,6 +8,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from hybrid_id.gap.catalogue import SIDES
+from hybrid_id.gap.confidence import as_identified
 from hybrid_id.gap.course import Course
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.locate import Location
@@ -21,6 +22,8 @@ from hybrid_id.reporting.gap_verdict import verdict_sentence
 from hybrid_id.reporting.gap_words import goes_with
 from hybrid_id.reporting.html.gap_page import gap_page
 from hybrid_id.reporting.html.twin import Drawn
+from hybrid_id.reporting.parameter_tables import bound_cells
+from hybrid_id.study.residual_tests import residual_tests
 from hybrid_id.systems import System
 
 PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", 12.345, 1.3)
@@ -196,16 +199,36 @@ def test_a_joint_is_told_where_no_shape_is(diagnosed) -> None:
 def test_tables_hold_every_suspect_and_parameter(diagnosed) -> None:
     _, today, found = diagnosed
     assert suspects_table(found).row_count == len(found.effects)
-    table = parameters_table(today, found)
+    judged = [as_identified(diagnosed[0], one) for one in found.fitted.values()]
+    table = parameters_table(today, found, judged)
     names = list(table.columns[0].cells)
     assert {"J", "F_c", "k_s", "q_s"} <= set(names)
     row = names.index("k_s")
-    assert [list(column.cells)[row] for column in table.columns[1:3]] == ["", ""]  # today's model lacks it
+    assert [list(column.cells)[row] for column in table.columns[1:4]] == [
+        "",
+        "",
+        "",
+    ]  # today's model lacks it
+    heads = [str(column.header) for column in table.columns]
+    assert heads[6:] == ["unit", "trust", "lower bound", "upper bound", "why"]
+    cells = {name: [str(list(column.cells)[k]) for column in table.columns] for k, name in enumerate(names)}
+    assert cells["k_s"][5] == "none" and cells["k_s"][7] == "D"  # in voltage and angle no torque has a scale
+    assert float(cells["q_s"][5]) > 0.0 and cells["q_s"][7] in "ABC"
+    assert cells["k_s"][8] == "0"
+
+
+def test_a_bound_that_is_reached_is_marked(diagnosed) -> None:
+    model = diagnosed[2].model
+    value = model.parameter("q_s").spec.value
+    tight = model.with_specs({"q_s": replace(model.parameter("q_s").spec, upper=value)})
+    assert [str(cell) for cell in bound_cells(tight, "q_s")][1] == f"{value:.4g}, reached"
+    assert "reached" not in str(bound_cells(model, "q_s")[1])
 
 
 def test_pictures_are_there_and_not_empty(figures, sound) -> None:
-    assert list(figures) == ["gap", "missing_torque", "where", "suspects", "worst_record"]
-    assert "missing_torque" not in diagnosis_figures(*sound)  # nothing is missing
+    names = ["gap", "missing_torque", "where", "torque_map", "reversals", "suspects", "worst_record"]
+    assert list(figures) == names
+    assert not {"missing_torque", "torque_map"} & set(diagnosis_figures(*sound))  # nothing is missing
     for image, plot in figures.values():
         assert plot["data"]
         assert image.dtype == np.uint8 and image.shape[2] == 3
@@ -220,9 +243,19 @@ def test_pictures_of_records_without_a_test(diagnosed) -> None:
 
 def test_page_has_the_verdict_first_and_every_picture(diagnosed, figures) -> None:
     dataset, today, found = diagnosed
-    text = gap_page(dataset, today, found, figures, reach=1.96, level=0.95).html()
+    judged = [as_identified(dataset, one) for one in found.fitted.values()]
+    residuals = {
+        name: residual_tests(dataset, one.system, one.result.engine) for name, one in found.fitted.items()
+    }
+    page = gap_page(
+        dataset, today, found, figures, reach=1.96, level=0.95, judged=judged, residuals=residuals
+    )
+    text = page.html()
     titles = re.findall(r"<h2>(.*?)</h2>", text)
-    assert titles == ["How far", "Which", "Where", "Measured and simulated", "Parameters", "Records"]
+    assert titles == [
+        "Where", "Which", "How far", "Parameters", "Residuals", "Ties and next experiment", "Records",
+    ]  # fmt: skip
+    assert "Re-fitted model, q_m1: not white" in text and "Corrected model, q_m1: " in text
     assert text.index("Spring load at the load of joint 1") < text.index("<h2>")
     assert text.count("data:image/png;base64,") == len(figures)
     assert all(one.name.replace("_", " ") in text for one in found.effects)

@@ -15,11 +15,12 @@ from rich.console import Console
 from hybrid_id.cli.study import study_figures
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.excitation import design_multisine
+from hybrid_id.reporting.parameter_tables import study_table
 from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure, truth_figure
 from hybrid_id.reporting.record_plots import comparison_figure, excitation_figure, fit_figure
 from hybrid_id.reporting.results import as_json, study_result, write_parameters
 from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, symbol, unit
-from hybrid_id.reporting.tables import comparison_table, identifiability_table, study_table, truth_table
+from hybrid_id.reporting.tables import comparison_table, identifiability_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.statistics.residuals import whiteness
 from hybrid_id.study import Comparison, Study, assess, check_fit, check_priors, compare, identify, replay

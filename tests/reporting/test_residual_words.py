@@ -1,0 +1,60 @@
+"""Residual tests in words: the verdict first, with the figures that it rests on."""
+
+import math
+
+import pytest
+from rich.console import Console, Group
+
+from hybrid_id.reporting.residual_words import residual_blocks, residual_result, sentence
+from hybrid_id.statistics.residuals import Follows, ResidualTest
+
+WHITE = ResidualTest("q_m1", 4000, 1.02, 100, 0.01, 0.4, 0.003, (Follows("u1", 0.01, 3, 0.06),))
+FAINT = ResidualTest("q_m1", 4000, 1.05, 100, 0.05, 1e-4, 0.06, ())
+SMOOTH = ResidualTest("q_m1", 4000, 7.3, 100, 0.9, 0.0, 0.84, (Follows("u1", 0.05, 3, 0.3),))
+LATE = ResidualTest("q_m1", 4000, 2.1, 100, 0.02, 0.3, 0.04, (Follows("u1", -0.31, 7, 0.06),))
+COUNTS = ResidualTest("q_m1", 4000, 0.3, 100, 0.9, 0.0, 0.6, ())
+LOST = ResidualTest("q_m1", 4000, math.inf, 100, math.nan, math.nan, math.nan, ())
+
+
+@pytest.mark.parametrize(
+    ("test", "words"),
+    [
+        (WHITE, "white: nothing left to model. What is left is 1.02 times the noise (RMS)."),
+        (FAINT, "nearly white: next to nothing left to model."),
+        (SMOOTH, "not white: neighbours correlate by 0.84, so something is left that the model does not explain"),
+        (LATE, "not white: what is left follows u1 (correlation -0.31, 7 samples later)"),
+        (COUNTS, "not white, but only 0.3 times the noise"),
+        (LOST, "the simulation has diverged"),
+    ],
+)  # fmt: skip
+def test_each_verdict_is_a_sentence(test: ResidualTest, words: str) -> None:
+    assert sentence(test).startswith(words)
+    assert sentence(test).endswith(".")
+
+
+def text_of(residuals: dict[str, list[ResidualTest]], where: str = "") -> str:
+    console = Console(width=400, no_color=True)
+    with console.capture() as captured:
+        console.print(Group(*residual_blocks(residuals, where)))
+    return captured.get()
+
+
+def test_what_only_test_records_leave_is_said() -> None:
+    said = text_of({"train": [WHITE], "test": [SMOOTH]})
+    assert "Records it was fitted to, q_m1: white" in said and "Test records, q_m1: not white" in said
+    assert "parameters that differ from record to record" in said
+    assert "differ from record" not in text_of({"train": [WHITE], "test": [FAINT]})
+
+
+def test_table_holds_the_figures_of_every_model() -> None:
+    said = text_of({"re-fitted": [LATE], "corrected": [LOST]}, "2 test records")
+    assert said.startswith("On 2 test records:")
+    row = next(line for line in said.splitlines() if line.startswith("re-fitted model "))
+    cells = "re-fitted model, q_m1, 2.1, 2 % of 100, 0.04, u1, -0.31 (7 samples), ± 0.06, not white"
+    assert row.split() == cells.replace(",", "").split()
+    assert "none moves" in said
+
+
+def test_plain_data_has_every_figure() -> None:
+    (told,) = residual_result({"corrected": [LATE]})["corrected"]
+    assert told["verdict"] == "not white" and told["inputs"]["u1"]["lag"] == 7
