@@ -3,6 +3,7 @@
 import inspect
 import json
 import re
+from importlib import import_module
 from pathlib import Path
 
 from mkdocs.structure.files import File
@@ -11,6 +12,21 @@ import hybrid_id
 from hybrid_id.components.base import PLACES, REGISTRY
 
 CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
+STAGES = {
+    "hybrid_id.gap.refit": "Refit",
+    "hybrid_id.gap.measure": "errors Errors",
+    "hybrid_id.gap.locate": "locate Location",
+    "hybrid_id.gap.course": "courses Course",
+    "hybrid_id.gap.attribute": "attribute Attribution",
+    "hybrid_id.gap.probability": "suspects Suspect tied_explanations",
+    "hybrid_id.gap.shrink": "shrink Shrink",
+    "hybrid_id.gap.next_experiment": "next_experiment Experiment",
+    "hybrid_id.gap.pulses": "calibrate Detector Pulse",
+    "hybrid_id.export.mjcf": "to_mjcf",
+    "hybrid_id.export.ranges": "to_ranges",
+    "hybrid_id.export.program": "to_program",
+}
+"""Modules and names beside the public ones: what a diagnosis is made of, and what carries a model elsewhere."""
 NOTEBOOKS = sorted((Path(__file__).parent / "notebooks").glob("*.ipynb"))
 
 
@@ -98,4 +114,13 @@ def api() -> str:
             else signature
         )
         parts += [f"## `{name}`", f"```text\n{name}{lines}\n```", plain(inspect.getdoc(thing) or "")]
+    parts += ["# Stages and exports", "Imported from the module that is named."]
+    for where, names in STAGES.items():
+        for name in names.split():
+            thing = getattr(import_module(where), name)
+            parts += [
+                f"## `{name}` ",
+                f"```text\nfrom {where} import {name}\n```",
+                plain(inspect.getdoc(thing) or ""),
+            ]
     return "\n\n".join(parts) + "\n"

@@ -4,6 +4,7 @@ import io
 import os
 import signal
 import sys
+import warnings
 from typing import NoReturn
 
 
@@ -11,6 +12,8 @@ def main() -> NoReturn:
     """Run the command line of this process and leave with its exit code."""
     # the matrices are small: a second thread costs time, and rounds them otherwise than a process of --jobs does
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # a worker that has grown is replaced by a fresh one: nothing is lost, and nothing to be done about it
+    warnings.filterwarnings("ignore", message="A worker stopped while some jobs", category=UserWarning)
     for stream in (sys.stdout, sys.stderr):  # a terminal in ASCII has no ±
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from hybrid_id.errors import InputError
 from hybrid_id.gap.arbiter import decide, others
 from hybrid_id.gap.attribute import MOST, Attribution, Progress, attribute, sure_though_small
@@ -26,10 +28,13 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.facts import inseparable
 from hybrid_id.records.reach import beyond
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.study.identifiable import preflight
 from hybrid_id.systems.chain import System
 
 PARAMETRIC = 1.1
 """Ratio of nominal to re-fitted error from which the parameters were wrong."""
+VAGUE = 0.1
+"""Median standard error, relative, of what records tell of a model's parameters, from which an effect hides in them."""
 TOO_SHORT = 30.0
 """Independent samples below which no structure can be told."""
 
@@ -143,9 +148,14 @@ def _diagnosed(
     found = tuple(
         believed(decision.weighed(suspects(search)), bool(varying), now.left if now.unknown else 0.0)
     )
+    nothing = search.chosen is base and not now.unknown and not varying
+    told = preflight(dataset, system).combination_std if nothing else np.zeros(1)
+    vague = float(np.median(told)) if len(told) else np.inf
     return Diagnosis(
         case=dataset.name,
-        verdict=_verdict(base, search, _wrong_values(dataset, system, base), now.unknown, bool(varying)),
+        verdict=_verdict(
+            base, search, _wrong_values(dataset, system, base), now.unknown, bool(varying), vague
+        ),
         effects=found,
         ties=tuple(tied_sets(found)),
         unknown=now.unknown,
@@ -153,9 +163,13 @@ def _diagnosed(
         refit=judged.first,
         with_effect=now.last,
         shrink=gap,
-        before=judged.before,
-        after=now.after,
-        bent=tuple(bent_parameters(system, base.system)),
+        where=judged.before,
+        left=now.after,
+        bent=tuple(
+            bent_parameters(system, base.system, preflight(dataset, system))
+            if bent_parameters(system, base.system)
+            else ()
+        ),
         experiments=tuple(
             next_experiment(dataset, [e for e in tied_explanations(search) if not decision.against(e)])
         ),
@@ -167,6 +181,7 @@ def _diagnosed(
         together=tuple(inseparable(dataset.records)),
         beyond=tuple(beyond(dataset)),
         search=search,
+        vague=vague,
         courses=tuple(courses(refit, search.chosen)) if now.unknown else (),
     )
 
@@ -179,13 +194,17 @@ def _wrong_values(dataset: Dataset, system: System, base: Explanation) -> bool:
     return nominal is not None and refit is not None and nominal.nrmse >= PARAMETRIC * refit.nrmse
 
 
-def _verdict(base: Explanation, search: Attribution, wrong: bool, unknown: bool, varying: bool) -> str:
+def _verdict(
+    base: Explanation, search: Attribution, wrong: bool, unknown: bool, varying: bool, vague: float = 0.0
+) -> str:
     if unknown:
         return "outside_catalogue"
     if search.chosen is not base:
         return "effects"
     if varying:
         return "parameters_only"
+    if vague > VAGUE:
+        return "inconclusive"  # what moves no parameter surely moves no effect either
     if base.evidence.effective < TOO_SHORT and not negligible(base.result.residual):
         return "inconclusive"
     return "parameters_only" if wrong else "no_gap"

@@ -30,14 +30,16 @@ class Diagnosis:
         nominal, refit, with_effect: errors on the test records of today's model, the re-fitted and the corrected one;
             None without test records.
         shrink: how far the gap shrinks; None without test records.
-        before: torques that would explain what the re-fitted model leaves, best first.
-        after: the same for the corrected model.
+        where: torques that would explain what the re-fitted model leaves, best first.
+        left: the same for the corrected model.
         bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
         varying: parameters that differ from record to record, in words, where each record's own values leave noise and
             one common set does not; the chosen model then has the set of the record that fits the others best.
         halted: whether free runs over the test records halt at other detents than the machine, while the corrected
             model follows them from measured states as closely as the train records.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
+        vague: median standard error, relative, of what these records tell of the parameters of today's model, where no
+            effect is named; 0 elsewhere.
         courses: where something outside the catalogue acts, what a torque of any course would explain at each side of
             each joint, best first.
         outvoted: effects that explain the train records as well as the selected ones, in words, and predict the test
@@ -60,8 +62,8 @@ class Diagnosis:
     refit: Errors | None
     with_effect: Errors | None
     shrink: Shrink | None
-    before: tuple[Location, ...]
-    after: tuple[Location, ...]
+    where: tuple[Location, ...]
+    left: tuple[Location, ...]
     bent: tuple[str, ...]
     experiments: tuple[Experiment, ...]
     withdrawn: tuple[str, ...]
@@ -74,6 +76,7 @@ class Diagnosis:
     halted: bool = False
     outvoted: tuple[str, ...] = ()
     courses: tuple[Course, ...] = ()
+    vague: float = 0.0
 
     @property
     def selected(self) -> tuple[Suspect, ...]:
@@ -90,6 +93,31 @@ class Diagnosis:
         """The models that were fitted: ``re-fitted``, and ``corrected`` where that is another one."""
         same = self.search.chosen is self.search.base
         return {"re-fitted": self.search.base} | ({} if same else {"corrected": self.search.chosen})
+
+    def summary(self) -> str:
+        """Verdict, place, effects and gap in a few lines; the command ``diagnose`` says the same in sentences."""
+        lines = [f"verdict: {self.verdict}"]
+        lines += [
+            f"  {one.joint}: {one.signal} explains {100 * one.share:.0f} %"
+            for one in self.where[:3]
+            if one.share > 0
+        ]
+        for one in self.effects[:4]:
+            reach = ", ".join(
+                f"{k} = {v:.4g} ± {1.96 * error:.2g}" for k, (v, error) in one.parameters.items()
+            )
+            mark = "selected" if one.selected else "tied" if one.tied_with else ""
+            lines.append(
+                f"  {one.probability:.3f}  {one.name} at {one.where}  {reach if mark else ''}  {mark}".rstrip()
+            )
+        if self.nominal is not None and self.shrink is not None:
+            gap, low, high = self.shrink, *self.shrink.interval
+            lines.append(
+                f"normalised error on test records: today's {self.nominal.nrmse:.3g}, re-fitted {gap.refit:.3g}, "
+                f"corrected {gap.with_effect:.3g}; {100 * gap.share:.0f} % ({100 * low:.0f}-{100 * high:.0f} %) of the "
+                "gap closed"
+            )
+        return "\n".join([*lines, *(f"bent: {one}" for one in self.bent)])
 
     def as_searched(self, dataset: Dataset) -> Dataset:
         """The records with the roles that they had in the search: a test record may have joined the train records."""
@@ -132,11 +160,11 @@ class Diagnosis:
                     "share": max(one.share, 0.0),
                     "profile": {"signal": one.grid.tolist(), "torque": one.torque.tolist()},
                 }
-                for one in self.before[:6]
+                for one in self.where[:6]
             ],
             "left": [
                 {"joint": o.joint, "place": o.place, "signal": o.signal, "share": max(o.share, 0.0)}
-                for o in self.after[:3]
+                for o in self.left[:3]
             ],
             "unknown_at": dict(zip(("joint", "place"), acts_at(self.courses), strict=True))
             if self.unknown

@@ -48,7 +48,7 @@ def diagnosis_figures(
     figures: dict[str, Figure] = {}
     if diagnosis.nominal is not None:
         figures["gap"] = gap_figure(diagnosis)
-    told = [one for one in diagnosis.before if one.share > LEAST_SHARE]
+    told = [one for one in diagnosis.where if one.share > LEAST_SHARE]
     if any(len(one.grid) for one in told):
         figures["missing_torque"] = torque_figure(dataset, diagnosis)
     if told:
@@ -75,6 +75,7 @@ def gap_figure(diagnosis: Diagnosis) -> Figure:
         for row, value in enumerate(bars.values()):
             left.text(value + 0.015 * top, row, f"{value:.3g}", va="center", fontsize=7.5)
         left.set_yticks(range(len(bars)), list(bars))
+        left.tick_params(axis="y", length=0)  # beside a bar of no length a tick reads as a minus
         left.set(xlim=(0, 1.16 * top), xlabel="normalised error, mean of the test records")
         left.invert_yaxis()
         if diagnosis.shrink is not None:
@@ -97,8 +98,8 @@ def gap_figure(diagnosis: Diagnosis) -> Figure:
 
 def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
     """The torque that the re-fitted model lacks over the signals that tell most, and what the corrected one lacks."""
-    shown = [one for one in diagnosis.before if one.share > LEAST_SHARE and len(one.grid)][:PROFILES]
-    after = {_key(one): one for one in diagnosis.after}
+    shown = [one for one in diagnosis.where if one.share > LEAST_SHARE and len(one.grid)][:PROFILES]
+    after = {_key(one): one for one in diagnosis.left}
     with journal():
         figure = new_figure(2.1)
         panels = np.atleast_1d(figure.subplots(1, len(shown)))
@@ -126,8 +127,8 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
 
 def share_figure(diagnosis: Diagnosis) -> Figure:
     """Part of what each model leaves that a torque over one signal explains on records left out."""
-    shown = [one for one in diagnosis.before if one.share > LEAST_SHARE][:SHARES]
-    after = {_key(one): max(one.share, 0.0) for one in diagnosis.after}
+    shown = [one for one in diagnosis.where if one.share > LEAST_SHARE][:SHARES]
+    after = {_key(one): max(one.share, 0.0) for one in diagnosis.left}
     with journal():
         figure = new_figure(0.27 * len(shown) + 0.9)
         axes = figure.subplots()

@@ -27,7 +27,7 @@ def map_figures(dataset: Dataset, diagnosis: Diagnosis, signal_share: float) -> 
     """
     refit = Refit(diagnosis.as_searched(dataset), signal_share=signal_share)
     places = {
-        one.joint: one.place for one in reversed(diagnosis.before)
+        one.joint: one.place for one in reversed(diagnosis.where)
     }  # the one that tells most is the last
     maps = [
         {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hybrid_id.gap.course import acts_at
+from hybrid_id.gap.diagnose import VAGUE
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.probability import Suspect
 from hybrid_id.reporting.gap_words import (
@@ -53,7 +54,7 @@ def _outside(diagnosis: Diagnosis, reach: float) -> str:
 def _acting(diagnosis: Diagnosis) -> str:
     """Where something unknown acts and on what it depends, as far as the records tell."""
     joint, side = acts_at(diagnosis.courses)
-    told = (o for o in diagnosis.after if joint in (None, o.joint) and side in (None, o.place))
+    told = (o for o in diagnosis.left if joint in (None, o.joint) and side in (None, o.place))
     one = next((o for o in told if o.share > LEFT_SHARE), None)
     joint = joint or (one.joint if one is not None else None)
     if joint is None:
@@ -103,6 +104,12 @@ def _no_gap(diagnosis: Diagnosis, _reach: float) -> str:
 
 def _inconclusive(diagnosis: Diagnosis, _reach: float) -> str:
     worth = diagnosis.search.base.evidence.effective
+    if diagnosis.vague > VAGUE:
+        return (
+            "These records are too short to say: of what they tell of the parameters, half is told no better than to "
+            f"±{196 * diagnosis.vague:.2g} % (95 %), and an effect would hide in that. Record longer, or with faster "
+            "changes of the command."
+        )
     return (
         f"These records are too short to say: their errors are worth {worth:.0f} independent samples. Record longer, "
         "or with faster changes of the command."

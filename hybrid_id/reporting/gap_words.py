@@ -33,7 +33,7 @@ def goes_with(location: Location) -> str:
 def where_line(diagnosis: Diagnosis) -> str:
     """The sides of joints and the signals that explain most of what the re-fitted model leaves."""
     sides: dict[str, list[str]] = {}
-    for one in [one for one in diagnosis.before if one.share > LEAST_SHARE][:3]:
+    for one in [one for one in diagnosis.where if one.share > LEAST_SHARE][:3]:
         side = f"{joint_words(one.joint)}{SIDES[one.place]}"
         signal = one.signal if one.signal.startswith("what") else f"the {one.signal}"
         sides.setdefault(side, []).append(f"{signal} ({percent(one.share)})")

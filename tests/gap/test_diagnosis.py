@@ -5,17 +5,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from gapcase import RATIO
+from gapcase import RATIO, small_case
 
 import hybrid_id.gap.diagnose as module
 import hybrid_id.gap.judged as judged
-from hybrid_id.components import JointFlexibility
+from hybrid_id.components import JointFlexibility, Spring
 from hybrid_id.gap.bent import bent_parameters
 from hybrid_id.gap.catalogue import CATALOGUE
 from hybrid_id.gap.diagnose import _verdict
 from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.measure import errors
 from hybrid_id.reporting.gap import caution_lines, summary
+from hybrid_id.study.identifiable import preflight
 
 
 def test_missing_spring_is_named(diagnosed) -> None:
@@ -54,14 +55,14 @@ def test_gap_closes_on_the_unseen_record(diagnosed) -> None:
 
 def test_torque_that_is_missing_goes_with_the_angle(diagnosed) -> None:
     found: Diagnosis = diagnosed[2]
-    best = found.before[0]
+    best = found.where[0]
     assert (best.joint, best.signal) == ("joint1", "angle")
     assert best.share > 0.5
     slope = (best.torque[-1] - best.torque[0]) / (best.grid[-1] - best.grid[0])
     # a spring pulls back; the motor's constant sets the scale of all torques
     ratio = found.search.base.system.parameter("P_m1").spec.value / 0.019
     assert -1.5 < slope * RATIO**2 / (0.6 * ratio) < -0.5
-    assert max(one.share for one in found.after) < 0.3
+    assert max(one.share for one in found.left) < 0.3
 
 
 def test_nothing_is_named_where_nothing_is_missing(sound) -> None:
@@ -158,6 +159,15 @@ def test_contract_of_the_file(diagnosed) -> None:
         assert 0.0 <= one["probability"] <= 1.0
 
 
+def test_python_has_it_in_a_few_lines(diagnosed) -> None:
+    found = diagnosed[2]
+    lines = found.summary().splitlines()
+    assert lines[0] == "verdict: effects" and len(lines) <= 12
+    assert any(line.strip().startswith(f"joint1: {found.where[0].signal} explains") for line in lines)
+    assert any("spring_load at joint1/load  k_s = " in line and line.endswith("selected") for line in lines)
+    assert any(line.startswith("normalised error on test records: today's") for line in lines)
+
+
 def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
     nominal = sound[1]
     values = {i.name: i.spec.value for i in nominal.table if i.spec.estimate}
@@ -176,6 +186,11 @@ def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
         "P_m1 is 5.7 standard deviations of its prior too low"
     ]
     assert bent_parameters(held, held.with_values({"P_m1": 1.1 * values["P_m1"]})) == []
+    # what moves unseen by the records is said beside what it may have moved
+    told = preflight(sound[0], nominal)
+    (line,) = bent_parameters(nominal, nominal.with_values({"F_v": 0.5 * values["F_v"]}), told)
+    assert line.startswith("F_v is 0.50 times its nominal value (unseen by these records: P_m2 off by +")
+    assert bent_parameters(nominal, nominal.with_values({"F_c": 0.0}), told) == words
     # where the scale is known, what has not moved is not bent, and what has is
     fixed = nominal.with_specs({"P_m1": replace(nominal.parameter("P_m1").spec, estimate=False)})
     doubled = {"F_c": 2.0 * values["F_c"], "F_v": 2.0 * values["F_v"]}
@@ -267,6 +282,25 @@ def test_verdicts(
     base = SimpleNamespace(evidence=SimpleNamespace(effective=effective), result=result)
     search = SimpleNamespace(chosen=SimpleNamespace() if chosen else base)
     assert _verdict(base, search, wrong, unknown, varying) == verdict
+
+
+def test_a_few_samples_are_too_short_to_say() -> None:
+    dataset, today = small_case(Spring(k_s=3.0))
+    few = slice(0, 25)
+    cut = [
+        replace(
+            r,
+            time=r.time[few],
+            inputs={n: u[few] for n, u in r.inputs.items()},
+            outputs={n: y[few] for n, y in r.outputs.items()},
+        )
+        for r in dataset.records[2:]
+    ]
+    found = module.diagnose(replace(dataset, records=tuple(cut)), today, most=1)
+    assert found.verdict == "inconclusive" and not found.selected and found.vague > 0.1
+    assert summary(found).startswith(
+        "These records are too short to say: of what they tell of the parameters, half"
+    )
 
 
 def test_errors_leave_out_where_in_a_count_an_encoder_began(sound) -> None:

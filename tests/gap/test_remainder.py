@@ -60,13 +60,13 @@ def test_behind_play_test_errors_lower_the_claim_and_not_the_verdict(diagnosed) 
     chosen = replace(found.search.chosen, result=replace(found.search.chosen.result, system=loose))
     bad = replace(found.refit, coloured=0.9)
     assert not outside(chosen, found.refit, bad)
-    assert no_noise(chosen, found.after, bad) == 0.9
-    assert no_noise(chosen, found.after, replace(bad, coloured=0.1)) == 0.1
+    assert no_noise(chosen, found.left, bad) == 0.9
+    assert no_noise(chosen, found.left, replace(bad, coloured=0.1)) == 0.1
 
 
 def test_colour_that_random_torques_leave_is_taken_for_noise(diagnosed) -> None:
     found = diagnosed[2]
-    chosen, after = found.search.chosen, (replace(found.after[0], share=0.0),)
+    chosen, after = found.search.chosen, (replace(found.left[0], share=0.0),)
     assert no_noise(chosen, after, replace(found.refit, coloured=0.2)) == 0.0
     assert no_noise(chosen, after, replace(found.refit, coloured=0.6)) == pytest.approx(0.6)
 

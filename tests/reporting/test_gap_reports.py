@@ -49,7 +49,7 @@ def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
             found,
             verdict="outside_catalogue",
             unknown=True,
-            after=(place,),
+            left=(place,),
             courses=(Course("joint2", "load", 0.7, 0.0), Course("joint1", "joint", 0.1, 9.0)),
             ties=(MANY[:4],),
             bent=bent,
@@ -166,14 +166,14 @@ def test_profile_in_words(torque: list[float], words: str) -> None:
 
 
 def test_every_signal_has_words(diagnosed) -> None:
-    for one in diagnosed[2].before:
+    for one in diagnosed[2].where:
         assert goes_with(one).startswith("it ")
 
 
 def test_what_no_torque_explains_has_no_place(diagnosed) -> None:
     found = diagnosed[2]
     nowhere = replace(
-        found, verdict="outside_catalogue", after=(replace(found.after[0], share=0.03),),
+        found, verdict="outside_catalogue", left=(replace(found.left[0], share=0.03),),
         with_effect=replace(found.with_effect, coloured=0.42),
     )  # fmt: skip
     said = verdict_sentence(nowhere)
@@ -186,7 +186,7 @@ def test_what_no_torque_explains_has_no_place(diagnosed) -> None:
 def test_a_joint_is_told_where_no_shape_is(diagnosed) -> None:
     found = diagnosed[2]
     nowhere = replace(
-        found, verdict="outside_catalogue", unknown=True, after=(replace(found.after[0], share=0.03),),
+        found, verdict="outside_catalogue", unknown=True, left=(replace(found.left[0], share=0.03),),
         courses=(Course("joint2", "joint", 0.7, 0.0), Course("joint1", "joint", 0.1, 9.0)),
     )  # fmt: skip
     assert verdict_sentence(nowhere).startswith(
