@@ -34,7 +34,7 @@ from hybrid_id.systems.chain import System
 PARAMETRIC = 1.1
 """Ratio of nominal to re-fitted error from which the parameters were wrong."""
 VAGUE = 0.1
-"""Median standard error, relative, of what records tell of a model's parameters, from which an effect hides in them."""
+"""Least standard error, relative, of what records tell of a model's parameters, from which an effect hides in them."""
 TOO_SHORT = 30.0
 """Independent samples below which no structure can be told."""
 
@@ -150,7 +150,7 @@ def _diagnosed(
     )
     nothing = search.chosen is base and not now.unknown and not varying
     told = preflight(dataset, system).combination_std if nothing else np.zeros(1)
-    vague = float(np.median(told)) if len(told) else np.inf
+    vague = float(min(told, default=np.inf))
     return Diagnosis(
         case=dataset.name,
         verdict=_verdict(

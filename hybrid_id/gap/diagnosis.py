@@ -38,7 +38,7 @@ class Diagnosis:
         halted: whether free runs over the test records halt at other detents than the machine, while the corrected
             model follows them from measured states as closely as the train records.
         withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
-        vague: median standard error, relative, of what these records tell of the parameters of today's model, where no
+        vague: least standard error, relative, of what these records tell of the parameters of today's model, where no
             effect is named; 0 elsewhere.
         courses: where something outside the catalogue acts, what a torque of any course would explain at each side of
             each joint, best first.

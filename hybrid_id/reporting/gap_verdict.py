@@ -106,7 +106,7 @@ def _inconclusive(diagnosis: Diagnosis, _reach: float) -> str:
     worth = diagnosis.search.base.evidence.effective
     if diagnosis.vague > VAGUE:
         return (
-            "These records are too short to say: of what they tell of the parameters, half is told no better than to "
+            "These records are too short to say: they tell nothing of the parameters better than to "
             f"±{196 * diagnosis.vague:.2g} % (95 %), and an effect would hide in that. Record longer, or with faster "
             "changes of the command."
         )

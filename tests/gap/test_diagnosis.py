@@ -299,7 +299,7 @@ def test_a_few_samples_are_too_short_to_say() -> None:
     found = module.diagnose(replace(dataset, records=tuple(cut)), today, most=1)
     assert found.verdict == "inconclusive" and not found.selected and found.vague > 0.1
     assert summary(found).startswith(
-        "These records are too short to say: of what they tell of the parameters, half"
+        "These records are too short to say: they tell nothing of the parameters better than to"
     )
 
 
