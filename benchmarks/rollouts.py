@@ -1,4 +1,4 @@
-"""Time of a rollout with dry friction, eager and compiled, of one sample of one lane: python -m benchmarks.rollouts."""
+"""Time of rollouts and tangents with dry friction, of one sample of one lane: python -m benchmarks.rollouts."""
 
 import time
 
@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from hybrid_id.records.record import Record
+from hybrid_id.simulation.compiled_dry import tangents
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.step import Engine
@@ -44,6 +45,20 @@ def seconds(system: System, engine: Engine, lanes: int, repeats: int) -> float:
     return min(found)
 
 
+def tangent_seconds(system: System, engine: Engine, rows: int = 6) -> float:
+    """Least time of a linearisation by all states and parameters along a motion [s]."""
+    batch = make_batch(system, [record(system)]).take(torch.zeros(rows, dtype=torch.long))
+    theta = system.theta().detach()[:, None] * torch.linspace(0.98, 1.02, rows, dtype=torch.float64)
+    arguments = rollout(system, engine, batch, theta), batch.u, batch.dt, theta, range(len(system.table))
+    tangents(system, engine, *arguments)  # compiles
+    found = []
+    for _ in range(2 * REPEATS):
+        begun = time.process_time()
+        tangents(system, engine, *arguments)
+        found.append(time.process_time() - begun)
+    return min(found) / (rows * SAMPLES)
+
+
 def main() -> None:
     """Print a line a system."""
     torch.set_num_threads(1)
@@ -51,7 +66,8 @@ def main() -> None:
         compiled = seconds(system, Engine(compiled=True), LANES, REPEATS) / (LANES * SAMPLES)
         eager = seconds(system, Engine(), LANES, 1) / (LANES * SAMPLES)
         print(
-            f"{name}: compiled {1e9 * compiled:.0f} ns, eager {1e9 * eager:.0f} ns, ratio {eager / compiled:.0f}"
+            f"{name}: compiled {1e9 * compiled:.0f} ns, eager {1e9 * eager:.0f} ns, ratio {eager / compiled:.0f}; "
+            f"with tangents {1e9 * tangent_seconds(system, Engine(compiled=True)):.0f} ns"
         )
 
 
