@@ -1,4 +1,4 @@
-"""Eight logs of a geared motor as a German spreadsheet writes them, from the generator of cases: make_logs.py FOLDER."""
+"""Eight logs of a geared motor as a German spreadsheet writes them, from the generator: make_logs.py FOLDER."""
 
 import sys
 import tempfile
