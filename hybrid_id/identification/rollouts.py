@@ -57,13 +57,16 @@ class Rollouts:
             part = replace(part, x=part.x.clone()) if part is self.batch else part
             part.x[:, 0] = torch.as_tensor(first).flatten(0, 1)
         with torch.no_grad():
-            views = self.system.views(list(theta[..., None]))  # (P R, 1) beside channels (P R, T)
-            channels = self.system.hold(part.u, views)
-            arrived = {name: channels[name] for name in self.plain.input_names}
+            samples = part.x.shape[1]
+            views = self.system.views(list(theta.repeat_interleave(samples, 1)))
+            channels = self.system.hold(
+                {name: channel.reshape(-1) for name, channel in part.u.items()}, views
+            )
+            arrived = {name: channels[name].view_as(part.dt) for name in self.plain.input_names}
             arrived |= {name: channel for name, channel in part.u.items() if name.startswith("enable")}
-            x = shoot(self.plain, self.engine, part.x, arrived, part.dt, theta[self.rows], part.x.shape[1])
-            y = self.system.outputs(part.outputs, x.unbind(2), channels, views)
-        run = torch.stack([one.expand_as(part.dt) for one in y], -1)
+            x = shoot(self.plain, self.engine, part.x, arrived, part.dt, theta[self.rows], samples)
+            y = self.system.outputs(part.outputs, x.reshape(-1, x.shape[-1]).unbind(1), channels, views)
+        run = torch.stack(y, -1).reshape(*x.shape[:2], -1)
         residual = ((part.y - run) * part.weight).nan_to_num(WORST, WORST, -WORST).clamp(-WORST, WORST)
         return residual.reshape(count, rows, *residual.shape[1:]).numpy()
 

@@ -57,9 +57,11 @@ def measure(
     """
     rows, samples, n_x = x.shape
     n_y, n_f = len(outputs), len(free)
-    states = x.unbind(2)
+    states = x[:, 0].unbind(1)  # one sample of each row tells which outputs are states
     with torch.no_grad():
-        found = system.outputs(outputs, states, u, system.views(list(theta[..., None])))
+        found = system.outputs(
+            outputs, states, {name: channel[:, 0] for name, channel in u.items()}, system.views(list(theta))
+        )
     picks = [next((j for j, state in enumerate(states) if one is state), None) for one in found]
     if all(pick is not None for pick in picks):
         c = torch.eye(n_x, dtype=x.dtype, device=x.device)[picks].expand(rows, samples, n_y, n_x)
