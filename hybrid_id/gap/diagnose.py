@@ -149,8 +149,9 @@ def _diagnosed(
         believed(decision.weighed(suspects(search)), bool(varying), now.left if now.unknown else 0.0)
     )
     nothing = search.chosen is base and not now.unknown and not varying
-    told = preflight(dataset, system).combination_std if nothing else np.zeros(1)
-    vague = float(min(told, default=np.inf))
+    # what these records tell of today's model is asked only where something hangs on it
+    told = preflight(dataset, system) if nothing or bent_parameters(system, base.system) else None
+    vague = float(min(told.combination_std, default=np.inf)) if nothing and told is not None else 0.0
     return Diagnosis(
         case=dataset.name,
         verdict=_verdict(
@@ -165,11 +166,7 @@ def _diagnosed(
         shrink=gap,
         where=judged.before,
         left=now.after,
-        bent=tuple(
-            bent_parameters(system, base.system, preflight(dataset, system))
-            if bent_parameters(system, base.system)
-            else ()
-        ),
+        bent=tuple(bent_parameters(system, base.system, told)),
         experiments=tuple(
             next_experiment(dataset, [e for e in tied_explanations(search) if not decision.against(e)])
         ),

@@ -25,10 +25,9 @@ def check_encoders(dataset: Dataset, gear_ratio: Sequence[float]) -> list[Findin
         dataset: records; a joint counts that has ``q_m`` and ``q_a``.
         gear_ratio: of each joint.
     """
-    found = []
+    found, names = [], {channel.name for channel in dataset.outputs}
     for n, ratio in enumerate(gear_ratio, start=1):
         motor, link = f"q_m{n}", f"q_a{n}"
-        names = {channel.name for channel in dataset.outputs}
         if not {motor, link} <= names:
             continue
         a, b = (

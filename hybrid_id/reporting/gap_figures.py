@@ -12,7 +12,7 @@ from hybrid_id.gap.measure import Errors
 from hybrid_id.gap.round import Round
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.gap_maps import MODELS, map_figures, units_of
-from hybrid_id.reporting.gap_words import LEAST_SHARE, SIDES, joint_words, place_words, words_of
+from hybrid_id.reporting.gap_words import LEAST_SHARE, joint_words, place_words, side_words, words_of
 from hybrid_id.reporting.html.live import record_plot
 from hybrid_id.reporting.html.twin import Drawn, drawn
 from hybrid_id.reporting.record_plots import comparison_figure
@@ -117,7 +117,7 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
                 ylabel=f"missing torque {scaled_unit(units_of(dataset, one.joint)[1], exponent)}",
             )
             axes.set_title(
-                f"{joint_words(one.joint)}{SIDES[one.place]}: {100 * max(one.share, 0.0):.0f} %", loc="left"
+                f"{side_words(one.joint, one.place)}: {100 * max(one.share, 0.0):.0f} %", loc="left"
             )
             axes.set_xlim(one.grid[0], one.grid[-1])
         handles, labels = panels[0].get_legend_handles_labels()
@@ -140,7 +140,7 @@ def share_figure(diagnosis: Diagnosis) -> Figure:
             axes.barh(rows + 0.18, left, 0.34, color=MODELS["corrected"], label="corrected model")
         else:
             axes.barh(rows, before, 0.6, color=MODELS["re-fitted"], label="re-fitted model")
-        axes.set_yticks(rows, [f"{joint_words(o.joint)}{SIDES[o.place]}: {o.signal}" for o in shown])
+        axes.set_yticks(rows, [f"{side_words(o.joint, o.place)}: {o.signal}" for o in shown])
         axes.set(xlim=(0, 100), xlabel="explained part of what the model leaves [% of the mean square]")
         axes.invert_yaxis()
         axes.legend(loc="lower right")

@@ -9,7 +9,7 @@ from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.gap.maps import Reversals, TorqueMap, after_reversals, torque_map
 from hybrid_id.gap.refit import Refit
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.gap_words import LEAST_SHARE, SIDES, joint_words, percent
+from hybrid_id.reporting.gap_words import LEAST_SHARE, percent, side_words
 from hybrid_id.reporting.style import COLOURS, DASHES, journal, new_figure, scaled_unit, symbol, unit
 
 JOINTS, ANGLES = 3, 4
@@ -59,7 +59,7 @@ def torque_map_figure(dataset: Dataset, maps: list[dict[str, TorqueMap]]) -> Fig
                 axes.set(
                     xlabel=f"{side} angle [{unit(angle_unit)}]", ylabel=f"{side} speed [{unit(angle_unit)}/s]"
                 )
-                where = f"{joint_words(one.joint)}{SIDES[one.side]}"
+                where = side_words(one.joint, one.side)
                 share = percent(one.share) if one.share > LEAST_SHARE else "chance"
                 axes.set_title(f"{where}, {name}: {share}", loc="left")
                 figure.colorbar(image, ax=axes, label=f"missing torque [{unit(torque_unit)}]")

@@ -60,7 +60,7 @@ def _acting(diagnosis: Diagnosis) -> str:
     if joint is None:
         words = "Something that the catalogue lacks is at work"
     else:
-        where = joint_words(joint) + ("" if side is None else f", on the {SIDES[side][2:]}")
+        where = joint_words(joint) + ("" if side is None else f", on the {SIDES[side]}")
         words = f"Something that the catalogue lacks acts at {where}"
     if one is not None:
         shape = f"A torque of this shape explains {percent(one.share)} of what the best model leaves (mean square)"

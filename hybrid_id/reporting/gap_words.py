@@ -16,7 +16,7 @@ PLACES = {
     "input": "at the input", "motor": "in the motor", "motor_friction": "on the motor side",
     "transmission": "in the gear", "link_friction": "on the link side", "load": "at the load",
 }  # fmt: skip
-SIDES = {"motor": ", motor side", "load": ", link side", "joint": ""}
+SIDES = {"motor": "motor side", "load": "link side"}
 
 
 def goes_with(location: Location) -> str:
@@ -34,7 +34,7 @@ def where_line(diagnosis: Diagnosis) -> str:
     """The sides of joints and the signals that explain most of what the re-fitted model leaves."""
     sides: dict[str, list[str]] = {}
     for one in [one for one in diagnosis.where if one.share > LEAST_SHARE][:3]:
-        side = f"{joint_words(one.joint)}{SIDES[one.place]}"
+        side = side_words(one.joint, one.place)
         signal = one.signal if one.signal.startswith("what") else f"the {one.signal}"
         sides.setdefault(side, []).append(f"{signal} ({percent(one.share)})")
     if not sides:
@@ -134,6 +134,11 @@ def _measured(value: float, error: float, unit: str) -> str:
 def joint_words(where: str) -> str:
     """``joint1/motor`` -> ``joint 1``."""
     return where.split("/")[0].replace("joint", "joint ")
+
+
+def side_words(joint: str, place: str) -> str:
+    """``joint1``, ``load`` -> ``joint 1, link side``; a joint whose sides move alike has none."""
+    return f"{joint_words(joint)}, {SIDES[place]}" if place in SIDES else joint_words(joint)
 
 
 def place_words(where: str) -> str:

@@ -33,7 +33,7 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
         if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
             found.append(
                 f"{output} moves {times:.3g} times as far in the records as with the model's start values, and alike "
-                f"otherwise; check its unit"
+                "otherwise; check its unit"
             )
     return [Finding("warning", "start_values", one) for one in found]
 
