@@ -80,9 +80,9 @@ class Clock:
 def one(folder: Path, jobs: int) -> dict[str, Any]:
     """Diagnose a case: its size, its verdict and the time of each stage."""
     from hybrid_id import Dataset, load_model
-    from hybrid_id.gap import diagnose as whole
-    from hybrid_id.gap import judged
-    from hybrid_id.gap.refit import Refit
+    from hybrid_id.diagnosis import diagnose as whole
+    from hybrid_id.diagnosis import judged
+    from hybrid_id.diagnosis.refit import Refit
 
     dataset, system = Dataset.load(folder), load_model(folder / "model.yaml")
     fits, run = Counter[str](), Refit.run

@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from hybrid_id.components import Rigid as Rigid
     from hybrid_id.components import Stribeck as Stribeck
     from hybrid_id.components import Viscous as Viscous
+    from hybrid_id.diagnosis.diagnose import diagnose as diagnose
+    from hybrid_id.diagnosis.result import Diagnosis as Diagnosis
     from hybrid_id.errors import InputError as InputError
-    from hybrid_id.gap.diagnose import diagnose as diagnose
-    from hybrid_id.gap.diagnosis import Diagnosis as Diagnosis
     from hybrid_id.identification.adjoint import train as train
     from hybrid_id.identification.fit import fit as fit
     from hybrid_id.identification.result import FitResult as FitResult
@@ -57,8 +57,8 @@ _MODULES = {
         "Viscous"
     ),
     "hybrid_id.errors": "InputError",
-    "hybrid_id.gap.diagnose": "diagnose",
-    "hybrid_id.gap.diagnosis": "Diagnosis",
+    "hybrid_id.diagnosis.diagnose": "diagnose",
+    "hybrid_id.diagnosis.result": "Diagnosis",
     "hybrid_id.identification.adjoint": "train",
     "hybrid_id.identification.fit": "fit",
     "hybrid_id.identification.result": "FitResult",

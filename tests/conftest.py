@@ -15,7 +15,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
-    from hybrid_id.gap.diagnosis import Diagnosis
+    from hybrid_id.diagnosis.result import Diagnosis
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.systems.chain import System
 
@@ -51,7 +51,7 @@ def diagnosed() -> "tuple[Dataset, System, Diagnosis]":
     from gapcase import small_case
 
     from hybrid_id.components import REGISTRY
-    from hybrid_id.gap.diagnose import diagnose
+    from hybrid_id.diagnosis.diagnose import diagnose
 
     dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     return dataset, today, diagnose(dataset, today, most=1)
@@ -62,7 +62,7 @@ def sound() -> "tuple[Dataset, System, Diagnosis]":
     """Records of a drive whose model lacks nothing but the right values, today's model, and the diagnosis."""
     from gapcase import small_case
 
-    from hybrid_id.gap.diagnose import diagnose
+    from hybrid_id.diagnosis.diagnose import diagnose
 
     dataset, today = small_case()
     return dataset, today, diagnose(dataset, today, most=1)

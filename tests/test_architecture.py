@@ -32,7 +32,7 @@ FLOORS = {
     "control": 4,
     "statistics": 5,
     "study": 6,
-    "gap": 7,
+    "diagnosis": 7,
     "reproduction": 7,
     "reporting": 8,
     "export": 8,
@@ -46,7 +46,7 @@ FLOORS = {
 NEIGHBOURS = {("parameters", "errors"), ("twin", "records"), ("cli", "config")}
 # Units that must stay independent of more than their floor says: all that they may import of hybrid_id.
 ONLY = {"twin": {"twin", "errors", "records"}, "blind": {"blind", "errors", "records"}}
-NEVER = {("gap", "blind"), ("contenders", "blind")}
+NEVER = {("diagnosis", "blind"), ("contenders", "blind")}
 WITHOUT_TORCH = ("errors", "records", "twin", "statistics", "blind")
 PICKLES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal"}
 COMMAND_LINE = {"argparse", "click", "typer", "optparse", "getopt"}

@@ -11,8 +11,8 @@ import numpy as np
 
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY
-from hybrid_id.gap.diagnose import diagnose
-from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.diagnosis.diagnose import diagnose
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.readers.bam import read_bam

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hybrid_id.gap.pulses import Pulse
+from hybrid_id.diagnosis.pulses import Pulse
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import resample_record

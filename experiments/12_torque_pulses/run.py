@@ -9,7 +9,7 @@ from logs import Score, batch_of, planned, read_runs, told
 sys.path.insert(1, str(Path(__file__).parents[1] / "08_double_pendulum"))
 from arm import build  # pyright: ignore[reportMissingImports]
 
-from hybrid_id.gap.pulses import calibrate
+from hybrid_id.diagnosis.pulses import calibrate
 from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.simulation.solvers import OdeEngine
 

@@ -4,10 +4,10 @@ import sys
 import time
 from pathlib import Path
 
-from hybrid_id.gap.attribute import attribute
-from hybrid_id.gap.ranking import best_of_each, simplest_first
-from hybrid_id.gap.refit import TO_THE_END, Refit
-from hybrid_id.gap.starts import tasks
+from hybrid_id.diagnosis.attribute import attribute
+from hybrid_id.diagnosis.ranking import best_of_each, simplest_first
+from hybrid_id.diagnosis.refit import TO_THE_END, Refit
+from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
 

@@ -23,7 +23,7 @@ from hybrid_id.cli.study import reach_of
 from hybrid_id.config import Identification, StudyConfig, study_config
 
 if TYPE_CHECKING:
-    from hybrid_id.gap.diagnosis import Diagnosis
+    from hybrid_id.diagnosis.result import Diagnosis
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.systems.chain import System
 
@@ -99,7 +99,7 @@ def fitting_jobs(dataset: "Dataset") -> int:
 
 def run(dataset: "Dataset", system: "System", config: StudyConfig) -> "Diagnosis":
     """Diagnose as the config says, with a bar on stderr."""
-    from hybrid_id.gap.diagnose import diagnose as find
+    from hybrid_id.diagnosis.diagnose import diagnose as find
 
     with SearchProgress() as progress:
         return find(
@@ -201,7 +201,7 @@ def write_diagnosis(
 
             write_gap_events(folder / EVENTS, diagnosis, images)
         if wish.report:
-            from hybrid_id.gap.confidence import as_identified
+            from hybrid_id.diagnosis.confidence import as_identified
             from hybrid_id.records.quality import remarks
             from hybrid_id.reporting.html.gap_page import gap_page
             from hybrid_id.reporting.html.made import how_made

@@ -19,7 +19,7 @@ def effects(
     """List the effects that `diagnose` can name, what each is mistaken for, and what tells the two apart."""
     rows, pairs = effect_rows(), pair_rows()
     if as_json:
-        from hybrid_id.gap.catalogue import rivals
+        from hybrid_id.diagnosis.catalogue import rivals
         from hybrid_id.reporting.results import as_json as to_json
 
         named = [
@@ -58,7 +58,7 @@ def _markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def effect_rows() -> list[tuple[str, str, str, str, str]]:
     """Name, places, smoothness, rivals and source, in the order of the drive chain."""
-    from hybrid_id.gap.catalogue import effect, rivals
+    from hybrid_id.diagnosis.catalogue import effect, rivals
 
     found = [(effect(name), sorted(rivals(name), key=_ordered().index)) for name in _ordered()]
     return [(e.name, ", ".join(e.places), e.smoothness, ", ".join(others), e.source) for e, others in found]
@@ -66,7 +66,7 @@ def effect_rows() -> list[tuple[str, str, str, str, str]]:
 
 def pair_rows() -> list[tuple[str, str, str]]:
     """Two effects and the excitation that tells them apart, each pair once, in the order of the drive chain."""
-    from hybrid_id.gap.catalogue import rivals
+    from hybrid_id.diagnosis.catalogue import rivals
 
     names = _ordered()
     return [
@@ -78,8 +78,8 @@ def pair_rows() -> list[tuple[str, str, str]]:
 
 
 def _ordered() -> list[str]:
-    import hybrid_id.gap.effects  # noqa: F401  # fills the catalogue
+    import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
     from hybrid_id.components.base import PLACES
-    from hybrid_id.gap.catalogue import CATALOGUE
+    from hybrid_id.diagnosis.catalogue import CATALOGUE
 
     return sorted(CATALOGUE, key=lambda name: (PLACES.index(CATALOGUE[name].places[0]), name))

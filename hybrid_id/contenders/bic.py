@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.contenders.report import answer, gap_of, suspect
-from hybrid_id.gap.explanation import Explanation
-from hybrid_id.gap.refit import Refit, Task
-from hybrid_id.gap.starts import tasks
+from hybrid_id.diagnosis.explanation import Explanation
+from hybrid_id.diagnosis.refit import Refit, Task
+from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hybrid_id.gap.diagnose import diagnose
+from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hybrid_id.gap.diagnose import PARAMETRIC
-from hybrid_id.gap.measure import errors
-from hybrid_id.gap.shrink import shrink
+from hybrid_id.diagnosis.diagnose import PARAMETRIC
+from hybrid_id.diagnosis.measure import errors
+from hybrid_id.diagnosis.shrink import shrink
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from hybrid_id.contenders.report import answer, gap_of, suspect
-from hybrid_id.gap.refit import Refit
-from hybrid_id.gap.starts import tasks
+from hybrid_id.diagnosis.refit import Refit
+from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 

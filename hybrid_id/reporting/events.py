@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from torch.utils.tensorboard.writer import SummaryWriter
 
-from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.study import Study
 
 

@@ -8,8 +8,8 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.errors import InputError
-from hybrid_id.gap.diagnosis import Diagnosis
 from hybrid_id.reporting.gap_ties import experiment_lines, outvoted_lines, tie_lines
 from hybrid_id.reporting.gap_verdict import verdict_sentence
 from hybrid_id.reporting.gap_words import (

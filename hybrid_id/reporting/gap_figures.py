@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.gap.locate import Location
-from hybrid_id.gap.measure import Errors
-from hybrid_id.gap.round import Round
+from hybrid_id.diagnosis.locate import Location
+from hybrid_id.diagnosis.measure import Errors
+from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.diagnosis.round import Round
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.gap_maps import MODELS, map_figures, units_of
 from hybrid_id.reporting.gap_words import LEAST_SHARE, joint_words, place_words, side_words, words_of

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.gap.maps import Reversals, TorqueMap, after_reversals, torque_map
-from hybrid_id.gap.refit import Refit
+from hybrid_id.diagnosis.maps import Reversals, TorqueMap, after_reversals, torque_map
+from hybrid_id.diagnosis.refit import Refit
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.gap_words import LEAST_SHARE, percent, side_words
 from hybrid_id.reporting.style import COLOURS, DASHES, journal, new_figure, scaled_unit, symbol, unit

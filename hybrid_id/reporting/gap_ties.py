@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
-from hybrid_id.gap.catalogue import separation
-from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.diagnosis.catalogue import separation
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.reporting.gap_words import joint_words, place_words, words_of
 
 

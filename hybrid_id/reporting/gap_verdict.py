@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from hybrid_id.gap.course import acts_at
-from hybrid_id.gap.diagnose import VAGUE
-from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.gap.probability import Suspect
+from hybrid_id.diagnosis.course import acts_at
+from hybrid_id.diagnosis.diagnose import VAGUE
+from hybrid_id.diagnosis.probability import Suspect
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.reporting.gap_words import (
     SIDES,
     capital,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.gap.locate import IN_WORDS, Location
-from hybrid_id.gap.probability import Suspect
+from hybrid_id.diagnosis.locate import IN_WORDS, Location
+from hybrid_id.diagnosis.probability import Suspect
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.reporting.tables import count
 
 LEAST_SHARE = 0.02

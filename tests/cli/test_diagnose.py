@@ -19,7 +19,7 @@ from gapcase import small_case
 import hybrid_id.cli.diagnose as command
 from hybrid_id import __version__, load_model, replay, save_model
 from hybrid_id.config import load_config
-from hybrid_id.gap.next_experiment import next_experiment
+from hybrid_id.diagnosis.next_experiment import next_experiment
 
 FILES = {
     "config.yaml", "diagnosis.json", "gap.png", "missing_torque.png", "model.yaml", "refit.yaml", "report.html",

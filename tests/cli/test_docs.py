@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 import pytest
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-ELSEWHERE = {"effects.md"}  # tests/gap/test_effects_guide.py runs it
+ELSEWHERE = {"effects.md"}  # tests/diagnosis/test_effects_guide.py runs it
 FENCE = re.compile(r"^```(python|sh)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PAGES = {page.name: FENCE.findall(page.read_text(encoding="utf-8")) for page in sorted(DOCS.glob("*.md"))}
 

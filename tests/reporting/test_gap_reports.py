@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from hybrid_id.gap.catalogue import SIDES
-from hybrid_id.gap.confidence import as_identified
-from hybrid_id.gap.course import Course
-from hybrid_id.gap.diagnosis import Diagnosis
-from hybrid_id.gap.locate import Location
-from hybrid_id.gap.next_experiment import Experiment
+from hybrid_id.diagnosis.catalogue import SIDES
+from hybrid_id.diagnosis.confidence import as_identified
+from hybrid_id.diagnosis.course import Course
+from hybrid_id.diagnosis.locate import Location
+from hybrid_id.diagnosis.next_experiment import Experiment
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.events import write_gap_events
 from hybrid_id.reporting.gap import parameters_table, summary, suspects_table

@@ -5,7 +5,7 @@ from dataclasses import replace
 from gapcase import small_case
 
 from hybrid_id.components import REGISTRY
-from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.residual_tests import residual_tests

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from rich.text import Text
 
-from hybrid_id.gap.diagnosis import Diagnosis
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
 from hybrid_id.reporting.gap import UNLIKELY, beyond_lines, caution_lines, parameters_table, suspects_table

@@ -1,0 +1,169 @@
+"""Which experiment would tell tied explanations apart: of those simulated, the one that parts them most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from hybrid_id.diagnosis.explanation import Explanation
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.measures import DRIVES, estimate_noise
+from hybrid_id.records.record import Record
+from hybrid_id.records.units import stem
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
+
+DURATION = 8.0
+"""Length [s] of a proposed record."""
+REST = 0.1
+"""Time [s] at rest at its start."""
+TELLS = 0.5
+"""Least RMS difference of the tied models' outputs, over the encoders' noise, from which a record would part them."""
+
+Signal = Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A proposed record.
+
+    Attributes:
+        name: what it is, in words.
+        joint: whose command moves; the others rest.
+        time: [s], ``(T,)``.
+        inputs: all channels of the record, in SI units as the records hold them, ``(T,)`` each.
+        channel: that of the command that moves.
+        distance: RMS difference of the outputs of two tied models, in units of the encoders' noise: the smallest of
+            those pairs that the record parts, or the largest where it parts none.
+        today: the largest distance of these pairs on the records at hand.
+        together: pairs of tied effects, ``name@where``, that it does not part.
+    """
+
+    name: str
+    joint: int
+    time: np.ndarray
+    inputs: Mapping[str, np.ndarray]
+    channel: str
+    distance: float
+    today: float
+    together: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def command(self) -> np.ndarray:
+        """Command of the moving joint, ``(T,)``."""
+        return self.inputs[self.channel]
+
+    @property
+    def tells(self) -> bool:
+        """Whether its record would part the tied models."""
+        return self.distance >= TELLS
+
+
+def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
+    """Commands that excite different effects, by their names.
+
+    Args:
+        amplitude: largest command that the records have seen.
+        breakaway: command at which the joint begins to move.
+    """
+    low = min(1.6 * breakaway, 0.5 * amplitude)
+    return {
+        "slow reversals just above breakaway": lambda t: low * np.sin(2 * np.pi * 0.4 * t),
+        "reversals of growing size": lambda t: amplitude * (t / t[-1]) * np.sin(2 * np.pi * 1.0 * t),
+        "a fast sweep": lambda t: 0.6 * amplitude * np.sin(2 * np.pi * (0.5 * t + 1.8 * t**2)),
+        "a staircase of both signs": lambda t: amplitude * np.round(4 * np.sin(2 * np.pi * 0.15 * t)) / 4,
+        "full steps, coasting between them": lambda t: amplitude * np.sign(np.sin(2 * np.pi * 0.4 * t))
+        * (np.sin(2 * np.pi * 0.8 * t) > 0),
+        "small and fast on top of slow motion": lambda t: low * np.sin(2 * np.pi * 0.2 * t)
+        + 0.25 * amplitude * np.sin(2 * np.pi * 6.0 * t),
+    }  # fmt: skip
+
+
+def next_experiment(dataset: Dataset, tied: Sequence[Explanation]) -> list[Experiment]:
+    """Experiments that tell tied models apart, the best first; empty with fewer than two models.
+
+    The best parts most pairs of them, and these most clearly: a bias and friction uneven by direction, say, move alike
+    under any command, which is no reason not to part both from a spring. Each model keeps the parameters that the
+    records gave it, so that the distance is what the next record will show.
+
+    Args:
+        dataset: tells channels, amplitudes, noise and sample time.
+        tied: fitted models that explain the records alike.
+    """
+    if len(tied) < 2:
+        return []
+    reference = dataset.train[0]
+    noise = _noise(dataset)
+    step = reference.sample_time
+    time = np.arange(0.0, DURATION, step)
+    moving = time >= REST
+    found = []
+    names = list(combinations(_names(tied), 2))
+    today = np.max([_distances(dataset, [record], tied, noise) for record in dataset.train], axis=0)
+    for joint in tied[0].system.joints:
+        name = next(
+            (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None
+        )
+        if name is None:
+            continue
+        centre, amplitude = _room(dataset, name)
+        for title, signal in signals(amplitude, 0.15 * amplitude).items():
+            command = centre + np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
+            # a supply, a loop's gain and a switch stay as they were; the other joints' drives rest
+            inputs = {
+                other: np.full_like(time, 0.0 if stem(other) in DRIVES else float(np.median(values)))
+                for other, values in reference.inputs.items()
+            } | {name: command}
+            outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
+            record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
+            apart = _distances(dataset, [record], tied, noise)
+            if not np.isfinite(apart).all():
+                continue  # one of the models diverges under it
+            parted = apart >= TELLS
+            told = parted if parted.any() else apart == apart.max()
+            found.append(
+                Experiment(
+                    title, joint.number, time, inputs, name, float(apart[told].min()), float(today[told].max()),
+                    tuple(pair for pair, one in zip(names, parted, strict=True) if not one),
+                )
+            )  # fmt: skip
+    return sorted(found, key=lambda e: (len(e.together), -e.distance))
+
+
+def _noise(dataset: Dataset) -> dict[str, float]:
+    """Noise of each output, estimated from the train records where none is declared."""
+    known = {channel.name: channel.noise_std for channel in dataset.outputs}
+    return {
+        name: std or float(np.median([estimate_noise(r.outputs[name]) for r in dataset.train])) or 1.0
+        for name, std in known.items()
+    }
+
+
+def _room(dataset: Dataset, name: str) -> tuple[float, float]:
+    """Centre and amplitude of a command: a drive's around nothing, a goal's within what the records have reached."""
+    values = np.concatenate([record.inputs[name] for record in dataset.train])
+    if stem(name) in DRIVES:
+        return 0.0, float(np.abs(values).max())
+    return float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
+
+
+def _names(tied: Sequence[Explanation]) -> list[str]:
+    """What each model has and not all of them, as ``name@where``."""
+    common = set.intersection(*(set(e.effects) for e in tied))
+    return [" and ".join("@".join(n) for n in e.effects if n not in common) for e in tied]
+
+
+def _distances(
+    dataset: Dataset, records: Sequence[Record], tied: Sequence[Explanation], noise: Mapping[str, float]
+) -> np.ndarray:
+    """RMS difference between the outputs of every two models ``(pairs,)``, in units of the noise."""
+    scale, runs = np.array(list(noise.values())), []
+    for one in tied:
+        batch = make_batch(one.system, records, outputs=list(noise), noise_std=noise)
+        fine = with_substeps(one.system, one.result.engine, batch)
+        runs.append(simulate(one.system, fine, batch).y.numpy() / scale)
+    return np.array([np.sqrt(np.mean(np.square(a - b))) for a, b in combinations(runs, 2)])

@@ -1,0 +1,208 @@
+"""Where fits of effects over an angle begin: torques that would explain most of what a fit leaves.
+
+A sine that starts with the wrong period, or a spot at the wrong angle, is in another valley than the right one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybrid_id.components.base import Component
+from hybrid_id.diagnosis.probe import Probe, probe
+from hybrid_id.identification.result import FitResult
+from hybrid_id.parameters import Bounded
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.systems.gear import Views
+from hybrid_id.systems.joint import Joint
+
+PERIODS = range(1, 49)
+"""Periods a turn of the rotor that a motor's poles and slots may have."""
+GEAR_PERIODS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
+"""Periods a turn of the rotor that errors of a gear may have: a shaft behind it turns once in several turns of its."""
+MOST_WAVES = 12.0
+"""Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
+SPOTS = 24
+"""Places of a tight spot over the joint's range."""
+WIDTHS = (0.03, 0.07, 0.15)
+"""Its half widths, as shares of the range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Left:
+    """What a fit leaves, opened for torques at the sides of its joints, each once for all who look there.
+
+    Attributes:
+        result: pooled fit.
+        batch: its records.
+    """
+
+    result: FitResult
+    batch: Batch
+    _probes: dict[tuple[int, str], Probe] = field(default_factory=dict, repr=False)
+
+    def opened(self, joint: int, side: str) -> Probe:
+        """The probe at one side (``motor`` or ``load``) of a joint, numbered from 1."""
+        if (joint, side) not in self._probes:
+            fit = self.result
+            self._probes[joint, side] = probe(fit.system, fit.engine, self.batch, joint, side)
+        return self._probes[joint, side]
+
+
+def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
+    """Torques ``T_c cos(n q) + T_s sin(n q)`` over the rotor's angle, best first: (n, T_c, T_s).
+
+    The phase is that of the measured angle: a simulation that is off by a fraction of a period has lost it.
+
+    Args:
+        left: what a fit leaves.
+        joint: number, from 1.
+        place: where the torque acts.
+    """
+    opened = left.opened(joint, "motor")
+    phase = left.batch.x[..., opened.row]
+    found = _strongest(opened, [_waves(n * phase) for n in PERIODS])
+    return [(float(PERIODS[i]), *size) for i, size in found]
+
+
+def second_wave(
+    waves: Callable[[Left, int, str], list[tuple[float, ...]]], symbols: tuple[str, str], most: float
+) -> Callable[[Component, Left, int, str], list[dict[str, float | Bounded]]]:
+    """A further wave beside one that a component has: the strongest of another period, and the first one's overtone.
+
+    Args:
+        waves: looks for waves, best first.
+        symbols: of its cosine and sine.
+        most: largest amplitude, over the first wave's.
+    """
+
+    def start(part: Component, left: Left, joint: int, place: str) -> list[dict[str, float | Bounded]]:
+        if part.specs[symbols[0]].estimate:
+            return []
+        own = part.specs["n"].value
+        first = max(math.hypot(*(part.specs[symbol[:-1]].value for symbol in symbols)), 1e-12)
+        others = [(n, size) for n, *size in waves(left, joint, place) if n != own]
+        overtone = [other for other in others[1:] if other[0] == 2.0 * own]
+        return [
+            {"n_2": n} | {s: Bounded(min(max(x, -most * first), most * first), -most * first, most * first)
+                          for s, x in zip(symbols, size, strict=True)}
+            for n, size in others[:1] + overtone
+        ]  # fmt: skip
+
+    return start
+
+
+def friction_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
+    """Dry friction ``A_c cos(n q) + A_s sin(n q)`` over the joint's angle, best first: (n, A_c, A_s).
+
+    Args:
+        left: what a fit leaves.
+        joint: number, from 1.
+        place: where the friction acts.
+    """
+    opened, angle, rub = _rubbing(left, joint, place)
+    reach = float(angle.max() - angle.min())
+    # half a wave over the range is told from its neighbours, and a slope over the range is a quarter of one
+    steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
+    found = _strongest(opened, [rub[..., None] * _waves(n * angle) for n in steps])
+    return [(float(steps[i]), *size) for i, size in found[:2]]
+
+
+def friction_spots(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
+    """Dry friction ``A exp(-((q - q_0) / w)^2)`` over the joint's angle, best first: (q_0, w, A).
+
+    Args:
+        left: what a fit leaves.
+        joint: number, from 1.
+        place: where the friction acts.
+    """
+    opened, angle, rub = _rubbing(left, joint, place)
+    low, high = float(angle.min()), float(angle.max())
+    spots = [(q, share * (high - low)) for share in WIDTHS for q in np.linspace(low, high, SPOTS).tolist()]
+    found = _strongest(opened, [(rub * torch.exp(-(((angle - q) / w) ** 2)))[..., None] for q, w in spots])
+    return [(*spots[i], *size) for i, size in found[:2]]
+
+
+def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
+    """Errors ``e(q) = E_c cos(n q) + E_s sin(n q)`` of a gear over the rotor's angle, best first: (n, E_c, E_s).
+
+    To first order, a link of inertia J behind a rigid ``q / r + e(q)`` pulls at the rotor by
+    ``-(J / r) (2 e' a + e'' v^2)``. A compliant gear of stiffness k and damping d is wound up by e, which drives the
+    link by ``T = k e + d e' v``, and the rotor by ``-T / r - (J / r) e' a``.
+
+    Args:
+        left: what a fit leaves.
+        joint: number, from 1.
+        place: of the gear.
+    """
+    system = left.result.system
+    part = system.joints[joint - 1]
+    opened = left.opened(joint, "motor")
+    q, v = (left.batch.x[..., opened.row + k, None] for k in range(2))
+    a = torch.gradient(v, dim=1)[0] / left.batch.step
+    views = {key: c.view() for key, c in system.components.items() if isinstance(c, Component)}
+    key, inertia = part.inertia
+    pull = float(inertia.link(views[key], part.gear_ratio).detach()) / part.gear_ratio
+    stiffness = None if part.rigid else _stiffness(part, left.batch.x, views)
+    at_rotor, at_link = [], []
+    for n in GEAR_PERIODS:
+        error = _waves(n * q[..., 0])
+        slope = n * torch.stack([-error[..., 1], error[..., 0]], -1)
+        if stiffness is None:
+            at_rotor.append(-pull * (2.0 * slope * a - n**2 * error * v.square()))
+        else:
+            k, d = stiffness
+            at_link.append(k[..., None] * error + d[..., None] * slope * v)
+            at_rotor.append(-at_link[-1] / part.gear_ratio - pull * slope * a)
+    beside = None if part.rigid else (left.opened(joint, "load"), at_link)
+    return [(GEAR_PERIODS[i], *size) for i, size in _strongest(opened, at_rotor, beside)]
+
+
+def _stiffness(part: Joint, x: Tensor, views: Views) -> tuple[Tensor, Tensor]:
+    """Stiffness [N m/rad] and damping [N m s/rad] of a compliant gear at every sample, ``(R, T)`` each."""
+    rows = [row.detach().requires_grad_() for row in x.unbind(-1)]
+    link = part.positions[1]
+    with torch.enable_grad():
+        torque = part.spring_torque(rows, views).sum()
+    found = torch.autograd.grad(torque, rows[link : link + 2], allow_unused=True, materialize_grads=True)
+    return -found[0], -found[1]
+
+
+def _rubbing(left: Left, joint: int, place: str) -> tuple[Probe, Tensor, Tensor]:
+    """A probe where friction acts, the joint's angle there, and the direction against the motion."""
+    side = "load" if place == "link_friction" else "motor"
+    opened, x = left.opened(joint, side), left.batch.x
+    ratio = 1.0 if side == "load" else left.result.system.joints[joint - 1].gear_ratio
+    return opened, x[..., opened.row] / ratio, -torch.sign(x[..., opened.row + 1])
+
+
+def _waves(phase: Tensor) -> Tensor:
+    return torch.stack([phase.cos(), phase.sin()], -1)
+
+
+def _strongest(
+    opened: Probe, shapes: Sequence[Tensor], beside: tuple[Probe, Sequence[Tensor]] | None = None
+) -> list[tuple[int, tuple[float, ...]]]:
+    """Number and coefficients of the shapes ``(R, T, m)`` that leave least beside the model's own parameters.
+
+    Each acts with its twin at another side of the joint, where ``beside`` tells of these.
+    """
+    own, left = opened.own.flatten(0, 1).numpy(), opened.left.flatten().numpy()
+    moved = opened.response(torch.cat(list(shapes), -1))
+    if beside is not None:
+        moved = moved + beside[0].response(torch.cat(list(beside[1]), -1))
+    response = moved.flatten(0, 1).numpy()
+    basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
+    response, left = response - basis @ (basis.T @ response), left - basis @ (basis.T @ left)
+    found, first = [], 0
+    for i, shape in enumerate(shapes):
+        columns = response[:, first : first + shape.shape[-1]]
+        first += shape.shape[-1]
+        size = np.linalg.lstsq(columns, left, rcond=1e-8)[0]
+        found.append((float(np.square(left - columns @ size).sum()), i, tuple(size.tolist())))
+    return [(i, size) for _, i, size in sorted(found)]

@@ -1,0 +1,63 @@
+"""The effect that docs/effects.md adds is run as it stands there, and its table is that of the catalogue."""
+
+# pyright: reportCallIssue=false
+
+import re
+import runpy
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from gapcase import small_case
+
+import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
+from hybrid_id.cli.effects import effect_rows, pair_rows
+from hybrid_id.components.base import REGISTRY
+from hybrid_id.diagnosis.catalogue import CATALOGUE, SIDES, rivals
+from hybrid_id.diagnosis.diagnose import diagnose
+
+GUIDE = Path(__file__).resolve().parents[2] / "docs" / "effects.md"
+RIVALS = ("cubic_spring", "spring_load", "constant_torque")
+
+
+@pytest.fixture
+def catalogue(tmp_path: Path) -> Iterator[None]:
+    """The guide's effect is in the catalogue, few others are, and afterwards all is as it was."""
+    source = re.findall(
+        r"^```python\n(.*?)^```", GUIDE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )[0]
+    file = tmp_path / "cubic_spring.py"
+    file.write_text(source, encoding="utf-8")
+    before = dict(REGISTRY), dict(CATALOGUE)
+    try:
+        runpy.run_path(str(file))
+        for name in set(CATALOGUE) - set(RIVALS):
+            del CATALOGUE[name]
+        yield
+    finally:
+        for table, content in zip((REGISTRY, CATALOGUE), before, strict=True):
+            table.clear()
+            table.update(content)  # other tests walk them
+
+
+@pytest.mark.usefixtures("catalogue")
+def test_effect_of_the_guide_is_found() -> None:
+    dataset, today = small_case(REGISTRY["cubic_spring"](k_3=0.5))
+    found = diagnose(dataset, today, most=1)
+    assert "spring_load" in rivals("cubic_spring") and "cubic_spring" in rivals("spring_load")
+    assert found.verdict == "effects" and [s.name for s in found.selected] == ["cubic_spring"]
+    suspects = {s.name: s for s in found.effects}
+    assert set(suspects) == set(RIVALS)
+    first = found.search.rounds[0]
+    assert first.candidates[0].effects == (("cubic_spring", "joint1/load"),)
+    assert first.candidates[0].evidence.error < 0.05 * first.candidates[1].evidence.error
+    assert set(suspects["cubic_spring"].parameters) == {"k_3"}
+
+
+def test_table_of_the_guide_is_the_catalogue() -> None:
+    text = GUIDE.read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([^`|]*) \| ([^|]*) \| ([^|]*) \| ([^|]*) \|$", text, re.MULTILINE)
+    assert rows == effect_rows(), "print it anew: hybrid-id effects --markdown"
+    pairs = re.findall(r"^\| `(\w+)` \| `(\w+)` \| (.*?) \|$", text, re.MULTILINE)
+    assert pairs == pair_rows()
+    assert SIDES in text

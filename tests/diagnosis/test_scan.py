@@ -1,0 +1,142 @@
+"""Where a fit over an angle begins is found in what a model without it leaves."""
+
+# pyright: reportAttributeAccessIssue=false
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drives import flexible_drive, make_records, multisine
+from gapcase import small_case
+
+import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
+from hybrid_id import load_model, save_model
+from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
+from hybrid_id.components.base import Component
+from hybrid_id.diagnosis.catalogue import CATALOGUE, effect
+from hybrid_id.diagnosis.evidence import evidence
+from hybrid_id.diagnosis.explanation import Explanation
+from hybrid_id.diagnosis.probability import _parameters
+from hybrid_id.diagnosis.refit import engine
+from hybrid_id.diagnosis.scales import scales
+from hybrid_id.diagnosis.scan import (
+    GEAR_PERIODS,
+    Left,
+    friction_spots,
+    friction_waves,
+    gear_waves,
+    rotor_waves,
+)
+from hybrid_id.identification.secant import secant_fit
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.study.replays import batch_of
+
+
+@cache
+def left_by(law: type[Component], **values: float) -> Left:
+    """Today's model fitted to records of a drive with something beside its motor."""
+    places = {Cogging: "motor", KinematicError: "transmission"}
+    dataset, today = small_case(law(**values), f"joint1/{places.get(law, 'motor_friction')}")
+    batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
+    return Left(secant_fit(today, batch, engine=engine(), iterations=8), batch)
+
+
+def test_periods_of_cogging() -> None:
+    fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
+    n, first, second = rotor_waves(fit, 1, "motor")[0]
+    assert n == 1.0
+    assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
+
+
+def test_error_of_a_gear() -> None:
+    fit = left_by(KinematicError, E_c=2e-3, E_s=-3e-3, n=0.5)
+    found = gear_waves(fit, 1, "transmission")
+    assert found[0][0] == 0.5
+    assert found[0][1] > 0 > found[0][2]
+
+
+def test_fits_begin_with_every_period_of_a_gear() -> None:
+    """Whole runs have lost the phase, so that the strongest wave there need not be the right one."""
+    left = left_by(KinematicError, E_c=2e-3, E_s=-3e-3, n=0.5)
+    system = left.result.system
+    found = effect("kinematic_error").models(system, scales(system, left.batch)[0], left)
+    begun = [one.parameter("n").spec.value for one in found["joint1/transmission"]]
+    assert set(begun) == set(GEAR_PERIODS)
+
+
+def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
+    """Of a gear behind which the link swings: what winds it up drives both sides."""
+    today = flexible_drive()
+    waves = KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0, E_c2=3e-4, E_s2=2e-4, n_2=2.0)
+    truth, noise = today.with_component("joint1/transmission", waves), {"q_m1": 1e-3, "q_a1": 1e-5}
+    voltages = [multisine(k, samples=400, amplitude=6.0 + k, rest=20, step=0.005) for k in range(2)]
+    records = make_records(truth, voltages, noise=noise, outputs=tuple(noise), step=0.005)
+    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 1e-3), Channel("q_a1", "rad", 1e-5))
+    dataset = Dataset("wavy gear", *channels, tuple(records), 0.005)
+    batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
+    n, *size = gear_waves(Left(secant_fit(today, batch, engine=engine(), iterations=4), batch), 1, "")[0]
+    assert n == 1.0
+    assert np.linalg.norm(np.subtract(size, (1e-3, -5e-4))) < 0.4 * np.linalg.norm((1e-3, -5e-4))
+    known = today.with_component("joint1/transmission", KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0))
+    others = gear_waves(Left(secant_fit(known, batch, engine=engine(), iterations=4), batch), 1, "")
+    assert next(one for one in others if one[0] != 1.0) == pytest.approx((2.0, 3e-4, 2e-4), rel=0.3)
+
+
+def test_waves_of_friction() -> None:
+    fit = left_by(PositionDependent, A_c=0.004, A_s=0.003, n=7.0)
+    found = friction_waves(fit, 1, "motor_friction")
+    assert min(abs(n - 7.0) for n, _, _ in found) < 1.5
+
+
+def test_a_tight_spot_of_friction() -> None:
+    fit = left_by(TightSpot, A=0.008, q_0=0.2, w=0.1)
+    angle = fit.batch.x[..., 0].numpy() / 50.0
+    found = friction_spots(fit, 1, "motor_friction")
+    assert min(abs(q - 0.2) for q, _, _ in found) < 0.1 * float(np.ptp(angle))
+    assert all(height > 0 for _, _, height in found)
+
+
+def test_models_from_a_scan_go_through_a_file(tmp_path: Path) -> None:
+    left = left_by(TightSpot, A=0.008, q_0=0.2, w=0.1)
+    size = scales(left.result.system, left.batch)[0]
+    for name in ("position_dependent_friction", "cogging"):
+        for starts in CATALOGUE[name].models(left.result.system, size, left).values():
+            for start in starts:
+                save_model(start, tmp_path / "model.yaml")
+                assert list(load_model(tmp_path / "model.yaml").components) == list(start.components)
+
+
+def test_a_second_wave_is_of_another_period() -> None:
+    left = left_by(Cogging, T_c=0.003, T_s=-0.002, n=2.0)
+    first = Cogging(T_c=0.004, T_s=0.0, n=1.0)
+    system = left.result.system.with_component("joint1/motor", first)
+    (freer,) = CATALOGUE["cogging"].freer(
+        system, "joint1/motor", left
+    )  # which is the first one's overtone, too
+    part = freer.components["joint1/motor/cogging"]
+    assert part.specs["n_2"].value == 2.0
+    assert not part.specs["n_2"].estimate
+    assert part.specs["T_c2"].estimate
+    assert part.specs["T_s2"].estimate
+    assert part.specs["T_c2"].value > 0 > part.specs["T_s2"].value
+    # where the strongest other wave is none, the overtone is tried beside it
+    odd = left.result.system.with_component("joint1/motor", Cogging(T_c=0.004, T_s=0.0, n=3.0))
+    periods = [s.components["joint1/motor/cogging"].specs["n_2"].value for s in
+               CATALOGUE["cogging"].freer(odd, "joint1/motor", left)]  # fmt: skip
+    assert periods == [2.0, 6.0]
+    # what is free already is not freed again
+    assert not CATALOGUE["cogging"].freer(freer, "joint1/motor", left)
+    # a law with nothing left open
+    assert not CATALOGUE["quadratic_drag"].freer(system, "joint1/motor_friction", left)
+
+
+def test_periods_that_are_fixed_are_told() -> None:
+    left = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
+    system = left.result.system.with_component("joint1/motor", Cogging(T_c=0.003, T_s=-0.002, n=1.0))
+    fit = secant_fit(system, left.batch, engine=left.result.engine, iterations=8)
+    name = ("cogging", "joint1/motor")
+    told = _parameters(Explanation((name,), fit, evidence(fit.residual, 0.005)), name)
+    assert set(told) == {"T_c", "T_s", "n"}
+    assert told["n"] == (1.0, 0.0)
+    assert told["T_c"][1] > 0.0
