@@ -151,7 +151,7 @@ def test_module_keeps_the_rules(path: Path) -> None:
         ("identification.result", "import hybrid_id.control.computed_torque", "imports go down"),
         ("simulation.rollout", "from hybrid_id import load_model", "no floor"),
         ("systems.chain", "from . import arms", "relative name"),
-        ("gap.measure", "from hybrid_id.blind import seal", "may never know"),
+        ("diagnosis.measure", "from hybrid_id.blind import seal", "may never know"),
         ("twin.one_link", "from hybrid_id.parameters import Parameter", "may know only"),
         ("blind.case", "from hybrid_id.simulation.rollout import simulate", "may know only"),
         ("blind.physics.friction", "from hybrid_id.components import Coulomb", "may know only"),
