@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from typing import cast
 
 from hybrid_id.components.base import REGISTRY, Component
+from hybrid_id.diagnosis.periodic import Left
 from hybrid_id.diagnosis.scales import Scales
-from hybrid_id.diagnosis.scan import Left
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.systems.chain import System

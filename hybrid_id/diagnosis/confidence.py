@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hybrid_id.diagnosis.explanation import Explanation
-from hybrid_id.diagnosis.refit import Refit
+from hybrid_id.diagnosis.fits import Fits
+from hybrid_id.diagnosis.model import Model
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
@@ -15,7 +15,7 @@ from hybrid_id.study import Study, assess, preflight
 
 
 def as_identified(
-    dataset: Dataset, explanation: Explanation, *, signal_share: float = SIGNAL_SHARE, seed: int = 0
+    dataset: Dataset, model: Model, *, signal_share: float = SIGNAL_SHARE, seed: int = 0
 ) -> Study:
     """The statistics of `identify` for a model that a search has fitted: intervals, grades, what is told together.
 
@@ -25,12 +25,12 @@ def as_identified(
 
     Args:
         dataset: the records as the search has taken them, train and test.
-        explanation: the fitted model.
+        model: the fitted model.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         seed: of the bootstrap.
     """
-    found, system = explanation.result, explanation.system
-    batch = Refit(dataset, signal_share=signal_share).records(system)
+    found, system = model.result, model.system
+    batch = Fits(dataset, signal_share=signal_share).records(system)
     there = secant_fit(system, batch, engine=found.engine, iterations=0, x0=found.x0)
     told = preflight(dataset, system, signal_share=signal_share)
     unseen = [one.relative for one in told.directions if not np.isfinite(one.relative_std)]

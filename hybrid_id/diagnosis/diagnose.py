@@ -1,49 +1,56 @@
-"""From records and today's model to a diagnosis: search, test records, what they bear out."""
+"""From records and the nominal model to a diagnosis: measure, screen, fit, select, test, report.
+
+Train records fit. Train records left out whole, in turn, or validation records where there are some, choose and reject.
+The test records are opened once, after the answer is frozen: they measure the gap and change nothing.
+"""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hybrid_id.diagnosis.arbiter import decide, others
-from hybrid_id.diagnosis.attribute import MOST, Attribution, Progress, attribute, sure_though_small
-from hybrid_id.diagnosis.bent import bent_parameters
-from hybrid_id.diagnosis.course import courses
-from hybrid_id.diagnosis.evidence import COLOURED, negligible
-from hybrid_id.diagnosis.explanation import Explanation
-from hybrid_id.diagnosis.judged import Judge
-from hybrid_id.diagnosis.measure import Errors, errors
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine
+from hybrid_id.diagnosis.grade import (
+    Grade,
+    behind_play,
+    doubtful,
+    grade,
+    structural_share,
+    tied_models,
+    tied_sets,
+)
+from hybrid_id.diagnosis.held_out import Errors, Shrink, errors, shrink
+from hybrid_id.diagnosis.locate import Location, disturbances, locate
+from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.next_experiment import next_experiment
-from hybrid_id.diagnosis.own_sets import own_sets
-from hybrid_id.diagnosis.probability import believed, suspects, tied_explanations, tied_sets
-from hybrid_id.diagnosis.ranking import LEFT_OPEN
-from hybrid_id.diagnosis.refit import Refit, engine
-from hybrid_id.diagnosis.remainder import worst_unseen
+from hybrid_id.diagnosis.per_record import PerRecord, per_record
+from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.diagnosis.untold import untold
+from hybrid_id.diagnosis.screen import Progress
+from hybrid_id.diagnosis.select import MAX_EFFECTS, Selection, refitted_without, select
+from hybrid_id.diagnosis.unidentified import not_identifiable
+from hybrid_id.diagnosis.validation import mean_square
+from hybrid_id.diagnosis.windows import window_errors
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.facts import inseparable
 from hybrid_id.records.reach import beyond
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.identifiable import preflight
+from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
-PARAMETRIC = 1.1
-"""Ratio of nominal to re-fitted error from which the parameters were wrong."""
-VAGUE = 0.1
-"""Least standard error, relative, of what records tell of a model's parameters, from which an effect hides in them."""
-TOO_SHORT = 30.0
-"""Independent samples below which no structure can be told."""
+TOO_FEW = 30.0
+"""Independent samples below which no effect can be identified."""
 
 
 def diagnose(
     dataset: Dataset,
     system: System,
     *,
-    most: int = MOST,
+    max_effects: int = MAX_EFFECTS,
     jobs: int = 1,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
@@ -51,157 +58,255 @@ def diagnose(
 ) -> Diagnosis:
     """Find out why records and simulator disagree.
 
-    Search and fits use the train records; the test records measure the gap, and decide between effects that explain the
-    train records alike. Effects whose gain on them may as well be none (95 % interval) are withdrawn, and others are
-    searched for in their place; one that is sure but small on the train records is believed where it explains what the
-    test records leave open. Where the test records alone show something that no effect explains, the worst of them
-    joins the train records: what explains it there has to explain the others, or to leave them as they are where they
-    lack nothing. What is left is no effect where each record's own parameters explain all of it.
-
     Args:
-        dataset: train and test records.
-        system: today's model.
-        most: effects at most.
+        dataset: train records, validation records if there are any, and test records.
+        system: the nominal model.
+        max_effects: effects at most.
         jobs: processes.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         progress: called with (stage, done, total).
 
     Raises:
-        InputError: no train record, or today's model cannot be fitted to them.
+        InputError: no train record, or the nominal model cannot be fitted to them.
     """
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
-    search = partial(
-        _diagnosed,
-        system=system,
-        most=most,
-        jobs=jobs,
-        seed=seed,
-        signal_share=signal_share,
-        progress=progress,
-    )
-    found = search(dataset)
-    worst = worst_unseen(found.search.chosen, found.with_effect, found.unknown)
-    if worst is None or found.halted:
-        return found
-    seen = (replace(r, role="train") if r.name == worst else r for r in dataset.records)
-    again = search(replace(dataset, records=tuple(seen)), whole=found.refit)
-    more = found.unknown or set(found.search.chosen.effects) < set(again.search.chosen.effects)
-    return replace(again, opened=worst) if again.verdict == "effects" and more else found
-
-
-def _diagnosed(
-    dataset: Dataset,
-    *,
-    system: System,
-    most: int,
-    jobs: int,
-    seed: int,
-    signal_share: float,
-    progress: Progress | None,
-    whole: Errors | None = None,
-) -> Diagnosis:
-    """Search on the train records, judged by the test records; ``whole``: see :class:`Judge`."""
-    refit = Refit(dataset, jobs=jobs, signal_share=signal_share)
     say = progress or (lambda *_: None)
-    say("today's model", 0, 1)
-    decision = decide(refit, attribute(refit, system, most=most, progress=progress))
-    search = decision.search
-    base, withdrawn = search.base, ()
+    fits = Fits(dataset, jobs=jobs, signal_share=signal_share)
+    say("nominal model", 0, 1)
+    fits, found = search(fits, system, max_effects=max_effects, progress=progress)
     say("location", 0, 1)
-    judged = Judge(refit, base, whole, seed)
-    now = judged(search)
-    # where the other test records lack nothing, it is enough that an effect does them no harm
-    silent = whole is not None and judged.first is not None and judged.first.coloured <= COLOURED
-    refused = now.gap is not None and not now.halted and now.gap.interval[silent] <= 0.0
-    if search.chosen is not base and refused:
-        called_for, now = search.chosen.effects, judged(replace(search, chosen=base))
-        for other in others(refit, system, decision, most=most, progress=progress):
-            instead = judged(other.search)
-            if instead.borne_out:
-                decision, now = other, instead
-                break
-        withdrawn = tuple(name for name in called_for if name not in now.search.chosen.effects)
-    if now.unknown and (small := sure_though_small(now.search)) is not None:
-        added = judged(small)
-        if not added.unknown and added.borne_out:
-            now = added
-    own = own_sets(refit, now.search.chosen, system) if now.unknown else None
-    if own is not None and own.common.effects and own.common is now.search.chosen and not own.varying:
-        own = None  # a wrong formula, too, explains each record by values of its own; they have to differ surely
-    varying = () if own is None else own.varying
-    if own is not None:
-        if not own.common.effects:
-            base = own.common
-            # where nothing varies, the common fit had not found its end: that from one record's values is the re-fit
-            if not own.varying:
-                judged = Judge(refit, base, whole, seed)
-                now = replace(now, search=replace(now.search, base=base))
-        same = own.common is now.search.chosen
-        now = replace(now if same else judged(replace(now.search, chosen=own.common)), unknown=False)
-    if now.unknown and now.gap is not None and now.search.chosen.effects and now.gap.share < LEFT_OPEN:
-        # beside what the catalogue lacks, what closes next to nothing is not worth a name
-        withdrawn, now = (*withdrawn, *now.search.chosen.effects), judged(replace(now.search, chosen=base))
-    gap = replace(now.gap, share=0.0, interval=(0.0, 1.0)) if silent and now.gap is not None else now.gap
-    search = now.search
-    found = tuple(
-        believed(decision.weighed(suspects(search)), bool(varying), now.left if now.unknown else 0.0)
+    answer = settle(fits, found, system, seed=seed)
+    say("test records", 0, 1)
+    return report(dataset, system, answer, test(dataset, system, answer, seed=seed))
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What the train and validation records say. Frozen: the test records change none of it.
+
+    Attributes:
+        fits: holds the records and their horizon.
+        found: the search.
+        grade: shares, probabilities, what remains.
+        before, after: torques that would explain what the re-fitted and the chosen model leave, best first.
+        structural: share of what the chosen model leaves that has a cause.
+        varying: parameters that differ from record to record, in words.
+        rejected: effects that were accepted and then were not sure enough to be asserted, ``name at place``.
+        wrong_values: whether the nominal values err clearly more than the re-fitted ones.
+        vague: smallest relative standard error of what the records identify of the nominal model, where nothing is
+            named; 0 elsewhere.
+    """
+
+    fits: Fits
+    found: Selection
+    grade: Grade
+    before: tuple[Location, ...]
+    after: tuple[Location, ...]
+    structural: float
+    varying: tuple[str, ...]
+    rejected: tuple[str, ...]
+    wrong_values: bool
+    vague: float
+
+    @property
+    def verdict(self) -> str:
+        """``effects``, ``outside_catalogue``, ``parameters_only``, ``no_gap`` or ``inconclusive``."""
+        base = self.found.base
+        if self.found.chosen.effects:
+            return "effects"
+        if self.grade.unknown:
+            return "outside_catalogue"
+        if self.varying:
+            return "parameters_only"
+        if self.vague > CRITERIA.vague:
+            return "inconclusive"  # what identifies no parameter identifies no effect either
+        noisy = mean_square(base.result.residual) >= CRITERIA.negligible**2
+        if noisy and base.validation.effective < TOO_FEW:
+            return "inconclusive"
+        return "parameters_only" if self.wrong_values else "no_gap"
+
+
+def search(
+    fits: Fits, system: System, *, max_effects: int = MAX_EFFECTS, progress: Progress | None = None
+) -> tuple[Fits, Selection]:
+    """Stages measure, screen, fit and select: the re-fitted model and the effects that the train records call for.
+
+    Models are fitted and compared by free runs over whole records. Where even the best model's free runs lose these, all
+    of it is done again over windows from measured states.
+    """
+    found = select(fits, fits.base(system), system, max_effects=max_effects, progress=progress)
+    models = [found.base, found.chosen, *(e for step in found.steps for e in step.candidates)]
+    best = min((e for e in models if e.finished), key=lambda e: e.error)
+    shorter = fits.within(WINDOW)
+    if not fits.lost(best) or shorter.batch(system).rows == fits.records(system).rows:
+        return fits, found
+    return shorter, select(shorter, shorter.base(system), system, max_effects=max_effects, progress=progress)
+
+
+def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
+    """Freeze the answer: drop what is not sure, divide the gap, say where it lies and whether something unknown acts."""
+    before, rejected = tuple(locate(fits, found.base)), list[str]()
+    while True:
+        chosen = found.chosen
+        after = before if chosen is found.base else tuple(locate(fits, chosen))
+        structural = structural_share(chosen, after)
+        own = per_record(fits, chosen, system) if structural > CRITERIA.coloured else None
+        if own is not None:
+            structural = structural_share(chosen, after, own.coloured)
+            found = _for_all_records(found, own)
+        varying = () if own is None else own.varying
+        graded = grade(fits, found, structural, varying=own is not None and own.explained, seed=seed)
+        unsure = doubtful(graded)
+        if not unsure:
+            break
+        name = unsure[-1]
+        rejected.append(f"{name[0]} at {name[1]}")
+        rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
+        found = replace(found, chosen=rest or found.base)
+    nothing = not found.chosen.effects and not graded.unknown and not varying
+    told = preflight(fits.dataset, system) if nothing else None
+    vague = float(min(told.combination_std, default=np.inf)) if told is not None else 0.0
+    found = _final(fits, found)
+    wrong = _wrong_values(fits, system, found.base)
+    return Answer(fits, found, graded, before, after, structural, varying, tuple(rejected), wrong, vague)
+
+
+def _for_all_records(found: Selection, own: PerRecord) -> Selection:
+    """The search with the model whose values stand for all records."""
+    if own.model.effects:
+        return replace(found, chosen=own.model)
+    return replace(found, chosen=own.model, base=own.model)
+
+
+def _final(fits: Fits, found: Selection) -> Selection:
+    """The chosen and the nominal model fitted once more, to train and validation records together."""
+    if not fits.dataset.validation:
+        return found
+    everything = fits.on_all()
+    models = [found.base] if found.chosen is found.base else [found.base, found.chosen]
+    ends = everything.run([Task(e.effects, e.system) for e in models], FULL)
+    ends = [end or e for end, e in zip(ends, models, strict=True)]
+    return replace(found, base=ends[0], chosen=ends[-1])
+
+
+def _wrong_values(fits: Fits, system: System, base: Model) -> bool:
+    """Whether the nominal values err clearly more on the train records than the re-fitted ones."""
+    both = [
+        errors(fits.dataset, one, engine(), fits.dataset.train, window=fits.window)
+        for one in (system, base.system)
+    ]
+    nominal, refit = both
+    return nominal is not None and refit is not None and nominal.nrmse >= CRITERIA.wrong_values * refit.nrmse
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """What the test records say of a frozen answer; all None without test records that move.
+
+    Attributes:
+        nominal, refit, with_effect: errors of the nominal, the re-fitted and the corrected model.
+        shrink: how far the gap shrinks.
+        contradiction: where these records contradict the answer, in a sentence; empty elsewhere.
+        rest_differs: whether free runs halt at other rest positions than the machine, while the corrected model follows
+            them from measured states.
+    """
+
+    nominal: Errors | None = None
+    refit: Errors | None = None
+    with_effect: Errors | None = None
+    shrink: Shrink | None = None
+    contradiction: str = ""
+    rest_differs: bool = False
+
+
+def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> Tested:
+    """Stage test: open the test records, once, and measure the gap before and after over the horizon of the fits."""
+    fits, base, chosen = answer.fits, answer.found.base, answer.found.chosen
+    models = ((system, engine()), (base.system, base.result.engine), (chosen.system, chosen.result.engine))
+    nominal, first, last = (
+        errors(dataset, one, how, window=fits.window, signal_share=fits.signal_share) for one, how in models
     )
-    nothing = search.chosen is base and not now.unknown and not varying
-    # what these records tell of today's model is asked only where something hangs on it
-    told = preflight(dataset, system) if nothing or bent_parameters(system, base.system) else None
-    vague = float(min(told.combination_std, default=np.inf)) if nothing and told is not None else 0.0
+    if nominal is None or first is None or last is None:
+        return Tested()
+    left = last.coloured if last.coloured > CRITERIA.coloured or behind_play(chosen) else answer.structural
+    floor = min(max(last.noise, last.nrmse * float(np.sqrt(1.0 - min(left, 1.0)))), last.nrmse)
+    gap = shrink(first, last, floor, seed=seed)
+    rest = _rest_differs(fits, base, chosen, last)
+    return Tested(nominal, first, last, gap, "" if rest else _contradiction(answer, gap, first, last), rest)
+
+
+def _contradiction(answer: Answer, gap: Shrink, first: Errors, last: Errors) -> str:
+    """Where the test records contradict a frozen answer, in a sentence."""
+    if answer.found.chosen.effects and gap.interval[1] <= 0.0:
+        return "On the test records the corrected model predicts worse than the re-fitted one."
+    if answer.found.chosen.effects and gap.interval[0] <= 0.0:
+        return "The test records do not confirm the correction: the interval of the shrink holds zero."
+    trained = np.sqrt(mean_square(answer.found.chosen.result.residual))
+    quiet = answer.found.chosen.coloured <= CRITERIA.coloured
+    if (
+        quiet
+        and last.coloured > CRITERIA.coloured
+        and last.over_noise > 2.0 * max(trained, CRITERIA.negligible)
+    ):
+        return (
+            "The test records show something that no train record shows: give one of them the role 'train' and diagnose "
+            "again."
+        )
+    return ""
+
+
+def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
+    """Whether free runs over the test records are lost at other rest positions, although the model is right about them.
+
+    Such a model is judged by windows that begin at measured states: of what the re-fitted model leaves there, it has to
+    leave next to nothing.
+    """
+    if (
+        fits.window is not None
+        or last.coloured <= CRITERIA.coloured
+        or not chosen.effects
+        or behind_play(chosen)
+    ):
+        return False
+    left = []
+    for system in (base.system, chosen.system):
+        batch = batch_of(fits.dataset, system, fits.dataset.test, fits.signal_share, "cpu")
+        found = window_errors(system, engine(), batch, WINDOW)
+        left.append(sum(float(np.square(one).sum()) for one in found))
+    return 0.0 < left[1] < CRITERIA.left_open * left[0]
+
+
+def report(dataset: Dataset, system: System, answer: Answer, tested: Tested) -> Diagnosis:
+    """Stage report: all that a diagnosis shows and writes, in one object."""
+    found, graded = answer.found, answer.grade
+    told = preflight(dataset, system) if implausible_parameters(system, found.base.system) else None
     return Diagnosis(
         case=dataset.name,
-        verdict=_verdict(
-            base, search, _wrong_values(dataset, system, base), now.unknown, bool(varying), vague
-        ),
-        effects=found,
-        ties=tuple(tied_sets(found)),
-        unknown=now.unknown,
-        nominal=errors(dataset, system, engine(), signal_share=signal_share),
-        refit=judged.first,
-        with_effect=now.last,
-        shrink=gap,
-        where=judged.before,
-        left=now.after,
-        bent=tuple(bent_parameters(system, base.system, told)),
-        experiments=tuple(
-            next_experiment(dataset, [e for e in tied_explanations(search) if not decision.against(e)])
-        ),
-        withdrawn=tuple(f"{name} at {where}" for name, where in withdrawn),
-        outvoted=tuple(f"{name} at {where}" for name, where in decision.outvoted),
-        varying=varying,
-        halted=now.halted,
-        untold=untold(dataset, search.chosen.system),
-        together=tuple(inseparable(dataset.records)),
-        beyond=tuple(beyond(dataset)),
-        search=search,
-        vague=vague,
-        courses=tuple(courses(refit, search.chosen)) if now.unknown else (),
+        verdict=answer.verdict,
+        effects=graded.candidates,
+        ties=tuple(tied_sets(graded.candidates)),
+        unknown=graded.unknown,
+        remainder=graded.remainder,
+        remainder_interval=graded.remainder_interval,
+        window=answer.fits.window,
+        nominal=tested.nominal,
+        refit=tested.refit,
+        with_effect=tested.with_effect,
+        shrink=tested.shrink,
+        contradiction=tested.contradiction,
+        rest_differs=tested.rest_differs,
+        location=answer.before,
+        residual_after=answer.after,
+        implausible=tuple(implausible_parameters(system, found.base.system, told)),
+        experiments=tuple(next_experiment(dataset, tied_models(found))),
+        rejected=answer.rejected,
+        varying=answer.varying,
+        not_identifiable=not_identifiable(dataset, found.chosen.system),
+        confounded=tuple(inseparable(dataset.records)),
+        extrapolation=tuple(beyond(dataset)),
+        disturbances=tuple(disturbances(answer.fits, found.chosen)) if graded.unknown else (),
+        vague=answer.vague,
+        search=found,
     )
-
-
-def _wrong_values(dataset: Dataset, system: System, base: Explanation) -> bool:
-    """Whether today's values err clearly more than re-fitted ones: on the test records, on the others without these."""
-    seen = dataset.test or tuple(replace(record, role="test") for record in dataset.records)
-    among = replace(dataset, records=seen)
-    nominal, refit = errors(among, system, engine()), errors(among, base.system, base.result.engine)
-    return nominal is not None and refit is not None and nominal.nrmse >= PARAMETRIC * refit.nrmse
-
-
-def _verdict(
-    base: Explanation, search: Attribution, wrong: bool, unknown: bool, varying: bool, vague: float = 0.0
-) -> str:
-    if unknown:
-        return "outside_catalogue"
-    if search.chosen is not base:
-        return "effects"
-    if varying:
-        return "parameters_only"
-    if vague > VAGUE:
-        return "inconclusive"  # what moves no parameter surely moves no effect either
-    if base.evidence.effective < TOO_SHORT and not negligible(base.result.residual):
-        return "inconclusive"
-    return "parameters_only" if wrong else "no_gap"

@@ -1,8 +1,13 @@
-"""Where the gap lies: at which joint, on which side, and on what the missing torque depends."""
+"""Where the gap lies: at which joint, on which side, and on what the missing torque depends.
+
+A torque of any course in time has no signal and needs no catalogue: it says where something unknown acts. One torque has to
+explain the outputs of all joints at once, so that the right joint of an arm explains more than another; so does the right
+side of a compliant gear, by less.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +15,9 @@ import torch
 from scipy.signal import bilinear, lfilter
 from torch import Tensor
 
-from hybrid_id.diagnosis.explanation import Explanation
-from hybrid_id.diagnosis.probe import Probe, bumps, probe
-from hybrid_id.diagnosis.refit import Refit
+from hybrid_id.diagnosis.fits import Fits
+from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.response import Response, bumps, respond
 
 SPEEDS, ANGLES, COMMANDS = 9, 10, 9
 MEMORY = (0.02, 0.2)
@@ -23,14 +28,18 @@ SWINGS, DAMPING = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0), 0.08
 """Frequencies [Hz] and damping ratio of what may swing on the moving part."""
 TURNS = (1, 2, 3, 4, 6)
 """Periods a turn of the rotor in which a motor may pass the command on unevenly."""
+KNOT = 0.05
+"""Time [s] over which the torque is smooth."""
+SURE = 3.0
+"""Standard errors by which another place has to explain less."""
 
 IN_WORDS = {
-    "angle, against the motion": "it brakes more at some angles than at others",
-    "change of the command": "it follows the changes of the command",
-    "command, against the motion": "it opposes the motion and goes with the command",
-    "what the motion was": "it remembers the motion, as a delay or a hysteresis does",
-    "what swings on it": "it swings after the motion, as a mass on a spring does",
-    "time, against the motion": "it brakes more at some times of a record than at others",
+    "angle, opposite to the velocity": "it brakes more at some angles than at others",
+    "command rate": "it follows the changes of the command",
+    "command, opposite to the velocity": "it opposes the motion and goes with the command",
+    "motion history": "it remembers the motion, as a delay or a hysteresis does",
+    "a resonance": "it swings after the motion, as a mass on a spring does",
+    "time, opposite to the velocity": "it brakes more at some times of a record than at others",
     "command over the turn": "it goes with the command and changes over the rotor's turn",
 }
 """What a dependence means, for signals whose name does not say it."""
@@ -57,18 +66,18 @@ class Location:
     torque: np.ndarray
 
 
-def locate(refit: Refit, explanation: Explanation) -> list[Location]:
+def locate(fits: Fits, model: Model) -> list[Location]:
     """Torques that would explain what a fitted model leaves, best first.
 
     Args:
-        refit: holds the train records.
-        explanation: the fitted model.
+        fits: holds the train records.
+        model: the fitted model.
     """
-    batch = refit.records(explanation.system)
+    batch = fits.records(model.system)
     found = []
-    for joint in explanation.system.joints:
+    for joint in model.system.joints:
         for side in ("motor",) if joint.rigid else ("motor", "load"):
-            opened = probe(explanation.system, explanation.result.engine, batch, joint.number, side)
+            opened = respond(model.system, model.result.engine, batch, joint.number, side)
             for signal, waves, axis in signals(opened):
                 share, coefficients = opened.explained(waves)
                 grid, torque = _profile(axis, coefficients)
@@ -77,7 +86,7 @@ def locate(refit: Refit, explanation: Explanation) -> list[Location]:
     return sorted(found, key=lambda one: -one.share)
 
 
-def signals(opened: Probe) -> Iterator[tuple[str, Tensor, tuple[float, float, int] | None]]:
+def signals(opened: Response) -> Iterator[tuple[str, Tensor, tuple[float, float, int] | None]]:
     """Families of basis functions: what they depend on in words, ``(R, T, m)``, and the axis of a profile."""
     row = opened.row
     q, v = opened.batch.x[..., row], opened.batch.x[..., row + 1]
@@ -87,7 +96,7 @@ def signals(opened: Probe) -> Iterator[tuple[str, Tensor, tuple[float, float, in
     low, high = float(q[valid].min()), float(q[valid].max())
     yield "speed", torch.cat([bumps(v, SPEEDS, -top, top), sign[..., None]], -1), (-top, top, SPEEDS)
     yield "angle", bumps(q, ANGLES, low, high), (low, high, ANGLES)
-    yield "angle, against the motion", bumps(q, ANGLES, low, high) * sign[..., None], None
+    yield "angle, opposite to the velocity", bumps(q, ANGLES, low, high) * sign[..., None], None
     name = next(
         (n for n in opened.batch.u if n[:-1] in ("u", "duty", "tau", "i") and n[-1] == str(opened.joint)),
         None,
@@ -96,27 +105,27 @@ def signals(opened: Probe) -> Iterator[tuple[str, Tensor, tuple[float, float, in
         u = opened.batch.u[name]
         most = float(u[valid].abs().max())
         yield "command", bumps(u, COMMANDS, -most, most), (-most, most, COMMANDS)
-        yield "change of the command", torch.stack([u - _late(u, k) for k in (1, 2, 4, 8)], -1), None
+        yield "command rate", torch.stack([u - _late(u, k) for k in (1, 2, 4, 8)], -1), None
         yield (
-            "command, against the motion",
+            "command, opposite to the velocity",
             torch.stack([u.abs() * sign, u * sign * sign, u * u.abs()], -1),
             None,
         )
         if opened.side == "motor":
             turn = q[..., None] * torch.tensor(TURNS, dtype=q.dtype)
             yield "command over the turn", u[..., None] * torch.cat([turn.cos(), turn.sin()], -1), None
-    yield "what the motion was", _remembered(opened, v, sign), None
+    yield "motion history", _remembered(opened, v, sign), None
     time = torch.cumsum(opened.batch.dt, 1)
     wear = bumps(time, WEAR, 0.0, float(time.max())) * sign[..., None]
-    yield "time, against the motion", wear, None
-    yield "what swings on it", _swinging(opened, v), None
+    yield "time, opposite to the velocity", wear, None
+    yield "a resonance", _swinging(opened, v), None
 
 
 def _late(signal: Tensor, samples: int) -> Tensor:
     return torch.cat([signal[:, :1].expand(-1, samples), signal[:, :-samples]], 1)
 
 
-def _remembered(opened: Probe, v: Tensor, sign: Tensor) -> Tensor:
+def _remembered(opened: Response, v: Tensor, sign: Tensor) -> Tensor:
     """Direction and speed less what they were on average of late."""
     step = opened.batch.step
     found = []
@@ -128,7 +137,7 @@ def _remembered(opened: Probe, v: Tensor, sign: Tensor) -> Tensor:
     return torch.stack(found, -1)
 
 
-def _swinging(opened: Probe, v: Tensor) -> Tensor:
+def _swinging(opened: Response, v: Tensor) -> Tensor:
     """What masses on springs would pull, which the motion shakes: deflection and rate of each, of unit size."""
     step = opened.batch.step
     acceleration, found = np.gradient(v.numpy(), step, axis=1), []
@@ -153,3 +162,63 @@ def _profile(
     if len(coefficients) > count:  # the dry part of the speed's family
         torque = torque + coefficients[count] * np.sign(grid)
     return grid, torque
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """How much of what a model leaves a torque of any course in time could explain at one side of a joint.
+
+    Attributes:
+        joint: ``joint1`` ...
+        place: ``motor`` or ``load``: the side of the gear; ``joint`` where both move alike, or one is not measured.
+        share: part of the mean square within a short window, averaged over these, less what chance would explain.
+        behind: by how many standard errors it leaves more than the best place does; 0 for that.
+    """
+
+    joint: str
+    place: str
+    share: float
+    behind: float
+
+
+def disturbances(fits: Fits, model: Model) -> list[Disturbance]:
+    """Every side of every joint, the best first.
+
+    Args:
+        fits: holds the train records.
+        model: the fitted model.
+    """
+    batch, engine = fits.records(model.system), model.result.engine
+    left: dict[tuple[str, str], np.ndarray] = {}
+    for joint in model.system.joints:
+        sides = {}
+        for side in ("motor",) if joint.rigid else ("motor", "load"):
+            rest, whole = respond(model.system, engine, batch, joint.number, side).unexplained(KNOT)
+            # windows count alike: one in which a joint sticks otherwise than it was linearised would drown the rest
+            sides["joint" if joint.rigid else side] = rest / np.maximum(whole, 1e-300)
+        if not {f"q_m{joint.number}", f"q_a{joint.number}"} <= set(batch.outputs):
+            sides = {"joint": min(sides.values(), key=np.mean)}  # one encoder tells no side
+        left |= {(joint.name, side): rest for side, rest in sides.items()}
+    least = min(left.values(), key=np.mean)
+    found = [
+        Disturbance(*place, 1.0 - float(rest.mean()), _surplus(rest, least)) for place, rest in left.items()
+    ]
+    return sorted(found, key=lambda one: -one.share)
+
+
+def _surplus(rest: np.ndarray, least: np.ndarray) -> float:
+    """By how many standard errors the mean of what is left in a window exceeds the least, relative to both."""
+    surplus = (rest - least) / np.maximum(rest + least, 1e-300)
+    spread = float(surplus.std()) / np.sqrt(len(surplus))
+    return float(surplus.mean()) / spread if spread > 0 else 0.0
+
+
+def acts_at(found: Sequence[Disturbance]) -> tuple[str | None, str | None]:
+    """Joint and side at which something acts, each None where another explains nearly as much."""
+    if not found or found[0].share <= 0.0:
+        return None, None
+    best, others = found[0], found[1:]
+    if any(one.joint != best.joint and one.behind < SURE for one in others):
+        return None, None
+    told = best.place != "joint" and all(one.behind >= SURE for one in others if one.joint == best.joint)
+    return best.joint, best.place if told else None

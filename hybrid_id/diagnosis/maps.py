@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from hybrid_id.diagnosis.explanation import Explanation
-from hybrid_id.diagnosis.probe import bumps, probe
-from hybrid_id.diagnosis.refit import Refit, engine
+from hybrid_id.diagnosis.fits import Fits, engine
+from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.response import bumps, respond
 from hybrid_id.diagnosis.windows import windows
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -69,22 +69,20 @@ class Reversals:
     error: np.ndarray
 
 
-def torque_map(refit: Refit, explanation: Explanation, joint: int, side: str) -> TorqueMap:
+def torque_map(fits: Fits, model: Model, joint: int, side: str) -> TorqueMap:
     """The torque over angle and speed that would explain most of what a fitted model leaves of the train records.
 
     Args:
-        refit: holds the records.
-        explanation: the fitted model.
+        fits: holds the records.
+        model: the fitted model.
         joint: number, from 1.
         side: ``motor``, ``load``, or ``joint`` where both move alike.
     """
-    batch = refit.records(explanation.system)
+    batch = fits.records(model.system)
     shown = max(2, LARGEST // batch.x.shape[1])
     if batch.rows > shown:
         batch = batch.take(torch.linspace(0, batch.rows - 1, shown).round().long())
-    opened = probe(
-        explanation.system, explanation.result.engine, batch, joint, "load" if side == "load" else "motor"
-    )
+    opened = respond(model.system, model.result.engine, batch, joint, "load" if side == "load" else "motor")
     row = opened.row
     valid = (batch.weight > 0).any(2)
     q, v = batch.x[..., row], batch.x[..., row + 1]
@@ -105,19 +103,19 @@ def torque_map(refit: Refit, explanation: Explanation, joint: int, side: str) ->
     return TorqueMap(f"joint{joint}", side, share, angle, speed, torque)
 
 
-def after_reversals(refit: Refit, explanation: Explanation, window: float | None = None) -> list[Reversals]:
+def after_reversals(fits: Fits, model: Model, window: float | None = None) -> list[Reversals]:
     """Mean errors after the reversals of every measured angle, over all records, train and test.
 
     Args:
-        refit: holds the records.
-        explanation: the fitted model.
+        fits: holds the records.
+        model: the fitted model.
         window: length [s] of the windows from measured states that are simulated; None for whole records.
     """
-    system, dataset = explanation.system, refit.dataset
-    batch = batch_of(dataset, system, dataset.records, refit.signal_share, "cpu")
+    system, dataset = model.system, fits.dataset
+    batch = batch_of(dataset, system, dataset.records, fits.signal_share, "cpu")
     if window is not None:
         batch = windows(system, engine(), batch, window)
-    run = simulate(system, with_substeps(system, explanation.result.engine, batch), batch)
+    run = simulate(system, with_substeps(system, model.result.engine, batch), batch)
     time = torch.cumsum(batch.dt, 1) - batch.dt
     found = []
     for joint in system.joints:

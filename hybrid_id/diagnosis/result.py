@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
-from hybrid_id.diagnosis.attribute import Attribution
-from hybrid_id.diagnosis.course import Course, acts_at
-from hybrid_id.diagnosis.explanation import Explanation
-from hybrid_id.diagnosis.locate import Location
-from hybrid_id.diagnosis.measure import Errors
+from hybrid_id.diagnosis.grade import Candidate, Interval
+from hybrid_id.diagnosis.held_out import Errors, Shrink
+from hybrid_id.diagnosis.locate import Disturbance, Location, acts_at
+from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.next_experiment import Experiment
-from hybrid_id.diagnosis.probability import Suspect
-from hybrid_id.diagnosis.shrink import Shrink
-from hybrid_id.records.dataset import Dataset
+from hybrid_id.diagnosis.select import Selection
 from hybrid_id.systems.chain import System
 
 
@@ -24,72 +21,75 @@ class Diagnosis:
     Attributes:
         case: name of the dataset.
         verdict: ``effects``, ``parameters_only``, ``no_gap``, ``outside_catalogue`` or ``inconclusive``.
-        effects: every effect that was tried, the selected ones first, then by probability.
-        ties: groups of effects that these records cannot tell apart.
-        unknown: whether something acts that the catalogue lacks.
-        nominal, refit, with_effect: errors on the test records of today's model, the re-fitted and the corrected one;
+        effects: every effect that was tried, the selected ones first, by their share of the gap.
+        ties: groups of effects that these records cannot distinguish.
+        unknown: whether something that the catalogue lacks explains at least a tenth of the gap and as much as all
+            selected effects.
+        remainder: structural share of the gap that stays unexplained, on records left out.
+        remainder_interval: 95 % interval.
+        window: length [s] of the free runs over which models were fitted and compared; None for whole records.
+        nominal, refit, with_effect: errors on the test records of the nominal, the re-fitted and the corrected model;
             None without test records.
         shrink: how far the gap shrinks; None without test records.
-        where: torques that would explain what the re-fitted model leaves, best first.
-        left: the same for the corrected model.
-        bent: parameters that the re-fit has bent beyond what data sheets get wrong, in words.
+        contradiction: where the test records contradict the answer, in a sentence; empty elsewhere.
+        rest_differs: whether free runs over the test records stick at other rest positions than the machine, while the
+            corrected model follows them from measured states.
+        location: torques that would explain what the re-fitted model leaves, best first.
+        residual_after: the same for the corrected model.
+        implausible: parameters that the re-fit has moved beyond data-sheet tolerance, in words.
+        experiments: records that would distinguish tied effects, the best first; empty without ties.
+        rejected: effects that were accepted by the search and are not sure enough to be asserted, in words.
         varying: parameters that differ from record to record, in words, where each record's own values leave noise and
             one common set does not; the chosen model then has the set of the record that fits the others best.
-        halted: whether free runs over the test records halt at other detents than the machine, while the corrected
-            model follows them from measured states as closely as the train records.
-        withdrawn: effects that the train records called for, in words, and whose gain on the test records is not sure.
-        vague: least standard error, relative, of what these records tell of the parameters of today's model, where no
-            effect is named; 0 elsewhere.
-        courses: where something outside the catalogue acts, what a torque of any course would explain at each side of
-            each joint, best first.
-        outvoted: effects that explain the train records as well as the selected ones, in words, and predict the test
-            records surely worse.
-        untold: changes of the chosen model's parameters that these records do not see, in words.
-        together: facts of the records (a controller's gain, the temperature) that change together, in words.
-        beyond: test records that go where no train record has been, in words.
-        opened: name of the test record that the search has seen because the train records show too little, so that
-            errors and gap are those of the others; None where it has seen none.
-        experiments: records that would tell tied effects apart, the best first; empty without ties.
+        not_identifiable: changes of the chosen model's parameters that these records do not see, in words.
+        confounded: signals of the records (a controller's gain, the temperature) that change together, in words.
+        extrapolation: test records that go where no train record has been, in words.
+        disturbances: where something outside the catalogue acts, what a torque of any course in time would explain at
+            each side of each joint, best first.
+        vague: least standard error, relative, of what these records identify of the nominal model, where no effect is
+            named; 0 elsewhere.
         search: all that was tried.
     """
 
     case: str
     verdict: str
-    effects: tuple[Suspect, ...]
+    effects: tuple[Candidate, ...]
     ties: tuple[tuple[str, ...], ...]
     unknown: bool
+    remainder: float
+    remainder_interval: Interval
+    window: float | None
     nominal: Errors | None
     refit: Errors | None
     with_effect: Errors | None
     shrink: Shrink | None
-    where: tuple[Location, ...]
-    left: tuple[Location, ...]
-    bent: tuple[str, ...]
+    contradiction: str
+    rest_differs: bool
+    location: tuple[Location, ...]
+    residual_after: tuple[Location, ...]
+    implausible: tuple[str, ...]
     experiments: tuple[Experiment, ...]
-    withdrawn: tuple[str, ...]
-    untold: tuple[str, ...]
-    together: tuple[str, ...]
-    beyond: tuple[str, ...]
-    search: Attribution = field(repr=False)
-    opened: str | None = None
-    varying: tuple[str, ...] = ()
-    halted: bool = False
-    outvoted: tuple[str, ...] = ()
-    courses: tuple[Course, ...] = ()
-    vague: float = 0.0
+    rejected: tuple[str, ...]
+    varying: tuple[str, ...]
+    not_identifiable: tuple[str, ...]
+    confounded: tuple[str, ...]
+    extrapolation: tuple[str, ...]
+    disturbances: tuple[Disturbance, ...]
+    vague: float
+    search: Selection = field(repr=False)
 
     @property
-    def selected(self) -> tuple[Suspect, ...]:
-        """The effects that the diagnosis stands by."""
+    def selected(self) -> tuple[Candidate, ...]:
+        """The effects that the diagnosis asserts."""
         return tuple(s for s in self.effects if s.selected)
 
     @property
     def model(self) -> System:
-        """Today's model, re-fitted, with the selected effects."""
+        """The nominal model, re-fitted, with the selected effects."""
         return self.search.chosen.system
 
     @property
-    def fitted(self) -> dict[str, Explanation]:
+    def fitted(self) -> dict[str, Model]:
         """The models that were fitted: ``re-fitted``, and ``corrected`` where that is another one."""
         same = self.search.chosen is self.search.base
         return {"re-fitted": self.search.base} | ({} if same else {"corrected": self.search.chosen})
@@ -99,7 +99,7 @@ class Diagnosis:
         lines = [f"verdict: {self.verdict}"]
         lines += [
             f"  {one.joint}: {one.signal} explains {100 * one.share:.0f} %"
-            for one in self.where[:3]
+            for one in self.location[:3]
             if one.share > 0
         ]
         for one in self.effects[:4]:
@@ -117,33 +117,20 @@ class Diagnosis:
                 f"corrected {gap.with_effect:.3g}; {100 * gap.share:.0f} % ({100 * low:.0f}-{100 * high:.0f} %) of the "
                 "gap closed"
             )
-        return "\n".join([*lines, *(f"bent: {one}" for one in self.bent)])
-
-    def as_searched(self, dataset: Dataset) -> Dataset:
-        """The records with the roles that they had in the search: a test record may have joined the train records."""
-        seen = (replace(r, role="train") if r.name == self.opened else r for r in dataset.records)
-        return replace(dataset, records=tuple(seen))
+        return "\n".join([*lines, *(f"implausible: {one}" for one in self.implausible)])
 
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``."""
-        gap = self.shrink
+        gap, unknown_at = self.shrink, acts_at(self.disturbances) if self.unknown else None
         return {
             "case": self.case,
             "verdict": self.verdict,
             "unknown": self.unknown,
             "no_gap": self.verdict in ("no_gap", "parameters_only"),
-            "effects": [
-                {
-                    "name": s.name,
-                    "where": s.where,
-                    "probability": round(s.probability, 4),
-                    "tied_with": list(s.tied_with),
-                    "parameters": {k: list(v) for k, v in s.parameters.items()},
-                    "selected": s.selected,
-                }
-                for s in self.effects
-            ],
+            "effects": [_effect(one) for one in self.effects],
             "ties": [list(group) for group in self.ties],
+            "remainder": {"share": self.remainder, "interval": list(self.remainder_interval)},
+            "horizon": {"kind": "whole" if self.window is None else "windows", "seconds": self.window},
             "gap": {
                 "nominal": None if self.nominal is None else self.nominal.nrmse,
                 "refit": None if gap is None else gap.refit,
@@ -151,43 +138,53 @@ class Diagnosis:
                 "noise_floor": None if gap is None else gap.floor,
                 "shrink": None if gap is None else gap.share,
                 "shrink_interval": None if gap is None else list(gap.interval),
+                "by_output": {
+                    name: {"nominal": self.nominal.by_output[name], "refit": value,
+                           "with_effect": self.with_effect.by_output[name]}
+                    for name, value in self.refit.by_output.items()
+                } if self.nominal and self.refit and self.with_effect else {},
+                "contradiction": self.contradiction,
+                "rest_positions_differ": self.rest_differs,
             },
             "location": [
-                {
-                    "joint": one.joint,
-                    "place": one.place,
-                    "signal": one.signal,
-                    "share": max(one.share, 0.0),
-                    "profile": {"signal": one.grid.tolist(), "torque": one.torque.tolist()},
-                }
-                for one in self.where[:6]
+                _location(one) | {"profile": {"signal": one.grid.tolist(), "torque": one.torque.tolist()}}
+                for one in self.location[:6]
             ],
-            "left": [
-                {"joint": o.joint, "place": o.place, "signal": o.signal, "share": max(o.share, 0.0)}
-                for o in self.left[:3]
-            ],
-            "unknown_at": dict(zip(("joint", "place"), acts_at(self.courses), strict=True))
-            if self.unknown
-            else None,
-            "courses": [vars(one) for one in self.courses],
-            "bent_parameters": list(self.bent),
-            "withdrawn": list(self.withdrawn),
-            "outvoted": list(self.outvoted),
-            "varying_parameters": list(self.varying),
-            "cannot_be_told": [*self.untold, *self.together],
-            "beyond_training": list(self.beyond),
-            "opened": self.opened,
-            "halted_elsewhere": self.halted,
-            "window": self.search.window,
+            "residual_after": [_location(one) for one in self.residual_after[:3]],
+            "unknown_location": unknown_at and dict(zip(("joint", "place"), unknown_at, strict=True)),
+            "disturbance_location": [vars(one) for one in self.disturbances],
+            "implausible_parameters": list(self.implausible),
+            "rejected": list(self.rejected),
+            "between_record_variation": list(self.varying),
+            "not_identifiable": [*self.not_identifiable, *self.confounded],
+            "extrapolation": list(self.extrapolation),
             "next_experiments": [
                 {
                     "name": e.name,
                     "joint": e.joint,
                     "distance": e.distance,
                     "distance_today": e.today,
-                    "leaves_together": [list(pair) for pair in e.together],
+                    "confounded": [list(pair) for pair in e.together],
                 }
                 for e in self.experiments[:3]
                 if e.tells
             ],
-        }
+        }  # fmt: skip
+
+
+def _effect(one: Candidate) -> dict[str, Any]:
+    return {
+        "name": one.name,
+        "where": one.where,
+        "probability": round(one.probability, 4),
+        "share": one.share,
+        "share_interval": None if one.share_interval is None else list(one.share_interval),
+        "share_alone": one.alone,
+        "tied_with": list(one.tied_with),
+        "parameters": {symbol: list(value) for symbol, value in one.parameters.items()},
+        "selected": one.selected,
+    }
+
+
+def _location(one: Location) -> dict[str, Any]:
+    return {"joint": one.joint, "place": one.place, "signal": one.signal, "share": max(one.share, 0.0)}

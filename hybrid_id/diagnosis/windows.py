@@ -65,12 +65,34 @@ def window_errors(system: System, engine: Engine, batch: Batch, seconds: float) 
     short = windows(system, engine, batch, seconds)
     if short.rows == batch.rows:
         return []
+    run = simulate(system, *_started(system, engine, short))
+    found = ((run.y - short.y) * short.weight).numpy()
+    return [row[(weight > 0).any(1)] for row, weight in zip(found, short.weight.numpy(), strict=True)]
+
+
+def _started(system: System, engine: Engine, short: Batch) -> tuple[Engine, Batch]:
+    """Windows whose first states are moved by one Gauss-Newton step within their uncertainty, and a stable engine."""
     theta = system.theta().detach()[:, None].expand(-1, short.rows)
     engine = with_substeps(system, engine, short, theta)
     at = evaluate(system, engine, short, short.x, theta, [], loss=Loss(), chunk=short.x.shape[1])
     x = short.x.clone()
     with suppress(RuntimeError):  # states that nothing tells stay as they were measured
         x[:, 0] -= torch.linalg.solve(at.hessian, at.gradient)
-    run = simulate(system, engine, replace(short, x=x))
-    found = ((run.y - short.y) * short.weight).numpy()
-    return [row[(weight > 0).any(1)] for row, weight in zip(found, short.weight.numpy(), strict=True)]
+    return engine, replace(short, x=x)
+
+
+def free_runs(
+    system: System, engine: Engine, batch: Batch, seconds: float | None = None
+) -> tuple[Batch, np.ndarray]:
+    """Free runs of a model over whole records or over windows of them: what is run, and its outputs ``(R, T, n_y)``.
+
+    Args:
+        system: the model.
+        engine: how it is simulated.
+        batch: whole records, prepared for it.
+        seconds: length of the windows; None for whole records.
+    """
+    if seconds is None:
+        return batch, simulate(system, with_substeps(system, engine, batch), batch).y.numpy()
+    short = windows(system, engine, batch, seconds)
+    return short, simulate(system, *_started(system, engine, short)).y.numpy()

@@ -125,6 +125,11 @@ class Dataset:
         return tuple(record for record in self.records if record.role == "train")
 
     @property
+    def validation(self) -> tuple[Record, ...]:
+        """Records that choose between models and are fitted last, with the train records."""
+        return tuple(record for record in self.records if record.role == "validation")
+
+    @property
     def test(self) -> tuple[Record, ...]:
         """Records that no fit may see."""
         return tuple(record for record in self.records if record.role == "test")

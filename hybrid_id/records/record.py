@@ -30,7 +30,7 @@ class Record:
         time: Stamps [s], shape (T,), strictly increasing, T >= 2.
         inputs: Channel name -> values in SI units, (T,); sample k is held until sample k + 1.
         outputs: Channel name -> values in SI units, (T,), measured at the stamps.
-        role: `train`, or `test` for a record that no fit may see.
+        role: `train`; `validation` for a record that chooses between models, or `test` for one that nothing may see.
         note: What was done, for people.
         source: File that it came from, for messages.
         meta: Facts of the experiment, name -> number or text (payload, controller gain).
@@ -43,7 +43,7 @@ class Record:
     time: np.ndarray
     inputs: Mapping[str, np.ndarray]
     outputs: Mapping[str, np.ndarray]
-    role: Literal["train", "test"] = "train"
+    role: Literal["train", "validation", "test"] = "train"
     note: str = ""
     source: str = ""
     meta: Mapping[str, float | str] = field(default_factory=dict)
@@ -53,8 +53,10 @@ class Record:
             raise InputError(
                 f"record name {self.name!r} cannot be a file name; use at most 100 letters, digits, '_' and '-'"
             )
-        if self.role not in ("train", "test"):
-            raise InputError(f"{self.title}: role {self.role!r} is unknown; it is 'train' or 'test'")
+        if self.role not in ("train", "validation", "test"):
+            raise InputError(
+                f"{self.title}: role {self.role!r} is unknown; it is 'train', 'validation' or 'test'"
+            )
         if twice := set(self.inputs) & set(self.outputs):
             raise InputError(f"{self.title}: '{min(twice)}' is an input and an output; give one another name")
         freeze = {name: _read_only(values) for name, values in {**self.inputs, **self.outputs}.items()}

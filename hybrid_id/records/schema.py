@@ -72,7 +72,7 @@ class RecordEntry(_Part):
 
     file: str = Field(min_length=1)
     name: str | None = None
-    role: Literal["train", "test"] = "train"
+    role: Literal["train", "validation", "test"] = "train"
     note: str = ""
     format: Literal["csv", "parquet", "mat", "bam"] | None = None
     columns: dict[str, ColumnEntry] = {}

@@ -3,7 +3,7 @@
 import math
 
 from hybrid_id.diagnosis.catalogue import Effect, free, has, part_of, register
-from hybrid_id.diagnosis.scan import friction_spots, friction_waves
+from hybrid_id.diagnosis.periodic import friction_spots, friction_waves
 
 DRY = (
     "coulomb_friction",

@@ -1,7 +1,7 @@
 """Effects in the motor."""
 
 from hybrid_id.diagnosis.catalogue import Effect, free, has, register
-from hybrid_id.diagnosis.scan import rotor_waves, second_wave
+from hybrid_id.diagnosis.periodic import rotor_waves, second_wave
 
 FIRST_SHARES = (1.0, 0.3)
 """Of the cogging that a linear estimate asks for: beside so much, the rotor may stop elsewhere than it did."""

@@ -3,7 +3,7 @@
 import math
 
 from hybrid_id.diagnosis.catalogue import Effect, free, has, part_of, register
-from hybrid_id.diagnosis.scan import gear_waves, second_wave
+from hybrid_id.diagnosis.periodic import gear_waves, second_wave
 
 RESONANCES = (2.0, 4.0, 8.0, 16.0, 32.0)
 """Where rotor and link may swing against each other [Hz]: a fit finds what is half an octave away."""

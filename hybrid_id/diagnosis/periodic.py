@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.components.base import Component
-from hybrid_id.diagnosis.probe import Probe, probe
+from hybrid_id.diagnosis.response import Response, respond
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.batch import Batch
@@ -44,14 +44,14 @@ class Left:
 
     result: FitResult
     batch: Batch
-    _probes: dict[tuple[int, str], Probe] = field(default_factory=dict, repr=False)
+    _responses: dict[tuple[int, str], Response] = field(default_factory=dict, repr=False)
 
-    def opened(self, joint: int, side: str) -> Probe:
+    def opened(self, joint: int, side: str) -> Response:
         """The probe at one side (``motor`` or ``load``) of a joint, numbered from 1."""
-        if (joint, side) not in self._probes:
+        if (joint, side) not in self._responses:
             fit = self.result
-            self._probes[joint, side] = probe(fit.system, fit.engine, self.batch, joint, side)
-        return self._probes[joint, side]
+            self._responses[joint, side] = respond(fit.system, fit.engine, self.batch, joint, side)
+        return self._responses[joint, side]
 
 
 def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
@@ -173,7 +173,7 @@ def _stiffness(part: Joint, x: Tensor, views: Views) -> tuple[Tensor, Tensor]:
     return -found[0], -found[1]
 
 
-def _rubbing(left: Left, joint: int, place: str) -> tuple[Probe, Tensor, Tensor]:
+def _rubbing(left: Left, joint: int, place: str) -> tuple[Response, Tensor, Tensor]:
     """A probe where friction acts, the joint's angle there, and the direction against the motion."""
     side = "load" if place == "link_friction" else "motor"
     opened, x = left.opened(joint, side), left.batch.x
@@ -186,7 +186,7 @@ def _waves(phase: Tensor) -> Tensor:
 
 
 def _strongest(
-    opened: Probe, shapes: Sequence[Tensor], beside: tuple[Probe, Sequence[Tensor]] | None = None
+    opened: Response, shapes: Sequence[Tensor], beside: tuple[Response, Sequence[Tensor]] | None = None
 ) -> list[tuple[int, tuple[float, ...]]]:
     """Number and coefficients of the shapes ``(R, T, m)`` that leave least beside the model's own parameters.
 

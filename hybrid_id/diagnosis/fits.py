@@ -1,4 +1,4 @@
-"""Fits of candidate models to the train records, a few at a time, in order of promise."""
+"""Fits of models to the train records, and their errors on records left out."""
 
 from __future__ import annotations
 
@@ -13,16 +13,17 @@ from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.diagnosis.catalogue import over_angle
-from hybrid_id.diagnosis.evidence import WHITE, coloured, evidence
-from hybrid_id.diagnosis.explanation import Explanation, Name
-from hybrid_id.diagnosis.windows import windows
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.model import Model, Name
+from hybrid_id.diagnosis.validation import coloured, validation
+from hybrid_id.diagnosis.windows import free_runs, windows
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.identification.least_squares import Options
-from hybrid_id.identification.left_out import left_out
+from hybrid_id.identification.leave_one_out import folds, leave_one_out
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.rollouts import Slopes
+from hybrid_id.identification.rollouts import WORST, Rollouts, Slopes
 from hybrid_id.identification.secant import secant_fit, shaken, slopes_at
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
@@ -34,19 +35,14 @@ from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
 BEGINNING = 12
-"""Iterations of the fit in windows that today's model starts with: its nominal values may be far."""
-TO_THE_END = 40
-"""Iterations after which a fit is taken as it is."""
-LOOK = 5
-"""Iterations up to which a fit is a first look, judged by the records that it has seen."""
-STRAYED = 0.1
-"""Normalised RMSE of the best model's free runs from which they have lost the records: what acts at one angle or speed
-is then simulated at another, and an error at one instant lasts to the end."""
+"""Iterations of the fit in windows that the nominal model starts with: its values may be far."""
+COARSE, FINER, FULL, AGAIN = 5, 10, 40, 4
+"""Iterations of a first coarse fit, of a finer one, of a fit to the end, and of its re-fit without some records."""
 WINDOW = 0.5
-"""Length [s] of the windows, each from a measured state, over which models are compared instead."""
-WINDOW_LOOK = 12
-"""Iterations of a first look over windows."""
-SHARED_FROM = 2_000_000
+"""Length [s] of the windows, each from a measured state, that models are fitted to where free runs lose the records."""
+LEAST_IN_WINDOWS = 12
+"""Least iterations of a fit over windows."""
+PARALLEL_FROM = 2_000_000
 """States times samples that have been fitted when further fits are shared: about the time that processes take to start,
 and not the time itself, on which no result may depend."""
 
@@ -58,10 +54,10 @@ class Task:
     Attributes:
         effects: that it has.
         system: where the fit starts.
-        near: slopes of the model that it is close to, for a first look.
-        cost: where a look has ended; another method is tried where the fit ends higher.
-        x0: first states that the look has ended with, ``(R, n_x)``.
-        shake: whether the last fit of a gear that nobody sees behind is shaken out of the ripples of its cost.
+        near: slopes of the model that it is close to, for a coarse fit.
+        cost: where an earlier fit has ended; another method is tried where this one ends higher.
+        x0: first states that the earlier fit has ended with, ``(R, n_x)``.
+        shake: whether the last fit of a gear whose link nobody measures is restarted from perturbed values.
     """
 
     effects: tuple[Name, ...]
@@ -72,7 +68,7 @@ class Task:
     shake: bool = True
 
 
-class Refit:
+class Fits:
     """Fits models to the train records of a dataset.
 
     Args:
@@ -93,11 +89,18 @@ class Refit:
         self.dataset, self.jobs, self.signal_share, self.window = dataset, jobs, signal_share, window
         self.fitted = 0
 
-    def within(self, window: float) -> Refit:
+    def within(self, window: float) -> Fits:
         """The same over windows."""
         shorter = copy.copy(self)
         shorter.window = window
         return shorter
+
+    def on_all(self) -> Fits:
+        """The same for the train and validation records together."""
+        every = copy.copy(self)
+        seen = (replace(r, role="train") if r.role == "validation" else r for r in self.dataset.records)
+        every.dataset = replace(self.dataset, records=tuple(seen))
+        return every
 
     def records(self, system: System) -> Batch:
         """The train records, whole."""
@@ -108,23 +111,23 @@ class Refit:
         batch = self.records(system)
         return batch if self.window is None else windows(system, engine(), batch, self.window)
 
-    def strays(self, explanation: Explanation) -> bool:
+    def lost(self, model: Model) -> bool:
         """Whether a model's free runs lose the records; what is noise loses none, however little an output moves."""
-        batch = self.records(explanation.system)
+        batch = self.records(model.system)
         scale = batch.std(batch.y) * batch.weight.amax(1)
-        square = [np.maximum(np.square(r).mean(0) - 1.0, 0.0) for r in explanation.result.residual]
-        return float(np.sqrt(square / np.maximum(np.square(scale.numpy()), 1.0)).mean()) > STRAYED
+        square = [np.maximum(np.square(r).mean(0) - 1.0, 0.0) for r in model.result.residual]
+        return float(np.sqrt(square / np.maximum(np.square(scale.numpy()), 1.0)).mean()) > CRITERIA.lost
 
-    def base(self, system: System) -> Explanation:
-        """Today's model, fitted from its nominal values and from a fit in windows, whichever ends lower."""
+    def base(self, system: System) -> Model:
+        """The nominal model, fitted from its nominal values and from a fit in windows, whichever ends lower."""
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
         tasks = [Task((), start) for start in (system, near.system)]
-        ends = [e for e in self.run(tasks, TO_THE_END) if e is not None]
+        ends = [e for e in self.run(tasks, FULL) if e is not None]
         if not ends:
             raise InputError(
-                f"Today's model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
+                f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
             )
         return min(ends, key=lambda e: e.result.cost)
 
@@ -136,12 +139,12 @@ class Refit:
 
     def run(
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
-    ) -> list[Explanation | None]:
+    ) -> list[Model | None]:
         """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted."""
         samples, found = sum(record.n_samples for record in self.dataset.train), []
         while len(found) < len(tasks):
             left = tasks[len(found) :]
-            shared = self.jobs > 1 and self.fitted >= SHARED_FROM
+            shared = self.jobs > 1 and self.fitted >= PARALLEL_FROM
             some, jobs = (left, self.jobs) if shared and len(left) > 1 else (left[:1], 1)
             try:
                 # another process need not know the catalogue, to which the user may have added
@@ -158,32 +161,75 @@ class Refit:
         return found
 
 
-def _fit(refit: Refit, task: Task, iterations: int, halting: bool) -> Explanation | None:
+def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None:
     torch.set_num_threads(1)
-    if refit.jobs > 1:
+    if fits.jobs > 1:
         leave_ctrl_c_to_the_first()
-    step, last = min(record.sample_time for record in refit.dataset.train), iterations == TO_THE_END
+    full = iterations == FULL
     try:
-        batch = refit.batch(task.system)
-        loose = refit.window is None and hidden_links(task.system, batch)
-        if refit.window is not None:
+        batch = fits.batch(task.system)
+        hidden = fits.window is None and hidden_links(task.system, batch)
+        if fits.window is not None:
             result = _within(task, batch, iterations)
-        elif loose or iterations <= LOOK:
+        elif hidden or iterations <= COARSE:
             result = secant_fit(
                 task.system, batch, engine=engine(), iterations=iterations, near=task.near, x0=task.x0
             )
         else:
             result = _nearest(task, batch, iterations, halting)
-        if loose and task.shake and last:
+        if hidden and task.shake and full:
             result = shaken(result, batch)
-        blind = result.residual if iterations <= LOOK else left_out(result, batch)
-        found = evidence(blind, step)
+        if full or fits.dataset.validation:
+            unseen = _unseen(fits, result, batch)
+        else:
+            unseen = leave_one_out(result, batch) if iterations > COARSE else list(result.residual)
+        found = validation(unseen, batch.step)
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
         return None  # a start that the physics refuses is no candidate
-    kept = result.condensed()  # a search keeps hundreds
-    return Explanation(task.effects, kept, found, last) if found.error < float("inf") else None
+    # a search keeps hundreds
+    return Model(task.effects, result.condensed(), found, full) if np.isfinite(found.error) else None
+
+
+def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
+    """Weighted errors of a fit on the validation records, or on the train records left out whole, in turn."""
+    if not fits.dataset.validation:
+        return predicted(result, batch, fits.window)
+    system, share = result.system, fits.signal_share
+    whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
+    seen, run = free_runs(system, result.engine, whole, fits.window)
+    error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)
+    return [row[(weight > 0).any(1)] for row, weight in zip(error, seen.weight.numpy(), strict=True)]
+
+
+def predicted(result: FitResult, batch: Batch, window: float | None) -> list[np.ndarray]:
+    """Weighted errors of each row, ``(T, n_y)``, predicted by fits of the other records alone.
+
+    Every fit starts where that of all records has ended, with the first states that it has found: these are the left-out
+    record's own. A single record has no others: its blocks are left out one sixth at a time, linearised.
+    """
+    fold = folds(batch)
+    if fold is None:
+        return leave_one_out(result, batch)
+    found: list[np.ndarray] = [np.empty(0)] * batch.rows
+    for k in np.unique(fold):
+        inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
+        part, rest = batch.take(inside), batch.take(outside)
+        if window is None:
+            again = secant_fit(
+                result.system, part, engine=result.engine, iterations=AGAIN, x0=result.x0[inside.numpy()]
+            )
+        else:
+            options = Options(max_iterations=AGAIN, tolerance=0.5)
+            again = fit(result.system, part, pooled=True, engine=result.engine, options=options, warm=False)[
+                0
+            ]
+        cost = Rollouts(result.system, rest, result.engine, result.system.estimated)
+        errors = cost.residuals(again.values[None], result.x0[None, outside.numpy()])[0]
+        for row, error in zip(outside.tolist(), errors, strict=True):
+            found[row] = error[(batch.weight[row] > 0).any(1).numpy()]
+    return found
 
 
 def _nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> FitResult:
@@ -193,9 +239,9 @@ def _nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> FitRes
     from measured states does not.
     """
     ends = _both_ways(task.system, batch, iterations, task.cost, task.x0)
-    if halting and iterations == TO_THE_END and min(coloured(end.residual) for end in ends) > WHITE:
+    if halting and iterations == FULL and min(coloured(end.residual) for end in ends) > CRITERIA.white:
         with suppress(InputError, RuntimeError):
-            near = _within(task, windows(task.system, engine(), batch, WINDOW), WINDOW_LOOK)
+            near = _within(task, windows(task.system, engine(), batch, WINDOW), LEAST_IN_WINDOWS)
             ends += _both_ways(near.system, batch, iterations, task.cost, None)
     return min(ends, key=lambda end: end.cost)
 
@@ -208,7 +254,7 @@ def _both_ways(
     The first walks through valleys in which whole rollouts are stuck; the second sees through events and from afar.
     """
     options, ends = Options(max_iterations=iterations, tolerance=0.05), []
-    last = iterations == TO_THE_END
+    last = iterations == FULL
     with suppress(InputError, RuntimeError):
         exact = fit(system, batch, pooled=True, engine=engine(), options=options, warm=last)[0]
         # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
@@ -224,7 +270,7 @@ def _within(task: Task, batch: Batch, iterations: int) -> FitResult:
 
     Standard errors are those of the encoders' noise, of which the errors are many times here: half of one is little.
     """
-    options = Options(max_iterations=max(iterations, WINDOW_LOOK), tolerance=0.5)
+    options = Options(max_iterations=max(iterations, LEAST_IN_WINDOWS), tolerance=0.5)
     result = fit(task.system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
     if not np.isfinite(result.cost):
         raise RuntimeError("the start values diverge")

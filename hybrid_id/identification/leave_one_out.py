@@ -14,12 +14,23 @@ SHARES = (1.0, 0.3, 0.1)
 PARTS = 6
 """Parts that are left out, one at a time."""
 BLOCK = 0.5
-"""Length [s] of the blocks that go to the parts in turn: every part has a share of every motion, so that none is alone
-to tell a parameter, as a whole record may be that reaches the supply's limit."""
+"""Length [s] of the blocks of a single record that go to the parts in turn."""
 
 
-def left_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
-    """Weighted residuals of each record, ``(T, n_y)``, each block at what the other parts alone would ask for.
+def folds(batch: Batch) -> np.ndarray | None:
+    """Number of the part that each row of a batch is left out with, ``(R,)``: whole records, one by one where few.
+
+    Windows of a record go with it. None where all rows are of one record.
+    """
+    names = list(dict.fromkeys(batch.names))
+    if len(names) < 2:
+        return None
+    number = {name: k % PARTS for k, name in enumerate(names)}
+    return np.array([number[name] for name in batch.names])
+
+
+def leave_one_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
+    """Weighted residuals of each record, ``(T, n_y)``, each part at what the others alone would ask for.
 
     Without part i the estimate moves by one Gauss-Newton step, ``(H - H_i) delta = -J_i' r_i``, for the sum of all
     ``J_j' r_j`` is nothing at the end of a fit (A. C. Davison and D. V. Hinkley, Bootstrap Methods and their
@@ -70,7 +81,10 @@ def left_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
 
 
 def _parts(batch: Batch) -> np.ndarray:
-    """Number of the part that each sample belongs to, ``(R, T)``."""
+    """Number of the part that each sample belongs to, ``(R, T)``; a single record is left out block by block."""
     time = np.cumsum(batch.dt.numpy(), 1) - batch.dt.numpy()
+    fold = folds(batch)
+    if fold is not None:
+        return np.broadcast_to(fold[:, None], time.shape)
     blocks = np.floor(time / BLOCK + 1e-9).astype(int)
     return (blocks + np.arange(batch.rows)[:, None]) % PARTS

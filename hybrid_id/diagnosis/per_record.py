@@ -6,16 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.diagnosis.evidence import WHITE, coloured, mean_square
-from hybrid_id.diagnosis.explanation import Explanation
-from hybrid_id.diagnosis.ranking import is_explained
-from hybrid_id.diagnosis.refit import TO_THE_END, Refit, Task, engine
-from hybrid_id.diagnosis.starts import as_today
+from hybrid_id.diagnosis.candidates import at_nominal
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine
+from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.validation import coloured, mean_square
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.statistics.selection import select
-from hybrid_id.study.replays import batch_of, cross_validate
+from hybrid_id.study.replays import cross_validate
 from hybrid_id.systems.chain import System
 
 NAMED = 3
@@ -29,62 +29,68 @@ TOLD = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class OwnSets:
-    """One parameter set for each record, train and test, where these leave no more than white noise.
+class PerRecord:
+    """One parameter set for each train record.
 
     Attributes:
-        common: the model whose set stands for all records: as it was, or fitted again from that of one record, where it
-            explains the train records together; otherwise with the train record's set that fits the others best.
-        varying: the parameters whose differences matter most, each with its standard deviation over the records; none
-            where they do not differ surely, or one set explains all train records that no common one had explained.
+        model: the model whose set stands for all records: as it was, or fitted again from that of one record, where it
+            explains the train records together; otherwise with the set that predicts the others best.
+        coloured: share of what these sets leave that neighbouring samples have in common.
+        varying: the parameters whose differences matter most, each with its standard deviation over the records, where
+            every record's own set leaves no more than white noise; none where they do not differ surely, or one set
+            explains all records that no common one had explained.
+        explained: whether nothing structural is left with these sets.
     """
 
-    common: Explanation
+    model: Model
+    coloured: float
     varying: tuple[str, ...] = ()
+    explained: bool = False
 
 
-def own_sets(refit: Refit, explanation: Explanation, today: System) -> OwnSets | None:
-    """Fit a model to every record by itself.
+def per_record(fits: Fits, model: Model, nominal: System) -> PerRecord | None:
+    """Fit a model to every train record by itself.
 
     A drive's friction is another one on every day: its parameters scatter, and what one common set leaves is no effect
-    of a name. An effect that a model lacks shows within a record, too, whatever its parameters are. Nor is one shown by
-    a test record that the model explains with other values than the train records have told.
+    of a name. An effect that a model lacks shows within a record, too, whatever its parameters are.
 
     Args:
-        refit: holds the records.
-        explanation: the model, fitted to all train records together, which differences may have led astray.
-        today: today's model; each fit starts from its values.
+        fits: holds the records.
+        model: the model, fitted to all train records together, which differences may have led astray.
+        nominal: the nominal system; each fit starts from its values.
 
     Returns:
-        None where there is one record only, or a record is not explained by any set of its own.
+        None where there is one record only, or a fit fails, or models are fitted over windows.
     """
-    dataset, system = refit.dataset, explanation.system
-    if len(dataset.records) < 2:
+    system, batch = model.system, fits.records(model.system)
+    if batch.rows < 2 or fits.window is not None:
         return None
-    batch = batch_of(dataset, system, dataset.records, refit.signal_share, "cpu")
-    options = Options(max_iterations=TO_THE_END, tolerance=0.05)
-    start = as_today(system, today) or system
+    options = Options(max_iterations=FULL, tolerance=0.05)
+    start = at_nominal(system, nominal) or system
     try:
         sets = fit(start, batch, pooled=False, engine=engine(), options=options)
     except RuntimeError:  # one of them breaks off
         return None
-    if any(one.status == "diverged" or not _explained(one) for one in sets):
+    if any(one.status == "diverged" for one in sets):
         return None
-    if is_explained(explanation):
-        return OwnSets(explanation, _scatter(sets))
-    train = {record.name for record in dataset.train}
-    seen = [one for one in sets if one.records[0] in train]
-    best = seen[select(cross_validate(seen, refit.records(system), pooled=False)).index]
-    task, words = Task(explanation.effects, best.system), _scatter(sets)
-    there, fitted = refit.run([task], 0)[0], refit.run([task], TO_THE_END)[0]
-    if fitted is not None and is_explained(fitted):
-        return OwnSets(fitted)
-    return None if there is None or not words else OwnSets(there, words)
+    left = coloured([residual for one in sets for residual in one.residual])
+    if not all(_explained(one) for one in sets):
+        return PerRecord(model, left)
+    if model.coloured <= CRITERIA.coloured:
+        return PerRecord(model, left, _scatter(sets), True)
+    best = sets[select(cross_validate(sets, batch, pooled=False)).index]
+    task, words = Task(model.effects, best.system), _scatter(sets)
+    there, fitted = fits.run([task], 0)[0], fits.run([task], FULL)[0]
+    if fitted is not None and fitted.coloured <= CRITERIA.coloured:
+        return PerRecord(fitted, left, explained=True)
+    if there is None or not words:
+        return PerRecord(model, left)
+    return PerRecord(there, left, words, True)
 
 
 def _explained(one: FitResult) -> bool:
     """Whether a record's own values leave noise, or so little that only the encoder's counts are left."""
-    return coloured(one.residual) <= WHITE or mean_square(one.residual) < FAINT**2
+    return coloured(one.residual) <= CRITERIA.white or mean_square(one.residual) < FAINT**2
 
 
 def _scatter(sets: list[FitResult]) -> tuple[str, ...]:

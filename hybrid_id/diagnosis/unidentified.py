@@ -1,4 +1,4 @@
-"""What the records of a diagnosis cannot tell of a model's parameters, in words."""
+"""Changes of a model's parameters that its records do not identify, in words."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hybrid_id.study.identifiable import preflight
 from hybrid_id.systems.chain import System
 
 
-def untold(dataset: Dataset, system: System) -> tuple[str, ...]:
+def not_identifiable(dataset: Dataset, system: System) -> tuple[str, ...]:
     """Changes of a fitted model's parameters that its records do not see.
 
     A weight or an inertia that is held at its claimed value lends its scale to all torques: it is freed here, so that a

@@ -32,7 +32,7 @@ FREE_RIDGE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Probe:
+class Response:
     """A fitted model, opened for torques at one side of one joint.
 
     Attributes:
@@ -137,7 +137,7 @@ class Probe:
         return 1.0 - error[1] / max(error[0], 1e-300), coefficients[n_own:].numpy()
 
 
-def probe(system: System, engine: Engine, batch: Batch, joint: int, side: str) -> Probe:
+def respond(system: System, engine: Engine, batch: Batch, joint: int, side: str) -> Response:
     """Open a fitted model for torques at the rotor (``motor``) or at the link (``load``) of a joint.
 
     Args:
@@ -183,7 +183,7 @@ def probe(system: System, engine: Engine, batch: Batch, joint: int, side: str) -
     only = replace(lin, b=sign * lin.b[..., one], d=lin.d[..., one])
     positions = opened.joints[joint - 1].positions
     row = positions[0] if side == "motor" else positions[-1]
-    return Probe(side, joint, row, batch, index, record, only, x, mine, left, start, weight)
+    return Response(side, joint, row, batch, index, record, only, x, mine, left, start, weight)
 
 
 def bumps(signal: Tensor, count: int, low: float, high: float) -> Tensor:

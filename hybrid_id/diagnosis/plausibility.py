@@ -1,4 +1,4 @@
-"""Absorption: what a re-fit has bent to make up for what the model lacks."""
+"""Parameters that a re-fit has moved beyond data-sheet tolerance, to make up for what the model lacks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEAST = 1e-3
 """Entry of a direction below which a parameter does not belong to it."""
 
 
-def bent_parameters(nominal: System, fitted: System, told: Identifiability | None = None) -> list[str]:
+def implausible_parameters(nominal: System, fitted: System, told: Identifiability | None = None) -> list[str]:
     """Parameters that a re-fit has moved by more than their priors or, without one, data sheets are wrong, in words.
 
     Where a change that the records do not see (``told``, of the nominal model) has moved a parameter as far, with no

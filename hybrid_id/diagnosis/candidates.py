@@ -1,0 +1,143 @@
+"""Where the fits of a selection step start: every effect beside a model, at every place, from every initial value."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+
+import hybrid_id.diagnosis.effects  # noqa: F401  (fills the catalogue)
+from hybrid_id.diagnosis.catalogue import CATALOGUE, part_of, rotor_share
+from hybrid_id.diagnosis.fits import Fits, Task
+from hybrid_id.diagnosis.model import Model, Name, added_effect
+from hybrid_id.diagnosis.periodic import Left
+from hybrid_id.diagnosis.plausibility import implausible_parameters
+from hybrid_id.diagnosis.scales import scales
+from hybrid_id.errors import InputError
+from hybrid_id.identification.horizons import hidden_links
+from hybrid_id.systems.chain import System
+
+SPRINGS = ("backlash", "joint_flexibility", "hardening_flexibility")
+"""Effects of which a gear has one."""
+
+
+def tasks(
+    fits: Fits,
+    before: Model,
+    nominal: System,
+    among: frozenset[Name] | None = None,
+    refused: Collection[Name] = (),
+) -> tuple[list[Task], list[Task]]:
+    """A fit to start for every effect, place and initial value, or for those of some effects, but for refused ones.
+
+    Each starts where the model before has ended. Where that has moved its parameters beyond what data sheets get wrong,
+    each may start from the nominal values, too: the second list, for fits from afar.
+    """
+    batch = fits.records(before.system)
+    left = Left(before.result, batch)
+    taken, found, others = set(before.effects), [], []
+    moved = len(before.effects) < 2 and bool(implausible_parameters(nominal, before.system))
+    least = before.result.cost
+    here, there = fits.slopes(before.system, least), None
+    if (
+        moved
+        and hidden_links(before.system, batch)
+        and (own := at_nominal(before.system, nominal)) is not None
+    ):
+        there = fits.slopes(own, least)  # behind play even a fit from afar is one of whole records
+    for size in scales(before.system, batch):
+        for effect in CATALOGUE.values():
+            for where, starts in effect.models(before.system, size, left).items():
+                name = effect.name, where
+                if name in taken or name in refused or (among is not None and name not in among):
+                    continue
+                names = tuple(sorted((*before.effects, name)))
+                for start in starts:
+                    found.append(Task(names, start, here))
+                    if moved and (again := at_nominal(start, nominal)) is not None:
+                        others.append(Task(names, again, there))
+    return found, others
+
+
+def at_nominal(system: System, nominal: System) -> System | None:
+    """The system with the nominal values of all that both have; None where they cannot stand beside the effect."""
+    names = {(info.component, info.symbol): info.name for info in system.table}
+    values = {(i.component, i.symbol): i.spec.value for i in nominal.table if i.spec.estimate}
+    with suppress(InputError):  # no mass matrix, say, of inertias that a gear with play has divided
+        return system.with_values({names[key]: value for key, value in values.items() if key in names})
+    return None
+
+
+def special_cases(fits: Fits, before: Model, richer: Model) -> list[Task]:
+    """Fits of what an effect has as its special cases, each in its place and from where the fit with it has ended.
+
+    From the model before, which lacks both, the richer law may have found a way that the special case has not.
+    """
+    name, where = added_effect(richer, before)
+    rest = without(richer.system, before.system, (name, where)) if CATALOGUE[name].contains else None
+    if rest is None:
+        return []
+    (size,) = (s for s in scales(rest, fits.records(rest)) if where.startswith(f"joint{s.joint}/"))
+    others = tuple(effect for effect in richer.effects if effect != (name, where))
+    return [
+        Task(tuple(sorted((*others, (special, where)))), start)
+        for special in CATALOGUE[name].contains
+        for start in CATALOGUE[special].models(rest, size).get(where, [])
+    ]
+
+
+def swapped(rest: System, effects: tuple[Name, ...], rivals: Sequence[Model], before: Model) -> list[Task]:
+    """Rivals of an effect put beside the other effects that a model has, from the values that each had alone.
+
+    Args:
+        rest: the model without the effect.
+        effects: that it has.
+        rivals: of the effect, in the step that has brought it.
+        before: the model that this step has begun with.
+    """
+    found = []
+    for rival in rivals:
+        name = added_effect(rival, before)
+        sprung = name[0] in SPRINGS and any(o in SPRINGS and where == name[1] for o, where in effects)
+        start = None if name in effects or sprung else _with(rest, rival.system, name)
+        if start is not None:
+            found.append(Task(tuple(sorted((*effects, name))), start))
+    return found
+
+
+def _with(system: System, other: System, name: Name) -> System | None:
+    """The system with an effect as another system has it; None where it cannot stand there."""
+    effect, share = CATALOGUE[name[0]], rotor_share(other, name[1][:6])
+    for kind in effect.kinds:
+        part = part_of(other, name[1], kind)
+        if part is not None:
+            with suppress(InputError):
+                found = system.with_component(name[1], part)
+                if share is None or kind not in effect.splits:
+                    return found
+                return found.with_specs({share.name: share.spec})
+    return None
+
+
+def without(system: System, base: System, name: Name) -> System | None:
+    """The system less one of its effects; what the effect had replaced comes back."""
+    for kind in CATALOGUE[name[0]].kinds:
+        part = part_of(system, name[1], kind)
+        if part is None:
+            continue
+        family = part.family()
+        here = (p for key, p in base.components.items() if key.startswith(f"{name[1]}/"))
+        old = next((p for p in here if isinstance(p, family)), None)
+        rest = system.without_component(name[1], kind) if old is None else system.with_component(name[1], old)
+        return _joined(rest, base, name[1][:6])
+    return None
+
+
+def _joined(system: System, base: System, joint: str) -> System:
+    """The system with the rotor's share of a joint as it was, where no effect is left that identifies it."""
+    share = rotor_share(system, joint)
+    telling = {
+        f"{joint}/{place}/{kind}" for e in CATALOGUE.values() for place in e.places for kind in e.splits
+    }
+    if share is None or any(key in telling and key not in base.components for key in system.components):
+        return system
+    return system.with_specs({share.name: base.parameter(share.name).spec})

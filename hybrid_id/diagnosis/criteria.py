@@ -1,0 +1,54 @@
+"""Every number that decides what a diagnosis claims, with its meaning and source."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Criteria:
+    """What has to be shown before something is claimed. Mean squares are of weighted errors on records left out.
+
+    Attributes:
+        false_alarms: probability that a search over the whole catalogue names anything where nothing is missing; level
+            of the sign-flip test over all candidates of a selection step.
+        least_fall: smallest relative fall of the mean square for which a first effect is named; a law's formula differs
+            between authors by about as much.
+        next_fall: the same beside another effect, whose own formula may leave what a further one can pick up.
+        completing_fall: the same beside another effect where what then remains is white.
+        distinct_fall: relative difference of the mean squares of two candidates below which these are
+            indistinguishable, and
+        distinct_z: standard errors of their difference below which they are, too.
+        left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival; and
+            the least share of the gap that a remainder has where something outside the catalogue is claimed.
+        white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
+            residuals are white noise.
+        coloured: the same from which something structural is missing; small random torques and the rounding of
+            encoders alone leave less.
+        negligible: RMS of weighted errors below which nothing is looked for; 1 is the noise and what any good model
+            misses.
+        lost: normalised RMSE of the best model's free runs from which these have lost the records, so that a shorter
+            horizon is taken.
+        wrong_values: ratio of nominal to re-fitted RMS error from which the parameter values were wrong.
+        vague: smallest relative standard error of any combination of parameters from which the records are too short to
+            identify an effect.
+        least_probability: below which no effect is asserted.
+    """
+
+    false_alarms: float = 0.05
+    least_fall: float = 0.03
+    next_fall: float = 0.25
+    completing_fall: float = 0.1
+    distinct_fall: float = 0.11
+    distinct_z: float = 2.5
+    left_open: float = 0.1
+    white: float = 0.1
+    coloured: float = 0.3
+    negligible: float = 0.1
+    lost: float = 0.1
+    wrong_values: float = 1.1
+    vague: float = 0.1
+    least_probability: float = 0.5
+
+
+CRITERIA = Criteria()

@@ -1,0 +1,318 @@
+"""What each effect explains and how surely: shares, probabilities, ties, and what remains."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hybrid_id.diagnosis.catalogue import effect
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.fits import Fits
+from hybrid_id.diagnosis.locate import Location
+from hybrid_id.diagnosis.model import Model, Name, added_effect
+from hybrid_id.diagnosis.screen import Step
+from hybrid_id.diagnosis.select import Selection, accepted, chance, needed_fall, refitted_without
+from hybrid_id.diagnosis.validation import DRAWS, mean_square
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect at one place.
+
+    Attributes:
+        name, where: which effect acts where.
+        probability: that it is at work.
+        selected: whether the diagnosis asserts it.
+        tied_with: effects that it is indistinguishable from, ``name@where``.
+        parameters: estimate and standard error of each parameter that it brings, by symbol; a fixed one that belongs
+            to the answer has the error 0.
+        share: of the gap that it explains where it is added after those before it; None of one that is not selected.
+        share_interval: 95 % interval of that, with the uncertainty of its selection.
+        alone: share of the gap that it explains when it stands alone beside the nominal model.
+    """
+
+    name: str
+    where: str
+    probability: float
+    selected: bool
+    tied_with: tuple[str, ...]
+    parameters: dict[str, tuple[float, float]]
+    share: float | None = None
+    share_interval: Interval | None = None
+    alone: float | None = None
+
+
+@dataclass(frozen=True)
+class Grade:
+    """How the gap divides. Gap: mean square of the re-fitted model's errors on records left out, less the floor's.
+
+    Attributes:
+        candidates: every effect that was tried, the selected ones by share, then the others by probability.
+        remainder: structural share of the gap that stays unexplained.
+        remainder_interval: 95 % interval.
+        unknown: whether what remains is at least a tenth of the gap and as much as all that is explained.
+        gap: in units of the measurements' weights.
+    """
+
+    candidates: tuple[Candidate, ...]
+    remainder: float
+    remainder_interval: Interval
+    unknown: bool
+    gap: float
+
+    @property
+    def explained(self) -> float:
+        """Share of the gap that the selected effects explain."""
+        return sum(c.share or 0.0 for c in self.candidates if c.selected)
+
+
+def behind_play(model: Model) -> bool:
+    """Whether a model has play, behind which nobody has measured where the link is."""
+    return any("backlash" in key for key in model.system.components)
+
+
+def structural_share(model: Model, left: Sequence[Location], within_records: float | None = None) -> float:
+    """Share of what a model leaves that a right model would not leave.
+
+    All that has colour, also where each record has parameters of its own; where small random torques would leave less
+    colour, what a torque as a function of some signal explains on records left out.
+
+    Args:
+        model: the model.
+        left: torques that would explain what it leaves.
+        within_records: the same share, of its own mean square, where each record has a parameter set of its own; None
+            where these have not been fitted.
+    """
+    if mean_square(model.result.residual) < CRITERIA.negligible**2:
+        return 0.0
+    share = model.coloured if within_records is None else min(model.coloured, within_records)
+    if share > CRITERIA.coloured or behind_play(model):
+        return share
+    return min(max(max((one.share for one in left), default=0.0), 0.0), share)
+
+
+def grade(fits: Fits, found: Selection, structural: float, *, varying: bool = False, seed: int = 0) -> Grade:
+    """Shares, probabilities and ties of all that a search has tried.
+
+    Args:
+        fits: fits the models between the nominal one and the chosen one, where the search has not.
+        found: the search.
+        structural: share of what the chosen model leaves that has a cause.
+        varying: whether each record's own parameters explain what is left.
+        seed: of the bootstrap.
+    """
+    models, steps = _ladder(fits, found)
+    first, last = models[0].validation, models[-1].validation
+    floor = last.error * (1.0 - structural)
+    gap = max(first.error - floor, 1e-12 * max(first.error, 1e-300))
+    draws = _nested(models, steps, structural, seed)
+    names = [added_effect(b, a) for a, b in zip(models[:-1], models[1:], strict=True)]
+    shares = {
+        name: ((a.error - b.error) / gap, _interval(draws[:, k]))
+        for k, (name, a, b) in enumerate(zip(names, models[:-1], models[1:], strict=True))
+    }
+    rated = [_with_share(c, shares, found, gap) for c in _candidates(found)]
+    rated.sort(key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability))
+    remainder = structural * last.error / gap
+    explained = sum(c.share or 0.0 for c in rated if c.selected)
+    structure = structural > CRITERIA.coloured and not varying
+    unknown = structure and remainder >= CRITERIA.left_open and remainder >= explained
+    return Grade(tuple(rated), remainder, _interval(draws[:, -1]), unknown, gap)
+
+
+def _with_share(
+    one: Candidate, shares: dict[Name, tuple[float, Interval]], found: Selection, gap: float
+) -> Candidate:
+    base = found.base.validation.error
+    alone = next(
+        (
+            (base - e.error) / gap
+            for step in found.steps
+            if not step.before.effects
+            for e in step.candidates
+            if added_effect(e, step.before) == (one.name, one.where)
+        ),
+        None,
+    )
+    share, interval = shares.get((one.name, one.where), (None, None))
+    return replace(one, share=share, share_interval=interval, alone=alone)
+
+
+def doubtful(found: Grade) -> list[Name]:
+    """Selected effects that may not be asserted: improbable, with all that they are tied with, or of no sure size."""
+    probability = {f"{c.name}@{c.where}": c.probability for c in found.candidates}
+    return [
+        (c.name, c.where)
+        for c in found.candidates
+        if c.selected
+        and (
+            c.probability + sum(probability.get(tie, 0.0) for tie in c.tied_with) < CRITERIA.least_probability
+            or (c.share_interval is not None and c.share_interval[0] <= 0.0)
+        )
+    ]
+
+
+def _ladder(fits: Fits, found: Selection) -> tuple[list[Model], list[Step]]:
+    """Models from the re-fitted nominal one to the chosen one, an effect more each, and the step of each effect."""
+    chosen, base = found.chosen, found.base
+    order: dict[Name, Step] = {}
+    for step in found.steps:
+        if step.best is not None and (name := added_effect(step.best, step.before)) in chosen.effects:
+            order.setdefault(name, step)
+    for name in chosen.effects:
+        order.setdefault(name, Step(base, (chosen,)))
+    models, names = [chosen], list(order)
+    known = [e for s in found.steps for e in (s.before, *s.candidates) if e.finished]
+    for name in names[:0:-1]:
+        rest = tuple(sorted(set(models[0].effects) - {name}))
+        same = [e for e in known if e.effects == rest]
+        fitted = min(same, key=lambda e: e.error) if same else refitted_without(fits, base, models[0], name)
+        if fitted is None:
+            break
+        models.insert(0, fitted)
+    return ([base, *models] if chosen.effects else [base]), list(order.values())
+
+
+def _nested(models: Sequence[Model], steps: Sequence[Step], structural: float, seed: int) -> np.ndarray:
+    """Draws of the shares ``(draws, n + 1)``, the remainder last: blocks drawn choose, those not drawn measure."""
+    generator, n = np.random.default_rng(seed), len(models[0].validation.blocks)
+    ends = [one.validation for one in models]
+    rivals = []
+    for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
+        alike = [e for e in step.candidates if e.finished and accepted(e, step.before, step.candidates)]
+        shift = after.error / max(step.best.error, 1e-300) if step.best is not None else 1.0
+        rivals.append((before.validation, [after.validation, *(e.validation for e in alike[1:])], shift))
+    found = np.zeros((DRAWS // 4, len(models)))
+    for draw in found:
+        count = np.bincount(generator.integers(0, n, n), minlength=n)
+        out = count == 0
+        if not out.any():
+            out = ~out
+
+        def over(one, weight):
+            return float(weight @ one.blocks / max(weight @ one.sizes, 1.0))
+
+        floor = (1.0 - structural) * over(ends[-1], out)
+        gap = max(over(ends[0], out) - floor, 1e-300)
+        for k, (before, some, shift) in enumerate(rivals):
+            inside = [over(one, count) * (1.0 if j == 0 else shift) for j, one in enumerate(some)]
+            j = int(np.argmin(inside))
+            draw[k] = (over(before, out) - over(some[j], out) * (1.0 if j == 0 else shift)) / gap
+        draw[-1] = structural * over(ends[-1], out) / gap
+    return found
+
+
+def _interval(draws: np.ndarray) -> Interval:
+    return float(np.quantile(draws, 0.025)), float(np.quantile(draws, 0.975))
+
+
+def _candidates(found: Selection) -> list[Candidate]:
+    """Every effect that was tried, with the probability that the last step which compared it gives."""
+    chosen = set(found.chosen.effects)
+    best: dict[Name, Candidate] = {}
+    for step in found.steps:
+        if step.best is None:
+            continue
+        weights, present = _weights(step), _present(step)
+        for model, weight in zip(step.candidates, weights, strict=True):
+            name = added_effect(model, step.before)
+            one = Candidate(
+                name[0], name[1], float(present * weight), name in chosen, _ties(model, step, name),
+                _parameters(found.chosen if name in chosen else model, name),
+            )  # fmt: skip
+            if name not in best or step.swap or one.probability > best[name].probability:
+                best[name] = one
+    # what the selected ones have made needless is no more probable than that these are wrong
+    least = min((c.probability for c in best.values() if c.selected), default=0.0)
+    return [
+        c if c.selected or not chosen else replace(c, probability=min(c.probability, 1.0 - least))
+        for c in best.values()
+    ]
+
+
+def _weights(step: Step) -> np.ndarray:
+    """Share of each candidate among them, from how surely the best predicts better."""
+    best = step.candidates[0]
+    surplus = np.array(
+        [np.inf if _contains(e, step) else max(best.validation.z(e.validation), 0.0) for e in step.candidates]
+    )
+    odds = np.exp(-0.5 * np.square(surplus))
+    return odds / odds.sum()
+
+
+def _present(step: Step) -> float:
+    """Probability that any effect beyond the model before is at work: 0.5 where it is just accepted."""
+    if step.best is None:
+        return 0.0
+    fall = step.best.validation.fall(step.before.validation) / needed_fall(step.best, step.before)
+    p = chance(step.best, step.before, step.candidates)
+    sure = min(np.log(p) / np.log(CRITERIA.false_alarms), fall)
+    return float(1.0 / (1.0 + np.exp(-4.0 * (sure - 1.0))))
+
+
+def _contains(model: Model, step: Step) -> bool:
+    """Whether an effect has a step's best as its special case: that it explains as much says nothing for it."""
+    (name, where), best = added_effect(model, step.before), step.best and added_effect(step.best, step.before)
+    return best is not None and best[1] == where and best[0] in effect(name).contains
+
+
+def indistinguishable(model: Model, step: Step) -> list[Model]:
+    """Candidates of a step whose errors are those of one of them, as far as its records say; itself among them."""
+    least = min(e.error for e in step.candidates)
+    closed = least + CRITERIA.left_open * max(step.before.error - least, 0.0)
+    near = 1.0 / (1.0 - CRITERIA.distinct_fall)
+    return [
+        e
+        for e in step.candidates
+        if e.error < closed
+        and not _contains(e, step)
+        and max(e.error / model.error, model.error / e.error) < near
+        and abs(model.validation.z(e.validation)) < CRITERIA.distinct_z
+        and accepted(e, step.before, step.candidates)
+    ]
+
+
+def _ties(model: Model, step: Step, name: Name) -> tuple[str, ...]:
+    rivals = (added_effect(e, step.before) for e in indistinguishable(model, step))
+    return tuple("@".join(rival) for rival in rivals if rival != name)
+
+
+def tied_models(found: Selection) -> list[Model]:
+    """Models that explain the records as well as the chosen one, itself among them; empty without a rival."""
+    for step in found.steps:
+        if step.best is not None and step.best.effects == found.chosen.effects:
+            equals = indistinguishable(step.best, step)
+            if len(equals) > 1:
+                return equals
+    return []
+
+
+def tied_sets(found: Sequence[Candidate]) -> list[tuple[str, ...]]:
+    """Groups of effects that these records cannot distinguish, of the selected ones."""
+    return [(f"{c.name}@{c.where}", *c.tied_with) for c in found if c.selected and c.tied_with]
+
+
+def _parameters(model: Model, name: Name) -> dict[str, tuple[float, float]]:
+    """Estimates and standard errors of what an effect brings; what it brings fixed has none."""
+    result = model.result
+    jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])
+    scale = max(result.noise_scale**2 * result.n_samples / max(model.validation.effective, 1.0), 1e-300)
+    information = jacobian.T @ jacobian / scale
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    covariance = np.linalg.pinv(information / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
+    unseen = np.diag(information) == 0.0  # no measurement depends on it
+    covariance[unseen, unseen] = np.inf
+    keys = {f"{name[1]}/{kind}" for kind in effect(name[0]).kinds}
+    found = {}
+    for k, parameter in enumerate(result.names):
+        info = result.system.parameter(parameter)
+        if info.component in keys:
+            found[info.symbol] = (float(result.values[k]), float(np.sqrt(max(covariance[k, k], 0.0))))
+    for info in result.system.table:
+        if info.component in keys and effect(name[0]).shape.get(info.symbol) in found:
+            found[info.symbol] = (info.spec.value, 0.0)
+    return found

@@ -1,0 +1,169 @@
+"""The test records, opened once: how large the gap is, and how far it shrinks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hybrid_id.diagnosis.validation import BLOCK, coloured
+from hybrid_id.diagnosis.windows import free_runs
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.measures import less_half_a_count
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.simulation.step import Engine
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.chain import System
+
+LOST = 1e6
+"""Largest error of a run that has diverged, in the output's unit."""
+DRAWS = 500
+"""Draws of blocks for intervals."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors of a model's free runs on records.
+
+    Attributes:
+        nrmse: normalised RMSE, averaged over outputs and records.
+        by_record: of each record, outputs averaged.
+        by_output: of each output, records averaged.
+        blocks: for each record and output the mean squares of short blocks, each over the signal's variance.
+        noise: normalised RMSE that the encoders' noise alone would leave.
+        coloured: share of the errors' mean square, in units of the measurements' weights, that is no white noise; an
+            offset of half a count is none, whether an encoder rounds or counts edges.
+        over_noise: RMS of all errors in those units.
+    """
+
+    nrmse: float
+    by_record: dict[str, float]
+    by_output: dict[str, float]
+    blocks: tuple[tuple[np.ndarray, ...], ...]
+    noise: float
+    coloured: float = 0.0
+    over_noise: float = 0.0
+
+    def resampled(self, draw: list[list[np.ndarray]]) -> float:
+        """Normalised RMSE of blocks drawn with replacement; ``draw`` holds the blocks of each record and output."""
+        rows = [
+            np.mean([np.sqrt(np.mean(b[d])) for b, d in zip(row, drawn, strict=True)])
+            for row, drawn in zip(self.blocks, draw, strict=True)
+        ]
+        return float(np.mean(rows))
+
+
+def errors(
+    dataset: Dataset,
+    system: System,
+    engine: Engine,
+    records: Sequence[Record] | None = None,
+    *,
+    window: float | None = None,
+    signal_share: float = SIGNAL_SHARE,
+) -> Errors | None:
+    """Errors of a model on records, None where there is none that moves.
+
+    Args:
+        dataset: tells the outputs and their noise.
+        system: the model.
+        engine: how it is integrated.
+        records: the records; by default the test records.
+        window: length [s] of the free runs, each from a measured state; None for whole records.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    """
+    records = dataset.test if records is None else records
+    if not records:
+        return None
+    whole = batch_of(dataset, system, records, signal_share, "cpu")
+    batch, simulated = free_runs(system, engine, whole, window)
+    length = max(1, round(BLOCK / batch.step))
+    declared = {channel.name: channel.noise_std or 0.0 for channel in dataset.outputs}
+    blocks, by_record, by_output, noise, weighted = [], {}, {}, [], []
+    for r, name in enumerate(whole.names):
+        row, floors = [], []
+        rows = [k for k, one in enumerate(batch.names) if one == name]
+        for c, output in enumerate(batch.outputs):
+            measured = whole.y[r, (whole.weight[r, :, c] > 0), c].numpy()
+            if not measured.size or np.ptp(measured) <= 1e-12 * np.abs(measured).max():
+                continue  # nothing to explain
+            variance, means = float(measured.var()), []
+            for k in rows:
+                valid = (batch.weight[k, :, c] > 0).numpy()
+                seen = batch.y[k, valid, c].numpy()
+                error = np.clip(np.nan_to_num(simulated[k, valid, c] - seen, nan=LOST), -LOST, LOST)
+                weighted.append((less_half_a_count(error, seen) * batch.weight[k, valid, c].numpy())[:, None])
+                starts = np.arange(0, len(error), length)
+                size = np.add.reduceat(np.ones(len(error)), starts)
+                means.append(np.add.reduceat(np.square(error), starts) / size / variance)
+            row.append(np.concatenate(means))
+            by_output.setdefault(output, []).append(float(np.sqrt(row[-1].mean())))
+            floors.append(declared.get(output, 0.0) / np.sqrt(variance))
+        if not row:
+            continue
+        blocks.append(tuple(row))
+        noise.append(float(np.mean(floors)))
+        by_record[name] = float(np.mean([np.sqrt(b.mean()) for b in row]))
+    if not blocks:
+        return None
+    return Errors(
+        float(np.mean(list(by_record.values()))),
+        by_record,
+        {output: float(np.mean(values)) for output, values in by_output.items()},
+        tuple(blocks),
+        float(np.mean(noise)),
+        coloured(weighted),
+        float(np.sqrt(np.square(np.concatenate(weighted)).mean())),
+    )
+
+
+@dataclass(frozen=True)
+class Shrink:
+    """Share of the closable gap that is closed on the test records.
+
+    Attributes:
+        share: ``(refit - with_effect) / (refit - floor)``; 0 where nothing is left to close.
+        interval: 95 % interval from blocks drawn with replacement; its lower end takes the floor for the measurements'
+            noise alone, its upper end for ``floor``, either with the scatter of the error itself: more is not known of
+            it. A model may do better on these records than the right one would, so that it may reach beyond 1.
+        refit, with_effect, floor: normalised RMSE.
+    """
+
+    share: float
+    interval: tuple[float, float]
+    refit: float
+    with_effect: float
+    floor: float
+
+
+def shrink(refit: Errors, with_effect: Errors, floor: float, *, seed: int = 0) -> Shrink:
+    """Compare two models on the same records.
+
+    Args:
+        refit: errors of the nominal model, re-fitted.
+        with_effect: errors with the effects added.
+        floor: normalised RMSE that the right model would leave.
+        seed: of the draws.
+    """
+    generator = np.random.default_rng(seed)
+    pairs = []
+    for _ in range(DRAWS):
+        draw = [[generator.integers(0, len(b), len(b)) for b in row] for row in refit.blocks]
+        pairs.append((refit.resampled(draw), with_effect.resampled(draw)))
+    scale = max(with_effect.nrmse, 1e-300)
+    scatter = min(1.96 * float(np.std([after for _, after in pairs])) / scale, 0.5)
+    least, most = min(with_effect.noise, floor) / scale * (1.0 - scatter), floor / scale * (1.0 + scatter)
+    # the floor moves with the error that is drawn: the same blocks hold the same noise
+    lows = [_share(before, after, least * after) for before, after in pairs]
+    highs = [_share(before, after, min(most * after, 0.5 * (before + after))) for before, after in pairs]
+    low, high = float(np.quantile(lows, 0.025)), float(np.quantile(highs, 0.975))
+    return Shrink(
+        _share(refit.nrmse, with_effect.nrmse, floor), (low, high), refit.nrmse, with_effect.nrmse, floor
+    )
+
+
+def _share(before: float, after: float, floor: float) -> float:
+    closable = before - floor
+    return float((before - after) / closable) if closable > 1e-3 * before else 0.0

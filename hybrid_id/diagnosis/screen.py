@@ -1,0 +1,256 @@
+"""One selection step: every effect of the catalogue beside a model, coarsely fitted, the promising ones to the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+
+from hybrid_id.diagnosis.candidates import special_cases, tasks
+from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task
+from hybrid_id.diagnosis.model import Model, Name
+from hybrid_id.identification.horizons import hidden_links
+from hybrid_id.systems.chain import System
+
+PROMISING, STARTS, FINALISTS = 16, 6, 4
+"""Effects that are fitted finer, further initial values of the best of them, and effects that are fitted to the end."""
+HOPELESS = 2.5
+"""Mean square error beyond the best's from which a candidate is not fitted further."""
+SAME = 2e-3
+"""Costs that differ by less than this share are of one valley."""
+
+Progress = Callable[[str, int, int], object]
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One selection step: what was there before, and every candidate that was added to it, best first.
+
+    Attributes:
+        before: the model that they are added to.
+        candidates: with one more effect each.
+        swap: whether an effect and its rivals are compared once more, beside those that were found after it.
+    """
+
+    before: Model
+    candidates: tuple[Model, ...]
+    swap: bool = False
+
+    @property
+    def best(self) -> Model | None:
+        """The candidate that predicts best, None where there is none."""
+        return self.candidates[0] if self.candidates else None
+
+
+def screen(
+    fits: Fits,
+    before: Model,
+    nominal: System,
+    *,
+    among: frozenset[Name] | None = None,
+    refused: Collection[Name] = (),
+    progress: Progress | None = None,
+) -> Step:
+    """Every effect of the catalogue, or some of them, but for refused ones, added to a model, one at a time.
+
+    All are fitted coarsely; the promising ones finer, judged by linearised leave-one-out; the best to the end, judged by
+    true re-fits without the records that judge them.
+
+    Args:
+        fits: fits models to the train records.
+        before: the model that the effects are added to.
+        nominal: the nominal system.
+        among: the effects that are tried; None for all.
+        refused: effects that are not tried.
+        progress: called with (stage, done, total).
+    """
+    near, far = tasks(fits, before, nominal, among, refused)
+    total, count = len(near) + len(far) + PROMISING + STARTS + FINALISTS, [0]
+    stage = f"effect {len(before.effects) + 1}"
+
+    def tick() -> None:
+        count[0] += 1
+        if progress is not None:
+            progress(stage, min(count[0], total), total)
+
+    coarse = [one for one in fits.run(near, COARSE, tick) if one is not None]
+    ranked = _finer(fits, before, best_of_each(coarse, STARTS), tick)
+    if far and not (ranked and ranked[0].white):
+        ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
+    for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
+        chosen = best_of_each(ranked, key=effects_of)[:keep]
+        ranked = _further(fits, before, [one for one in chosen if not one.finished], ranked, FULL, tick)
+    if ranked and promising(ranked[0], before):
+        ranked = _polished(fits, before, ranked, tick)
+    return Step(before, tuple(simplest_first(best_of_each(ranked, key=effects_of), before)))
+
+
+def promising(one: Model, before: Model) -> bool:
+    """Whether a candidate may yet be accepted, as far as it has been fitted: by half of the fall that it needs."""
+    needed = CRITERIA.completing_fall if before.effects else CRITERIA.least_fall
+    return one.validation.fall(before.validation) > 0.5 * needed
+
+
+def finished(fits: Fits, some: Sequence[Model]) -> list[Model]:
+    """Candidates fitted to the end, as far as they can be."""
+    ends = iter(fits.run([Task(e.effects, e.system, x0=e.result.x0) for e in some if not e.finished], FULL))
+    return [e for e in (one if one.finished else next(ends) for one in some) if e is not None]
+
+
+def _finer(fits: Fits, before: Model, coarse: Sequence[Model], tick: Callable[[], object]) -> list[Model]:
+    """The most promising effects fitted finer, and some more initial values of the best; beside two effects fewer."""
+    firsts = best_of_each(coarse, key=effects_of)
+    many = PROMISING if len(before.effects) < 2 else FINALISTS
+    more = [one for one in coarse if one not in firsts][: STARTS if many == PROMISING else 0]
+    return _further(fits, before, firsts[:many] + more, firsts, FINER, tick)
+
+
+def _from_afar(
+    fits: Fits, ranked: Sequence[Model], far: Sequence[Task], tick: Callable[[], object]
+) -> list[Model]:
+    """Fits from values that are far: first over windows from measured states, over which any model is nearly linear.
+
+    Where the link is hidden behind play no window knows its state: where nothing else explains the records, coarse fits
+    of whole ones instead, of which those are let go that stay far behind what has been found.
+    """
+    batch = fits.records(far[0].system)  # which links are measured is the same for every model
+    hidden = [hidden_links(task.system, batch) for task in far]
+
+    def coarse(among: Fits, behind: bool) -> list[Model]:
+        some = [task for task, one in zip(far, hidden, strict=True) if one == behind]
+        return best_of_each([e for e in among.run(some, COARSE, tick) if e is not None], STARTS)
+
+    def further(seen: Sequence[Model], least: float, most: int) -> list[Model]:
+        best = [e for e in seen if e.error < HOPELESS * least][:most]
+        more = fits.run([Task(e.effects, e.system) for e in best], FINER, tick)
+        return [e for e in more if e is not None]
+
+    seen = coarse(fits.within(WINDOW), False)
+    found = further(seen, seen[0].error if seen else math.inf, PROMISING)
+    if any(one.white for one in found):
+        return found
+    known = min((e.error for e in (*ranked, *found)), default=math.inf)
+    return [*found, *further(coarse(fits, True), known, STARTS)]
+
+
+def _further(
+    fits: Fits,
+    before: Model,
+    some: Sequence[Model],
+    everyone: Sequence[Model],
+    iterations: int,
+    tick: Callable[[], object],
+) -> list[Model]:
+    """Some of the candidates fitted further, as far as they are not hopeless, among everyone again, best first."""
+    if not some:
+        return list(everyone)
+    best = min((*some, *everyone), key=lambda e: e.error)
+    limit = math.inf
+    if iterations == FULL or before.effects or best.white:
+        closed = best.error + CRITERIA.left_open * max(before.error - best.error, 0.0)
+        limit = max(HOPELESS * best.error, closed)
+    rivals = [e for e in some if e.error < limit]
+    todo = [
+        Task(e.effects, e.system, cost=e.result.cost, x0=e.result.x0, shake=promising(e, before))
+        for e in rivals
+    ]
+    more = fits.run(todo, iterations, tick)
+    # what has been fitted further counts, be it better or worse; the rest stays as it was seen
+    kept = [e for e in (*everyone, *some) if e not in rivals]
+    return best_of_each([*(e for e in more if e is not None), *kept], 2)
+
+
+def _polished(fits: Fits, before: Model, ranked: list[Model], tick: Callable[[], object]) -> list[Model]:
+    """The leading effect from its other initial values, its special cases, and simpler candidates, all to the end."""
+    if not ranked[0].white:
+        own = [one for one in ranked if one.effects == ranked[0].effects and not one.finished]
+        ranked = _further(fits, before, own[:FINALISTS], ranked, FULL, tick)
+        # along the ripples of a torque over the angle each further fit comes a little further
+        for _ in range(FINALISTS):
+            if ranked[0].white or not over_angle(ranked[0].effects):
+                break
+            again = fits.run([Task(ranked[0].effects, ranked[0].system, x0=ranked[0].result.x0)], FULL)[0]
+            if again is None or again.error > (1.0 - SAME) * ranked[0].error:
+                break
+            ranked = best_of_each([again, *ranked], 2)
+    special = fits.run(special_cases(fits, before, ranked[0]), FULL)
+    ranked = best_of_each([*ranked, *(e for e in special if e is not None)], 2)
+    simpler = [
+        e
+        for e in ranked
+        if not e.finished
+        and e.error < ranked[0].error / (1.0 - CRITERIA.distinct_fall)
+        and len(e.result.names) < len(ranked[0].result.names)
+    ]
+    return _further(fits, before, simpler[:FINALISTS], ranked, FULL, tick)
+
+
+def effects_of(one: Model) -> tuple[Name, ...]:
+    """A candidate's effects, whatever their shape."""
+    return one.effects
+
+
+def shape_of(one: Model) -> tuple[object, ...]:
+    """A candidate's effects with their fixed shape: waves of different periods are different models."""
+    laws = [(CATALOGUE[name], where) for name, where in one.effects if name in CATALOGUE]
+    fixed = {f"{where}/{kind}": law.shape for law, where in laws if law.shape for kind in law.kinds}
+    shape = (i for i in one.system.table if i.symbol in fixed.get(i.component, ()) and not i.spec.estimate)
+    return one.effects, tuple(i.spec.value for i in shape)
+
+
+def best_of_each(
+    found: Sequence[Model], each: int = 1, key: Callable[[Model], object] = shape_of
+) -> list[Model]:
+    """The best fits of each set of effects, best first; of those that have come to the same end only one.
+
+    Args:
+        found: fits.
+        each: so many of each set.
+        key: what counts as one set; by default every shape does.
+    """
+    ends: dict[object, list[float]] = {}
+    best = []
+    for one in sorted(found, key=lambda e: e.error):
+        known = ends.setdefault(key(one), [])
+        if len(known) < each and all(abs(one.result.cost - end) > SAME * end for end in known):
+            known.append(one.result.cost)
+            best.append(one)
+    return best
+
+
+def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
+    """Of the finished candidates that predict as well as the best, the one with the fewest parameters leads (parsimony).
+
+    Where the records cannot tell on which side of a gear an effect acts, it is where it usually does.
+    """
+    if not ranked:
+        return []
+    best = next((e for e in ranked if e.finished), ranked[0])
+    closed = best.error + CRITERIA.left_open * max(before.error - best.error, 0.0)
+    equals = [
+        e
+        for e in ranked
+        if e.finished
+        and e.error < best.error / (1.0 - CRITERIA.least_fall)
+        and (e.error <= closed or best.validation.z(e.validation) < CRITERIA.distinct_z)
+    ]
+    first = min(equals, key=lambda e: len(e.result.names), default=best)
+    twins = [
+        e
+        for e in equals
+        if _joints(e) == _joints(first) and first.validation.z(e.validation) < CRITERIA.distinct_z
+    ]
+    first = min(twins, key=_unusual, default=first)
+    return [first, *(e for e in ranked if e is not first)]
+
+
+def _joints(one: Model) -> list[tuple[str, str]]:
+    """A candidate's effects by name and joint, wherever in the joint they act."""
+    return sorted((name, where.split("/")[0]) for name, where in one.effects)
+
+
+def _unusual(one: Model) -> int:
+    """How far a candidate's places are from those where its effects usually act."""
+    return sum(CATALOGUE[name].places.index(where.split("/")[1]) for name, where in one.effects)

@@ -1,0 +1,210 @@
+"""Which effects: forward selection with swaps and backward elimination.
+
+The effect that predicts records left out best is added; then the next beside it; then those that had explained as much as
+the first are tried in its place, and each of the selected has to show that the rest cannot do without it. Before an
+effect is accepted, the model without it is fitted again from where the model with it has ended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+from hybrid_id.diagnosis.candidates import swapped, without
+from hybrid_id.diagnosis.catalogue import CATALOGUE
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.fits import FINER, FULL, Fits, Task
+from hybrid_id.diagnosis.model import Model, Name, added_effect
+from hybrid_id.diagnosis.periodic import Left
+from hybrid_id.diagnosis.screen import FINALISTS, HOPELESS, Progress, Step, promising, screen
+from hybrid_id.diagnosis.validation import mean_square, p_values
+from hybrid_id.systems.chain import System
+
+MAX_EFFECTS = 3
+"""Effects at once."""
+MAX_STEPS = 6
+"""Steps of a selection, in which effects that have made others needless may take their place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Result of the search.
+
+    Attributes:
+        base: the nominal model, re-fitted.
+        steps: the selection steps; the first says what each effect explains alone.
+        chosen: the model that the search ends with; ``base`` where no effect is accepted.
+        window: length [s] of the windows over which all models have been fitted and compared; None for whole records.
+    """
+
+    base: Model
+    steps: tuple[Step, ...]
+    chosen: Model
+    window: float | None = None
+
+
+def select(
+    fits: Fits,
+    base: Model,
+    nominal: System,
+    *,
+    max_effects: int = MAX_EFFECTS,
+    progress: Progress | None = None,
+) -> Selection:
+    """Search the catalogue for the effects that the train records call for.
+
+    Args:
+        fits: fits models to the train records, over its horizon.
+        base: the nominal model, re-fitted over that horizon.
+        nominal: the nominal system.
+        max_effects: effects at most.
+        progress: called with (stage, done, total).
+    """
+    model, steps, restarted = base, list[Step](), False
+    while (
+        len(model.effects) < max_effects
+        and sum(not one.swap for one in steps) < MAX_STEPS
+        and _leaves_something(model)
+    ):
+        step = screen(fits, model, nominal, among=_alive(steps, model), progress=progress)
+        steps.append(step)
+        best, swaps = step.best, list[Step]()
+        if best is not None and model.effects and promising(best, model):
+            swaps = _swaps(fits, base, best, steps)
+            best = min((s.best for s in swaps if s.best is not None), key=lambda e: e.error, default=best)
+        if best is None or not accepted(best, model, step.candidates):
+            break
+        before = model
+        if set(model.effects) < set(best.effects):
+            # the new effect may only have freed the fit of the others
+            again = refitted_without(fits, base, best, added_effect(best, model))
+            before = again if again is not None and again.error < model.error else model
+        base = base if before.effects else before
+        steps[-1] = replace(step, before=before)
+        if not accepted(best, before, step.candidates):
+            once_more, model = before is not model and not restarted, before
+            if not once_more:
+                break
+            restarted = True  # the fit before had not found its best: the step is repeated from there
+            steps.pop()
+            continue
+        steps += swaps
+        model = _freed(fits, best)
+        if before.effects:
+            model = _necessary(fits, base, model, steps)
+            if len(model.effects) <= len(before.effects) and not _better_set(model, before):
+                break
+    return Selection(base if model.effects else model, tuple(steps), model, fits.window)
+
+
+def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> bool:
+    """Whether a richer model predicts records left out clearly better: by enough, and more than by chance.
+
+    Args:
+        richer: with more effects.
+        simpler: with fewer.
+        rivals: all candidates among which the richer one has been found.
+    """
+    fall = richer.validation.fall(simpler.validation)
+    return fall >= needed_fall(richer, simpler) and chance(richer, simpler, rivals) <= CRITERIA.false_alarms
+
+
+def needed_fall(richer: Model, simpler: Model) -> float:
+    """Relative fall of the mean square from which an effect is named."""
+    if not simpler.effects:
+        return CRITERIA.least_fall
+    completes = richer.white or richer.coloured <= CRITERIA.coloured < simpler.coloured
+    return CRITERIA.completing_fall if completes else CRITERIA.next_fall
+
+
+def chance(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> float:
+    """Probability that the best of all candidates would predict so much better by chance."""
+    others = [e for e in rivals if e is not richer and e.finished]
+    return float(p_values([e.validation for e in (richer, *others)], simpler.validation)[0])
+
+
+def refitted_without(fits: Fits, base: Model, richer: Model, name: Name) -> Model | None:
+    """A model less one of its effects, fitted from where it stands; None where that cannot be fitted."""
+    start = without(richer.system, base.system, name)
+    rest = tuple(effect for effect in richer.effects if effect != name)
+    found = None if start is None else fits.run([Task(rest, start)], FINER)[0]
+    if found is None or found.error > HOPELESS * max(richer.error, base.error):
+        return found
+    return fits.run([Task(rest, found.system)], FULL)[0]
+
+
+def _swaps(fits: Fits, base: Model, chosen: Model, steps: Sequence[Step]) -> list[Step]:
+    """Each earlier effect against those that explained as much as it did when it stood alone, now beside the others."""
+    found = []
+    for one in steps:
+        name = None if one.swap or one.best is None else added_effect(one.best, one.before)
+        if name not in chosen.effects or one.best is None or one.best.effects == chosen.effects:
+            continue
+        rest = without(chosen.system, base.system, name)
+        if rest is None:
+            continue
+        near = one.best.error / (1.0 - CRITERIA.distinct_fall)
+        rivals = [e for e in one.candidates[1:] if e.error < near][:FINALISTS]
+        tasks = swapped(rest, tuple(e for e in chosen.effects if e != name), rivals, one.before)
+        ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)
+        alone = refitted_without(fits, base, chosen, name) if ends else None
+        if alone is not None:
+            # of equals the one that was found first leads
+            first = ends[0] if ends[0].validation.fall(chosen.validation) > CRITERIA.least_fall else chosen
+            others = (e for e in sorted((*ends, chosen), key=lambda e: e.error) if e is not first)
+            found.append(Step(alone, (first, *others), swap=True))
+    return found
+
+
+def _freed(fits: Fits, chosen: Model) -> Model:
+    """The model with what an effect's law leaves open freed too, where that predicts clearly better.
+
+    Before another effect may explain what the first one's simplest form has left.
+    """
+    laws = [(CATALOGUE[name], where) for name, where in chosen.effects if CATALOGUE[name].further is not None]
+    if not laws:
+        return chosen
+    left = Left(chosen.result, fits.records(chosen.system))
+    starts = [start for law, where in laws for start in law.freer(chosen.system, where, left)]
+    for one in fits.run([Task(chosen.effects, start) for start in starts], FULL):
+        enough = one is not None and one.validation.fall(chosen.validation) >= CRITERIA.least_fall
+        if one is not None and enough and chance(one, chosen) <= CRITERIA.false_alarms:
+            chosen = one
+    return chosen
+
+
+def _better_set(model: Model, before: Model) -> bool:
+    """Whether other effects than before predict better than those did."""
+    return model.error < before.error and bool(model.effects) and model.effects != before.effects
+
+
+def _leaves_something(model: Model) -> bool:
+    """Whether another effect could be accepted at all: none explains white noise, or errors far below the noise."""
+    if mean_square(model.result.residual) < CRITERIA.negligible**2:
+        return False
+    return not model.effects or model.coloured >= CRITERIA.completing_fall
+
+
+def _alive(steps: Sequence[Step], model: Model) -> frozenset[Name] | None:
+    """Effects that are worth a fit beside two others: those that have brought anything beside one of them.
+
+    None for all of the catalogue.
+    """
+    last = next((one for one in reversed(steps) if one.before.effects and not one.swap), None)
+    if last is None or len(model.effects) <= len(last.before.effects):
+        return None
+    alive = (e for e in last.candidates if e.result.cost < 0.99 * last.before.result.cost)
+    return frozenset(added_effect(e, last.before) for e in alive)
+
+
+def _necessary(fits: Fits, base: Model, chosen: Model, steps: Sequence[Step]) -> Model:
+    """Drop what the others have made needless."""
+    for name in chosen.effects:
+        rest = tuple(e for e in chosen.effects if e != name)
+        # the others have ended elsewhere than before they had each other: the rest may do better from there
+        known = [e for s in steps for e in (s.before, *s.candidates) if e.effects == rest and e.finished]
+        again = refitted_without(fits, base, chosen, name)
+        simpler = min((e for e in (*known, again) if e is not None), key=lambda e: e.error, default=None)
+        if simpler is not None and not accepted(chosen, simpler):
+            return simpler
+    return chosen

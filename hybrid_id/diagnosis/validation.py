@@ -1,0 +1,173 @@
+"""Errors on train records that an estimate has not seen, and what they say of one model against another.
+
+Every record is left out in turn: the model is fitted again without it, and predicts it. The squared errors of two models
+are compared block by block. Where the richer model predicts no better, the sign of each block's difference is a coin's:
+thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic of a whole
+search (R. A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young, Resampling-Based
+Multiple Testing, 1993, for the maximum). It is conservative, for a needless parameter makes predictions worse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+BLOCK = 0.25
+"""Length [s] of the blocks in which errors are compared."""
+DRAWS = 2000
+"""Draws of a null distribution, and of a bootstrap."""
+
+
+@dataclass(frozen=True)
+class Validation:
+    """Squared errors of prediction, in units of the measurements' weights.
+
+    Attributes:
+        blocks: sums over short blocks, ``(n,)``.
+        sizes: measurements in each block, ``(n,)``.
+        row: number of the record or window that each block is from, ``(n,)``.
+        effective: how many independent measurements they are worth.
+    """
+
+    blocks: np.ndarray
+    sizes: np.ndarray
+    row: np.ndarray
+    effective: float
+
+    @property
+    def error(self) -> float:
+        """Mean square of the weighted errors of prediction."""
+        return float(self.blocks.sum() / self.sizes.sum())
+
+    def fall(self, simpler: Validation) -> float:
+        """Share of another model's mean square by which this one's is lower."""
+        return 1.0 - self.error / max(simpler.error, 1e-300)
+
+    def z(self, other: Validation) -> float:
+        """By how many standard errors this one predicts better than another: mean relative difference of their blocks.
+
+        Relative to the errors of both, for a free run's error grows along the record: the last blocks would drown the
+        rest, and no effect, however large, would be sure.
+        """
+        difference = _relative(self, other)
+        spread = float(difference.std(ddof=1)) if len(difference) > 1 else 0.0
+        return float(difference.mean() / max(spread, 1e-3) * np.sqrt(len(difference)))
+
+
+def validation(residuals: Sequence[np.ndarray], sample_time: float) -> Validation:
+    """Blocks of weighted errors of prediction.
+
+    Args:
+        residuals: weighted errors of each record or window, which the estimate has not seen, ``(T, n_y)``.
+        sample_time: of the records [s].
+    """
+    length, blocks, sizes, row = max(1, round(BLOCK / sample_time)), [], [], []
+    for number, residual in enumerate(residuals):
+        starts = np.arange(0, len(residual), length)
+        blocks.append(np.add.reduceat(np.square(residual).sum(1), starts))
+        sizes.append(np.add.reduceat(np.count_nonzero(residual, axis=1), starts))
+        row.append(np.full(len(starts), number))
+    return Validation(
+        np.concatenate(blocks),
+        np.maximum(np.concatenate(sizes), 1),
+        np.concatenate(row),
+        effective_samples(residuals),
+    )
+
+
+def p_values(richer: Sequence[Validation], simpler: Validation, seed: int = 0) -> np.ndarray:
+    """Probability that a search over all these models would find one so much better by chance, for each, ``(n,)``.
+
+    Two statistics are taken, whichever says more: the mean difference of the blocks relative to their record's error,
+    and relative to both errors of the block. The first sees an effect that acts at few instants, the second one that
+    acts always and is drowned by the end of free runs. Neighbouring blocks whose differences go together count as one.
+
+    Args:
+        richer: validations of the candidates.
+        simpler: of the model that they are added to.
+        seed: of the draws.
+    """
+    if not richer:
+        return np.empty(0)
+    generator, ones = np.random.default_rng(seed), []
+    scale = np.array([simpler.blocks[simpler.row == r].mean() for r in range(int(simpler.row.max()) + 1)])
+    scale = np.maximum(scale, 1e-300)[simpler.row]
+    for one in richer:
+        ones += [(simpler.blocks - one.blocks) / scale, _relative(one, simpler)]
+    width = max(_correlation_length(ones[2 * k + 1], simpler.row) for k in range(len(richer)))
+    merged = np.array([_merged(one, simpler.row, width) for one in ones])
+    size = np.sqrt(np.square(merged).sum(1)).clip(1e-300)
+    seen = (merged.sum(1) / size).reshape(-1, 2).max(1)
+    signs = generator.choice([-1.0, 1.0], size=(DRAWS, merged.shape[1]))
+    largest = (signs @ (merged / size[:, None]).T).max(1)
+    return (1.0 + (largest[:, None] >= seen).sum(0)) / (1.0 + DRAWS)
+
+
+def _relative(one: Validation, other: Validation) -> np.ndarray:
+    return (other.blocks - one.blocks) / np.maximum(other.blocks + one.blocks, 1e-300)
+
+
+def _correlation_length(series: np.ndarray, row: np.ndarray) -> int:
+    """Blocks over which a series goes together: ``1 + 2 sum rho_k`` with the autocorrelations while positive."""
+    centred = series - series.mean()
+    total, length = float(centred @ centred), 1.0
+    for lag in range(1, max(2, len(series) // 4)):
+        same = row[lag:] == row[:-lag]
+        rho = float((centred[lag:] * centred[:-lag])[same].sum()) / max(total, 1e-300)
+        if rho <= 0.0:
+            break
+        length += 2.0 * rho
+    return max(1, round(length))
+
+
+def _merged(series: np.ndarray, row: np.ndarray, width: int) -> np.ndarray:
+    """Sums of so many neighbouring blocks of a record."""
+    if width == 1:
+        return series
+    place = np.concatenate([np.arange(np.count_nonzero(row == r)) for r in np.unique(row)])
+    group = row * (len(series) + 1) + place // width
+    return np.bincount(np.unique(group, return_inverse=True)[1], series)
+
+
+def coloured(residuals: Sequence[np.ndarray]) -> float:
+    """Share of the mean square that neighbouring samples have in common: 0 for white noise, 1 for what is smooth.
+
+    One less von Neumann's ratio, ``1 - <(r_t - r_{t-1})^2> / (2 <r_t^2>)`` (J. von Neumann, Ann. Math. Stat. 12, 1941):
+    an encoder's noise is white, what a model lacks is not.
+
+    Args:
+        residuals: of each record, ``(T, n_y)``.
+    """
+    total = sum(float(np.square(r).sum()) for r in residuals)
+    steps = sum(float(np.square(np.diff(r, axis=0)).sum()) for r in residuals)
+    if not np.isfinite(total):  # a run that has diverged is no noise
+        return 1.0
+    return max(0.0, 1.0 - 0.5 * steps / total) if total > 0 else 0.0
+
+
+def mean_square(residuals: Sequence[np.ndarray]) -> float:
+    """Of errors in units of the measurements' weights."""
+    return sum(float(np.square(one).sum()) for one in residuals) / sum(one.size for one in residuals)
+
+
+def effective_samples(residuals: Sequence[np.ndarray]) -> float:
+    """Number of independent samples that correlated residuals are worth.
+
+    ``N / (1 + 2 sum rho_k)`` with the autocorrelations of all records together, summed while positive.
+
+    Args:
+        residuals: of each record, ``(T, n_y)``.
+    """
+    total = sum(r.size for r in residuals)
+    longest = max(len(r) for r in residuals)
+    size = 1 << (2 * longest - 1).bit_length()
+    spectrum = np.sum([np.square(np.abs(np.fft.rfft(r, size, axis=0))).sum(1) for r in residuals], 0)
+    correlation = np.fft.irfft(spectrum)[:longest]
+    if correlation[0] <= 0:
+        return float(total)
+    correlation = correlation / correlation[0]
+    negative = np.nonzero(correlation <= 0)[0]
+    end = int(negative[0]) if len(negative) else longest
+    return float(total / max(1.0, 2.0 * correlation[:end].sum() - 1.0))
