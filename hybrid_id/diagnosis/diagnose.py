@@ -28,7 +28,7 @@ from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.diagnosis.screen import Progress
+from hybrid_id.diagnosis.screen import Progress, screen
 from hybrid_id.diagnosis.select import MAX_EFFECTS, Selection, refitted_without, select
 from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
@@ -133,16 +133,19 @@ def search(
 ) -> tuple[Fits, Selection]:
     """Stages measure, screen, fit and select: the re-fitted model and the effects that the train records call for.
 
-    Models are fitted and compared by free runs over whole records. Where even the best model's free runs lose these, all
-    of it is done again over windows from measured states.
+    Models are fitted and compared by free runs over whole records. Where even the best effect's free runs lose these,
+    all of it is done over windows from measured states.
     """
-    found = select(fits, fits.base(system), system, max_effects=max_effects, progress=progress)
-    models = [found.base, found.chosen, *(e for step in found.steps for e in step.candidates)]
-    best = min((e for e in models if e.finished), key=lambda e: e.error)
+    base, first = fits.base(system), None
+    lost = fits.astray(base) > CRITERIA.lost_refit
+    if not lost:
+        first = screen(fits, base, system, progress=progress)
+        best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
+        lost = fits.astray(best) > CRITERIA.lost
     shorter = fits.within(WINDOW)
-    if not fits.lost(best) or shorter.batch(system).rows == fits.records(system).rows:
-        return fits, found
-    return shorter, select(shorter, shorter.base(system), system, max_effects=max_effects, progress=progress)
+    if lost and shorter.batch(system).rows > fits.records(system).rows:
+        fits, base, first = shorter, shorter.base(system), None
+    return fits, select(fits, base, system, first=first, max_effects=max_effects, progress=progress)
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:

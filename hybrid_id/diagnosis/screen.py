@@ -77,7 +77,7 @@ def screen(
 
     coarse = [one for one in fits.run(near, COARSE, tick) if one is not None]
     ranked = _finer(fits, before, best_of_each(coarse, STARTS), tick)
-    if far and not (ranked and ranked[0].white):
+    if far and fits.window is None and not (ranked and ranked[0].white):
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
     for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
         chosen = best_of_each(ranked, key=effects_of)[:keep]

@@ -48,6 +48,7 @@ def select(
     base: Model,
     nominal: System,
     *,
+    first: Step | None = None,
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> Selection:
@@ -57,6 +58,7 @@ def select(
         fits: fits models to the train records, over its horizon.
         base: the nominal model, re-fitted over that horizon.
         nominal: the nominal system.
+        first: the first step, where it has been taken.
         max_effects: effects at most.
         progress: called with (stage, done, total).
     """
@@ -66,7 +68,8 @@ def select(
         and sum(not one.swap for one in steps) < MAX_STEPS
         and _leaves_something(model)
     ):
-        step = screen(fits, model, nominal, among=_alive(steps, model), progress=progress)
+        step = first or screen(fits, model, nominal, among=_alive(steps, model), progress=progress)
+        first = None
         steps.append(step)
         best, swaps = step.best, list[Step]()
         if best is not None and model.effects and promising(best, model):
