@@ -1,0 +1,117 @@
+"""Parameters that a re-fit has moved beyond what data sheets get wrong: it makes up for what the model lacks."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hybrid_id.parameters import Bounded
+from hybrid_id.statistics.identifiability import Identifiability
+from hybrid_id.systems.chain import System
+
+TOLERANCE, TORQUE_TOLERANCE = math.log(1.4), math.log(1.7)
+"""Change of a parameter, as a logarithm, that data sheets hardly allow; the same of a torque, whose common scale is
+known no better than the median of the torques."""
+UNLIKELY = 3.0
+"""Standard deviations of a parameter's prior, where it has one, that are as much."""
+TO_ZERO = -3.0
+"""Logarithm of a change that leaves nothing of a parameter."""
+NUISANCE = 0.3
+"""Share of its value by which a parameter without a prior may well be off."""
+
+
+def implausible_parameters(
+    nominal: System, fitted: System, identifiability: Identifiability | None = None
+) -> list[str]:
+    """Parameters moved beyond data-sheet tolerance, or beyond their prior where they have one, each in words.
+
+    Where a change that the records do not see (``identifiability``, of the nominal model) has moved a parameter as
+    far, with no other moved further than it may be, this is said beside it. Torques, inertias and frictions may all be
+    multiplied by one number where no torque is known: the median of their changes is taken for it.
+    """
+    words, change, power = [], {}, {}
+    for name, (before, after) in _pairs(nominal, fitted).items():
+        if before.prior_std is not None and before.prior_mean is not None:
+            off = (after - before.prior_mean) / before.prior_std
+            if abs(off) > UNLIKELY:
+                way = "high" if off > 0 else "low"
+                words.append(f"{name} is {abs(off):.1f} standard deviations of its prior too {way}")
+        elif before.value > 0.0:
+            change[name] = math.log(max(after, 1e-12 * before.value) / before.value)
+            power[name] = torque_power(before.unit)
+            if after < 0.0:
+                words.append(f"{name} has changed its sign")
+    scaled = sorted(change[name] / power[name] for name in change if power[name])
+    common = scaled[len(scaled) // 2] if scaled and not _torque_is_known(nominal, identifiability) else 0.0
+    for name, moved in change.items():
+        own = moved - power[name] * common
+        if fitted.parameter(name).spec.value < 0.0:
+            continue
+        if own < TO_ZERO:
+            words.append(f"{name} is driven to zero{_unseen(nominal, name, -1.0, identifiability)}")
+        elif abs(own) > (TORQUE_TOLERANCE if power[name] else TOLERANCE):
+            factor = math.exp(own)
+            excuse = _unseen(nominal, name, factor - 1.0, identifiability)
+            words.append(f"{name} is {factor:.2f} times its nominal value{excuse}")
+    return words
+
+
+def torque_power(unit: str) -> int:
+    """Power of torque in a unit: 1 of ``N m s/rad`` or ``kg m^2``, -1 of ``rad/(N m)``, -2 of ``1/(N m)^2``."""
+    over, _, under = unit.partition("/")
+    if "N" in under:
+        return -2 if ")^2" in under else -1
+    return int("N" in over or "kg" in over)
+
+
+def _pairs(nominal: System, fitted: System) -> dict[str, tuple[Bounded, float]]:
+    """Estimated parameter -> as it was and its fitted value; those are left out whose place an effect has taken."""
+    now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
+    return {
+        info.name: (info.spec, now[info.component, info.symbol])
+        for info in nominal.table
+        if info.spec.estimate and (info.component, info.symbol) in now
+    }
+
+
+def _torque_is_known(system: System, identifiability: Identifiability | None) -> bool:
+    """Whether a torque is known from elsewhere than the motion, or the records identify the torques' scale."""
+    torques = [info for info in system.table if torque_power(info.spec.unit) and info.spec.value != 0.0]
+    if any(not info.spec.estimate or info.spec.prior_std is not None for info in torques):
+        return True
+    if any("tau" in joint.channels for joint in system.joints):
+        return True
+    if identifiability is None:
+        return False
+    powers = {info.name: torque_power(info.spec.unit) for info in torques}
+    scale = np.array([powers.get(name, 0) for name in identifiability.names], float)
+    directions = np.array([one.relative for one in identifiability.directions]).reshape(-1, scale.size)
+    left = scale - directions.T @ np.linalg.lstsq(directions.T, scale, rcond=None)[0]
+    return bool(np.linalg.norm(left) > 0.1 * np.linalg.norm(scale))
+
+
+def _unseen(nominal: System, name: str, moved: float, identifiability: Identifiability | None) -> str:
+    """What else may have moved a parameter by a share of its value, unseen by the records; empty where nothing may."""
+    if identifiability is None or name not in identifiability.names:
+        return ""
+    for one in identifiability.directions:
+        change = dict(zip(identifiability.names, one.relative, strict=True))
+        if abs(change[name]) < 1e-3:
+            continue
+        others = {
+            other: share * moved / change[name]
+            for other, share in change.items()
+            if other != name and abs(share) > 1e-3 * abs(change[name])
+        }
+        if others and all(abs(share) < _allowed(nominal.parameter(k).spec) for k, share in others.items()):
+            words = " and ".join(f"{k} off by {100 * share:+.2g} %" for k, share in others.items())
+            return f" (unseen by these records: {words} would move it as far)"
+    return ""
+
+
+def _allowed(spec: Bounded) -> float:
+    """Share of its value by which a parameter may well be off."""
+    if spec.prior_std is None:
+        return NUISANCE
+    return min(UNLIKELY * spec.prior_std / max(abs(spec.value), 1e-300), NUISANCE)
