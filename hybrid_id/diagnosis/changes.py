@@ -17,7 +17,7 @@ from scipy.stats import chi2
 
 from hybrid_id.components import ArmGravity, CurrentMotor, DCMotor, Gravity, JointCoupling, TorqueMotor
 from hybrid_id.components.base import Component, Friction, Inertia
-from hybrid_id.diagnosis.plausibility import torque_power
+from hybrid_id.diagnosis.plausibility import named, torque_power
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.statistics.uncertainty import covariance, robust_covariance
@@ -151,7 +151,7 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         )
     most = others[0] if others else None
     alone = _moved_alone(infos, axes, change, spread)
-    listed = ", ".join(f"{infos[k].doc} {names[k]} {100 * np.expm1(own):+.0f} %" for k, own in alone.items())
+    listed = ", ".join(f"{named(infos[k])} {100 * np.expm1(own):+.0f} %" for k, own in alone.items())
     words = f"Several parameters moved{': ' + listed if listed else ' together'}"
     if most is not None and explained(most) >= MOSTLY:
         words += f"; one change explains {100 * explained(most):.0f} % of it: {_words(nominal, most, names)}"
@@ -353,14 +353,12 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
             "smaller",
         )
     words = text.format(joint=joint, size=interval, heavier=more if size > 0 else less)
-    named = [f"{system.parameter(name).doc} {name}" for name in moved]
+    each = [named(system.parameter(name)) for name in moved]
     if one.columns.shape[1] > 1:
-        changes = [
-            f"{name} {100 * np.expm1(s):+.0f} %" for name, s in zip(named, solution.sizes, strict=True)
-        ]
+        changes = [f"{name} {100 * np.expm1(s):+.0f} %" for name, s in zip(each, solution.sizes, strict=True)]
         return f"{words}: {', '.join(changes)}"
     if len(moved) > 1 and one.name == "friction":
-        return f"{words}: {', '.join(named)} {'rose' if size > 0 else 'fell'} together"
+        return f"{words}: {', '.join(each)} {'rose' if size > 0 else 'fell'} together"
     return words
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from hybrid_id.parameters import Bounded
+from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.systems.chain import System
 
@@ -31,30 +31,36 @@ def implausible_parameters(
     multiplied by one number where no torque is known: the median of their changes is taken for it.
     """
     words, change, power = [], {}, {}
-    for name, (before, after) in _pairs(nominal, fitted).items():
+    now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
+    for info in nominal.table:
+        before, after = info.spec, now.get((info.component, info.symbol))
+        if not before.estimate or after is None:  # an effect may have taken the component's place
+            continue
         if before.prior_std is not None and before.prior_mean is not None:
             off = (after - before.prior_mean) / before.prior_std
             if abs(off) > UNLIKELY:
                 way = "high" if off > 0 else "low"
-                words.append(f"{name} is {abs(off):.1f} standard deviations of its prior too {way}")
+                words.append(f"{named(info)} is {abs(off):.1f} standard deviations of its prior too {way}")
+        elif before.value > 0.0 > after:
+            words.append(f"{named(info)} has changed its sign")
         elif before.value > 0.0:
-            change[name] = math.log(max(after, 1e-12 * before.value) / before.value)
-            power[name] = torque_power(before.unit)
-            if after < 0.0:
-                words.append(f"{name} has changed its sign")
+            change[info.name] = math.log(max(after, 1e-12 * before.value) / before.value)
+            power[info.name] = torque_power(before.unit)
     scaled = sorted(change[name] / power[name] for name in change if power[name])
     common = scaled[len(scaled) // 2] if scaled and not _torque_is_known(nominal, identifiability) else 0.0
     for name, moved in change.items():
-        own = moved - power[name] * common
-        if fitted.parameter(name).spec.value < 0.0:
-            continue
+        own, who = moved - power[name] * common, named(nominal.parameter(name))
         if own < TO_ZERO:
-            words.append(f"{name} is driven to zero{_unseen(nominal, name, -1.0, identifiability)}")
+            words.append(f"{who} is driven to zero{_unseen(nominal, name, -1.0, identifiability)}")
         elif abs(own) > (TORQUE_TOLERANCE if power[name] else TOLERANCE):
-            factor = math.exp(own)
-            excuse = _unseen(nominal, name, factor - 1.0, identifiability)
-            words.append(f"{name} is {factor:.2f} times its nominal value{excuse}")
+            excuse = _unseen(nominal, name, math.expm1(own), identifiability)
+            words.append(f"{who} is {math.exp(own):.2f} times its nominal value{excuse}")
     return words
+
+
+def named(info: ParameterInfo) -> str:
+    """A parameter's name and symbol, such as ``Coulomb level F_c``."""
+    return f"{info.doc} {info.name}"
 
 
 def torque_power(unit: str) -> int:
@@ -63,16 +69,6 @@ def torque_power(unit: str) -> int:
     if "N" in under:
         return -2 if ")^2" in under else -1
     return int("N" in over or "kg" in over)
-
-
-def _pairs(nominal: System, fitted: System) -> dict[str, tuple[Bounded, float]]:
-    """Estimated parameter -> as it was and its fitted value; those are left out whose place an effect has taken."""
-    now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
-    return {
-        info.name: (info.spec, now[info.component, info.symbol])
-        for info in nominal.table
-        if info.spec.estimate and (info.component, info.symbol) in now
-    }
 
 
 def _torque_is_known(system: System, identifiability: Identifiability | None) -> bool:
@@ -105,7 +101,9 @@ def _unseen(nominal: System, name: str, moved: float, identifiability: Identifia
             if other != name and abs(share) > 1e-3 * abs(change[name])
         }
         if others and all(abs(share) < _allowed(nominal.parameter(k).spec) for k, share in others.items()):
-            words = " and ".join(f"{k} off by {100 * share:+.2g} %" for k, share in others.items())
+            words = " and ".join(
+                f"{named(nominal.parameter(k))} off by {100 * share:+.2g} %" for k, share in others.items()
+            )
             return f" (unseen by these records: {words} would move it as far)"
     return ""
 
