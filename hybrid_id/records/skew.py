@@ -6,7 +6,8 @@ Three relations hold whatever load, friction and inertia are, so that a lag in t
 - two encoders on one joint move together: ``q_a(t) = b q_m(t - s)``, with compliance and hysteresis of the gear;
 - a motor's current (or torque) follows voltage and speed, ``i + T_e di/dt = a u(t - s_u) - b w(t - s_w)`` with
   ``T_e = L / R``. A late current lags behind both; behind the voltage alone it is the command that acts late, which is
-  physics (the effect ``delay``); an angle that is read late lags behind both current and voltage.
+  physics (the effect ``delay``); an angle that is read late lags behind both current and voltage. A threshold of the
+  driver, a supply that gives way and a winding that warms up are fitted beside it: they look like a lag behind w.
 
 Each is fitted in the frequency domain, where a lag is a slope of the phase, over Hann windows of the train records
 (Pintelon and Schoukens, System Identification, 2012, ch. 2). Standard errors come from the scatter between windows.
@@ -18,7 +19,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import shift
+from scipy.ndimage import shift, uniform_filter1d
 from scipy.optimize import least_squares
 
 from hybrid_id.records.dataset import Dataset
@@ -155,8 +156,13 @@ def _current_and_motion(dataset: Dataset, number: str, side: str) -> Skew | None
     for cut in _windows(dataset, switch=f"enable{number}"):
         drive = np.prod([cut.signals[name] for name in voltage if name in cut.signals], axis=0)
         speed = cut.rates[angle] if angle.startswith("q") else cut.signals[angle]
-        heard = [np.ones_like(cut.omega), cut.loud(angle, rate=angle[0] == "q")]
-        relations.append(_Relation(cut, cut.of(current), [drive, speed], cut.loud(current), heard))
+        # What no driver is without: a threshold, a supply that gives way, a winding that warms up.
+        threshold = np.tanh(cut.smooth(current) / (0.1 * np.std(cut.signals[current]) + 1e-300))
+        warming = drive * np.linspace(-1.0, 1.0, drive.size)
+        signals = [drive, speed, threshold, drive * np.abs(drive), warming]
+        heard = [np.ones_like(cut.omega)] * len(signals)
+        heard[1] = cut.loud(angle, rate=angle[0] == "q")
+        relations.append(_Relation(cut, cut.of(current), signals, cut.loud(current), heard))
     fit = _fit(relations, lagged=2, first_order=True)
     if fit is None:
         return None
@@ -173,11 +179,12 @@ def _current_and_motion(dataset: Dataset, number: str, side: str) -> Skew | None
     slack = 0.3 * step + 3.0 * error
     command = voltage[0]
     if lag > 0 and behind_voltage > lag - slack:
-        return Skew(current, float(lag), error, (command, angle))
+        return Skew(current, float(min(lag, behind_voltage)), error, (command, angle))
     if lag < 0 and behind_voltage > -slack:
         return Skew(angle, float(-lag), error, (command, current))
-    early, other = (angle, current) if lag > 0 else (current, angle)
-    return Skew(early, -float(abs(lag)), error, (command, other))
+    if lag < 0 and behind_voltage < lag + slack:
+        return Skew(current, float(lag), error, (command, angle))
+    return None
 
 
 def _sure(channel: str, other: str, lag: float, error: float, dataset: Dataset) -> Skew | None:
@@ -227,6 +234,10 @@ class _Windows:
         values = shift(values, lag / self.step, order=3, mode="nearest") if lag else values
         parts = np.stack([values[cut] for cut in self.cuts])
         return np.fft.rfft(self.hann * (parts - parts.mean(axis=1, keepdims=True)))[:, self.kept]
+
+    def smooth(self, channel: str) -> np.ndarray:
+        """Mean over five samples (T,)."""
+        return uniform_filter1d(self.signals[channel], 5, mode="nearest")
 
     def smooth_rate(self, channel: str) -> np.ndarray:
         """Change over nine samples (T,), zero where it drowns in noise."""
