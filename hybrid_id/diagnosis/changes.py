@@ -65,6 +65,7 @@ class ParameterChange:
         parameters: Names of the parameters that moved.
         explained: Share of the re-fit's chi-square against the nominal values that the change explains.
         words: The same in a sentence.
+        indistinguishable_from: Names of other changes that leave nothing sure either.
         rejected: The other changes, best first.
     """
 
@@ -75,6 +76,7 @@ class ParameterChange:
     parameters: tuple[str, ...]
     explained: float
     words: str
+    indistinguishable_from: tuple[str, ...] = ()
     rejected: tuple[RejectedChange, ...] = ()
 
 
@@ -139,6 +141,11 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         lead = one.lead
         low, high = (np.expm1(chosen.sizes[lead] + way * SURE * chosen.errors[lead]) for way in (-1.0, 1.0))
         touched = tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row))
+        also = dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name)
+        words = _words(nominal, chosen, names)
+        if also:
+            named_so = ", ".join(name.replace("_", " ") for name in also)
+            words += f"; indistinguishable in these records from a change of {named_so}"
         return ParameterChange(
             name=one.name,
             joint=one.joint,
@@ -146,7 +153,8 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
             interval=(float(low), float(high)),
             parameters=touched,
             explained=explained(chosen),
-            words=_words(nominal, chosen, names),
+            words=words,
+            indistinguishable_from=tuple(also),
             rejected=rejected,
         )
     most = others[0] if others else None
@@ -157,7 +165,7 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
         words += f"; one change explains {100 * explained(most):.0f} % of it: {_words(nominal, most, names)}"
     touched = tuple(names[k] for k in alone) or names
     return ParameterChange(
-        "several", 0, 0.0, (0.0, 0.0), touched, explained(most) if most else 0.0, words, rejected
+        "several", 0, 0.0, (0.0, 0.0), touched, explained(most) if most else 0.0, words, (), rejected
     )
 
 
@@ -354,6 +362,8 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
         )
     words = text.format(joint=joint, size=interval, heavier=more if size > 0 else less)
     each = [named(system.parameter(name)) for name in moved]
+    if one.name == "friction" and np.ptp(np.sign(solution.sizes)):
+        words = f"Friction{joint} has changed (temperature, grease or wear)"
     if one.columns.shape[1] > 1:
         changes = [f"{name} {100 * np.expm1(s):+.0f} %" for name, s in zip(each, solution.sizes, strict=True)]
         return f"{words}: {', '.join(changes)}"

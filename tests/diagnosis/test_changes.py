@@ -199,3 +199,19 @@ def test_a_parameter_that_was_zero_is_no_logarithm() -> None:
     zero = nominal.with_values({"F_c": 0.0})
     found = find_change(zero, result)
     assert found.name in ("several", "friction")
+
+
+def test_friction_that_rises_dry_and_falls_viscous_has_changed() -> None:
+    found = find_change(TILTED, pretended(TILTED, changed(TILTED, F_c=1.4, F_v=0.7)))
+    assert found.name == "friction" and found.words.startswith("Friction has changed (")
+    assert "Coulomb level F_c +4" in found.words or "Coulomb level F_c +3" in found.words
+
+
+def test_what_vague_records_leave_open_is_said() -> None:
+    """Errors of 5 % and an unseen scale of torques: what else may have changed is named, or nothing is claimed."""
+    truth, told = changed(TILTED, J=1.15, G_l=1.3), []
+    for seed in range(20):
+        found = find_change(TILTED, pretended(TILTED, truth, error=0.05, unseen=SCALE, seed=seed))
+        told.append(found.name in ("load", "none", "several") or "load" in found.indistinguishable_from)
+        assert not found.indistinguishable_from or "indistinguishable in these records" in found.words
+    assert sum(told) >= 18
