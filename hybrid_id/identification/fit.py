@@ -143,15 +143,16 @@ def make_bounds(system: System, free: Sequence[int], device: torch.device | str 
     def column(values: Sequence[float]) -> Tensor:
         return torch.tensor(list(values), dtype=torch.float64, device=device)
 
-    scale = []
-    for spec in specs:
-        # a parameter that starts at zero moves in steps of its range, where it has one
-        width = spec.upper - spec.lower
-        scale.append(abs(spec.value) or (0.05 * width if math.isfinite(width) and width < 1e5 else 1e-3))
+    # a parameter that starts at zero moves in steps of its range, where it has one, else as the records say
+    widths = [spec.upper - spec.lower for spec in specs]
+    ranges = [0.05 * width if math.isfinite(width) and width < 1e5 else 0.0 for width in widths]
+    scale = [abs(spec.value) or reach or 1e-3 for spec, reach in zip(specs, ranges, strict=True)]
+    sized = [float(spec.value != 0.0 or reach > 0.0) for spec, reach in zip(specs, ranges, strict=True)]
     return Bounds(
         column([s.lower for s in specs]),
         column([s.upper for s in specs]),
         column([s.value if s.prior_mean is None else s.prior_mean for s in specs]),
         column([0.0 if s.prior_std is None else s.prior_std**-2 for s in specs]),
         0.1 * column(scale),
+        column(sized),
     )
