@@ -19,8 +19,6 @@ from hybrid_id.systems.chain import System
 
 WORST = 1e3
 """Weighted residual that stands for a simulation that has left all bounds."""
-PROBES = 10.0 ** np.arange(-6, 5)
-"""Steps from zero that are tried for a parameter whose size only the records give."""
 REACH = 100.0
 """Farthest that a first state may be from the measured one, in its standard errors."""
 
@@ -113,26 +111,8 @@ class Cost:
         self.mean = np.concatenate([bounds.prior_mean.numpy(), np.zeros(len(std))])
         self.precision = np.concatenate([bounds.prior_precision.numpy(), std**-2])
         self.scale, self.std = bounds.scale.numpy(), std.reshape(len(self.loose), batch.rows)
-        self._size_zeros(bounds.sized.numpy() == 0)
         self.keys = [(system.table[i].component, system.table[i].symbol) for i in free]
         self.states = [system.state_names[k] for k in self.loose]
-
-    def _size_zeros(self, unsized: np.ndarray) -> None:
-        """Let the records give the size of parameters at zero that neither a start value nor a range gives.
-
-        It is ten times the least step that changes the residuals by a tenth, to either side: a bias too small to move
-        a joint that sticks changes nothing.
-        """
-        values = self.rollouts.theta.numpy()[self.rollouts.free]
-        point = np.concatenate([values, np.zeros(self.std.size)])
-        for k in np.flatnonzero(unsized & (values == 0.0)):
-            steps = np.clip(np.concatenate([-PROBES, PROBES]), self.low[k], self.high[k])
-            points = np.tile(point, (1 + len(steps), 1))
-            points[1:, k] = steps
-            first, *others = self.residuals(points)
-            moved = [np.linalg.norm(other - first) > 0.1 * np.linalg.norm(first) for other in others]
-            if any(moved):
-                self.scale[k] = 10.0 * np.abs(steps[moved]).min()
 
     def shifts_of(self, x0: np.ndarray) -> np.ndarray:
         """Shifts of first states ``(R, n_x)``, as a point holds them."""

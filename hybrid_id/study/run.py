@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.identification.confirm import confirmed
 from hybrid_id.identification.fit import Progress, fit
 from hybrid_id.identification.horizon_choice import choose_horizon
 from hybrid_id.identification.horizons import WHOLE, Horizon
@@ -71,7 +72,7 @@ def identify(
 
     def fitted(horizon: Horizon) -> list[FitResult]:
         part = horizon.cut(model, engine, batch)
-        return fit(
+        found = fit(
             model,
             part,
             pooled=pooled,
@@ -81,6 +82,7 @@ def identify(
             seed=seed,
             progress=progress,
         )
+        return [confirmed(found[0], part, options=options, seed=seed, progress=progress)] if pooled else found
 
     sets = fitted(horizon or WHOLE)
     if horizon is None:

@@ -7,7 +7,9 @@ import pytest
 from drives import make_record, multisine, rigid_drive
 
 from hybrid_id.components import REGISTRY
+from hybrid_id.identification.confirm import confirmed
 from hybrid_id.identification.fit import fit
+from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
@@ -46,3 +48,32 @@ def test_finite_steps_find_them_too(batch: Batch, start: System) -> None:
     found = secant_fit(start, batch, engine=Engine(substeps=4, compiled=True))
     check_bias(dict(zip(found.names, found.values, strict=True)))
     assert np.isfinite(found.cost)
+
+
+@pytest.fixture(scope="module")
+def lacking(batch: Batch) -> System:
+    """A model without the bias that the records have."""
+    return rigid_drive().with_specs({"J": replace(BIASED.parameter("J").spec, estimate=False)})
+
+
+def test_a_fit_that_stopped_above_its_optimum_goes_on(batch: Batch, lacking: System) -> None:
+    start = lacking.with_values({"F_c": 0.02, "P_m2": 0.03})
+    best = min((fit(s, batch, pooled=True)[0] for s in (lacking, start)), key=lambda one: one.cost)
+    (early,) = fit(start, batch, pooled=True, warm=False, options=Options(tolerance=30.0))
+    assert early.status == "converged"
+    assert early.cost > 1.05 * best.cost
+    found = confirmed(early, batch)
+    assert found.cost < 1.01 * best.cost
+
+
+def test_an_optimum_is_confirmed_as_it_is(batch: Batch, start: System, lacking: System) -> None:
+    (sound,) = fit(start, batch, pooled=True)
+    assert confirmed(sound, batch) is sound  # it leaves noise: not simulated again
+    (ended,) = fit(lacking, batch, pooled=True)
+    assert confirmed(ended, batch).cost <= ended.cost
+
+
+def test_a_fit_that_was_stopped_is_not_called_converged(batch: Batch, start: System) -> None:
+    (stopped,) = fit(start, batch, pooled=True, warm=False, options=Options(max_iterations=3))
+    assert stopped.status == "max_iterations" and not stopped.ok
+    assert "before convergence" in stopped.message
