@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.horizon_choice import FOLLOWED, choose_horizon
@@ -13,7 +14,9 @@ from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.divergence import cause_of_divergence
 from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.fit import fit_percent, known_mean, nrmse
@@ -31,6 +34,7 @@ class Replay:
         fit: fit of each output [%]; -inf where the simulation diverged.
         nrmse: normalised RMSE of each output.
         status: "ok" or "diverged".
+        message: why it diverged, in one sentence; empty where it did not.
     """
 
     record: Record
@@ -38,6 +42,7 @@ class Replay:
     fit: Mapping[str, float]
     nrmse: Mapping[str, float]
     status: str
+    message: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +92,8 @@ def replay(
         InputError: a channel that the model needs is missing.
     """
     batch = _batch(dataset, system)
-    runs = simulated_over(horizon, system, stable_engine(system, engine or Engine(), batch), batch)
+    engine = stable_engine(system, engine or Engine(), batch)
+    runs = simulated_over(horizon, system, engine, batch)
     found = []
     for record, run in zip(dataset.records, runs, strict=True):
         whole = np.pad(run, ((0, record.n_samples - len(run)), (0, 0)), constant_values=np.nan)
@@ -95,9 +101,16 @@ def replay(
             {n: float(of(record.signal(n)[: len(run)], run[:, k])) for k, n in enumerate(batch.outputs)}
             for of in (fit_percent, nrmse)
         )
-        status = "ok" if np.isfinite(run).all() else "diverged"
-        found.append(Replay(record, dict(zip(batch.outputs, whole.T, strict=True)), fits, errors, status))
+        outputs = dict(zip(batch.outputs, whole.T, strict=True))
+        lost = "" if np.isfinite(run).all() else _why_lost(system, engine, batch, record.name)
+        found.append(Replay(record, outputs, fits, errors, "diverged" if lost else "ok", lost))
     return tuple(found)
+
+
+def _why_lost(system: System, engine: Engine, batch: Batch, record: str) -> str:
+    part = batch.take(torch.tensor([batch.names.index(record)]))
+    cause = cause_of_divergence(system, engine, part, simulate(system, engine, part).x)
+    return cause or f"record '{record}': the simulation has no finite output; correct the values of the model"
 
 
 def _batch(dataset: Dataset, system: System) -> Batch:
@@ -121,7 +134,7 @@ def compare(
         horizon: of all models (default: the records choose it, by the model that errs least over whole records).
 
     Raises:
-        InputError: no model, or a channel that a model needs is missing.
+        InputError: no model, a channel that a model needs is missing, or a simulation diverged.
     """
     if not models:
         raise InputError("there is no model to compare; give at least one")
@@ -131,6 +144,8 @@ def compare(
             replays[label] = replay(dataset, system, engine=engine, horizon=horizon or WHOLE)
         except InputError as error:
             raise InputError(f"{label}: {error}") from None
+        if lost := next((run.message for run in replays[label] if run.message), ""):
+            raise InputError(f"{label}: {lost}")
     if horizon is not None:
         return Comparison(replays, horizon)
     errors = {label: _mean_error(runs) for label, runs in replays.items()}

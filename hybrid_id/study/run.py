@@ -17,7 +17,10 @@ from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.divergence import cause_of_divergence
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap
 from hybrid_id.statistics.jackknife import autocorrelation_robust
@@ -112,13 +115,16 @@ def assess(
     horizon: Horizon = WHOLE,
 ) -> Study:
     """The statistics of parameter sets, however they were found; arguments as in :func:`identify`."""
-    if all(result.status == "diverged" for result in sets):
-        raise InputError(
-            f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values."
-        )
     batch = (
         batch_of(dataset, system, dataset.train, signal_share, "cpu") if batch is None else batch.to("cpu")
     )
+    if all(result.status == "diverged" for result in sets):
+        engine = stable_engine(system, sets[0].engine, batch)
+        cause = cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
+        why = f" ({cause})" if cause else ""
+        raise InputError(
+            f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values{why}."
+        )
     for result in sets:  # statistics are numpy's
         result.system.to("cpu")
     batch = horizon.cut(sets[0].system, sets[0].engine, batch)
