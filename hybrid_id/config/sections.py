@@ -65,6 +65,8 @@ class Identification(Section):
         friction: `dry` (the joint really stops), or `smooth` (tanh).
         substeps: least number of integration steps a sample; stability may ask for more.
         width: smoothing speed of `smooth` [rad/s].
+        window: length [s] of the free runs that are fitted and compared with the records, `whole` records, `strokes`
+            from rest to rest, or `auto`: whole records where the free runs follow them.
         seed: of start points and bootstrap.
         device: `cpu` or `cuda`.
     """
@@ -78,6 +80,7 @@ class Identification(Section):
     friction: Literal["dry", "smooth"] = "dry"
     substeps: PositiveInt = 1
     width: PositiveFloat = 0.5
+    window: PositiveFloat | Literal["whole", "strokes", "auto"] = "auto"
     seed: int = Field(default=0, ge=0, le=MOST_SEED)
     device: str = "cpu"
 

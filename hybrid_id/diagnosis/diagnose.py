@@ -32,8 +32,9 @@ from hybrid_id.diagnosis.screen import Progress, screen
 from hybrid_id.diagnosis.select import MAX_EFFECTS, Selection, refitted_without, select
 from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
-from hybrid_id.diagnosis.windows import window_errors
 from hybrid_id.errors import InputError
+from hybrid_id.identification.horizon_choice import choose_horizon
+from hybrid_id.identification.horizons import Horizon, window_errors
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.facts import inseparable
 from hybrid_id.records.reach import beyond
@@ -50,6 +51,7 @@ def diagnose(
     dataset: Dataset,
     system: System,
     *,
+    horizon: Horizon | None = None,
     max_effects: int = MAX_EFFECTS,
     jobs: int = 1,
     seed: int = 0,
@@ -61,6 +63,7 @@ def diagnose(
     Args:
         dataset: train records, validation records if there are any, and test records.
         system: the nominal model.
+        horizon: how long free runs are before they start again from a measured state; None for what the records ask for.
         max_effects: effects at most.
         jobs: processes.
         seed: of the resampling.
@@ -75,7 +78,9 @@ def diagnose(
     say = progress or (lambda *_: None)
     fits = Fits(dataset, jobs=jobs, signal_share=signal_share)
     say("nominal model", 0, 1)
-    fits, found = search(fits, system, max_effects=max_effects, progress=progress)
+    fits, found = search(
+        fits, system, horizon=horizon, max_effects=max_effects, progress=progress
+    )
     say("location", 0, 1)
     answer = settle(fits, found, system, seed=seed)
     say("test records", 0, 1)
@@ -129,22 +134,37 @@ class Answer:
 
 
 def search(
-    fits: Fits, system: System, *, max_effects: int = MAX_EFFECTS, progress: Progress | None = None
+    fits: Fits,
+    system: System,
+    *,
+    horizon: Horizon | None = None,
+    max_effects: int = MAX_EFFECTS,
+    progress: Progress | None = None,
 ) -> tuple[Fits, Selection]:
     """Stages measure, screen, fit and select: the re-fitted model and the effects that the train records call for.
 
-    Models are fitted and compared by free runs over whole records. Where even the best effect's free runs lose these,
-    all of it is done over windows from measured states.
+    Models are fitted and compared by free runs over whole records, where these follow them with the best effect.
+    Otherwise the records choose a shorter horizon, and all is done over that.
+
+    Args:
+        fits: holds the records.
+        system: the nominal model.
+        horizon: that of the user; None for that of the records.
+        max_effects: effects at most.
+        progress: called with (stage, done, total).
     """
-    base, first = fits.base(system), None
-    lost = fits.astray(base) > CRITERIA.lost_refit
-    if not lost:
-        first = screen(fits, base, system, progress=progress)
-        best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
-        lost = fits.astray(best) > CRITERIA.lost
-    shorter = fits.within(WINDOW)
-    if lost and shorter.batch(system).rows > fits.records(system).rows:
-        fits, base, first = shorter, shorter.base(system), None
+    fits = fits if horizon is None else fits.over(horizon)
+    best = base = fits.base(system)
+    first = None
+    if horizon is None:
+        if fits.astray(base) <= CRITERIA.lost_refit:
+            first = screen(fits, base, system, progress=progress)
+            best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
+        if fits.astray(best) > CRITERIA.lost:
+            chosen = choose_horizon(best.system, best.result.engine, fits.records(best.system), [best.result])
+            if chosen.kind != "whole":
+                fits = fits.over(chosen)
+                base, first = fits.base(system), None
     return fits, select(fits, base, system, first=first, max_effects=max_effects, progress=progress)
 
 
@@ -197,7 +217,7 @@ def _final(fits: Fits, found: Selection) -> Selection:
 def _wrong_values(fits: Fits, system: System, base: Model) -> bool:
     """Whether the nominal values err clearly more on the train records than the re-fitted ones."""
     both = [
-        errors(fits.dataset, one, engine(), fits.dataset.train, window=fits.window)
+        errors(fits.dataset, one, engine(), fits.dataset.train, horizon=fits.horizon)
         for one in (system, base.system)
     ]
     nominal, refit = both
@@ -229,7 +249,7 @@ def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> 
     fits, base, chosen = answer.fits, answer.found.base, answer.found.chosen
     models = ((system, engine()), (base.system, base.result.engine), (chosen.system, chosen.result.engine))
     nominal, first, last = (
-        errors(dataset, one, how, window=fits.window, signal_share=fits.signal_share) for one, how in models
+        errors(dataset, one, how, horizon=fits.horizon, signal_share=fits.signal_share) for one, how in models
     )
     if nominal is None or first is None or last is None:
         return Tested()
@@ -267,7 +287,7 @@ def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
     leave next to nothing.
     """
     if (
-        fits.window is not None
+        not fits.whole
         or last.coloured <= CRITERIA.coloured
         or not chosen.effects
         or behind_play(chosen)
@@ -293,7 +313,7 @@ def report(dataset: Dataset, system: System, answer: Answer, tested: Tested) -> 
         unknown=graded.unknown,
         remainder=graded.remainder,
         remainder_interval=graded.remainder_interval,
-        window=answer.fits.window,
+        horizon=answer.fits.horizon,
         nominal=tested.nominal,
         refit=tested.refit,
         with_effect=tested.with_effect,

@@ -16,10 +16,9 @@ from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.validation import coloured, validation
-from hybrid_id.diagnosis.windows import free_runs, windows
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.identification.fit import fit, make_bounds
-from hybrid_id.identification.horizons import hidden_links
+from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs, hidden_links, windows
 from hybrid_id.identification.least_squares import Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out
 from hybrid_id.identification.result import FitResult
@@ -30,6 +29,7 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.fan_out import leave_ctrl_c_to_the_first
 from hybrid_id.study.replays import batch_of
@@ -40,7 +40,7 @@ BEGINNING = 12
 COARSE, FINER, FULL, AGAIN = 5, 10, 40, 4
 """Iterations of a first coarse fit, of a finer one, of a fit to the end, and of its re-fit without some records."""
 WINDOW = 0.5
-"""Length [s] of the windows, each from a measured state, that models are fitted to where free runs lose the records."""
+"""Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 PARALLEL_FROM = 2_000_000
 """States times samples that have been fitted when further fits are shared: about the time that processes take to start,
 and not the time itself, on which no result may depend."""
@@ -74,7 +74,7 @@ class Fits:
         dataset: only its train records are used.
         jobs: processes that share the fits, once a search turns out to be long.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-        window: length [s] of the windows that models are fitted to; None for whole records.
+        horizon: how long free runs are before they start again from a measured state.
     """
 
     def __init__(
@@ -83,16 +83,21 @@ class Fits:
         *,
         jobs: int = 1,
         signal_share: float = SIGNAL_SHARE,
-        window: float | None = None,
+        horizon: Horizon = WHOLE,
     ) -> None:
-        self.dataset, self.jobs, self.signal_share, self.window = dataset, jobs, signal_share, window
+        self.dataset, self.jobs, self.signal_share, self.horizon = dataset, jobs, signal_share, horizon
         self.fitted = 0
 
-    def within(self, window: float) -> Fits:
-        """The same over windows."""
-        shorter = copy.copy(self)
-        shorter.window = window
-        return shorter
+    def over(self, horizon: Horizon) -> Fits:
+        """The same over another horizon."""
+        other = copy.copy(self)
+        other.horizon = horizon
+        return other
+
+    @property
+    def whole(self) -> bool:
+        """Whether models run free over whole records."""
+        return self.horizon.kind == "whole"
 
     def on_all(self) -> Fits:
         """The same for the train and validation records together."""
@@ -106,9 +111,8 @@ class Fits:
         return batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
 
     def batch(self, system: System) -> Batch:
-        """What models are fitted to: the train records, or windows of them from measured states."""
-        batch = self.records(system)
-        return batch if self.window is None else windows(system, engine(), batch, self.window)
+        """What models are fitted to: the train records, or pieces of them from measured states."""
+        return self.horizon.cut(system, engine(), self.records(system))
 
     def astray(self, model: Model) -> float:
         """Normalised RMSE of a model's free runs, less the noise, however little an output moves."""
@@ -132,7 +136,7 @@ class Fits:
 
     def slopes(self, system: System, least: float) -> Slopes | None:
         """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none."""
-        if self.window is not None:
+        if not self.whole:
             return None
         return replace(slopes_at(system, self.records(system), engine()), least=least)
 
@@ -167,8 +171,8 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
     full = iterations == FULL
     try:
         batch = fits.batch(task.system)
-        hidden = fits.window is None and hidden_links(task.system, batch)
-        if fits.window is not None:
+        hidden = fits.whole and hidden_links(task.system, batch)
+        if not fits.whole:
             result = _within(task, batch, iterations)
         elif hidden or iterations <= COARSE:
             result = secant_fit(
@@ -194,22 +198,22 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
 def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
     """Weighted errors of a fit on the validation records, or on the train records left out whole, in turn."""
     if not fits.dataset.validation:
-        return predicted(result, batch, fits.window)
+        return predicted(result, batch)
     system, share = result.system, fits.signal_share
     whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
-    seen, run = free_runs(system, result.engine, whole, fits.window)
+    seen, run = runs(system, result.engine, whole, fits.horizon)
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)
     return [row[(weight > 0).any(1)] for row, weight in zip(error, seen.weight.numpy(), strict=True)]
 
 
-def predicted(result: FitResult, batch: Batch, window: float | None) -> list[np.ndarray]:
+def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     """Weighted errors of each row, ``(T, n_y)``, predicted by fits of the other records alone.
 
     Every fit starts where that of all records has ended, with the first states that it has found: these are the left-out
     record's own. A single record has no others: its blocks are left out one sixth at a time.
     """
     fold = folds(batch)
-    if window is None or fold is None:
+    if fold is None or len(set(batch.names)) == batch.rows:
         return leave_one_out(result, batch, AGAIN)
     parts = np.unique(fold)
     inside = [np.flatnonzero(fold != k) for k in parts]
@@ -273,6 +277,15 @@ def _within(task: Task, batch: Batch, iterations: int) -> FitResult:
     if not np.isfinite(result.cost):
         raise RuntimeError("the start values diverge")
     return result
+
+
+def runs(system: System, how: Engine, batch: Batch, horizon: Horizon) -> tuple[Batch, np.ndarray]:
+    """Free runs of a model over a horizon of whole records: what is run, and its outputs ``(R, T, n_y)``."""
+    pieces = horizon.cut(system, how, batch)
+    fine = with_substeps(system, how, pieces)
+    # a whole record starts at rest, where it was measured
+    run = simulate(system, fine, pieces) if pieces is batch else free_runs(system, fine, pieces)
+    return pieces, run.y.numpy()
 
 
 def engine() -> Engine:

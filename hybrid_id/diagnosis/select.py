@@ -34,13 +34,11 @@ class Selection:
         base: the nominal model, re-fitted.
         steps: the selection steps; the first says what each effect explains alone.
         chosen: the model that the search ends with; ``base`` where no effect is accepted.
-        window: length [s] of the windows over which all models have been fitted and compared; None for whole records.
     """
 
     base: Model
     steps: tuple[Step, ...]
     chosen: Model
-    window: float | None = None
 
 
 def select(
@@ -97,7 +95,7 @@ def select(
             model = _necessary(fits, base, model, steps)
             if len(model.effects) <= len(before.effects) and not _better_set(model, before):
                 break
-    return Selection(base if model.effects else model, tuple(steps), model, fits.window)
+    return Selection(base if model.effects else model, tuple(steps), model)
 
 
 def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> bool:
