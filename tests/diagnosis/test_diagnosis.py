@@ -10,10 +10,10 @@ from gapcase import RATIO, small_case
 import hybrid_id.diagnosis.diagnose as module
 import hybrid_id.diagnosis.judged as judged
 from hybrid_id.components import JointFlexibility, Spring
-from hybrid_id.diagnosis.bent import bent_parameters
+from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.diagnose import _verdict
-from hybrid_id.diagnosis.measure import errors
+from hybrid_id.diagnosis.held_out import errors
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.reporting.gap import caution_lines, summary
 from hybrid_id.study.identifiable import preflight
@@ -84,7 +84,7 @@ def test_what_the_test_records_do_not_bear_out_is_withdrawn(diagnosed, monkeypat
 
     monkeypatch.setattr(judged, "shrink", unsure)
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found.search)
-    again = module.diagnose(dataset, today, most=1)
+    again = module.diagnose(dataset, today, max_effects=1)
     assert not again.selected
     assert again.withdrawn == ("spring_load at joint1/load",)
     assert again.with_effect is not None and again.refit is not None
@@ -106,7 +106,7 @@ def test_others_are_searched_for_in_the_place_of_what_is_withdrawn(diagnosed, mo
 
     monkeypatch.setattr(judged, "shrink", unsure_of_the_first)
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found.search)
-    again = module.diagnose(dataset, today, most=1)
+    again = module.diagnose(dataset, today, max_effects=1)
     assert again.withdrawn == ("spring_load at joint1/load",)
     assert [s.name for s in again.selected] == ["gravity_load"]  # the nearest to a spring that is left
     assert not any(s.name == "spring_load" for s in again.effects)
@@ -118,7 +118,7 @@ def test_what_stays_unexplained_lowers_the_probabilities(diagnosed, monkeypatch)
     monkeypatch.setattr(judged, "outside", lambda *_: True)
     monkeypatch.setattr(judged, "no_noise", lambda *_: 0.8)
     monkeypatch.setattr(module, "own_sets", lambda *_: None)
-    told = module.diagnose(dataset, today, most=1)
+    told = module.diagnose(dataset, today, max_effects=1)
     assert told.verdict == "outside_catalogue"
     for before, after in zip(found.effects, told.effects, strict=True):
         assert after.probability == pytest.approx(0.44 * before.probability)
@@ -130,7 +130,7 @@ def test_what_closes_next_to_nothing_has_no_name_beside_the_unknown(diagnosed, m
 
     def closes(share: float) -> Diagnosis:
         monkeypatch.setattr(judged, "shrink", lambda *a, **k: replace(honest(*a, **k), share=share))
-        return module.diagnose(dataset, today, most=1)
+        return module.diagnose(dataset, today, max_effects=1)
 
     monkeypatch.setattr(module, "attribute", lambda *_, **__: found.search)
     monkeypatch.setattr(judged, "outside", lambda *_: True)
@@ -172,8 +172,8 @@ def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
     nominal = sound[1]
     values = {i.name: i.spec.value for i in nominal.table if i.spec.estimate}
     scaled = {name: (1 if name == "P_m2" else 1.7) * value for name, value in values.items()}
-    assert bent_parameters(nominal, nominal.with_values(scaled)) == []
-    words = bent_parameters(nominal, nominal.with_values({"F_c": 0.0}))
+    assert implausible_parameters(nominal, nominal.with_values(scaled)) == []
+    words = implausible_parameters(nominal, nominal.with_values({"F_c": 0.0}))
     assert words == ["F_c is driven to zero"]
     # a resistance 40 % too high shows where a prior holds the motor's constant, which else is taken for a common scale
     high = {"P_m1": values["P_m1"] / 1.4}
@@ -181,20 +181,20 @@ def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
         nominal.parameter("P_m1").spec, prior_std=0.05 * values["P_m1"], prior_mean=values["P_m1"]
     )
     held = nominal.with_specs({"P_m1": prior})
-    assert bent_parameters(nominal, nominal.with_values(high)) == []
-    assert bent_parameters(held, held.with_values(high)) == [
+    assert implausible_parameters(nominal, nominal.with_values(high)) == []
+    assert implausible_parameters(held, held.with_values(high)) == [
         "P_m1 is 5.7 standard deviations of its prior too low"
     ]
-    assert bent_parameters(held, held.with_values({"P_m1": 1.1 * values["P_m1"]})) == []
+    assert implausible_parameters(held, held.with_values({"P_m1": 1.1 * values["P_m1"]})) == []
     # what moves unseen by the records is said beside what it may have moved
     told = preflight(sound[0], nominal)
-    (line,) = bent_parameters(nominal, nominal.with_values({"F_v": 0.5 * values["F_v"]}), told)
+    (line,) = implausible_parameters(nominal, nominal.with_values({"F_v": 0.5 * values["F_v"]}), told)
     assert line.startswith("F_v is 0.50 times its nominal value (unseen by these records: P_m2 off by +")
-    assert bent_parameters(nominal, nominal.with_values({"F_c": 0.0}), told) == words
+    assert implausible_parameters(nominal, nominal.with_values({"F_c": 0.0}), told) == words
     # where the scale is known, what has not moved is not bent, and what has is
     fixed = nominal.with_specs({"P_m1": replace(nominal.parameter("P_m1").spec, estimate=False)})
     doubled = {"F_c": 2.0 * values["F_c"], "F_v": 2.0 * values["F_v"]}
-    assert bent_parameters(fixed, fixed.with_values(doubled)) == [
+    assert implausible_parameters(fixed, fixed.with_values(doubled)) == [
         f"{name} is 2.00 times its nominal value" for name in ("F_c", "F_v")
     ]
     # what has torque below the line falls as torques rise
@@ -202,7 +202,7 @@ def test_bent_parameters_are_named_apart_from_the_common_scale(sound) -> None:
     flexible = {i.name: i.spec.value for i in soft.table if i.spec.estimate}
     torques = {name: v * (1.0 if name in ("P_m2", "zeta") else 1.7) for name, v in flexible.items()}
     torques["compliance"] = flexible["compliance"] / 1.7
-    assert bent_parameters(soft, soft.with_values(torques)) == []
+    assert implausible_parameters(soft, soft.with_values(torques)) == []
 
 
 def test_what_the_train_records_do_not_show_is_looked_for_on_a_test_record(diagnosed, monkeypatch) -> None:
@@ -296,7 +296,7 @@ def test_a_few_samples_are_too_short_to_say() -> None:
         )
         for r in dataset.records[2:]
     ]
-    found = module.diagnose(replace(dataset, records=tuple(cut)), today, most=1)
+    found = module.diagnose(replace(dataset, records=tuple(cut)), today, max_effects=1)
     assert found.verdict == "inconclusive" and not found.selected and found.vague > 0.1
     assert summary(found).startswith(
         "These records are too short to say: they tell nothing of the parameters better than to"

@@ -10,14 +10,14 @@ from gapcase import small_case
 from joblib import parallel_config
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-import hybrid_id.diagnosis.attribute as module
-import hybrid_id.diagnosis.refit as refit_module
-import hybrid_id.diagnosis.starts as starts
+import hybrid_id.diagnosis.select as module
+import hybrid_id.diagnosis.fits as refit_module
+import hybrid_id.diagnosis.candidates as starts
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis.attribute import attribute
+from hybrid_id.diagnosis.select import attribute
 from hybrid_id.diagnosis.catalogue import CATALOGUE
-from hybrid_id.diagnosis.refit import Refit, Task, engine
-from hybrid_id.diagnosis.untold import untold
+from hybrid_id.diagnosis.fits import Fits, Task, engine
+from hybrid_id.diagnosis.unidentified import untold
 from hybrid_id.diagnosis.windows import windows
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.rollout import simulate
@@ -68,20 +68,20 @@ def test_records_of_less_than_four_windows_stay_whole() -> None:
 
 def test_free_runs_are_lost_only_where_the_model_is_wrong() -> None:
     dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    refit = Refit(dataset)
+    refit = Fits(dataset)
     lacking = refit.base(today)
     assert refit.strays(lacking)
     dataset, today = small_case()
-    assert not Refit(dataset).strays(Refit(dataset).base(today))
+    assert not Fits(dataset).strays(Fits(dataset).base(today))
 
 
 def test_search_over_windows_names_the_same_and_ends_with_whole_records(monkeypatch) -> None:
     dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    monkeypatch.setattr(Refit, "strays", lambda *_: True)
+    monkeypatch.setattr(Fits, "strays", lambda *_: True)
     monkeypatch.setattr(module, "WINDOW", 0.3)
     few = ("spring_load", "thermal_derating", "stribeck_friction")
     monkeypatch.setattr(starts, "CATALOGUE", {name: CATALOGUE[name] for name in few})
-    found = attribute(Refit(dataset), today, most=1)
+    found = attribute(Fits(dataset), today, max_effects=1)
     assert found.window == 0.3
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
     assert len(found.chosen.result.residual) == len(dataset.train)
@@ -91,9 +91,9 @@ def test_search_over_windows_names_the_same_and_ends_with_whole_records(monkeypa
 
 def test_what_holds_the_scale_is_said_and_free_scales_are_not_said_twice() -> None:
     dataset, today = small_case()
-    assert any("one number" in words and "claim" not in words for words in untold(dataset, today))
+    assert any("one number" in words and "claim" not in words for words in not_identifiable(dataset, today))
     held = today.with_specs({"J": replace(today.parameter("J").spec, estimate=False)})
-    words = untold(dataset, held)
+    words = not_identifiable(dataset, held)
     assert any("P_m1" in w and "only the claim of J at" in w for w in words), words
 
 
@@ -102,15 +102,15 @@ def test_fits_in_processes_are_those_in_turn(monkeypatch: pytest.MonkeyPatch) ->
     spring = today.with_component("joint1/load", REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     lost = today.with_values({"J": 1e-12, "F_c": 0.0})
     some = [Task((), today), Task((), lost), Task((("spring_load", "joint1/load"),), spring)]
-    in_turn = Refit(dataset).run(some, 2)
+    in_turn = Fits(dataset).run(some, 2)
     monkeypatch.setattr(refit_module, "SHARED_FROM", 0)
     with parallel_config(backend="threading"):  # what a process is given is another test's
-        together = Refit(dataset, jobs=2).run(some, 2)
+        together = Fits(dataset, jobs=2).run(some, 2)
     assert [None if e is None else (e.effects, e.result.cost) for e in together] == [
         None if e is None else (e.effects, e.result.cost) for e in in_turn
     ]
     assert in_turn[0] is not None and in_turn[2] is not None
-    refit, task = pickle.loads(pickle.dumps((Refit(dataset, jobs=2), some[2])))
+    refit, task = pickle.loads(pickle.dumps((Fits(dataset, jobs=2), some[2])))
     assert refit.jobs == 2 and task.effects == some[2].effects
 
 
@@ -131,10 +131,10 @@ def test_fits_whose_process_is_lost_are_done_in_turn(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(refit_module, "SHARED_FROM", 0)
     monkeypatch.setattr(refit_module, "Parallel", Lost)
     refit, some = (
-        Refit(dataset, jobs=2),
+        Fits(dataset, jobs=2),
         [Task((), today.with_values({"F_v": v})) for v in (4e-5, 5e-5, 6e-5)],
     )
-    together, in_turn = refit.run(some, 1), Refit(dataset).run(some, 1)
+    together, in_turn = refit.run(some, 1), Fits(dataset).run(some, 1)
     assert [e and e.result.cost for e in together] == [e and e.result.cost for e in in_turn]
     assert refit.jobs == 1
 
@@ -161,5 +161,5 @@ def test_a_process_need_not_know_the_catalogue(monkeypatch: pytest.MonkeyPatch) 
     dataset, today = small_case()
     monkeypatch.setattr(refit_module, "_nearest", nearest)
     monkeypatch.setattr(refit_module, "Parallel", Elsewhere)
-    Refit(dataset, jobs=2).run([Task((("cogging", "joint1/motor"),), today), Task((), today)], 10)
+    Fits(dataset, jobs=2).run([Task((("cogging", "joint1/motor"),), today), Task((), today)], 10)
     assert told == [True, False]

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hybrid_id.diagnosis.measure import Errors
-from hybrid_id.diagnosis.shrink import shrink
+from hybrid_id.diagnosis.held_out import Errors
+from hybrid_id.diagnosis.held_out import shrink
 
 
 def errors(rng: np.random.Generator, size: float, blocks: int, noise: float = 0.0) -> Errors:

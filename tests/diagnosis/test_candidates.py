@@ -7,9 +7,9 @@ from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, PositionDependent
 from hybrid_id.diagnosis.catalogue import CATALOGUE
-from hybrid_id.diagnosis.refit import Refit
+from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.scales import scales
-from hybrid_id.diagnosis.starts import special_cases, without
+from hybrid_id.diagnosis.candidates import special_cases, without
 
 PLACE = "joint1/motor_friction"
 
@@ -22,7 +22,7 @@ def test_a_special_case_is_tried_where_the_richer_law_has_ended() -> None:
     richer = SimpleNamespace(
         effects=(*before.effects, ("position_dependent_friction", PLACE)), system=ended, result=None
     )
-    (task,) = special_cases(Refit(dataset), before, richer)
+    (task,) = special_cases(Fits(dataset), before, richer)
     assert task.effects == (("cogging", "joint1/motor"), ("coulomb_friction", PLACE))
     assert set(task.system.components) == set(today.components)
     assert task.system.parameter("J").spec.value == 3e-5
@@ -33,14 +33,14 @@ def test_a_law_without_special_cases_has_none() -> None:
     ended = today.with_component(PLACE, AsymmetricFriction())
     before = SimpleNamespace(effects=(), system=today)
     richer = SimpleNamespace(effects=(("asymmetric_friction", PLACE),), system=ended)
-    assert not special_cases(Refit(dataset), before, richer)
+    assert not special_cases(Fits(dataset), before, richer)
 
 
 def test_the_rotor_has_its_share_again_once_nothing_tells_it() -> None:
     _, today = small_case()
     share = replace(today.parameter("rotor_share").spec, lower=0.05, upper=0.6)
     today = today.with_specs({"rotor_share": share})  # below the shares that are tried: no error either
-    (size,) = scales(today, Refit(small_case()[0]).records(today))
+    (size,) = scales(today, Fits(small_case()[0]).records(today))
     loaded = CATALOGUE["load_dependent_friction"].models(today, size)[PLACE]
     freed = next(s for s in loaded if f"{PLACE}/load_dependent_friction" in s.components)
     assert freed.parameter("rotor_share").spec.estimate

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hybrid_id.diagnosis.evidence import BLOCK, coloured, effective_samples, evidence
+from hybrid_id.diagnosis.validation import BLOCK, coloured, effective_samples, evidence
 
 STEP = 0.01
 

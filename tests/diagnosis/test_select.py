@@ -9,7 +9,7 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, Cogging, ConstantTorque
-from hybrid_id.diagnosis.attribute import (
+from hybrid_id.diagnosis.select import (
     Attribution,
     _alive,
     _in_their_place,
@@ -18,13 +18,13 @@ from hybrid_id.diagnosis.attribute import (
     sure_though_small,
 )
 from hybrid_id.diagnosis.belief import better
-from hybrid_id.diagnosis.bent import bent_parameters
+from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.catalogue import CATALOGUE
-from hybrid_id.diagnosis.evidence import Evidence, evidence
+from hybrid_id.diagnosis.validation import Evidence, evidence
 from hybrid_id.diagnosis.exchange import exchanges
-from hybrid_id.diagnosis.probability import suspects, tied_explanations
+from hybrid_id.diagnosis.grade import suspects, tied_explanations
 from hybrid_id.diagnosis.ranking import best_of_each, effects_of, simpler_ones, simplest_first
-from hybrid_id.diagnosis.refit import LOOK, TO_THE_END, Task
+from hybrid_id.diagnosis.fits import LOOK, TO_THE_END, Task
 from hybrid_id.diagnosis.round import (
     SECOND_LOOK,
     Round,
@@ -33,7 +33,7 @@ from hybrid_id.diagnosis.round import (
     _promises,
 )
 from hybrid_id.diagnosis.scales import Scales, scales
-from hybrid_id.diagnosis.starts import as_today, without
+from hybrid_id.diagnosis.candidates import as_today, without
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems import System
 
@@ -175,8 +175,8 @@ def test_values_of_today_that_cannot_stand_beside_an_effect_are_left_out() -> No
 def test_a_part_that_an_effect_has_replaced_counts_as_not_bent() -> None:
     _, today = small_case()
     gone = today.without_component("joint1/motor_friction", "coulomb_friction")
-    assert bent_parameters(today, gone) == []
-    assert bent_parameters(today, today.with_values({"P_m2": 2.0 * today.parameter("P_m2").spec.value}))
+    assert implausible_parameters(today, gone) == []
+    assert implausible_parameters(today, today.with_values({"P_m2": 2.0 * today.parameter("P_m2").spec.value}))
 
 
 def test_an_effect_that_is_sure_but_small_waits_for_the_test_records() -> None:
@@ -241,8 +241,8 @@ def test_a_pair_is_refused_only_after_rivals_of_its_first_effect(monkeypatch: py
     rounds = [Round(model(), (model(BIAS), model(UNEVEN))), Round(model(BIAS), (model(COGGING, BIAS),))]
     assert not better(rounds[1].candidates[0], model(BIAS))
     todo = list(rounds)
-    monkeypatch.setattr("hybrid_id.diagnosis.attribute.one_round", lambda *_: todo.pop(0))
-    monkeypatch.setattr("hybrid_id.diagnosis.attribute._freed", lambda _, chosen: chosen)
+    monkeypatch.setattr("hybrid_id.diagnosis.select.one_round", lambda *_: todo.pop(0))
+    monkeypatch.setattr("hybrid_id.diagnosis.select._freed", lambda _, chosen: chosen)
     refit = SimpleNamespace(
         base=lambda _: model(),
         run=lambda tasks, *_: [model(*task.effects) for task in tasks],
