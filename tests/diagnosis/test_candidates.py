@@ -6,10 +6,10 @@ from types import SimpleNamespace
 from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, PositionDependent
+from hybrid_id.diagnosis.candidates import special_cases, without
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.scales import scales
-from hybrid_id.diagnosis.candidates import special_cases, without
 
 PLACE = "joint1/motor_friction"
 

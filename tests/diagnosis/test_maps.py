@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hybrid_id.diagnosis.maps import BINS, after_reversals, mean_after_reversals, torque_map
 from hybrid_id.diagnosis.fits import Fits
+from hybrid_id.diagnosis.maps import BINS, after_reversals, mean_after_reversals, torque_map
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems import System

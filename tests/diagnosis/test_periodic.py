@@ -15,11 +15,9 @@ from hybrid_id import load_model, save_model
 from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
 from hybrid_id.components.base import Component
 from hybrid_id.diagnosis.catalogue import CATALOGUE, effect
-from hybrid_id.diagnosis.validation import validation
-from hybrid_id.diagnosis.model import Model
-from hybrid_id.diagnosis.grade import _parameters
 from hybrid_id.diagnosis.fits import engine
-from hybrid_id.diagnosis.scales import scales
+from hybrid_id.diagnosis.grade import _parameters
+from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.periodic import (
     GEAR_PERIODS,
     Left,
@@ -28,6 +26,8 @@ from hybrid_id.diagnosis.periodic import (
     gear_waves,
     rotor_waves,
 )
+from hybrid_id.diagnosis.scales import scales
+from hybrid_id.diagnosis.validation import validation
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study.replays import batch_of
