@@ -92,7 +92,7 @@ def free_runs(
         batch: whole records, prepared for it.
         seconds: length of the windows; None for whole records.
     """
-    if seconds is None:
+    short = batch if seconds is None else windows(system, engine, batch, seconds)
+    if short.rows == batch.rows:  # records too short for windows stay whole, from where they have begun
         return batch, simulate(system, with_substeps(system, engine, batch), batch).y.numpy()
-    short = windows(system, engine, batch, seconds)
     return short, simulate(system, *_started(system, engine, short)).y.numpy()
