@@ -1,10 +1,11 @@
 """Errors on train records that an estimate has not seen, and what they say of one model against another.
 
-Every record is left out in turn: the model is fitted again without it, and predicts it. The squared errors of two models
-are compared block by block. Where the richer model predicts no better, the sign of each block's difference is a coin's:
-thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic of a whole
-search (R. A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young, Resampling-Based
-Multiple Testing, 1993, for the maximum). It is conservative, for a needless parameter makes predictions worse.
+Every record is left out in turn: the model is fitted again without it, and predicts it. The squared errors of two
+models are compared block by block. Where the richer model predicts no better, the sign of each block's difference is a
+coin's: thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic
+of a whole search (R. A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young,
+Resampling-Based Multiple Testing, 1993, for the maximum). It is conservative, for a needless parameter makes
+predictions worse.
 """
 
 from __future__ import annotations
@@ -82,8 +83,8 @@ def p_values(richer: Sequence[Validation], simpler: Validation, seed: int = 0) -
 
     Two statistics are taken, whichever says more: the mean difference of the blocks relative to their record's error,
     and relative to both errors of the block. The first sees an effect that acts at few instants, the second one that
-    acts always and is drowned by the end of free runs. Where the differences of
-    neighbouring blocks go together, a statistic is less by the root of the number of blocks over which they do.
+    acts always and is drowned by the end of free runs. Where the differences of neighbouring
+    blocks go together, a statistic is less by the root of the number of blocks over which they do.
 
     Args:
         richer: validations of the candidates.

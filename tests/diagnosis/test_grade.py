@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -80,7 +81,7 @@ def test_shares_and_the_remainder_add_up_to_the_gap(falls: list[float], structur
     names, models = (SPRING, DRAG, BIAS), [model(100.0)]
     for k, fall in enumerate(falls):
         models.append(model(models[-1].error * fall, *names[: k + 1], seed=seed))
-    steps = [(a, b) for a, b in zip(models[:-1], models[1:], strict=True)]
+    steps = list(pairwise(models))
     found = grade(NONE, search(*steps), structural, seed=seed)
     assert found.explained + found.remainder == pytest.approx(1.0)
     last = models[-1].error

@@ -62,9 +62,7 @@ def test_a_model_may_do_better_by_chance_than_the_right_one(rng: np.random.Gener
     assert found.interval[1] < 1.3
 
 
-def test_errors_over_one_window_of_a_whole_record_are_those_of_the_record(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_errors_over_one_window_of_a_whole_record_are_those_of_the_record() -> None:
     dataset, nominal = small_case()
     whole = module.errors(dataset, nominal, engine())
     # records of less than four windows stay whole
