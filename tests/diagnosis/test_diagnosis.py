@@ -114,6 +114,7 @@ def test_a_few_samples_are_too_short_to_say() -> None:
 def test_the_graded_answer_adds_up(diagnosed) -> None:
     found: Diagnosis = diagnosed[2]
     (spring,) = found.selected
+    assert spring.share is not None and spring.share_interval is not None
     assert spring.share + found.remainder == pytest.approx(1.0)
     assert 0.9 < spring.share_interval[0] <= spring.share <= spring.share_interval[1] + 0.01
     assert spring.probability > 0.5 and not found.unknown and not found.contradiction

@@ -88,6 +88,7 @@ def test_shares_and_the_remainder_add_up_to_the_gap(falls: list[float], structur
     assert found.gap == pytest.approx(models[0].error - last * (1.0 - structural))
     for k, (a, b) in enumerate(steps):
         one = share_of(found, names[k])
+        assert one.share is not None and one.share_interval is not None
         assert one.selected and one.share == pytest.approx((a.error - b.error) / found.gap)
         low, high = one.share_interval
         assert low <= one.share + 0.02 and one.share - 0.02 <= high
@@ -149,7 +150,8 @@ def test_nothing_improbable_or_of_no_sure_size_is_asserted() -> None:
 def test_an_effect_that_helps_by_chance_has_an_interval_that_holds_zero() -> None:
     base, spring = model(1.0, scatter=0.9), model(0.99, SPRING, seed=5, scatter=0.9)
     found = grade(NONE, search((base, spring)), 0.5)
-    assert found.candidates[0].share_interval[0] < 0.0
+    interval = found.candidates[0].share_interval
+    assert interval is not None and interval[0] < 0.0
     assert doubtful(found) == [SPRING]
 
 

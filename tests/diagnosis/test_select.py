@@ -39,7 +39,9 @@ def test_a_second_effect_is_accepted_at_a_small_fall_only_where_it_completes_the
     assert accepted(both, first)  # what is left is white
     assert not accepted(model(0.92 * (NOISE + 0.6 * WAVE), PLAY, DELAY), first)  # the same waves are left
     assert not accepted(model(0.98 * NOISE, PLAY, DELAY), model(NOISE, PLAY))
-    assert needed_fall(both, first) < needed_fall(model(NOISE + 1.5 * WAVE, PLAY, DELAY), model(NOISE + 2.0 * WAVE, PLAY))
+    assert needed_fall(both, first) < needed_fall(
+        model(NOISE + 1.5 * WAVE, PLAY, DELAY), model(NOISE + 2.0 * WAVE, PLAY)
+    )
 
 
 def test_nothing_is_looked_for_beside_an_effect_that_leaves_white_noise() -> None:

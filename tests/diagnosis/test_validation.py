@@ -36,7 +36,8 @@ def from_blocks(blocks: np.ndarray) -> Validation:
 def autoregression(rng: np.random.Generator, shape: tuple[int, ...], memory: float) -> np.ndarray:
     """``x_t = a x_{t-1} + e_t`` along the last axis, of unit variance."""
     start = rng.standard_normal((*shape[:-1], 200 + shape[-1]))
-    return lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], start, axis=-1)[..., 200:]
+    series = np.asarray(lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], start, axis=-1))
+    return series[..., 200:]
 
 
 @given(st.lists(st.integers(1, 130), min_size=1, max_size=4), st.integers(1, 3), st.integers(0, 99))
