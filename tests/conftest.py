@@ -54,7 +54,7 @@ def diagnosed() -> "tuple[Dataset, System, Diagnosis]":
     from hybrid_id.diagnosis.diagnose import diagnose
 
     dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    return dataset, today, diagnose(dataset, today, most=1)
+    return dataset, today, diagnose(dataset, today, max_effects=1)
 
 
 @pytest.fixture(scope="session")
@@ -65,4 +65,4 @@ def sound() -> "tuple[Dataset, System, Diagnosis]":
     from hybrid_id.diagnosis.diagnose import diagnose
 
     dataset, today = small_case()
-    return dataset, today, diagnose(dataset, today, most=1)
+    return dataset, today, diagnose(dataset, today, max_effects=1)

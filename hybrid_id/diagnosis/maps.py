@@ -10,7 +10,7 @@ import torch
 from hybrid_id.diagnosis.fits import Fits, engine
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.response import bumps, respond
-from hybrid_id.diagnosis.windows import windows
+from hybrid_id.identification.horizons import windows
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replays import batch_of
