@@ -1,0 +1,574 @@
+"""Messy machines: one or two dominant effects among several small ones, and all that is imperfect beside them.
+
+Friction drifts from record to record, encoders are eccentric, miss counts and are read a little apart, and the model
+file sometimes lacks a part that the others stand in for. Sizes come from a linear prediction, then from the records of
+the machine itself; a few steps of the secant method correct them.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hybrid_id.blind.campaign import SAMPLE_TIME, draw_campaign, noise_std
+from hybrid_id.blind.case import Case, logged, tuned
+from hybrid_id.blind.effects import CATALOGUE, OUTSIDE, Effect
+from hybrid_id.blind.effects.base import UNKNOWN
+from hybrid_id.blind.effects.friction import PreslidingDahl, WithheldCoulomb
+from hybrid_id.blind.judge import SOUND
+from hybrid_id.blind.levels import Errors, Graded
+from hybrid_id.blind.mixtures import Fit, Measured, Mixtures, Simulator
+from hybrid_id.blind.physics.bench import Flaws, replay
+from hybrid_id.blind.refit import STEP, nominal_error
+from hybrid_id.blind.rivals import Rival, candidates
+from hybrid_id.blind.robots import SYSTEMS, Robot, draw_robot
+from hybrid_id.errors import InputError
+
+FAMILIES = {"single": 0.52, "pair": 0.27, "unknown": 0.21}
+"""Families of messy machines: one dominant effect, two, or one outside the catalogue."""
+LENGTHS = (2300, 3700)
+"""Shortest and longest record [samples]."""
+FEWEST, MOST, SPARE = 3, 6, 2
+"""Small effects of a machine, and how many more are drawn for those that do not show."""
+OUTSIDE_SHARE = 0.3
+"""Share of small effects that are outside the catalogue."""
+LIFT = (0.10, 0.60)
+"""Rise of the re-fit's error by a small effect alone, relative to the noise floor."""
+WANTED_LIFT = (0.14, 0.46)
+"""The same, as it is aimed at."""
+DOMINANT, TWICE = 0.40, 2.0
+"""Share of the gap that a dominant effect closes at least, and how many times that of the largest small one."""
+WANTED_SHARE = {"single": (0.48, 0.83), "pair": (0.42, 0.5), "unknown": (0.58, 0.84)}
+"""Shares of the gap that each dominant effect is to close, by family."""
+TRAIN_SHARE = 0.25
+"""Share of the gap on the train records that a dominant effect closes at least."""
+SIZES = np.geomspace(0.025, 9.0, 8)
+"""Sizes that are tried in the linear prediction, relative to the one drawn."""
+CORRECTABLE = 2.0
+"""Factor by which a lift may lie beside `LIFT` and its size still be put right."""
+CORRECTIONS = 4
+"""Corrections of the dominant effects' sizes, at most."""
+CLOSE, REST = 1.06, 0.1
+"""A rival counts up to this error relative to the true effect's, and up to this share of what that closes left open."""
+WORTH, RIVALS = 0.4, 5
+"""Share of what the true effect closes that a rival promises at least, and how many are fitted."""
+DRAWS = 6
+"""Draws of a rival's shape."""
+IMITATED = 0.5
+"""Share of the gap that a named effect may close where the dominant one is outside the catalogue."""
+HARMLESS = 1.1
+"""Error of the re-fit over that of the machine where nothing is missing, at most."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One effect of a messy machine.
+
+    Attributes:
+        effect: in its final size.
+        role: dominant or small.
+        closes: share of the gap on the test records that adding it alone closes.
+        share: fall of the test mean square when it is added after all larger ones, over the gap.
+        lift: rise of the re-fit's error by it alone, relative to the noise floor; None of a dominant one.
+        rivals: other effects in its place; none of a small one.
+    """
+
+    effect: Effect
+    role: str
+    closes: float
+    share: float
+    lift: float | None
+    rivals: tuple[Rival, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Messy:
+    """A messy machine.
+
+    Attributes:
+        graded: its case, records and errors.
+        parts: its effects, in the order in which they are added.
+        drift: factors on friction (n_joints, R).
+        withheld: harmless parameters that the model file lacks.
+    """
+
+    graded: Graded
+    parts: tuple[Part, ...]
+    drift: np.ndarray
+    withheld: tuple[str, ...]
+
+
+def family_of(seed: int, family: str | None, effect: str | None) -> str:
+    """Family of a messy machine, drawn where it is not given."""
+    rng = np.random.default_rng([seed, 3])
+    if family is None and effect:
+        family = "unknown" if effect in {kind.__name__ for kind in OUTSIDE} else "single"
+    return family or str(rng.choice(list(FAMILIES), p=list(FAMILIES.values())))
+
+
+def same_machine(
+    seed: int,
+    draw: int,
+    *,
+    name: str,
+    family: str,
+    system: str | None = None,
+    effect: str | None = None,
+) -> Messy | None:
+    """One of the machines that are drawn from a seed; None where it does not come out as wanted."""
+    try:
+        return draw_messy(np.random.default_rng([seed, 4, draw]), name, family, system, effect)
+    except (InputError, np.linalg.LinAlgError):  # a record of numbers that are none
+        return None
+
+
+def draw_messy(
+    rng: np.random.Generator, name: str, family: str, system: str | None, effect: str | None
+) -> Messy | None:
+    """One attempt at a messy machine; None where it does not come out as wanted.
+
+    Raises:
+        InputError: an effect that the system cannot have.
+    """
+    leading = _leading(rng, family, effect, system)
+    common = [s for s in SYSTEMS if s in (system or s) and all(s in kind.systems for kind in leading)]
+    if not common:
+        if system:
+            raise InputError(f"blind make: {effect} cannot be met on a {system} machine; give another system")
+        return None
+    robot = draw_robot(rng, str(rng.choice(common)))
+    effects = _effects(rng, robot, leading)
+    if effects is None:
+        return None
+    campaign = draw_campaign(rng, robot, lengths=LENGTHS)
+    case = tuned(Case(name, robot, (), campaign, {}), rng.uniform(0.12, 0.4), substeps=1)
+    case = replace(case, campaign=_flawed(rng, robot, case))
+    spread = rng.uniform(0.008, 0.045, (robot.joints, 1))
+    drift = 1 + spread * np.clip(rng.standard_normal((robot.joints, len(campaign.roles))), -2.0, 2.0)
+    names = [robot.name(i, "F_v") for i in range(robot.joints)]
+    withheld = tuple(n for n in names if rng.random() < 0.4)
+    wrong = 0.0 if family == "none" else rng.uniform(0.08, 0.32)
+    if family in SOUND:
+        return _sound(rng, case, drift, withheld, wrong, told=family == "none")
+    return _mixed(rng, case, effects, len(leading), family, drift, withheld, wrong)
+
+
+def _leading(
+    rng: np.random.Generator, family: str, effect: str | None, system: str | None
+) -> list[type[Effect]]:
+    """Formulas of the dominant effects."""
+
+    def met(kinds: Sequence[type[Effect]]) -> list[type[Effect]]:
+        return sorted((k for k in kinds if system in (None, *k.systems)), key=lambda kind: kind.__name__)
+
+    if family in SOUND:
+        return []
+    if family == "unknown":
+        found = met([k for k in OUTSIDE if effect in (None, k.__name__)])
+        return [found[rng.integers(len(found))]] if found else []
+    by_name = {n: met(kinds) for n, kinds in sorted(CATALOGUE.items()) if met(kinds)}
+    by_class = {k.__name__: [k] for kinds in by_name.values() for k in kinds}
+    chosen = [effect or str(rng.choice(list(by_name)))]
+    if family == "pair":
+        chosen.append(str(rng.choice([n for n in by_name if n != chosen[0]])))
+    found = [by_name.get(n) or by_class.get(n) or [] for n in chosen]
+    return [kinds[rng.integers(len(kinds))] for kinds in found if kinds]
+
+
+def _effects(rng: np.random.Generator, robot: Robot, leading: Sequence[type[Effect]]) -> list[Effect] | None:
+    """The dominant effects and more small ones than are needed, in sizes as drawn; None where they exclude each other."""
+    found: list[Effect] = []
+    for kind in leading:
+        if not kind.fits(robot):
+            return None
+        one = kind.draw(rng, robot, int(rng.integers(robot.joints)))
+        if not _goes_with(one, found, robot):
+            return None
+        found.append(one)
+    if not leading:
+        return found
+    named = sorted((k for kinds in CATALOGUE.values() for k in kinds), key=lambda kind: kind.__name__)
+    outside = sorted(OUTSIDE, key=lambda kind: kind.__name__)
+    wanted = len(found) + int(rng.integers(FEWEST, MOST + 1)) + SPARE
+    for _ in range(40):
+        kinds = outside if rng.random() < OUTSIDE_SHARE else named
+        kind = kinds[rng.integers(len(kinds))]
+        if kind.fits(robot):
+            one = kind.draw(rng, robot, int(rng.integers(robot.joints)))
+            if _goes_with(one, found, robot):
+                found.append(one)
+        if len(found) == wanted:
+            return found
+    return None
+
+
+def _goes_with(one: Effect, others: Sequence[Effect], robot: Robot) -> bool:
+    """Whether an effect can act beside others, and is another than they are."""
+    altered = robot
+    for other in others:
+        altered = other.alter(altered)
+    if not one.acts_at(altered, one.joint) or (one.replaces and any(other.replaces for other in others)):
+        return False
+    dry = (PreslidingDahl, WithheldCoulomb)
+    for other in others:
+        if other.joint != one.joint:
+            continue
+        same = type(one) is type(other) or (one.name == other.name != UNKNOWN)
+        if same or one.place == other.place == "transmission" or (isinstance(one, dry) and isinstance(other, dry)):
+            return False
+    return all(other.acts_at(one.alter(altered), other.joint) for other in others)
+
+
+def _flawed(rng: np.random.Generator, robot: Robot, case: Case):
+    """The experiments with encoders that are eccentric, miss counts, and are read a little apart."""
+    campaign = case.campaign
+    encoders, noise = campaign.encoders, noise_std(campaign.encoders)
+    samples, outputs, lanes = encoders.jitter.shape
+    lost = np.zeros((samples, outputs, lanes))
+    for i in range(outputs):
+        for b in range(lanes):
+            for _ in range(rng.poisson(rng.uniform(0.0, 1.5))):
+                start = rng.integers(60, samples)
+                counts = rng.choice([-1, 1]) * rng.integers(1, 3)
+                lost[start : start + rng.integers(15, 220), i, b] += counts * encoders.quantum[i]
+    late = np.zeros(outputs)
+    if outputs > 1:  # one channel alone that is late is a delay
+        late[rng.integers(outputs)] = rng.uniform(0.05, 0.45)
+    flaws = Flaws(noise * rng.uniform(0.05, 0.4, outputs), rng.uniform(-np.pi, np.pi, outputs), late, lost)
+    return replace(campaign, encoders=replace(encoders, flaws=flaws))
+
+
+def _model(
+    rng: np.random.Generator, robot: Robot, effects: Sequence[Effect], withheld: Sequence[str], wrong: float
+):
+    """Today's simulator, without what effects withhold and without what the others stand in for."""
+    for effect in effects:
+        robot = effect.alter(robot)
+    return robot.with_values({name: robot.values[name] for name in withheld}, withheld=True).model(rng, wrong)
+
+
+def _sound(
+    rng: np.random.Generator,
+    case: Case,
+    drift: np.ndarray,
+    withheld: tuple[str, ...],
+    wrong: float,
+    *,
+    told: bool,
+) -> Messy | None:
+    """A machine whose structure is that of its simulator."""
+    mixtures = Mixtures(case.robot, (), case.campaign)
+    made = mixtures.record([()], drift)
+    floor = float(mixtures.floors([()], made)[0])
+    fit = mixtures.fit([Simulator(0, (), mixtures.true)], made, rounds=12)[0]
+    case = replace(case, model=_model(rng, case.robot, (), withheld, wrong))
+    graded = _graded(case, made[0], fit)
+    if not fit.test <= HARMLESS * floor or (not told and graded.errors.nominal < 1.5 * fit.test):
+        return None
+    return Messy(graded, (), drift, withheld)
+
+
+def _mixed(
+    rng: np.random.Generator,
+    case: Case,
+    effects: list[Effect],
+    leaders: int,
+    family: str,
+    drift: np.ndarray,
+    withheld: tuple[str, ...],
+    wrong: float,
+) -> Messy | None:
+    """A machine with dominant and small effects."""
+    mixtures = Mixtures(case.robot, effects, case.campaign)
+    forecast = _Forecast(mixtures, drift)
+    # small effects, each measured alone at two sizes
+    wanted = np.exp(rng.uniform(*np.log(WANTED_LIFT), len(effects)))
+    small = [i for i in range(leaders, len(effects)) if forecast.size_for(i, wanted[i]) is not None]
+    if len(small) < FEWEST:
+        return None
+    sizes = np.zeros(len(effects))
+    lifts = _alone(mixtures, drift, small, np.array([forecast.size_for(i, wanted[i]) for i in small]), wanted[small])
+    kept = [i for i, one in zip(small, lifts, strict=True) if one is not None][: len(effects) - leaders - SPARE]
+    lift = {i: one[1] for i, one in zip(small, lifts, strict=True) if one is not None}
+    if len(kept) < FEWEST:
+        return None
+    for i, one in zip(small, lifts, strict=True):
+        if one is not None and i in kept:
+            sizes[i] = one[0]
+    # dominant ones, on the machine with all of them
+    goal = rng.uniform(*WANTED_SHARE[family], leaders) if leaders == 1 else np.full(2, rng.uniform(*WANTED_SHARE[family]))
+    sizes = forecast.lead(sizes, goal)
+    if sizes is None:
+        return None
+    acting = [*range(leaders), *kept]
+    mixtures = Mixtures(case.robot, [effects[i] for i in acting], case.campaign)
+    factors = sizes[acting]
+    found = _settled(mixtures, drift, factors, leaders, goal)
+    if found is None:
+        return None
+    factors, made, floor, base, alone = found
+    gap = base.test**2 - floor**2
+    closes = np.array([(base.test**2 - one.test**2) / gap for one in alone])
+    order = [*sorted(range(leaders), key=lambda i: -closes[i]), *sorted(range(leaders, len(acting)), key=lambda i: -closes[i])]
+    shares = _shares(mixtures, made, factors, order, leaders, base.test, floor, alone)
+    parts = []
+    for i in order:
+        one = mixtures.effects[i].scaled(float(factors[i]))
+        rivals: list[Rival] = []
+        if i < leaders:
+            rivals = _rivals(rng, mixtures, made, base, alone[i], one)
+            best = max((1 - r.rest for r in rivals), default=0.0) * closes[i]
+            if one.name == UNKNOWN and (best > IMITATED or any(r.counts for r in rivals)):
+                return None
+        role = "dominant" if i < leaders else "small"
+        parts.append(Part(one, role, float(closes[i]), shares[i], lift.get(acting[i]), tuple(rivals)))
+    outside = sum(part.share for part in parts if part.effect.name == UNKNOWN)
+    if (outside >= 0.5) != (family == "unknown"):
+        return None
+    final = tuple(part.effect for part in parts)
+    case = replace(case, effects=final, model=_model(rng, case.robot, final, withheld, wrong))
+    graded = _graded(case, made[0], base)
+    return Messy(graded, tuple(parts), drift, withheld)
+
+
+def _graded(case: Case, made: Measured, fit: Fit) -> Graded:
+    """The records as they are written, and the errors of today's simulator."""
+    clean = replay(case.plant(), made.volts, sample_time=SAMPLE_TIME, link=case.campaign.encoders.link)
+    records = logged(case, made.volts, made.angles, clean)
+    return Graded(case, records, Errors(nominal_error(case, records), fit.test, float(np.sqrt(fit.train))))
+
+
+class _Forecast:
+    """What effects of any size would add to the re-fit's error, by linear prediction from the machine without them."""
+
+    def __init__(self, mixtures: Mixtures, drift: np.ndarray) -> None:
+        self.mixtures, count = mixtures, len(mixtures.effects)
+        nothing = (0.0,) * count
+        self.made = mixtures.record([nothing], drift)
+        base = Simulator(0, nothing, mixtures.true)
+        names = list(mixtures.true)
+        moved = [replace(base, values={**base.values, n: base.values[n] * (1 + STEP)}) for n in names]
+        sized = [
+            replace(base, sizes=tuple(float(s) if j == i else 0.0 for j in range(count)))
+            for i in range(count)
+            for s in SIZES
+        ]
+        angles = mixtures.responses([base, *moved, *sized], self.made)
+        lengths, logged_angles = mixtures.campaign.lengths, self.made[0].angles
+        train, test, self.floor = [], [], []
+        for b, length in enumerate(lengths):
+            own, real = angles[:length, :, :, b], logged_angles[:length, :, b]
+            change = (own[:, :, 1:] - own[:, :, :1]) / np.hypot(mixtures.noise, 1e-3 * real.std(axis=0))[:, None]
+            if b in mixtures.train:
+                train.append(change.reshape(-1, change.shape[-1]))
+                continue
+            scale = real.std(axis=0) * np.sqrt(length)
+            for o in range(real.shape[1]):
+                test.append((own[:, o, 1:] - own[:, o, :1]) / scale[o])
+                self.floor.append(np.sum((own[:, o, 0] - real[:, o]) ** 2) / scale[o] ** 2)
+        rows = np.nan_to_num(np.concatenate(train), nan=1e6, posinf=1e6, neginf=-1e6)
+        plane, effect = rows[:, : len(names)], rows[:, len(names) :]
+        moves = np.linalg.lstsq(plane, effect, rcond=None)[0]
+        left = [part[:, len(names) :] - part[:, : len(names)] @ moves for part in test]
+        self.left = [part.reshape(len(part), count, len(SIZES)) for part in left]
+
+    def error(self, sizes: np.ndarray) -> float:
+        """Normalised RMSE of the re-fit on the test records."""
+        near = [int(np.argmin(np.abs(np.log(SIZES / s)))) if s > 0 else 0 for s in sizes]
+        factors = np.array([s / SIZES[k] for s, k in zip(sizes, near, strict=True)])
+        squares = [
+            f + np.sum((part[:, np.arange(len(sizes)), near] @ factors) ** 2)
+            for part, f in zip(self.left, self.floor, strict=True)
+        ]
+        return float(np.mean(np.sqrt(squares)))
+
+    def size_for(self, number: int, lift: float) -> float | None:
+        """Size of an effect that alone lifts the error so far; None where none does."""
+        tried = np.geomspace(SIZES[0], SIZES[-1], 60)
+        sizes = np.zeros(len(self.mixtures.effects))
+        floor, found = self.error(sizes), []
+        for size in tried:
+            sizes[number] = size
+            found.append(self.error(sizes) / floor - 1)
+        off = np.abs(np.log(np.maximum(found, 1e-9) / lift))
+        best = int(np.nanargmin(off))
+        return float(tried[best]) if off[best] < 0.25 else None
+
+    def lead(self, sizes: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
+        """Sizes of the first effects with which each closes a wanted share of the gap; None where none does."""
+        sizes, tried = sizes.copy(), np.geomspace(SIZES[0], SIZES[-1], 60)
+        for i in range(len(goal)):
+            sizes[i] = self.size_for(i, 1.0) or SIZES[len(SIZES) // 2]
+        floor = self.error(np.zeros(len(sizes)))
+        off = np.inf
+        for _ in range(3 if len(goal) > 1 else 1):
+            for i, wanted in enumerate(goal):
+                closes = []
+                for size in (*tried, 0.0):
+                    sizes[i] = size
+                    closes.append(self.error(sizes) ** 2)
+                share = (np.array(closes[:-1]) - closes[-1]) / (np.array(closes[:-1]) - floor**2)
+                best = int(np.nanargmin(np.abs(share - wanted)))
+                sizes[i], off = tried[best], abs(share[best] - wanted)
+        return sizes if off < 0.15 else None
+
+
+def _alone(
+    mixtures: Mixtures, drift: np.ndarray, small: Sequence[int], sizes: np.ndarray, wanted: np.ndarray
+) -> list[tuple[float, float] | None]:
+    """Size of each small effect and its lift alone, from records of its own; None where it is far from `LIFT`.
+
+    A lift that falls beside is put right by its growth with the square of the size.
+    """
+    count = len(mixtures.effects)
+    ones = [
+        tuple(float(size) if j == i else 0.0 for j in range(count))
+        for i, size in zip(small, sizes, strict=True)
+    ]
+    made = mixtures.record(ones, drift)
+    floors = mixtures.floors(ones, made)
+    fits = mixtures.fit([Simulator(k, (0.0,) * count, mixtures.true) for k in range(len(ones))], made, rounds=4)
+    found: list[tuple[float, float] | None] = []
+    for fit, floor, size, goal in zip(fits, floors, sizes, wanted, strict=True):
+        lift = fit.test / floor - 1
+        if LIFT[0] < lift < LIFT[1]:
+            found.append((float(size), float(lift)))
+        elif LIFT[0] / CORRECTABLE < lift < LIFT[1] * CORRECTABLE:
+            found.append((float(size * np.sqrt(goal / lift)), float(goal)))
+        else:
+            found.append(None)
+    return found
+
+
+def _settled(
+    mixtures: Mixtures, drift: np.ndarray, factors: np.ndarray, leaders: int, goal: np.ndarray
+) -> tuple[np.ndarray, list[Measured], float, Fit, list[Fit]] | None:
+    """Sizes with which the dominant effects dominate, with records, floor, re-fit, and the fit with each effect alone."""
+    factors, count = factors.copy(), len(factors)
+    for _ in range(CORRECTIONS):
+        made = mixtures.record([tuple(factors)], drift)
+        floor = float(mixtures.floors([tuple(factors)], made)[0])
+        if not np.isfinite(floor):
+            return None
+        base = mixtures.fit([Simulator(0, (0.0,) * count, mixtures.true)], made, rounds=8)[0]
+        starts = [
+            replace(
+                base.simulator,
+                sizes=tuple(float(factors[i]) if j == i else 0.0 for j in range(count)),
+                values=mixtures.true if i < leaders else base.simulator.values,
+                free=(i,),
+            )
+            for i in range(count)
+        ]
+        alone = mixtures.fit(starts, made, rounds=3)
+        gap = base.test**2 - floor**2
+        closes = np.array([(base.test**2 - one.test**2) / gap for one in alone])
+        trained = np.array([(base.train - one.train) / (base.train - 1) for one in alone[:leaders]])
+        if not np.isfinite(closes).all() or gap <= 0:
+            return None
+        led = closes[:leaders].min()
+        if led >= DOMINANT and led >= TWICE * closes[leaders:].max():
+            return (factors, made, floor, base, alone) if trained.min() >= TRAIN_SHARE else None
+        for i in range(leaders):
+            own = float(np.clip(closes[i], 0.03, 0.97))
+            aim = float(np.clip(goal[i] + (0.05 if own < goal[i] else 0.0), 0.0, 0.9))
+            factors[i] *= np.clip(np.sqrt(aim / (1 - aim) * (1 - own) / own), 0.4, 2.5)
+    return None
+
+
+def _shares(
+    mixtures: Mixtures,
+    made: list[Measured],
+    factors: np.ndarray,
+    order: Sequence[int],
+    leaders: int,
+    refit: float,
+    floor: float,
+    alone: Sequence[Fit],
+) -> dict[int, float]:
+    """Fall of the test mean square when effects are added in an order, over the gap; all of them come down to the floor."""
+    count = len(factors)
+    starts = [
+        Simulator(
+            0,
+            tuple(float(factors[j]) if j in order[:k] else 0.0 for j in range(count)),
+            mixtures.true,
+            free=tuple(i for i in order[:k] if i < leaders),
+        )
+        for k in range(2, count)
+    ]
+    errors = [refit, alone[order[0]].test, *(fit.test for fit in mixtures.fit(starts, made, rounds=3)), floor]
+    falls = -np.diff(np.square(errors)) / (refit**2 - floor**2)
+    return {i: float(fall) for i, fall in zip(order, falls, strict=True)}
+
+
+def _rivals(
+    rng: np.random.Generator, mixtures: Mixtures, made: list[Measured], base: Fit, own: Fit, truth: Effect
+) -> list[Rival]:
+    """Other effects that today's simulator may be given instead of a dominant one, the best first.
+
+    A rival counts where it predicts the test records within 6 % of the error with the true effect and leaves less than
+    a tenth of what that closes, all small effects missing from both.
+    """
+    bare = mixtures.bare
+    lacking = mixtures.robot
+    kinds = [
+        (kind, joint)
+        for kind in candidates(bare, every=truth.name == UNKNOWN)
+        for joint in range(bare.joints)
+        if kind.acts_at(lacking, joint) and (kind.name, kind.place, joint) != (truth.name, truth.place, truth.joint)
+    ]
+    drawn = [[kind.draw(rng, bare, joint) for _ in range(DRAWS if kind.shapes else 1)] for kind, joint in kinds]
+    tried = Mixtures(bare, [own_draws[0] for own_draws in drawn], mixtures.campaign, beside=mixtures.effects)
+    nothing = (0.0,) * len(kinds)
+    start = Simulator(0, nothing, base.simulator.values)
+    moved = [replace(start, values={**start.values, n: v * (1 + STEP)}) for n, v in start.values.items()]
+    rows = tried.residuals([start, *moved], made)
+    plane = np.linalg.qr((rows[1:] - rows[0]).T)[0]
+    gap = rows[0] - plane @ (plane.T @ rows[0])
+    starts: dict[int, tuple[float, Simulator]] = {}
+    for i, draws in enumerate(drawn):
+        grown = [
+            replace(
+                start,
+                sizes=tuple(s if j == i else 0.0 for j in range(len(kinds))),
+                shapes={(i, key): float(np.mean(v)) for key, v in one.values.items() if not isinstance(v, str)},
+            )
+            for one in draws
+            for s in (0.3, 1.1)
+        ]
+        starts[i] = (np.inf, grown[0])
+        drawn[i] = grown  # type: ignore[assignment]
+    for group in tried._alike([one.sizes for grown in drawn for one in grown]):  # type: ignore[attr-defined]
+        flat = [one for grown in drawn for one in grown]
+        chosen = [flat[k] for k in group]
+        changes = tried.residuals(chosen, made) - rows[0]  # type: ignore[arg-type]
+        for one, change in zip(chosen, changes, strict=True):
+            i = int(np.flatnonzero(one.sizes)[0])  # type: ignore[attr-defined]
+            change = change - plane @ (plane.T @ change)
+            square = float(change @ change) + 1e-9
+            along = -float(change @ gap) / square
+            kind = kinds[i][0]
+            if not set(kind.signed) & set(kind.sized):
+                along = max(along, 0.0)
+            left = float(np.mean((gap + along * change) ** 2))
+            if left < starts[i][0] and along:
+                size = tuple(s * float(np.clip(along, -8.0, 8.0)) for s in one.sizes)  # type: ignore[attr-defined]
+                starts[i] = (left, replace(one, sizes=size))  # type: ignore[type-var]
+    closing = base.train - own.train
+    promising = sorted((left, i) for i, (left, _) in starts.items() if base.train - left >= WORTH * closing)
+    best = [
+        replace(
+            starts[i][1],
+            free=(i,),
+            free_shapes=tuple((i, k) for k in kinds[i][0].shapes if (i, k) in starts[i][1].shapes),
+        )
+        for _, i in promising[:RIVALS]
+    ]
+    found = []
+    for (_, i), fit in zip(promising, tried.fit(best, made, rounds=4) if best else [], strict=False):
+        one = tried.effects[i].with_values({key: v for (_, key), v in fit.simulator.shapes.items()})
+        rest = float(1 - (base.test**2 - fit.test**2) / (base.test**2 - own.test**2))
+        counts = bool(fit.test <= CLOSE * own.test and rest < REST)
+        found.append(Rival(one.scaled(fit.simulator.sizes[i]), rest, counts, float(fit.test / own.test)))
+    return sorted(found, key=lambda rival: rival.rest)
