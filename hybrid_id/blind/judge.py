@@ -25,20 +25,20 @@ class Judged:
         case: its name.
         family, level, system, engine: of the case.
         realism: clean or messy.
-        effect: what was at work, by name, of a messy machine what was dominant; several joined by ``+``.
+        effect: what was at work, of a messy machine what was dominant; several joined by ``+``.
         records: train records that the diagnosis had.
         broken: why there is no diagnosis, empty where there is one.
         seconds: time that the diagnosis took.
         said: what it stands by, in one word: an effect's name (that of the answer where it is accepted), ``unknown``,
             ``none`` or ``broken``.
-        top_1, top_3: whether an accepted name is ranked first, among the first three (single effects; the dominant ones of
-            a messy machine).
+        top_1, top_3: whether an accepted name is ranked first, among the first three (single effects; a messy machine's
+            dominant ones).
         place: whether the first one's place is accepted (likewise).
         top_1_at_place: both together.
         pair: hits, named and true effects of a pair.
         whole: whether exactly what was at work is named: all effects and no other, nothing where nothing was, and
-            "unknown" with no name beside it where it is outside the catalogue. Of a messy machine: a dominant effect first,
-            no name that was not at work, and "unknown" where the dominant effect is outside the catalogue alone.
+            "unknown" with no name beside it where it is outside the catalogue. Of a messy machine: a dominant effect
+            first, no name that was not at work, and "unknown" only where the dominant effect is outside the catalogue.
         false_alarm: whether something is named in a case where the structure is right.
         values: whether it is told there that nothing is wrong, or the parameters alone.
         outside: whether something outside the catalogue is detected where it acts.

@@ -57,7 +57,7 @@ def make_case(
         effect: name of the effect, or the first one of a pair; of the class for effects outside the catalogue.
         level: strong, medium or weak.
         engine: in_house or mujoco.
-        realism: clean, where nothing is at work beyond the family; or messy, where that is dominant among small effects,
+        realism: clean, where nothing is at work beyond the family; or messy, where that is dominant among small ones,
             drift and imperfect encoders, and level and engine are not to be chosen.
         grading: whether to look for other effects that explain the records as well; slower.
 
@@ -179,7 +179,9 @@ def _check_realism(realism: str, level: str | None, engine: str | None) -> None:
     if realism not in (CLEAN, MESSY):
         raise InputError(f"blind make: realism '{realism}' is not known; use {CLEAN} or {MESSY}")
     if realism == MESSY and (level or engine == "mujoco"):
-        raise InputError("blind make: messy machines have neither level nor MuJoCo; leave --level and --engine out")
+        raise InputError(
+            "blind make: messy machines have neither level nor MuJoCo; leave --level and --engine out"
+        )
 
 
 def _check(**given: str | None) -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hybrid_id.blind.campaign import SAMPLE_TIME, draw_campaign, noise_std
+from hybrid_id.blind.campaign import draw_campaign, noise_std
 from hybrid_id.blind.case import Case, logged, tuned
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE, Effect
 from hybrid_id.blind.effects.base import UNKNOWN
@@ -18,7 +18,7 @@ from hybrid_id.blind.effects.friction import PreslidingDahl, WithheldCoulomb
 from hybrid_id.blind.judge import SOUND
 from hybrid_id.blind.levels import Errors, Graded
 from hybrid_id.blind.mixtures import Fit, Measured, Mixtures, Simulator
-from hybrid_id.blind.physics.bench import Flaws, replay
+from hybrid_id.blind.physics.bench import Flaws
 from hybrid_id.blind.refit import STEP, nominal_error
 from hybrid_id.blind.rivals import Rival, candidates
 from hybrid_id.blind.robots import SYSTEMS, Robot, draw_robot
@@ -26,7 +26,7 @@ from hybrid_id.errors import InputError
 
 FAMILIES = {"single": 0.52, "pair": 0.27, "unknown": 0.21}
 """Families of messy machines: one dominant effect, two, or one outside the catalogue."""
-LENGTHS = (2300, 3700)
+LENGTHS = (2100, 3500)
 """Shortest and longest record [samples]."""
 FEWEST, MOST, SPARE = 3, 6, 2
 """Small effects of a machine, and how many more are drawn for those that do not show."""
@@ -38,6 +38,8 @@ WANTED_LIFT = (0.14, 0.46)
 """The same, as it is aimed at."""
 DOMINANT, TWICE = 0.40, 2.0
 """Share of the gap that a dominant effect closes at least, and how many times that of the largest small one."""
+SPREAD = (-0.33, 0.27)
+"""Logarithm of the factor on what sets an effect's shape."""
 WANTED_SHARE = {"single": (0.48, 0.83), "pair": (0.42, 0.5), "unknown": (0.58, 0.84)}
 """Shares of the gap that each dominant effect is to close, by family."""
 TRAIN_SHARE = 0.25
@@ -46,17 +48,23 @@ SIZES = np.geomspace(0.025, 9.0, 8)
 """Sizes that are tried in the linear prediction, relative to the one drawn."""
 CORRECTABLE = 2.0
 """Factor by which a lift may lie beside `LIFT` and its size still be put right."""
+NEAR = 0.085
+"""Distance of a share from the wanted one up to which a linear prediction is believed to reach it."""
 CORRECTIONS = 4
-"""Corrections of the dominant effects' sizes, at most."""
-CLOSE, REST = 1.06, 0.1
+"""Sizes of the dominant effects that are measured, at most."""
+HOPELESS = 0.16
+"""Share of the gap of a dominant effect below which it is given up."""
+WATCHED = 2
+"""Small effects, the largest, whose share is watched meanwhile."""
+CLOSE, REST = 1.055, 0.1
 """A rival counts up to this error relative to the true effect's, and up to this share of what that closes left open."""
-WORTH, RIVALS = 0.4, 5
+WORTH, RIVALS = 0.42, 5
 """Share of what the true effect closes that a rival promises at least, and how many are fitted."""
 DRAWS = 6
 """Draws of a rival's shape."""
 IMITATED = 0.5
 """Share of the gap that a named effect may close where the dominant one is outside the catalogue."""
-HARMLESS = 1.1
+HARMLESS = 1.12
 """Error of the re-fit over that of the machine where nothing is missing, at most."""
 
 
@@ -176,12 +184,12 @@ def _leading(
 
 
 def _effects(rng: np.random.Generator, robot: Robot, leading: Sequence[type[Effect]]) -> list[Effect] | None:
-    """The dominant effects and more small ones than are needed, in sizes as drawn; None where they exclude each other."""
+    """The dominant effects and more small ones than are needed, as drawn; None where they exclude each other."""
     found: list[Effect] = []
     for kind in leading:
         if not kind.fits(robot):
             return None
-        one = kind.draw(rng, robot, int(rng.integers(robot.joints)))
+        one = _drawn(rng, kind, robot)
         if not _goes_with(one, found, robot):
             return None
         found.append(one)
@@ -194,12 +202,20 @@ def _effects(rng: np.random.Generator, robot: Robot, leading: Sequence[type[Effe
         kinds = outside if rng.random() < OUTSIDE_SHARE else named
         kind = kinds[rng.integers(len(kinds))]
         if kind.fits(robot):
-            one = kind.draw(rng, robot, int(rng.integers(robot.joints)))
+            one = _drawn(rng, kind, robot)
             if _goes_with(one, found, robot):
                 found.append(one)
         if len(found) == wanted:
             return found
     return None
+
+
+def _drawn(rng: np.random.Generator, kind: type[Effect], robot: Robot) -> Effect:
+    """An effect at some joint, its shape spread further than that of clean cases, and never from a list."""
+    one = kind.draw(rng, robot, int(rng.integers(robot.joints)))
+    kept = {*kind.sized, "supply"}
+    spread = {k: v * float(np.exp(rng.uniform(*SPREAD))) for k, v in one.values.items() if k not in kept}
+    return one.with_values(spread)
 
 
 def _goes_with(one: Effect, others: Sequence[Effect], robot: Robot) -> bool:
@@ -214,7 +230,11 @@ def _goes_with(one: Effect, others: Sequence[Effect], robot: Robot) -> bool:
         if other.joint != one.joint:
             continue
         same = type(one) is type(other) or (one.name == other.name != UNKNOWN)
-        if same or one.place == other.place == "transmission" or (isinstance(one, dry) and isinstance(other, dry)):
+        if (
+            same
+            or one.place == other.place == "transmission"
+            or (isinstance(one, dry) and isinstance(other, dry))
+        ):
             return False
     return all(other.acts_at(one.alter(altered), other.joint) for other in others)
 
@@ -262,7 +282,7 @@ def _sound(
     floor = float(mixtures.floors([()], made)[0])
     fit = mixtures.fit([Simulator(0, (), mixtures.true)], made, rounds=12)[0]
     case = replace(case, model=_model(rng, case.robot, (), withheld, wrong))
-    graded = _graded(case, made[0], fit)
+    graded = _graded(case, made[0], fit, floor)
     if not fit.test <= HARMLESS * floor or (not told and graded.errors.nominal < 1.5 * fit.test):
         return None
     return Messy(graded, (), drift, withheld)
@@ -286,55 +306,46 @@ def _mixed(
     small = [i for i in range(leaders, len(effects)) if forecast.size_for(i, wanted[i]) is not None]
     if len(small) < FEWEST:
         return None
-    sizes = np.zeros(len(effects))
-    lifts = _alone(mixtures, drift, small, np.array([forecast.size_for(i, wanted[i]) for i in small]), wanted[small])
-    kept = [i for i, one in zip(small, lifts, strict=True) if one is not None][: len(effects) - leaders - SPARE]
-    lift = {i: one[1] for i, one in zip(small, lifts, strict=True) if one is not None}
+    sizes = np.array([forecast.size_for(i, wanted[i]) or 0.0 for i in range(len(effects))])
+    sizes[:leaders] = 0.0
+    goal = np.full(leaders, rng.uniform(*WANTED_SHARE[family]))
+    promised = np.zeros(len(effects))
+    promised[small[: len(effects) - leaders - SPARE]] = 1.0
+    if forecast.lead(sizes * promised, goal) is None:
+        return None
+    lifts = _alone(mixtures, drift, small, sizes[small], wanted[small])
+    kept = [i for i, one in zip(small, lifts, strict=True) if one is not None][
+        : len(effects) - leaders - SPARE
+    ]
     if len(kept) < FEWEST:
         return None
+    lift = {i: one[1] for i, one in zip(small, lifts, strict=True) if one is not None and i in kept}
+    sizes = np.zeros(len(effects))
     for i, one in zip(small, lifts, strict=True):
         if one is not None and i in kept:
             sizes[i] = one[0]
     # dominant ones, on the machine with all of them
-    goal = rng.uniform(*WANTED_SHARE[family], leaders) if leaders == 1 else np.full(2, rng.uniform(*WANTED_SHARE[family]))
     sizes = forecast.lead(sizes, goal)
     if sizes is None:
         return None
+    kept.sort(key=lambda i: -lift[i])
     acting = [*range(leaders), *kept]
     mixtures = Mixtures(case.robot, [effects[i] for i in acting], case.campaign)
-    factors = sizes[acting]
-    found = _settled(mixtures, drift, factors, leaders, goal)
+    found = _settled(mixtures, drift, sizes[acting], leaders, goal)
     if found is None:
         return None
-    factors, made, floor, base, alone = found
-    gap = base.test**2 - floor**2
-    closes = np.array([(base.test**2 - one.test**2) / gap for one in alone])
-    order = [*sorted(range(leaders), key=lambda i: -closes[i]), *sorted(range(leaders, len(acting)), key=lambda i: -closes[i])]
-    shares = _shares(mixtures, made, factors, order, leaders, base.test, floor, alone)
-    parts = []
-    for i in order:
-        one = mixtures.effects[i].scaled(float(factors[i]))
-        rivals: list[Rival] = []
-        if i < leaders:
-            rivals = _rivals(rng, mixtures, made, base, alone[i], one)
-            best = max((1 - r.rest for r in rivals), default=0.0) * closes[i]
-            if one.name == UNKNOWN and (best > IMITATED or any(r.counts for r in rivals)):
-                return None
-        role = "dominant" if i < leaders else "small"
-        parts.append(Part(one, role, float(closes[i]), shares[i], lift.get(acting[i]), tuple(rivals)))
+    parts = _parts(rng, mixtures, found, [None] * leaders + [lift[i] for i in kept], leaders)
     outside = sum(part.share for part in parts if part.effect.name == UNKNOWN)
-    if (outside >= 0.5) != (family == "unknown"):
+    if not parts or (outside >= 0.5) != (family == "unknown"):
         return None
     final = tuple(part.effect for part in parts)
     case = replace(case, effects=final, model=_model(rng, case.robot, final, withheld, wrong))
-    graded = _graded(case, made[0], base)
-    return Messy(graded, tuple(parts), drift, withheld)
+    return Messy(_graded(case, found.made, found.base, found.floor), parts, drift, withheld)
 
 
-def _graded(case: Case, made: Measured, fit: Fit) -> Graded:
+def _graded(case: Case, made: Measured, fit: Fit, floor: float) -> Graded:
     """The records as they are written, and the errors of today's simulator."""
-    clean = replay(case.plant(), made.volts, sample_time=SAMPLE_TIME, link=case.campaign.encoders.link)
-    records = logged(case, made.volts, made.angles, clean)
+    records = replace(logged(case, made.volts, made.angles, made.angles), noise_floor=floor)
     return Graded(case, records, Errors(nominal_error(case, records), fit.test, float(np.sqrt(fit.train))))
 
 
@@ -358,7 +369,9 @@ class _Forecast:
         train, test, self.floor = [], [], []
         for b, length in enumerate(lengths):
             own, real = angles[:length, :, :, b], logged_angles[:length, :, b]
-            change = (own[:, :, 1:] - own[:, :, :1]) / np.hypot(mixtures.noise, 1e-3 * real.std(axis=0))[:, None]
+            change = (own[:, :, 1:] - own[:, :, :1]) / np.hypot(mixtures.noise, 1e-3 * real.std(axis=0))[
+                :, None
+            ]
             if b in mixtures.train:
                 train.append(change.reshape(-1, change.shape[-1]))
                 continue
@@ -396,21 +409,23 @@ class _Forecast:
 
     def lead(self, sizes: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
         """Sizes of the first effects with which each closes a wanted share of the gap; None where none does."""
-        sizes, tried = sizes.copy(), np.geomspace(SIZES[0], SIZES[-1], 60)
+        sizes, tried, floor = sizes.copy(), np.geomspace(SIZES[0], SIZES[-1], 60), self.error(0.0 * sizes)
         for i in range(len(goal)):
             sizes[i] = self.size_for(i, 1.0) or SIZES[len(SIZES) // 2]
-        floor = self.error(np.zeros(len(sizes)))
-        off = np.inf
-        for _ in range(3 if len(goal) > 1 else 1):
+        for last in (False, False, True):
             for i, wanted in enumerate(goal):
-                closes = []
-                for size in (*tried, 0.0):
-                    sizes[i] = size
-                    closes.append(self.error(sizes) ** 2)
-                share = (np.array(closes[:-1]) - closes[-1]) / (np.array(closes[:-1]) - floor**2)
+                own = sizes.copy()
+                own[i] = 0.0
+                without, squares = self.error(own) ** 2, []
+                for size in tried:
+                    own[i] = size
+                    squares.append(self.error(own) ** 2)
+                share = (np.array(squares) - without) / (np.array(squares) - floor**2)
                 best = int(np.nanargmin(np.abs(share - wanted)))
-                sizes[i], off = tried[best], abs(share[best] - wanted)
-        return sizes if off < 0.15 else None
+                if last and (abs(share[best] - wanted) > NEAR or best in (0, len(tried) - 1)):
+                    return None
+                sizes[i] = tried[best]
+        return sizes
 
 
 def _alone(
@@ -427,7 +442,9 @@ def _alone(
     ]
     made = mixtures.record(ones, drift)
     floors = mixtures.floors(ones, made)
-    fits = mixtures.fit([Simulator(k, (0.0,) * count, mixtures.true) for k in range(len(ones))], made, rounds=4)
+    fits = mixtures.fit(
+        [Simulator(k, (0.0,) * count, mixtures.true) for k in range(len(ones))], made, rounds=4
+    )
     found: list[tuple[float, float] | None] = []
     for fit, floor, size, goal in zip(fits, floors, sizes, wanted, strict=True):
         lift = fit.test / floor - 1
@@ -440,66 +457,93 @@ def _alone(
     return found
 
 
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A mixture whose leading effects dominate.
+
+    Attributes:
+        sizes: factor of each effect.
+        made: its records.
+        floor: error of the machine itself.
+        base: today's simulator, re-fitted.
+        alone: the same with each leading effect.
+    """
+
+    sizes: np.ndarray
+    made: Measured
+    floor: float
+    base: Fit
+    alone: list[Fit]
+
+
 def _settled(
-    mixtures: Mixtures, drift: np.ndarray, factors: np.ndarray, leaders: int, goal: np.ndarray
-) -> tuple[np.ndarray, list[Measured], float, Fit, list[Fit]] | None:
-    """Sizes with which the dominant effects dominate, with records, floor, re-fit, and the fit with each effect alone."""
-    factors, count = factors.copy(), len(factors)
+    mixtures: Mixtures, drift: np.ndarray, sizes: np.ndarray, leaders: int, goal: np.ndarray
+) -> _Found | None:
+    """The mixture with leading effects so large that they dominate; None where they do not."""
+    count, values = len(sizes), mixtures.true
     for _ in range(CORRECTIONS):
-        made = mixtures.record([tuple(factors)], drift)
-        floor = float(mixtures.floors([tuple(factors)], made)[0])
-        if not np.isfinite(floor):
-            return None
-        base = mixtures.fit([Simulator(0, (0.0,) * count, mixtures.true)], made, rounds=8)[0]
-        starts = [
-            replace(
-                base.simulator,
-                sizes=tuple(float(factors[i]) if j == i else 0.0 for j in range(count)),
-                values=mixtures.true if i < leaders else base.simulator.values,
-                free=(i,),
-            )
-            for i in range(count)
-        ]
-        alone = mixtures.fit(starts, made, rounds=3)
+        having = [tuple(np.where(np.arange(count) == i, sizes, 0.0)) for i in range(-1, leaders + WATCHED)]
+        starts = [Simulator(0, own, values, free=(i - 1,) * (i > 0)) for i, own in enumerate(having)]
+        made = mixtures.record([tuple(sizes)], drift)
+        floor = float(mixtures.floors([tuple(sizes)], made)[0])
+        base, *alone = mixtures.fit(starts, made, rounds=6)
         gap = base.test**2 - floor**2
         closes = np.array([(base.test**2 - one.test**2) / gap for one in alone])
-        trained = np.array([(base.train - one.train) / (base.train - 1) for one in alone[:leaders]])
-        if not np.isfinite(closes).all() or gap <= 0:
+        if not np.isfinite([floor, *closes]).all() or gap <= 0:
             return None
-        led = closes[:leaders].min()
-        if led >= DOMINANT and led >= TWICE * closes[leaders:].max():
-            return (factors, made, floor, base, alone) if trained.min() >= TRAIN_SHARE else None
-        for i in range(leaders):
-            own = float(np.clip(closes[i], 0.03, 0.97))
-            aim = float(np.clip(goal[i] + (0.05 if own < goal[i] else 0.0), 0.0, 0.9))
-            factors[i] *= np.clip(np.sqrt(aim / (1 - aim) * (1 - own) / own), 0.4, 2.5)
+        own, next_one = closes[:leaders], closes[leaders:].max()
+        if own.min() >= max(DOMINANT, TWICE * next_one):
+            trained = min(base.train - one.train for one in alone[:leaders]) / (base.train - 1)
+            return _Found(sizes, made[0], floor, base, alone[:leaders]) if trained >= TRAIN_SHARE else None
+        if own.min() < HOPELESS:
+            return None
+        own = np.clip(own, 0.03, 0.97)
+        aim = np.clip(goal + 0.04 * (own < goal), 0.0, 0.9)
+        sizes = sizes.copy()
+        sizes[:leaders] *= np.clip(np.sqrt(aim / (1 - aim) * (1 - own) / own), 0.4, 2.5)
+        values = base.simulator.values
     return None
 
 
-def _shares(
+def _parts(
+    rng: np.random.Generator,
     mixtures: Mixtures,
-    made: list[Measured],
-    factors: np.ndarray,
-    order: Sequence[int],
+    found: _Found,
+    lifts: Sequence[float | None],
     leaders: int,
-    refit: float,
-    floor: float,
-    alone: Sequence[Fit],
-) -> dict[int, float]:
-    """Fall of the test mean square when effects are added in an order, over the gap; all of them come down to the floor."""
-    count = len(factors)
-    starts = [
-        Simulator(
-            0,
-            tuple(float(factors[j]) if j in order[:k] else 0.0 for j in range(count)),
-            mixtures.true,
-            free=tuple(i for i in order[:k] if i < leaders),
-        )
-        for k in range(2, count)
-    ]
-    errors = [refit, alone[order[0]].test, *(fit.test for fit in mixtures.fit(starts, made, rounds=3)), floor]
-    falls = -np.diff(np.square(errors)) / (refit**2 - floor**2)
-    return {i: float(fall) for i, fall in zip(order, falls, strict=True)}
+) -> tuple[Part, ...]:
+    """The effects in the order in which they are added, with their shares; none where a small one is too large.
+
+    The leading ones come first, then the others by what each lifts alone. The share is the fall of the test mean square
+    over the gap when an effect is added after all before it; with all of them the error is that of the machine itself.
+    """
+    count, base, floor = len(found.sizes), found.base, found.floor
+    gap = base.test**2 - floor**2
+    order = [*sorted(range(leaders), key=lambda i: found.alone[i].test), *range(leaders, count)]
+
+    def having(some: Sequence[int], values: dict) -> Simulator:
+        sizes = tuple(float(found.sizes[j]) if j in some else 0.0 for j in range(count))
+        return Simulator(0, sizes, values, free=tuple(i for i in some if i < leaders))
+
+    nested = [having(order[:k], dict(mixtures.true)) for k in range(2, count)]
+    single = [having([i], dict(base.simulator.values)) for i in range(leaders, count)]
+    fits = mixtures.fit([*nested, *single], [found.made], rounds=4)
+    errors = [base.test, found.alone[order[0]].test, *(fit.test for fit in fits[: len(nested)]), floor]
+    shares = dict(zip(order, -np.diff(np.square(errors)) / gap, strict=True))
+    closes = [(base.test**2 - one.test**2) / gap for one in (*found.alone, *fits[len(nested) :])]
+    if min(closes[:leaders]) < TWICE * max(closes[leaders:]):
+        return ()
+    parts = []
+    for i in order:
+        one, rivals = mixtures.effects[i].scaled(float(found.sizes[i])), []
+        if i < leaders:
+            rivals = _rivals(rng, mixtures, [found.made], base, found.alone[i], one)
+            imitated = max((1 - rival.rest for rival in rivals), default=0.0) * closes[i]
+            if one.name == UNKNOWN and (imitated > IMITATED or any(rival.counts for rival in rivals)):
+                return ()
+        role = "dominant" if i < leaders else "small"
+        parts.append(Part(one, role, float(closes[i]), float(shares[i]), lifts[i], tuple(rivals)))
+    return tuple(parts)
 
 
 def _rivals(
@@ -516,9 +560,12 @@ def _rivals(
         (kind, joint)
         for kind in candidates(bare, every=truth.name == UNKNOWN)
         for joint in range(bare.joints)
-        if kind.acts_at(lacking, joint) and (kind.name, kind.place, joint) != (truth.name, truth.place, truth.joint)
+        if kind.acts_at(lacking, joint)
+        and (kind.name, kind.place, joint) != (truth.name, truth.place, truth.joint)
     ]
-    drawn = [[kind.draw(rng, bare, joint) for _ in range(DRAWS if kind.shapes else 1)] for kind, joint in kinds]
+    drawn = [
+        [kind.draw(rng, bare, joint) for _ in range(DRAWS if kind.shapes else 1)] for kind, joint in kinds
+    ]
     tried = Mixtures(bare, [own_draws[0] for own_draws in drawn], mixtures.campaign, beside=mixtures.effects)
     nothing = (0.0,) * len(kinds)
     start = Simulator(0, nothing, base.simulator.values)
@@ -532,7 +579,9 @@ def _rivals(
             replace(
                 start,
                 sizes=tuple(s if j == i else 0.0 for j in range(len(kinds))),
-                shapes={(i, key): float(np.mean(v)) for key, v in one.values.items() if not isinstance(v, str)},
+                shapes={
+                    (i, key): float(np.mean(v)) for key, v in one.values.items() if not isinstance(v, str)
+                },
             )
             for one in draws
             for s in (0.3, 1.1)

@@ -10,20 +10,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hybrid_id.blind.campaign import SAMPLE_TIME, Campaign, noise_std
-from hybrid_id.blind.case import SUBSTEPS, nrmse
+from hybrid_id.blind.case import nrmse
 from hybrid_id.blind.effects import Effect
 from hybrid_id.blind.physics.bench import replay, run
 from hybrid_id.blind.physics.integrator import Machine
 from hybrid_id.blind.refit import LOST, SIGNAL_SHARE, STEP, free_parameters, true_values
 from hybrid_id.blind.robots import Robot
 
-ENOUGH = 2e-3
+FINE = 2
+"""Steps a sample of the machines that are measured: 1 ms."""
+ENOUGH = 4e-3
 """Relative fall of the mean square error below which a fit ends."""
 THIN = 3
 """Every so many samples count in a fit."""
 DAMPINGS = (1e-4, 1e-2, 1.0, 100.0)
 """Dampings that are tried side by side, relative to the diagonal of the normal equations."""
-FARTHEST = 1.5
+FARTHEST = 1.6
 """Longest step of a parameter, on its logarithmic scale."""
 
 
@@ -105,7 +107,7 @@ class Mixtures:
         values: Mapping[str, np.ndarray],
         shapes: Mapping[tuple[int, str], np.ndarray],
         *,
-        substeps: int | None = None,
+        least: int = 1,
         drift: np.ndarray | None = None,
     ) -> Machine:
         """Machines side by side.
@@ -114,7 +116,7 @@ class Mixtures:
             sizes: factor of each effect (n_effects, B).
             values: of parameters, (B,) each.
             shapes: other values of effects, (B,) each.
-            substeps: steps a sample; what the effects need by default.
+            least: steps a sample, at least.
             drift: factor on each motor's friction (n_joints, B).
         """
         robot, acting = self.robot.with_values(values), []
@@ -127,7 +129,7 @@ class Mixtures:
         if drift is not None:
             names = [(i, robot.name(i, symbol)) for i in range(robot.joints) for symbol in ("F_c", "F_v")]
             robot = robot.with_values({name: robot.values[name] * drift[i] for i, name in names})
-        machine = robot.assemble(substeps=substeps or max((e.substeps for e in acting), default=1))
+        machine = robot.assemble(substeps=max([least, *(e.substeps for e in acting)]))
         with np.errstate(divide="ignore"):
             for effect in acting:
                 effect.install(machine, robot)
@@ -140,7 +142,7 @@ class Mixtures:
             count, runs = len(rows), len(self.campaign.roles)
             campaign = self.campaign.repeated(count)
             sizes = np.repeat(np.array([mixtures[k] for k in rows], float).T, runs, axis=1)
-            machine = self.machine(sizes, {}, {}, substeps=SUBSTEPS, drift=np.tile(drift, count))
+            machine = self.machine(sizes, {}, {}, least=FINE, drift=np.tile(drift, count))
             with np.errstate(all="ignore"):
                 volts, angles = run(machine, campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
             for i, k in enumerate(rows):
@@ -154,7 +156,7 @@ class Mixtures:
         for rows in self._alike(mixtures):
             simulators = [Simulator(i, tuple(mixtures[k]), {}) for i, k in enumerate(rows)]
             own = [measured[k] for k in rows]
-            angles = self.replay(simulators, own, self.test, substeps=SUBSTEPS, settled=False)
+            angles = self.replay(simulators, own, self.test, least=FINE, settled=False)
             for i, k in enumerate(rows):
                 found[k] = self.error(angles[:, :, i], measured[k])
         return found
@@ -165,7 +167,7 @@ class Mixtures:
         measured: Sequence[Measured],
         rows: np.ndarray,
         *,
-        substeps: int | None = None,
+        least: int = 1,
         settled: bool = True,
     ) -> np.ndarray:
         """Angles (T, n_outputs, K, R) of simulators, alike in what they replace, on some of their records.
@@ -174,7 +176,7 @@ class Mixtures:
             simulators: to replay.
             measured: sets of records.
             rows: numbers of records.
-            substeps: see `machine`.
+            least: see `machine`.
             settled: whether they start where the records do, and not where they come to rest by themselves.
         """
         runs, joints = len(rows), self.robot.joints
@@ -196,7 +198,7 @@ class Mixtures:
         ratio = np.array(self.robot.ratio)[:, None]
         start = np.concatenate([rest[one.number] / ratio for one in simulators], axis=1) if settled else None
         with np.errstate(all="ignore"):  # a machine that diverges costs much, which is all
-            machine = self.machine(sizes, values, shapes, substeps=substeps)
+            machine = self.machine(sizes, values, shapes, least=least)
             angles = replay(
                 machine,
                 np.concatenate([volts[one.number] for one in simulators], axis=-1),
@@ -226,7 +228,9 @@ class Mixtures:
         for i, b in enumerate(self.train):
             own = slice(None, self.campaign.lengths[b], THIN)
             logged = {k: measured[k].angles[own, :, b] for k in set(numbers)}
-            weight = {k: 1 / np.hypot(self.noise, SIGNAL_SHARE * one.std(axis=0)) for k, one in logged.items()}
+            weight = {
+                k: 1 / np.hypot(self.noise, SIGNAL_SHARE * one.std(axis=0)) for k, one in logged.items()
+            }
             errors = [(angles[own, :, k, i] - logged[n]) * weight[n] for k, n in enumerate(numbers)]
             columns.append(np.array(errors).reshape(len(numbers), -1))
         return np.clip(np.nan_to_num(np.concatenate(columns, axis=1), nan=LOST), -LOST, LOST)
@@ -234,18 +238,14 @@ class Mixtures:
     def error(self, angles: np.ndarray, measured: Measured) -> float:
         """Normalised RMSE of angles (T, n_outputs, R) on the test records."""
         lengths = self.campaign.lengths
-        return float(
-            np.mean(
-                [
-                    nrmse(angles[: lengths[b], :, i], measured.angles[: lengths[b], :, b])
-                    for i, b in enumerate(self.test)
-                ]
-            )
-        )
+        with np.errstate(all="ignore"):
+            errors = [
+                nrmse(angles[: lengths[b], :, i], measured.angles[: lengths[b], :, b])
+                for i, b in enumerate(self.test)
+            ]
+        return float(np.mean(errors))
 
-    def fit(
-        self, simulators: Sequence[Simulator], measured: Sequence[Measured], *, rounds: int
-    ) -> list[Fit]:
+    def fit(self, simulators: Sequence[Simulator], measured: Sequence[Measured], *, rounds: int) -> list[Fit]:
         """Fit simulators to their train records from where they stand, each until it gains little."""
         found: dict[int, Fit] = {}
         for rows in self._alike([one.sizes for one in simulators]):
@@ -253,13 +253,14 @@ class Mixtures:
             found |= dict(zip(rows, fits, strict=True))
         return [found[k] for k in range(len(simulators))]
 
-    def _fit(
-        self, simulators: Sequence[Simulator], measured: Sequence[Measured], rounds: int
-    ) -> list[Fit]:
+    def _fit(self, simulators: Sequence[Simulator], measured: Sequence[Measured], rounds: int) -> list[Fit]:
         """Fit simulators that are alike in what they replace, by Levenberg's and Marquardt's method."""
         now, cost, running = list(simulators), np.full(len(simulators), np.inf), list(range(len(simulators)))
         for _ in range(rounds):
-            around = {k: [now[k], *(self._moved(now[k], step) for step in STEP * np.eye(_size(now[k])))] for k in running}
+            around = {
+                k: [now[k], *(self._moved(now[k], step) for step in STEP * np.eye(_size(now[k])))]
+                for k in running
+            }
             residuals = iter(self.residuals([one for own in around.values() for one in own], measured))
             tries = {}
             for k, own in around.items():
@@ -294,14 +295,18 @@ class Mixtures:
         """Numbers of mixtures, those together that are alike in what replaces a part or needs smaller steps."""
         groups: dict[tuple[bool, ...], list[int]] = {}
         for k, sizes in enumerate(mixtures):
-            key = tuple(size != 0 for effect, size in zip(self.effects, sizes, strict=True) if effect.replaces)
+            key = tuple(
+                size != 0 for effect, size in zip(self.effects, sizes, strict=True) if effect.replaces
+            )
             groups.setdefault(key, []).append(k)
         return list(groups.values())
 
     def _moved(self, one: Simulator, step: np.ndarray) -> Simulator:
         """A simulator a step further, on logarithmic scales but for what may be negative."""
         ends = np.cumsum([len(one.values), len(one.free), len(one.free_shapes)])
-        values = {n: v * float(np.exp(s)) for (n, v), s in zip(one.values.items(), step[: ends[0]], strict=True)}
+        values = {
+            n: v * float(np.exp(s)) for (n, v), s in zip(one.values.items(), step[: ends[0]], strict=True)
+        }
         sizes, shapes = list(one.sizes), dict(one.shapes)
         for i, s in zip(one.free, step[ends[0] : ends[1]], strict=True):
             sizes[i] *= float(np.exp(s))

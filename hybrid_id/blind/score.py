@@ -150,7 +150,7 @@ def reliability(told: Sequence[tuple[float, bool]]) -> dict[str, Any]:
         told: claimed probability and truth of each claim.
     """
     bins, error = [], 0.0
-    ordered = sorted(told)
+    ordered = sorted(told, key=lambda claim: claim[0])
     for own in np.array_split(np.arange(len(ordered)), BINS):
         if len(own):
             claimed = float(np.mean([ordered[k][0] for k in own]))

@@ -48,7 +48,14 @@ class Target:
         return all(end is not None and self.met(end) for end in ends)
 
 
-UNITS = {"shrink_error": "points", "share_error": "points", "seconds": "s", "slowest": "s", "f1": "", "calibration": ""}
+UNITS = {
+    "shrink_error": "points",
+    "share_error": "points",
+    "seconds": "s",
+    "slowest": "s",
+    "f1": "",
+    "calibration": "",
+}
 """Units of the scores that are no percentages."""
 _BY = "family and level"
 MESSY_TARGETS = (

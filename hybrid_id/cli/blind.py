@@ -87,7 +87,7 @@ def _options(
     engine: str | None,
     realism: str,
 ) -> dict[str, str | None]:
-    """Options of the generator as the manifest tells them; it told none of the realism when there were clean cases only."""
+    """Options of the generator as the manifest tells them; clean cases tell as much as before there were others."""
     options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
     return options if realism == "clean" else options | {"realism": realism}
 

@@ -50,7 +50,8 @@ IN_GROUPS = ("cases", "top_1", "top_3", "place", "f1", "whole", "false_unknown",
 """Scores that are shown group by group."""
 SHORT = {
     "cases": "cases", "top_1": "first name", "top_3": "first three", "place": "place", "f1": "F1",
-    "whole": "all right", "false_unknown": "false unknown", "sure": "sure claims right", "closed": "gap closed", "seconds": "time [s]",
+    "whole": "all right", "false_unknown": "false unknown", "sure": "sure claims right", "closed": "gap closed",
+    "seconds": "time [s]",
 }  # fmt: skip
 
 
@@ -152,8 +153,8 @@ def calibration(told: Mapping[str, Any]) -> str:
     if told["expected_error"] is None:
         return "No effect was ranked, so that there is no probability to judge."
     return (
-        f"Probabilities of the named effects: expected calibration error {told['expected_error']:.3f} (ten bins of equal "
-        f"count; absent names below 0.02 left out), Brier score {told['brier']:.3f} over {told['n']} claims."
+        f"Probabilities of the named effects: expected calibration error {told['expected_error']:.3f} (ten bins of "
+        f"equal count; absent names below 0.02 left out), Brier score {told['brier']:.3f} over {told['n']} claims."
     )
 
 

@@ -31,7 +31,7 @@ class Effect:
         shapes: keys of `values`, beside the sized ones, that a re-fit may move.
         signed: keys of `values` that may be negative.
         substeps: steps a sample that a fit of it needs.
-        replaces: whether it takes the place of a part of the drive, so that size zero does not leave the machine as it is.
+        replaces: whether it takes the place of a part of the drive: of size zero it is not gone.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
