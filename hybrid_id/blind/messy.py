@@ -7,6 +7,7 @@ the machine itself; a few steps of the secant method correct them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -24,8 +25,14 @@ from hybrid_id.blind.rivals import Rival, candidates
 from hybrid_id.blind.robots import SYSTEMS, Robot, draw_robot
 from hybrid_id.errors import InputError
 
-FAMILIES = {"single": 0.52, "pair": 0.27, "unknown": 0.21}
+FAMILIES = {"single": 0.58, "pair": 0.21, "unknown": 0.21}
 """Families of messy machines: one dominant effect, two, or one outside the catalogue."""
+LEADERS = {"single": 1, "pair": 2, "unknown": 1}
+"""Dominant effects of a machine, by family."""
+CANDIDATES = 2
+"""How many more effects are tried as dominant ones."""
+TRIES = 60
+"""Draws of effects until enough go with each other, at most."""
 LENGTHS = (2100, 3500)
 """Shortest and longest record [samples]."""
 FEWEST, MOST, SPARE = 3, 6, 2
@@ -52,7 +59,7 @@ NEAR = 0.085
 """Distance of a share from the wanted one up to which a linear prediction is believed to reach it."""
 CORRECTIONS = 4
 """Sizes of the dominant effects that are measured, at most."""
-HOPELESS = 0.16
+HOPELESS = 0.03
 """Share of the gap of a dominant effect below which it is given up."""
 WATCHED = 2
 """Small effects, the largest, whose share is watched meanwhile."""
@@ -64,6 +71,8 @@ DRAWS = 6
 """Draws of a rival's shape."""
 IMITATED = 0.5
 """Share of the gap that a named effect may close where the dominant one is outside the catalogue."""
+RUNAWAY = 1e3
+"""Error, relative to the signal, beyond which a prediction is bounded."""
 HARMLESS = 1.12
 """Error of the re-fit over that of the machine where nothing is missing, at most."""
 
@@ -138,16 +147,14 @@ def draw_messy(
     Raises:
         InputError: an effect that the system cannot have.
     """
-    leading = _leading(rng, family, effect, system)
-    common = [s for s in SYSTEMS if s in (system or s) and all(s in kind.systems for kind in leading)]
-    if not common:
-        if system:
-            raise InputError(f"blind make: {effect} cannot be met on a {system} machine; give another system")
-        return None
-    robot = draw_robot(rng, str(rng.choice(common)))
-    effects = _effects(rng, robot, leading)
-    if effects is None:
-        return None
+    known = [kind for kinds in (*CATALOGUE.values(), OUTSIDE) for kind in kinds]
+    asked = [kind for kind in known if effect in (kind.name, kind.__name__)]
+    met = [s for s in SYSTEMS if system in (None, s) and (not effect or any(s in k.systems for k in asked))]
+    if not met:
+        raise InputError(f"blind make: {effect} cannot be met on a {system} machine; give another system")
+    robot = draw_robot(rng, str(rng.choice(met)))
+    leaders = [] if family in SOUND else _leaders(rng, robot, family, asked)
+    small = [] if family in SOUND else _small(rng, robot, leaders)
     campaign = draw_campaign(rng, robot, lengths=LENGTHS)
     case = tuned(Case(name, robot, (), campaign, {}), rng.uniform(0.12, 0.4), substeps=1)
     case = replace(case, campaign=_flawed(rng, robot, case))
@@ -158,56 +165,46 @@ def draw_messy(
     wrong = 0.0 if family == "none" else rng.uniform(0.08, 0.32)
     if family in SOUND:
         return _sound(rng, case, drift, withheld, wrong, told=family == "none")
-    return _mixed(rng, case, effects, len(leading), family, drift, withheld, wrong)
+    if len(leaders) < LEADERS[family] or len(small) < FEWEST + SPARE:
+        return None
+    return _mixed(rng, case, leaders, small, family, drift, withheld, wrong)
 
 
-def _leading(
-    rng: np.random.Generator, family: str, effect: str | None, system: str | None
-) -> list[type[Effect]]:
-    """Formulas of the dominant effects."""
-
-    def met(kinds: Sequence[type[Effect]]) -> list[type[Effect]]:
-        return sorted((k for k in kinds if system in (None, *k.systems)), key=lambda kind: kind.__name__)
-
-    if family in SOUND:
-        return []
-    if family == "unknown":
-        found = met([k for k in OUTSIDE if effect in (None, k.__name__)])
-        return [found[rng.integers(len(found))]] if found else []
-    by_name = {n: met(kinds) for n, kinds in sorted(CATALOGUE.items()) if met(kinds)}
-    by_class = {k.__name__: [k] for kinds in by_name.values() for k in kinds}
-    chosen = [effect or str(rng.choice(list(by_name)))]
-    if family == "pair":
-        chosen.append(str(rng.choice([n for n in by_name if n != chosen[0]])))
-    found = [by_name.get(n) or by_class.get(n) or [] for n in chosen]
-    return [kinds[rng.integers(len(kinds))] for kinds in found if kinds]
-
-
-def _effects(rng: np.random.Generator, robot: Robot, leading: Sequence[type[Effect]]) -> list[Effect] | None:
-    """The dominant effects and more small ones than are needed, as drawn; None where they exclude each other."""
+def _leaders(
+    rng: np.random.Generator, robot: Robot, family: str, asked: Sequence[type[Effect]]
+) -> list[Effect]:
+    """Effects that may dominate, more than are needed; an effect that is asked for comes first, or alone."""
+    groups = [OUTSIDE] if family == "unknown" else [CATALOGUE[name] for name in sorted(CATALOGUE)]
+    groups = [[k for k in sorted(kinds, key=lambda k: k.__name__) if k.fits(robot)] for kinds in groups]
+    first = [kind for kind in asked if kind.fits(robot)]
+    wanted = 1 if first and family != "pair" else LEADERS[family] + CANDIDATES
     found: list[Effect] = []
-    for kind in leading:
-        if not kind.fits(robot):
-            return None
-        one = _drawn(rng, kind, robot)
-        if not _goes_with(one, found, robot):
-            return None
-        found.append(one)
-    if not leading:
-        return found
-    named = sorted((k for kinds in CATALOGUE.values() for k in kinds), key=lambda kind: kind.__name__)
+    for _ in range(TRIES):
+        kinds = first if first and not found else groups[rng.integers(len(groups))]
+        if kinds:
+            one = _drawn(rng, kinds[rng.integers(len(kinds))], robot)
+            if _goes_with(one, found, robot):
+                found.append(one)
+        if len(found) == wanted:
+            break
+    return found
+
+
+def _small(rng: np.random.Generator, robot: Robot, leaders: Sequence[Effect]) -> list[Effect]:
+    """Small effects, more than are needed, that go with all that may dominate."""
+    inside = sorted((k for kinds in CATALOGUE.values() for k in kinds), key=lambda kind: kind.__name__)
     outside = sorted(OUTSIDE, key=lambda kind: kind.__name__)
-    wanted = len(found) + int(rng.integers(FEWEST, MOST + 1)) + SPARE
-    for _ in range(40):
-        kinds = outside if rng.random() < OUTSIDE_SHARE else named
+    wanted, found = int(rng.integers(FEWEST, MOST + 1)) + SPARE, list(leaders)
+    for _ in range(TRIES):
+        kinds = outside if rng.random() < OUTSIDE_SHARE else inside
         kind = kinds[rng.integers(len(kinds))]
         if kind.fits(robot):
             one = _drawn(rng, kind, robot)
             if _goes_with(one, found, robot):
                 found.append(one)
-        if len(found) == wanted:
-            return found
-    return None
+        if len(found) == len(leaders) + wanted:
+            break
+    return found[len(leaders) :]
 
 
 def _drawn(rng: np.random.Generator, kind: type[Effect], robot: Robot) -> Effect:
@@ -291,50 +288,48 @@ def _sound(
 def _mixed(
     rng: np.random.Generator,
     case: Case,
-    effects: list[Effect],
-    leaders: int,
+    candidates: list[Effect],
+    small: list[Effect],
     family: str,
     drift: np.ndarray,
     withheld: tuple[str, ...],
     wrong: float,
 ) -> Messy | None:
     """A machine with dominant and small effects."""
+    leaders, effects = LEADERS[family], [*candidates, *small]
     mixtures = Mixtures(case.robot, effects, case.campaign)
     forecast = _Forecast(mixtures, drift)
-    # small effects, each measured alone at two sizes
-    wanted = np.exp(rng.uniform(*np.log(WANTED_LIFT), len(effects)))
-    small = [i for i in range(leaders, len(effects)) if forecast.size_for(i, wanted[i]) is not None]
-    if len(small) < FEWEST:
+    wanted = np.exp(rng.uniform(np.log(WANTED_LIFT[0]), np.log(WANTED_LIFT[1]), len(effects)))
+    sizes = np.array([forecast.size_for(i, lift) or 0.0 for i, lift in enumerate(wanted)])
+    sizes[: len(candidates)] = 0.0
+    shown = np.flatnonzero(sizes)[: len(small)]
+    if len(shown) < FEWEST:
         return None
-    sizes = np.array([forecast.size_for(i, wanted[i]) or 0.0 for i in range(len(effects))])
-    sizes[:leaders] = 0.0
     goal = np.full(leaders, rng.uniform(*WANTED_SHARE[family]))
-    promised = np.zeros(len(effects))
-    promised[small[: len(effects) - leaders - SPARE]] = 1.0
-    if forecast.lead(sizes * promised, goal) is None:
+    among = np.where(np.isin(np.arange(len(sizes)), shown[: len(small) - SPARE]), sizes, 0.0)
+    pairs = list(combinations(range(len(candidates)), leaders))
+    leading = next((some for some in pairs if forecast.lead(among, some, goal) is not None), None)
+    if leading is None:
         return None
-    lifts = _alone(mixtures, drift, small, sizes[small], wanted[small])
-    kept = [i for i, one in zip(small, lifts, strict=True) if one is not None][
-        : len(effects) - leaders - SPARE
-    ]
+    lifts = dict(zip(shown, _alone(mixtures, drift, shown, sizes[shown], wanted[shown]), strict=True))
+    kept = [(i, one) for i, one in lifts.items() if one is not None][: len(small) - SPARE]
     if len(kept) < FEWEST:
         return None
-    lift = {i: one[1] for i, one in zip(small, lifts, strict=True) if one is not None and i in kept}
-    sizes = np.zeros(len(effects))
-    for i, one in zip(small, lifts, strict=True):
-        if one is not None and i in kept:
-            sizes[i] = one[0]
-    # dominant ones, on the machine with all of them
-    sizes = forecast.lead(sizes, goal)
-    if sizes is None:
+    kept.sort(key=lambda pair: -pair[1][1])
+    among = np.zeros(len(effects))
+    for i, (size, _) in kept:
+        among[i] = size
+    led = forecast.lead(among, leading, goal)
+    if led is None:
         return None
-    kept.sort(key=lambda i: -lift[i])
-    acting = [*range(leaders), *kept]
+    acting = [*leading, *(i for i, _ in kept)]
     mixtures = Mixtures(case.robot, [effects[i] for i in acting], case.campaign)
+    sizes = led
+    lift = [None] * leaders + [lift for _, (_, lift) in kept]
     found = _settled(mixtures, drift, sizes[acting], leaders, goal)
     if found is None:
         return None
-    parts = _parts(rng, mixtures, found, [None] * leaders + [lift[i] for i in kept], leaders)
+    parts = _parts(rng, mixtures, found, lift, leaders)
     outside = sum(part.share for part in parts if part.effect.name == UNKNOWN)
     if not parts or (outside >= 0.5) != (family == "unknown"):
         return None
@@ -383,17 +378,20 @@ class _Forecast:
         plane, effect = rows[:, : len(names)], rows[:, len(names) :]
         moves = np.linalg.lstsq(plane, effect, rcond=None)[0]
         left = [part[:, len(names) :] - part[:, : len(names)] @ moves for part in test]
-        self.left = [part.reshape(len(part), count, len(SIZES)) for part in left]
+        bounded = [np.nan_to_num(np.clip(part, -RUNAWAY, RUNAWAY), nan=RUNAWAY) for part in left]
+        self.products = [part.T @ part for part in bounded]
 
     def error(self, sizes: np.ndarray) -> float:
         """Normalised RMSE of the re-fit on the test records."""
-        near = [int(np.argmin(np.abs(np.log(SIZES / s)))) if s > 0 else 0 for s in sizes]
-        factors = np.array([s / SIZES[k] for s, k in zip(sizes, near, strict=True)])
+        among = np.flatnonzero(sizes)
+        near = [int(np.argmin(np.abs(np.log(SIZES / sizes[i])))) for i in among]
+        rows = [i * len(SIZES) + k for i, k in zip(among, near, strict=True)]
+        factors = sizes[among] / SIZES[near]
         squares = [
-            f + np.sum((part[:, np.arange(len(sizes)), near] @ factors) ** 2)
-            for part, f in zip(self.left, self.floor, strict=True)
+            f + factors @ products[np.ix_(rows, rows)] @ factors
+            for products, f in zip(self.products, self.floor, strict=True)
         ]
-        return float(np.mean(np.sqrt(squares)))
+        return float(np.mean(np.sqrt(np.maximum(squares, 0.0))))
 
     def size_for(self, number: int, lift: float) -> float | None:
         """Size of an effect that alone lifts the error so far; None where none does."""
@@ -407,13 +405,13 @@ class _Forecast:
         best = int(np.nanargmin(off))
         return float(tried[best]) if off[best] < 0.25 else None
 
-    def lead(self, sizes: np.ndarray, goal: np.ndarray) -> np.ndarray | None:
-        """Sizes of the first effects with which each closes a wanted share of the gap; None where none does."""
+    def lead(self, sizes: np.ndarray, leading: Sequence[int], goal: np.ndarray) -> np.ndarray | None:
+        """Sizes with which some effects each close a wanted share of the gap, beside others; None where none do."""
         sizes, tried, floor = sizes.copy(), np.geomspace(SIZES[0], SIZES[-1], 60), self.error(0.0 * sizes)
-        for i in range(len(goal)):
+        for i in leading:
             sizes[i] = self.size_for(i, 1.0) or SIZES[len(SIZES) // 2]
         for last in (False, False, True):
-            for i, wanted in enumerate(goal):
+            for i, wanted in zip(leading, goal, strict=True):
                 own = sizes.copy()
                 own[i] = 0.0
                 without, squares = self.error(own) ** 2, []
@@ -429,7 +427,7 @@ class _Forecast:
 
 
 def _alone(
-    mixtures: Mixtures, drift: np.ndarray, small: Sequence[int], sizes: np.ndarray, wanted: np.ndarray
+    mixtures: Mixtures, drift: np.ndarray, small: np.ndarray, sizes: np.ndarray, wanted: np.ndarray
 ) -> list[tuple[float, float] | None]:
     """Size of each small effect and its lift alone, from records of its own; None where it is far from `LIFT`.
 
@@ -497,10 +495,10 @@ def _settled(
             return _Found(sizes, made[0], floor, base, alone[:leaders]) if trained >= TRAIN_SHARE else None
         if own.min() < HOPELESS:
             return None
-        own = np.clip(own, 0.03, 0.97)
+        own = np.clip(own, 0.04, 0.96)
         aim = np.clip(goal + 0.04 * (own < goal), 0.0, 0.9)
         sizes = sizes.copy()
-        sizes[:leaders] *= np.clip(np.sqrt(aim / (1 - aim) * (1 - own) / own), 0.4, 2.5)
+        sizes[:leaders] *= np.clip(np.sqrt(aim / (1 - aim) * (1 - own) / own), 0.6, 1.7)
         values = base.simulator.values
     return None
 

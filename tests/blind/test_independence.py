@@ -85,14 +85,15 @@ def of_source(source: str, at: str) -> Iterator[tuple[str, tuple[float, ...], st
             if name in RANGES and len(ends) == 2:
                 yield "several", ends, where
         elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name | ast.Tuple):
-            several = isinstance(node.targets[0], ast.Tuple) and isinstance(node.value, ast.Tuple)
-            targets = node.targets[0].elts if several else [node.targets[0]]
-            values = node.value.elts if several else [node.value]
-            for target, value in zip(targets, values, strict=False):
-                named = isinstance(target, ast.Name) and target.id.isupper()
-                single = number(value)
-                clean = at.endswith(OF_CLEAN) and named and target.id in CLEAN_ONLY
-                if named and single is not None and target.id not in SAME_MEANING and not clean:
+            target, value = node.targets[0], node.value
+            pairs: list[tuple[ast.expr, ast.expr]] = [(target, value)]
+            if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
+                pairs = list(zip(target.elts, value.elts, strict=True))
+            for one, own in pairs:
+                name, single = one.id if isinstance(one, ast.Name) else "", number(own)
+                if single is None or not name.isupper() or name in SAME_MEANING:
+                    continue
+                if not (at.endswith(OF_CLEAN) and name in CLEAN_ONLY):
                     yield "constant", (single,), where
 
 
