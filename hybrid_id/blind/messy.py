@@ -59,7 +59,7 @@ NEAR = 0.085
 """Distance of a share from the wanted one up to which a linear prediction is believed to reach it."""
 CORRECTIONS = 4
 """Sizes of the dominant effects that are measured, at most."""
-HOPELESS = 0.03
+HOPELESS = 0.035
 """Share of the gap of a dominant effect below which it is given up."""
 WATCHED = 2
 """Small effects, the largest, whose share is watched meanwhile."""

@@ -88,7 +88,7 @@ def of_source(source: str, at: str) -> Iterator[tuple[str, tuple[float, ...], st
             target, value = node.targets[0], node.value
             pairs: list[tuple[ast.expr, ast.expr]] = [(target, value)]
             if isinstance(target, ast.Tuple) and isinstance(value, ast.Tuple):
-                pairs = list(zip(target.elts, value.elts, strict=True))
+                pairs = list(zip(target.elts, value.elts, strict=False))
             for one, own in pairs:
                 name, single = one.id if isinstance(one, ast.Name) else "", number(own)
                 if single is None or not name.isupper() or name in SAME_MEANING:
