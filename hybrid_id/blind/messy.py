@@ -71,6 +71,8 @@ DRAWS = 6
 """Draws of a rival's shape."""
 IMITATED = 0.5
 """Share of the gap that a named effect may close where the dominant one is outside the catalogue."""
+TANGLED = 0.17
+"""Share of the gap by which the error may grow when an effect is added; beyond it, shares in an order say nothing."""
 RUNAWAY = 1e3
 """Error, relative to the signal, beyond which a prediction is bounded."""
 HARMLESS = 1.12
@@ -529,7 +531,7 @@ def _parts(
     errors = [base.test, found.alone[order[0]].test, *(fit.test for fit in fits[: len(nested)]), floor]
     shares = dict(zip(order, -np.diff(np.square(errors)) / gap, strict=True))
     closes = [(base.test**2 - one.test**2) / gap for one in (*found.alone, *fits[len(nested) :])]
-    if min(closes[:leaders]) < TWICE * max(closes[leaders:]):
+    if min(closes[:leaders]) < TWICE * max(closes[leaders:]) or min(shares.values()) < -TANGLED:
         return ()
     parts = []
     for i in order:
