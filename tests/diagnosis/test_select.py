@@ -49,7 +49,9 @@ def test_nothing_is_looked_for_beside_an_effect_that_leaves_white_noise() -> Non
     assert not _leaves_something(model(0.05 * (NOISE + WAVE)))
 
 
-def test_no_effect_is_looked_for_where_the_errors_are_far_below_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_effect_is_looked_for_where_the_errors_are_far_below_the_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     dataset, nominal = small_case()
     base = model(0.01 * WAVE)
     found = select(Fits(dataset), base, nominal)
