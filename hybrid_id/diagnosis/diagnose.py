@@ -78,9 +78,7 @@ def diagnose(
     say = progress or (lambda *_: None)
     fits = Fits(dataset, jobs=jobs, signal_share=signal_share)
     say("nominal model", 0, 1)
-    fits, found = search(
-        fits, system, horizon=horizon, max_effects=max_effects, progress=progress
-    )
+    fits, found = search(fits, system, horizon=horizon, max_effects=max_effects, progress=progress)
     say("location", 0, 1)
     answer = settle(fits, found, system, seed=seed)
     say("test records", 0, 1)
@@ -177,10 +175,10 @@ def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         structural = structural_share(chosen, after)
         own = per_record(fits, chosen, system) if structural > CRITERIA.coloured else None
         if own is not None:
-            structural = structural_share(chosen, after, own.coloured)
+            structural = 0.0 if own.explained else structural_share(chosen, after, own.coloured)
             found = _for_all_records(found, own)
         varying = () if own is None else own.varying
-        graded = grade(fits, found, structural, varying=own is not None and own.explained, seed=seed)
+        graded = grade(fits, found, structural, seed=seed)
         unsure = doubtful(graded)
         if not unsure:
             break
@@ -286,12 +284,7 @@ def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
     Such a model is judged by windows that begin at measured states: of what the re-fitted model leaves there, it has to
     leave next to nothing.
     """
-    if (
-        not fits.whole
-        or last.coloured <= CRITERIA.coloured
-        or not chosen.effects
-        or behind_play(chosen)
-    ):
+    if not fits.whole or last.coloured <= CRITERIA.coloured or not chosen.effects or behind_play(chosen):
         return False
     left = []
     for system in (base.system, chosen.system):

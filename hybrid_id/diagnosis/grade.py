@@ -95,14 +95,13 @@ def structural_share(model: Model, left: Sequence[Location], within_records: flo
     return min(max(max((one.share for one in left), default=0.0), 0.0), share)
 
 
-def grade(fits: Fits, found: Selection, structural: float, *, varying: bool = False, seed: int = 0) -> Grade:
+def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> Grade:
     """Shares, probabilities and ties of all that a search has tried.
 
     Args:
         fits: fits the models between the nominal one and the chosen one, where the search has not.
         found: the search.
         structural: share of what the chosen model leaves that has a cause.
-        varying: whether each record's own parameters explain what is left.
         seed: of the bootstrap.
     """
     models, steps = _ladder(fits, found)
@@ -119,8 +118,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, varying: bool = Fa
     rated.sort(key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability))
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
-    structure = structural > CRITERIA.coloured and not varying
-    unknown = structure and remainder >= CRITERIA.left_open and remainder >= explained
+    unknown = structural > CRITERIA.coloured and remainder >= CRITERIA.left_open and remainder >= explained
     return Grade(tuple(rated), remainder, _interval(draws[:, -1]), unknown, gap)
 
 
@@ -245,13 +243,17 @@ def _weights(step: Step) -> np.ndarray:
 
 
 def _present(step: Step) -> float:
-    """Probability that any effect beyond the model before is at work: 0.5 where it is just accepted."""
+    """Probability that any effect beyond the model before is at work.
+
+    The p-value of the whole search as a bound of the Bayes factor against chance, ``-e p ln p`` at even odds (T. Sellke,
+    M. J. Bayarri and J. O. Berger, The American Statistician 55, 2001), times how far the fall is what an effect needs.
+    """
     if step.best is None:
         return 0.0
     fall = step.best.validation.fall(step.before.validation) / needed_fall(step.best, step.before)
     p = chance(step.best, step.before, step.candidates)
-    sure = min(np.log(p) / np.log(CRITERIA.false_alarms), fall)
-    return float(1.0 / (1.0 + np.exp(-4.0 * (sure - 1.0))))
+    against = -np.e * p * np.log(p) if p < np.exp(-1.0) else 1.0
+    return float(1.0 / (1.0 + against) / (1.0 + np.exp(-8.0 * (fall - 1.0))))
 
 
 def _contains(model: Model, step: Step) -> bool:
@@ -272,7 +274,6 @@ def indistinguishable(model: Model, step: Step) -> list[Model]:
         and not _contains(e, step)
         and max(e.error / model.error, model.error / e.error) < near
         and abs(model.validation.z(e.validation)) < CRITERIA.distinct_z
-        and accepted(e, step.before, step.candidates)
     ]
 
 
