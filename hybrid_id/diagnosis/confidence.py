@@ -1,4 +1,4 @@
-"""How far a diagnosis's fitted model is to be trusted, parameter by parameter: assessed as `identify` assesses its own."""
+"""How reliable each parameter of a diagnosis's fitted model is: assessed as `identify` assesses its own."""
 
 from __future__ import annotations
 
@@ -20,15 +20,13 @@ def as_identified(fits: Fits, model: Model, *, seed: int = 0) -> Study:
     parameters that the outputs do not show at all: what the exact sensitivities show to be none is taken out.
 
     Args:
-        fits: the records of the last fit.
+        fits: the records of the last fit, and its horizon.
         model: the fitted model.
         seed: of the bootstrap.
     """
     found, system, dataset, share = model.result, model.system, fits.dataset, fits.signal_share
-    batch = fits.records(system)
-    # a fit over windows has the first state of each of these, not of the records
-    x0 = found.x0 if len(found.x0) == batch.rows else None
-    there = secant_fit(system, batch, engine=found.engine, iterations=0, x0=x0)
+    batch = fits.batch(system)
+    there = secant_fit(system, batch, engine=found.engine, iterations=0, x0=found.x0)
     seen = preflight(dataset, system, signal_share=share)
     unseen = [one.relative for one in seen.directions if not np.isfinite(one.relative_std)]
     there = replace(

@@ -23,7 +23,7 @@ JOINTS = 3
 class Details:
     """Results that follow from a diagnosis. Each is computed when it is first asked for, and then kept.
 
-    A board that judges a thousand diagnoses asks for none of them; the command ``diagnose`` asks for all that it writes.
+    A board that scores a thousand diagnoses asks for none of them; the command ``diagnose`` for all that it writes.
 
     Args:
         fits: the records, their horizon and their noise.
@@ -57,7 +57,10 @@ class Details:
         """Torque that each fitted model misses over angle and speed, of one joint each."""
         places = {one.joint: one.place for one in reversed(self._location)}  # the best of a joint is the last
         return tuple(
-            {name: torque_map(self._fits, m, int(joint[5:]), places[joint]) for name, m in self._fitted.items()}
+            {
+                name: torque_map(self._fits, m, int(joint[5:]), places[joint])
+                for name, m in self._fitted.items()
+            }
             for joint in sorted(places)[:JOINTS]
         )
 

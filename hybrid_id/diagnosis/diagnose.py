@@ -308,9 +308,7 @@ def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
     return 0.0 < left[1] < CRITERIA.left_open * left[0]
 
 
-def report(
-    dataset: Dataset, system: System, answer: Answer, tested: Tested, *, seed: int = 0
-) -> Diagnosis:
+def report(dataset: Dataset, system: System, answer: Answer, tested: Tested, *, seed: int = 0) -> Diagnosis:
     """Stage report: all that a diagnosis shows and writes, in one object."""
     found, graded, fits = answer.found, answer.grade, answer.fits
     left_open = graded.unknown or graded.remainder >= CRITERIA.left_open

@@ -83,7 +83,7 @@ def _written(model: Model | None) -> bytes:
         for k, (jacobian, residual) in enumerate(zip(result.jacobian, result.residual, strict=True)):
             arrays |= {f"jacobian_{k}": jacobian, f"residual_{k}": residual}
     file = io.BytesIO()
-    np.savez_compressed(file, **arrays)
+    np.savez_compressed(file, allow_pickle=False, **arrays)
     return file.getvalue()
 
 

@@ -144,7 +144,9 @@ class Diagnosis:
         """The content of ``diagnosis.json``, former keys included."""
         content = self._content()
         former = {old: content[new] for old, new in FORMER_KEYS.items()}
-        return content | former | {"outvoted": [], "halted_elsewhere": self.rest_differs, "window": self.window}
+        return (
+            content | former | {"outvoted": [], "halted_elsewhere": self.rest_differs, "window": self.window}
+        )
 
     def _content(self) -> dict[str, Any]:
         gap, unknown_at = self.shrink, acts_at(self.disturbances) if self.unknown else None

@@ -1,8 +1,8 @@
-"""A diagnosis as tables and as text of one page: the verdict first, then where, which and how far."""
+"""A diagnosis as tables and as text of one page: the headline first, then where, which and how far."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -10,32 +10,34 @@ from rich.text import Text
 
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.errors import InputError
-from hybrid_id.reporting.gap_ties import experiment_lines, outvoted_lines, tie_lines
-from hybrid_id.reporting.gap_verdict import verdict_sentence
-from hybrid_id.reporting.gap_words import (
-    bent_lines,
-    gap_line,
+from hybrid_id.reporting.diagnosis_words import (
+    UNLIKELY,
+    caution_lines,
+    disturbance_line,
+    error_lines,
+    experiment_lines,
+    extrapolation_lines,
+    headline,
+    implausible_lines,
     joint_words,
+    not_identifiable_lines,
+    percent,
     place_words,
-    untold_lines,
+    range_percent,
+    rejected_lines,
+    tie_lines,
     values_of,
     varying_lines,
     where_line,
-    withdrawn_lines,
     words_of,
 )
-from hybrid_id.reporting.parameter_tables import JUDGED, half_width, judged_cells
+from hybrid_id.reporting.parameter_tables import JUDGED, judged_cells
 from hybrid_id.reporting.tables import open_table
 from hybrid_id.study import Study
 from hybrid_id.systems.chain import System
 
 TOP = 4
-"""Suspects that the terminal shows."""
-UNLIKELY = 0.01
-"""Probability below which an effect's parameters are noise and no news."""
-
-WORSE = 1.5
-"""Error of the re-fit over that of today's values from which it is said."""
+"""Effects that the terminal shows."""
 
 
 def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> str:
@@ -44,7 +46,7 @@ def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> s
     Args:
         diagnosis: the result.
         reach: half-width of an interval in standard errors.
-        level: level of the intervals.
+        level: level of the intervals of parameters.
     """
     console = Console(width=120, no_color=True, highlight=False, emoji=False)
     with console.capture() as captured:
@@ -52,98 +54,77 @@ def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> s
     return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
 
 
-def diagnosis_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> RenderableType:
-    """What the terminal shows of a diagnosis."""
-    parts: list[RenderableType] = [Text(verdict_sentence(diagnosis, reach), style="bold")]
-    lines = {"where": where_line(diagnosis), "how far": gap_line(diagnosis)}
-    parts += [Text(f"{head}: {line}") for head, line in lines.items() if line]
-    parts.append(suspects_table(diagnosis, reach, level, TOP))
+def diagnosis_table(
+    diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95, max_effects: int | None = None
+) -> RenderableType:
+    """What the terminal shows of a diagnosis; ``max_effects`` is how many a search could add."""
+    parts: list[RenderableType] = [Text(headline(diagnosis), style="bold")]
+    parts += map(Text, error_lines(diagnosis))
+    parts += [Text(line) for line in (where_line(diagnosis), disturbance_line(diagnosis)) if line]
+    parts.append(effects_table(diagnosis, reach, level, TOP))
     remarks = (
         *tie_lines(diagnosis, brief=True)[:2],
-        *outvoted_lines(diagnosis),
         *varying_lines(diagnosis),
-        *withdrawn_lines(diagnosis),
+        *rejected_lines(diagnosis),
         *experiment_lines(diagnosis),
-        *bent_lines(diagnosis, 4),
-        *untold_lines(diagnosis, 1),
-        *beyond_lines(diagnosis)[:1],
-        *caution_lines(diagnosis),
+        *implausible_lines(diagnosis, 4),
+        *not_identifiable_lines(diagnosis, 1),
+        *extrapolation_lines(diagnosis)[:1],
+        *caution_lines(diagnosis, max_effects),
     )
     parts += [Text(line, style="yellow") for line in remarks]
     return Group(*parts)
 
 
-def beyond_lines(diagnosis: Diagnosis) -> list[str]:
-    """Where the test records disagree, those that go where no train record has been; none where they do not."""
-    said = diagnosis.beyond if diagnosis.unknown or diagnosis.withdrawn else ()
-    return [f"beyond: {words}: what acts there only, these train records cannot tell." for words in said]
-
-
-def caution_lines(diagnosis: Diagnosis) -> list[str]:
-    """What speaks against the re-fit as a ground to stand on, and against "outside the catalogue"."""
-    nominal, refit, lines = diagnosis.nominal, diagnosis.refit, []
-    told = nominal is not None and refit is not None and refit.nrmse > WORSE * nominal.nrmse
-    if told and diagnosis.verdict != "no_gap":
-        lines.append(
-            "the re-fit predicts unseen records worse than today's values do: a train record may contradict the "
-            "others; 'hybrid-id check' looks at each."
-        )
-    if diagnosis.unknown and diagnosis.search.full:
-        lines.append(
-            "more effects at once were not looked for; what is left may be one more: give a larger --most."
-        )
-    return lines
-
-
-def suspects_table(
+def effects_table(
     diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95, most: int | None = None
 ) -> Table:
-    """The effects that were tried (the first ``most``), the selected ones first, then by probability."""
-    table = open_table("probability>", "effect", "where", f"parameters ± ({100 * level:g} %)", "")
-    # with a selected one, as the sentence says
+    """The effects that were tried (the first ``most``): the selected ones by share, then the others by probability."""
+    table = open_table(
+        "share of the gap", "probability>", "effect", "where", f"parameters ({100 * level:g} % interval)", ""
+    )
     tied = {member for group in diagnosis.ties for member in group}
     for one in diagnosis.effects[:most]:
         values = values_of(diagnosis, one, reach) if one.selected or one.probability >= UNLIKELY else []
-        others = "tied" if f"{one.name}@{one.where}" in tied else ""
+        others = "indistinguishable" if f"{one.name}@{one.where}" in tied else ""
         mark = Text("selected", style="green") if one.selected else Text(others)
+        interval = "" if one.share_interval is None else f" ({range_percent(one.share_interval)})"
         table.add_row(
-            f"{one.probability:.3f}", words_of(one.name), f"{joint_words(one.where)}, {place_words(one.where)}",
-            ", ".join(values), mark,
+            "" if one.share is None else percent(one.share) + interval, f"{one.probability:.3f}",
+            words_of(one.name), f"{joint_words(one.where)}, {place_words(one.where)}", ", ".join(values), mark,
         )  # fmt: skip
     return table
 
 
-def parameters_table(
-    nominal: System, diagnosis: Diagnosis, judged: Sequence[Study], reach: float = 1.96, level: float = 0.95
-) -> Table:
-    """Every estimated parameter in today's model, after its re-fit, and in the corrected model where there is one.
+def parameters_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> Table:
+    """Every estimated parameter in the nominal, the re-fitted and the corrected model, with intervals.
 
     Args:
-        nominal: today's model.
         diagnosis: the result.
-        judged: the re-fitted model as `identify` would judge it, then the corrected one, unless that is the same.
         reach: half-width of an interval in standard errors.
         level: level of the intervals.
     """
-    last = judged[-1]
-    fitted = ("re-fitted", "corrected")[: len(judged)]
-    heads = [head for name in fitted for head in (f"{name}>", f"± ({100 * level:g} %)>")]
-    table = open_table("parameter", "today>", *heads, "unit", *JUDGED)
-    models = (nominal, *(one.selected_model for one in judged))
-    names = {i.name: i.spec.unit for model in models for i in model.table if i.spec.estimate}
-    for name, unit in names.items():
-        cells = [cell for one in judged for cell in _estimate(one, name, reach)]
+    nominal, studies = diagnosis.details.nominal, diagnosis.details.studies
+    last = studies[-1]
+    heads = [h for name in diagnosis.fitted for h in (f"{name}>", f"{100 * level:g} % interval")]
+    table = open_table("parameter", "meaning", "nominal>", *heads, "unit", *JUDGED)
+    models = (nominal, *(one.selected_model for one in studies))
+    infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
+    for name, info in infos.items():
+        cells = [cell for one in studies for cell in _estimate(one, name, reach)]
         grades = judged_cells(last, name) if name in last.names else []
-        table.add_row(name, _value(nominal, name), *cells, unit, *grades)
+        table.add_row(name, info.doc, _value(nominal, name), *cells, info.spec.unit, *grades)
     return table
 
 
 def _estimate(study: Study, name: str, reach: float) -> tuple[str, str]:
-    """Value of a parameter in a fitted model, and half of its interval."""
+    """Value of a parameter in a fitted model, and its interval."""
+    text = _value(study.selected_model, name)
     if name not in study.names:
-        return _value(study.selected_model, name), ""
-    error = study.standard_errors(0)[study.names.index(name)]
-    return _value(study.selected_model, name), half_width(reach * error)
+        return text, ""
+    value = study.selected_model.parameter(name).spec.value
+    half = reach * float(study.standard_errors(0)[study.names.index(name)])
+    return text, f"{value - half:.4g} to {value + half:.4g}" if math.isfinite(half) else "none"
 
 
 def _value(system: System, name: str) -> str:
