@@ -42,8 +42,8 @@ def kept_fits(home: Path, *, force: bool, resume: bool, reads: Iterable[Path] = 
     else:
         if (fits / ABOUT).exists() and not force:
             raise InputError(
-                f"{home} holds an unfinished diagnosis; --resume goes on with it, or give another folder, or --force to "
-                "replace what is in it"
+                f"{home} holds an unfinished diagnosis; --resume goes on with it, or give another folder, or --force "
+                "to replace what is in it"
             )
         refuse_taken(home, force=force, reads=reads)
     made = [home, *make_parents(home)]

@@ -254,7 +254,7 @@ def test_one_interval_for_a_number(diagnosed) -> None:
     """The table of effects shows the interval of the table of parameters."""
     found = diagnosed[2]
     effects, parameters = effects_table(found), parameters_table(found)
-    values = str(list(effects.columns[4].cells)[0])
+    values = str(next(iter(effects.columns[4].cells)))
     names = list(parameters.columns[0].cells)
     interval = str(list(parameters.columns[6].cells)[names.index("q_s")])
     assert f"({interval}) rad" in values and "(not identified) N m/rad" in values
