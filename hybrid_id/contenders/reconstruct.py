@@ -2,8 +2,9 @@
 
 The acceleration of each joint, which is its torque up to a factor, is a sum of what the nominal model has
 (``q'' = P/J u - P_2 P/J q' - F_c/J sgn q' - ...``, gears taken as rigid) and of groups of terms, one for each effect
-that has an algebraic one. Both sides are filtered alike, so that the derivatives fall on the filter (weak form: D. A. Messenger and
-D. M. Bortz, Multiscale Model. Simul. 19, 2021). Play and flexibility have no terms here, what has a memory by a proxy.
+that has an algebraic one. Both sides are filtered alike, so that the derivatives fall on the filter (weak form: D. A.
+Messenger and D. M. Bortz, Multiscale Model. Simul. 19, 2021). Play and flexibility have no terms here, what has a
+memory by a proxy.
 """
 
 from __future__ import annotations
