@@ -157,7 +157,7 @@ def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
     [
         ("dataset: DATA\ngap: {max_effects: 0}\n", ("gap.max_effects", "0")),
         ("dataset: DATA\ngap: {window: 0}\n", ("gap.window", "0")),
-        ("dataset: DATA\ngap: {iterations: 2}\n", ("gap.iterations", "unknown")),
+        ("dataset: DATA\ngap: {colour: 2}\n", ("gap.colour", "unknown")),
         ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
         ("dataset: DATA\npreprocessing: {records: [run_3]}\n", ("no train record",)),
     ],
