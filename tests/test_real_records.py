@@ -38,7 +38,7 @@ def effect(name: str, probability: float, **more):
     [
         ("effects", [effect("delay", 0.9, parameters={"T_d": [0.031, 0.001]})], "right"),
         ("effects", [effect("delay", 0.9, parameters={"T_d": [0.1, 0.001]})], "right name, wrong size"),
-        ("effects", [effect("backlash", 0.4, tied_with=["delay"])], "indistinguishable"),
+        ("effects", [effect("backlash", 0.4, tied_with=["delay@joint1/input"])], "indistinguishable"),
         ("effects", [effect("backlash", 0.49)], "wrong below 0.5"),
         ("effects", [effect("backlash", 0.5), effect("delay", 0.9)], "wrong"),
         ("inconclusive", [effect("backlash", 0.9, selected=False)], "nothing named"),

@@ -53,7 +53,7 @@ def agreement(case: Case, answer: Mapping[str, Any]) -> str:
         symbol, low, high = case.size
         value = next((v[0] for k, v in first["parameters"].items() if k.startswith(symbol)), np.nan)
         return "right" if low <= value <= high else "right name, wrong size"
-    if any(name in case.expected for name in first.get("tied_with", ())):
+    if any(other.split("@")[0] in case.expected for other in first.get("tied_with", ())):  # name@place
         return "indistinguishable"
     return "wrong" if first["probability"] >= CLAIM else f"wrong below {CLAIM:g}"
 
