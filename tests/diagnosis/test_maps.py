@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.maps import BINS, after_reversals, mean_after_reversals, torque_map
-from hybrid_id.diagnosis.refit import Refit
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems import System
@@ -14,7 +14,7 @@ Found = tuple[Dataset, System, Diagnosis]
 
 def test_a_missing_spring_is_a_torque_over_the_angle(diagnosed: Found) -> None:
     dataset, _, found = diagnosed
-    told = torque_map(Refit(dataset), found.search.base, 1, "load")
+    told = torque_map(Fits(dataset), found.search.base, 1, "load")
     seen = ~np.isnan(told.torque)
     assert told.share > 0.5 and 0.1 < seen.mean() < 1.0
     # over the angle it falls as the spring pulls back, 0.6 N m/rad, and the speed hardly matters
@@ -24,7 +24,7 @@ def test_a_missing_spring_is_a_torque_over_the_angle(diagnosed: Found) -> None:
     )
     slopes = np.linalg.lstsq(design, told.torque[seen], rcond=None)[0]
     assert slopes[0] < 0.0 and abs(slopes[0]) > 4.0 * abs(slopes[1])
-    right = torque_map(Refit(dataset), found.search.chosen, 1, "load")
+    right = torque_map(Fits(dataset), found.search.chosen, 1, "load")
     assert right.share < 0.05
 
 
@@ -57,7 +57,7 @@ def test_a_lost_run_has_no_mean() -> None:
 
 def test_a_right_model_leaves_less_after_reversals(diagnosed: Found) -> None:
     dataset, _, found = diagnosed
-    refit = Refit(dataset)
+    refit = Fits(dataset)
     (poorer,), (right,) = (after_reversals(refit, one) for one in found.fitted.values())
     assert poorer.count == right.count
     assert np.nanmean(np.abs(right.mean)) < 0.3 * np.nanmean(np.abs(poorer.mean))
