@@ -11,7 +11,6 @@ from rich.text import Text
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.errors import InputError
 from hybrid_id.reporting.diagnosis_words import (
-    UNLIKELY,
     caution_lines,
     disturbance_line,
     error_lines,
@@ -26,7 +25,7 @@ from hybrid_id.reporting.diagnosis_words import (
     range_percent,
     rejected_lines,
     tie_lines,
-    values_of,
+    value_lines,
     varying_lines,
     where_line,
     words_of,
@@ -61,7 +60,8 @@ def diagnosis_table(
     parts: list[RenderableType] = [Text(headline(diagnosis), style="bold")]
     parts += map(Text, error_lines(diagnosis))
     parts += [Text(line) for line in (where_line(diagnosis), disturbance_line(diagnosis)) if line]
-    parts.append(effects_table(diagnosis, reach, level, TOP))
+    parts.append(effects_table(diagnosis, TOP))
+    parts += map(Text, value_lines(diagnosis, reach, level)[:TOP])
     remarks = (
         *tie_lines(diagnosis, brief=True)[:2],
         *varying_lines(diagnosis),
@@ -76,22 +76,17 @@ def diagnosis_table(
     return Group(*parts)
 
 
-def effects_table(
-    diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95, most: int | None = None
-) -> Table:
+def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
     """The effects that were tried (the first ``most``): the selected ones by share, then the others by probability."""
-    table = open_table(
-        "share of the gap", "probability>", "effect", "where", f"parameters ({100 * level:g} % interval)", ""
-    )
+    table = open_table("share of the gap>", "probability>", "effect", "where", "")
     tied = {member for group in diagnosis.ties for member in group}
     for one in diagnosis.effects[:most]:
-        values = values_of(diagnosis, one, reach) if one.selected or one.probability >= UNLIKELY else []
         others = "indistinguishable" if f"{one.name}@{one.where}" in tied else ""
         mark = Text("selected", style="green") if one.selected else Text(others)
         interval = "" if one.share_interval is None else f" ({range_percent(one.share_interval)})"
         table.add_row(
             "" if one.share is None else percent(one.share) + interval, f"{one.probability:.3f}",
-            words_of(one.name), f"{joint_words(one.where)}, {place_words(one.where)}", ", ".join(values), mark,
+            words_of(one.name), f"{joint_words(one.where)}, {place_words(one.where)}", mark,
         )  # fmt: skip
     return table
 

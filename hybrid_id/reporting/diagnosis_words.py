@@ -336,6 +336,16 @@ def caution_lines(diagnosis: Diagnosis, max_effects: int | None = None) -> list[
 # ---- words ----
 
 
+def value_lines(diagnosis: Diagnosis, reach: float, level: float) -> list[str]:
+    """Parameters of the effects that are asserted or not improbable, with intervals, a line each."""
+    return [
+        f"{words_of(one.name)} ({joint_words(one.where)}, {place_words(one.where)}; {100 * level:g} % intervals): "
+        f"{', '.join(values)}."
+        for one in diagnosis.effects
+        if (one.selected or one.probability >= UNLIKELY) and (values := values_of(diagnosis, one, reach))
+    ]
+
+
 def values_of(diagnosis: Diagnosis, one: Candidate, reach: float) -> list[str]:
     """Its parameters as ``total play gap 0.012 (0.0116 to 0.0124) rad``.
 
@@ -383,7 +393,7 @@ def errors_by_name(diagnosis: Diagnosis) -> dict[str, Errors]:
 
 def words_of(name: str) -> str:
     """An effect's name as people write it."""
-    return name.replace("_dependent", "-dependent").replace("_", " ")
+    return name.replace("_dependent", "-dependent").replace("_", " ").replace("stribeck", "Stribeck")
 
 
 def _member(tie: str) -> tuple[str, str]:

@@ -24,6 +24,7 @@ from hybrid_id.reporting.diagnosis_words import (
     percent,
     rejected_lines,
     tie_lines,
+    value_lines,
     varying_lines,
     where_line,
     words_of,
@@ -49,8 +50,8 @@ _TIED = "Some are indistinguishable on these records: see Ties and next experime
 _NO_TIES = "Nothing is indistinguishable, so no experiment is proposed."
 _INTERVALS = (
     "Intervals and reliability are those that identify would give the same fit. A parameter without an interval is "
-    "identified only together with others, or lies at a bound; the interval of an effect's parameter in the table "
-    "above leaves that out of account."
+    "identified only together with others, or lies at a bound; the standard errors in "
+    "diagnosis.json leave that out of account."
 )
 _CAPTIONS = {
     "shares": "How the gap divides, on records left out: what each effect explains when it is added in this order, and "
@@ -116,7 +117,8 @@ def diagnosis_page(
     )
     effects = page.section("Effects")
     picture(effects, "shares")
-    effects.add(effects_table(diagnosis, reach, level, shown), *map(_sentence, remarks))
+    values = value_lines(diagnosis, reach, level)
+    effects.add(effects_table(diagnosis, shown), *map(_sentence, (*values, *remarks)))
     others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
     if others:
         effects.add(_sentence(f"tried as well, each place below {percent(UNLIKELY)}: {', '.join(others)}."))
