@@ -21,11 +21,12 @@ from hybrid_id.cli.options import (
     OutOption,
     SeedOption,
     SourceArgument,
+    WindowOption,
+    as_window,
     use_threads,
 )
 from hybrid_id.cli.study import reach_of
 from hybrid_id.config import Identification, StudyConfig, study_config
-from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.diagnosis.keep import Kept
@@ -46,13 +47,7 @@ def diagnose(
     out: OutOption = None,
     max_effects: Annotated[int | None, typer.Option(help="Effects at most.", min=1, show_default="3")] = None,
     most: Annotated[int | None, typer.Option(hidden=True, min=1)] = None,
-    window: Annotated[
-        str | None,
-        typer.Option(
-            help="Horizon of fits and errors: seconds of windows from measured states, 'whole' or 'auto'.",
-            show_default="auto",
-        ),
-    ] = None,
+    window: WindowOption = None,
     jobs: Annotated[
         int | None,
         typer.Option(help="Processes that share the fits.", min=1, show_default="one on each core"),
@@ -77,7 +72,7 @@ def diagnose(
             "model": None if model is None else str(model),
             "output.folder": None if out is None else str(out),
             "gap.max_effects": most if max_effects is None else max_effects,
-            "gap.window": window if window is None else _window(window),
+            "identification.window": None if window is None else as_window(window),
             "gap.jobs": jobs,
             "identification.seed": seed,
         },
@@ -86,7 +81,9 @@ def diagnose(
     with kept_fits(home, force=force, resume=resume, reads=config.reads) as kept:
         said, plain = config.identification, Identification()
         if idle := [
-            k for k in type(said).model_fields if k != "seed" and getattr(said, k) != getattr(plain, k)
+            k
+            for k in type(said).model_fields
+            if k not in ("seed", "window") and getattr(said, k) != getattr(plain, k)
         ]:
             remark(
                 f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
@@ -118,16 +115,6 @@ def diagnose(
         raise typer.Exit(130)
 
 
-def _window(text: str) -> float | str:
-    """A horizon as the config takes it."""
-    if text in ("auto", "whole"):
-        return text
-    try:
-        return float(text)
-    except ValueError:
-        raise InputError(f"--window {text} is no horizon; give seconds, 'whole' or 'auto'") from None
-
-
 def fitting_jobs(dataset: "Dataset") -> int:
     """Processes that this machine bears: each holds the records, and what its fit makes of them."""
     from joblib import cpu_count
@@ -139,13 +126,14 @@ def fitting_jobs(dataset: "Dataset") -> int:
 def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept") -> "Diagnosis":
     """Diagnose as the config says, with a bar on stderr."""
     from hybrid_id.diagnosis.diagnose import diagnose as find
+    from hybrid_id.identification.horizons import Horizon
 
     with SearchProgress() as progress, terminated_as_interrupted():
         return find(
             dataset,
             system,
             max_effects=config.gap.max_effects,
-            window=config.gap.window,
+            horizon=Horizon.of(config.identification.window),
             jobs=config.gap.jobs or fitting_jobs(dataset),
             seed=config.identification.seed,
             signal_share=config.preprocessing.signal_share,

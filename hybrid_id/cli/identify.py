@@ -20,6 +20,8 @@ from hybrid_id.cli.options import (
     SeedOption,
     SourceArgument,
     ThreadsOption,
+    WindowOption,
+    as_window,
     use_device,
     use_threads,
 )
@@ -28,6 +30,7 @@ from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.cli.progress import FitProgress
+    from hybrid_id.identification.horizons import Horizon
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.study import Study
     from hybrid_id.systems.chain import System
@@ -48,6 +51,7 @@ def identify(
         Literal["l2", "huber", "l1"] | None,
         typer.Option(help="huber and l1 tolerate spikes.", show_default="l2"),
     ] = None,
+    window: WindowOption = None,
     seed: SeedOption = None,
     device: DeviceOption = None,
     profile: Annotated[
@@ -73,6 +77,7 @@ def identify(
             "identification.pooled": pooled,
             "identification.starts": starts,
             "identification.loss": loss,
+            "identification.window": None if window is None else as_window(window),
             "identification.seed": seed,
             "identification.device": device,
             "statistics.profile": profile or None,
@@ -119,6 +124,7 @@ def run(
 ) -> "tuple[Study, FitProgress]":
     """Fit and assess as the config says; the progress knows whether the user has stopped that."""
     from hybrid_id.cli.progress import FitProgress
+    from hybrid_id.identification.horizons import Horizon
     from hybrid_id.study import assess
     from hybrid_id.study import identify as identify_all
 
@@ -128,12 +134,17 @@ def run(
     with FitProgress(n_sets, wish.max_iterations) as progress:
         if jobs > 1:
             progress.say(f"fitting {len(dataset.train)} records in {jobs} processes")
-            sets = _fit_in_processes(dataset, system, config, jobs, progress)
+            sets, horizon = _fit_in_processes(dataset, system, config, jobs, progress)
             progress.say("statistics")
-            study = assess(dataset, system, sets, pooled=False, seed=wish.seed, signal_share=share)
+            study = assess(
+                dataset, system, sets, pooled=False, seed=wish.seed, signal_share=share, horizon=horizon
+            )
         else:
             settings = fit_settings(config, progress)
-            study = identify_all(dataset, system, device=wish.device, signal_share=share, **settings)
+            horizon = Horizon.of(wish.window)
+            study = identify_all(
+                dataset, system, device=wish.device, signal_share=share, horizon=horizon, **settings
+            )
         if config.statistics.profile and not progress.stopped:
             study = _profiled(dataset, study, config, progress)
         return study, progress
@@ -178,27 +189,46 @@ def fit_settings(config: StudyConfig, progress: Callable[..., bool] | None = Non
 
 def _fit_in_processes(
     dataset: "Dataset", system: "System", config: StudyConfig, jobs: int, progress: "FitProgress"
-) -> list[Any]:
-    """One fit a record, the records shared between processes."""
+) -> "tuple[list[Any], Horizon]":
+    """One fit a record, the records shared between processes, and the horizon that they were fitted over."""
     from joblib import Parallel, delayed
 
+    from hybrid_id.identification.horizon_choice import choose_horizon
+    from hybrid_id.identification.horizons import Horizon
     from hybrid_id.study.fan_out import whole_pool
+    from hybrid_id.study.replays import batch_of
 
     records = dataset.train
     shares = [range(k, len(records), jobs) for k in range(min(jobs, len(records)))]
-    with TemporaryDirectory() as folder:
-        progress.flag = stop = Path(folder) / "stop"
-        with whole_pool():
-            found = Parallel(n_jobs=jobs)(
-                delayed(fit_part)(dataset, share, system, config, stop) for share in shares
-            )
-        progress.flag = None
-    by_record = {result.records[0]: result for results in found for result in results}  # type: ignore[union-attr]
-    return [by_record[record.name] for record in records]
+
+    def fitted(horizon: Horizon) -> list[Any]:
+        with TemporaryDirectory() as folder:
+            progress.flag = stop = Path(folder) / "stop"
+            with whole_pool():
+                found = Parallel(n_jobs=jobs)(
+                    delayed(fit_part)(dataset, share, system, config, stop, horizon) for share in shares
+                )
+            progress.flag = None
+        by_record = {result.records[0]: result for results in found for result in results}  # type: ignore[union-attr]
+        return [by_record[record.name] for record in records]
+
+    horizon = Horizon.of(config.identification.window)
+    sets = fitted(horizon or Horizon())
+    if horizon is None:
+        settings, share = fit_settings(config), config.preprocessing.signal_share
+        batch = batch_of(dataset, system, records, share, "cpu")
+        horizon = choose_horizon(system, settings["engine"], batch, sets, options=settings["options"])
+        sets = sets if horizon.kind == "whole" or progress.stopped else fitted(horizon)
+    return sets, horizon
 
 
 def fit_part(
-    dataset: "Dataset", share: Sequence[int], system: "System", config: StudyConfig, stop: Path
+    dataset: "Dataset",
+    share: Sequence[int],
+    system: "System",
+    config: StudyConfig,
+    stop: Path,
+    horizon: "Horizon",
 ) -> list[Any]:
     """The share of one process, train records by number; it ends early when the file `stop` is there."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the first process decides
@@ -214,4 +244,6 @@ def fit_part(
     batch = batch.take(torch.tensor(share))
     device = config.identification.device
     settings = fit_settings(config, lambda *_: stop.exists())
-    return fit(system.to(device), batch.to(device), numbers=share, **settings)
+    system = system.to(device)
+    batch = horizon.cut(system, settings["engine"], batch.to(device))
+    return fit(system, batch, numbers=share, **settings)

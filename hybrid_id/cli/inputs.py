@@ -127,7 +127,7 @@ def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") ->
     """
     import numpy as np
 
-    from hybrid_id.identification.fit import window_samples
+    from hybrid_id.identification.horizons import window_samples
 
     if not records:
         return

@@ -39,6 +39,15 @@ SeedOption = Annotated[
     ),
 ]
 DeviceOption = Annotated[str | None, typer.Option(help="Where to compute: cpu or cuda.", show_default="cpu")]
+WindowOption = Annotated[
+    str | None,
+    typer.Option(
+        metavar="SECONDS|whole|strokes|auto",
+        help="Free runs of this length from measured states, over whole records, or from rest to rest; "
+        "auto: over whole records where they follow them.",
+        show_default="auto",
+    ),
+]
 ThreadsOption = Annotated[
     int, typer.Option(help="Threads inside torch; one is fastest for records of usual size.", min=1)
 ]
@@ -62,6 +71,14 @@ def check_backend(backend: Backend, scheduler: str | None) -> None:
     """Refuse a cluster without an address, and an address without a cluster."""
     if (backend is Backend.dask) != (scheduler is not None):
         raise InputError("--backend dask and --scheduler ADDRESS belong together; give both, or neither")
+
+
+def as_window(text: str) -> str | float:
+    """A window's length as a number; other words as they are."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 def use_threads(count: int) -> None:

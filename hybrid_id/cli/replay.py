@@ -15,6 +15,7 @@ from hybrid_id.cli.options import (
     JsonOption,
     ModelOption,
     ThreadsOption,
+    WindowOption,
     use_threads,
 )
 from hybrid_id.config import beside
@@ -37,7 +38,14 @@ def simulate(
 ) -> None:
     """Replay records through a model: one CSV a record with measured and simulated outputs, and pictures."""
     _replay(
-        "simulate", dataset, [model or beside(dataset)], out, force=force, as_json=as_json, threads=threads
+        "simulate",
+        dataset,
+        [model or beside(dataset)],
+        out,
+        window="whole",
+        force=force,
+        as_json=as_json,
+        threads=threads,
     )
 
 
@@ -48,16 +56,26 @@ def compare(
         list[Path],
         typer.Option("--model", "-m", help="Model file; give one for each model.", show_default=False),
     ],
+    window: WindowOption = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
     """Put models side by side on the same records: fit and normalised RMSE, and pictures."""
-    _replay("compare", dataset, model, out, force=force, as_json=as_json, threads=threads)
+    window = window or "auto"
+    _replay("compare", dataset, model, out, window=window, force=force, as_json=as_json, threads=threads)
 
 
 def _replay(
-    command: str, path: Path, models: list[Path], out: Path, *, force: bool, as_json: bool, threads: int
+    command: str,
+    path: Path,
+    models: list[Path],
+    out: Path,
+    *,
+    window: str,
+    force: bool,
+    as_json: bool,
+    threads: int,
 ) -> None:
     refuse_taken(out, force=force, reads=[path, *models])
     twice = next((model for k, model in enumerate(models) if model in models[:k]), None)
@@ -69,16 +87,25 @@ def _replay(
             f"{path}: record 'comparison' is named as the table that simulate writes; give it another name"
         )
     use_threads(threads)
+    from hybrid_id.identification.horizons import Horizon
     from hybrid_id.reporting.results import as_json as to_json
-    from hybrid_id.reporting.results import comparison_result
+    from hybrid_id.reporting.results import comparison_result, horizon_result
     from hybrid_id.study import compare as side_by_side
     from hybrid_id.systems.model_file import load_model
 
-    labels = _labels(models)
-    comparison = side_by_side(dataset, {labels[model]: load_model(model) for model in models})
+    labels, horizon = _labels(models), Horizon.of(window)
+    comparison = side_by_side(
+        dataset, {labels[model]: load_model(model) for model in models}, horizon=horizon
+    )
     files = {label: str(model) for model, label in labels.items()}
     result = to_json(
-        command, {"dataset": dataset.name, "files": files, "models": comparison_result(comparison)}
+        command,
+        {
+            "dataset": dataset.name,
+            "files": files,
+            "horizon": horizon_result(comparison.horizon),
+            "models": comparison_result(comparison),
+        },
     )
     with results_folder(out, force=force) as folder:
         _write(folder, command, dataset, comparison)
@@ -88,6 +115,8 @@ def _replay(
         return
     from hybrid_id.reporting.tables import comparison_table
 
+    if comparison.horizon.kind != "whole":
+        show(f"horizon: {comparison.horizon}")
     show(comparison_table(comparison), f"pictures and numbers are in {out}")
 
 

@@ -55,7 +55,7 @@ def write_study(
     if wish.figures or wish.tensorboard or wish.report:
         from hybrid_id.study import replay
 
-        runs = replay(dataset, study.selected.system, engine=study.selected.engine)
+        runs = replay(dataset, study.selected.system, engine=study.selected.engine, horizon=study.horizon)
         figures = study_figures(dataset, study, reach, runs)
         images = {name: figure.image for name, figure in figures.items()}
         if wish.figures:

@@ -66,6 +66,8 @@ class Identification(Section):
         friction: `dry` (the joint really stops), or `smooth` (tanh).
         substeps: least number of integration steps a sample; stability may ask for more.
         width: smoothing speed of `smooth` [rad/s].
+        window: length [s] of the free runs that are fitted and compared with the records, `whole` records, `strokes`
+            from rest to rest, or `auto`: whole records where the free runs follow them.
         seed: of start points and bootstrap.
         device: `cpu` or `cuda`.
     """
@@ -79,6 +81,7 @@ class Identification(Section):
     friction: Literal["dry", "smooth"] = "dry"
     substeps: PositiveInt = 1
     width: PositiveFloat = 0.5
+    window: PositiveFloat | Literal["whole", "strokes", "auto"] = "auto"
     seed: int = Field(default=0, ge=0, le=MOST_SEED)
     device: str = "cpu"
 
@@ -187,14 +190,11 @@ class Gap(Section):
 
     Attributes:
         max_effects: effects at most; ``most`` in files of 0.1.
-        window: horizon of fits and errors: length [s] of windows from measured states, ``whole`` for whole records, or
-            ``auto`` for windows where free runs over whole records are lost.
         jobs: processes that share the fits; None for one on each core, up to four, and one alone where the records are
             so long that each would need a gigabyte.
     """
 
     max_effects: PositiveInt = 3
-    window: PositiveFloat | Literal["auto", "whole"] = "auto"
     jobs: PositiveInt | None = None
 
     @model_validator(mode="before")

@@ -27,8 +27,9 @@ class Criteria:
             encoders alone leave less.
         negligible: RMS of weighted errors below which nothing is looked for; 1 is the noise and what any good model
             misses.
-        lost: normalised RMSE of the best model's free runs from which these have lost the records, so that a shorter
-            horizon is taken.
+        lost: normalised RMSE of the best effect's free runs from which these have lost the records, so that a shorter
+            horizon is taken, and
+        lost_refit: that of the re-fitted nominal model.
         wrong_values: ratio of nominal to re-fitted RMS error from which the parameter values were wrong.
         vague: smallest relative standard error of any combination of parameters from which the records are too short to
             identify an effect.
@@ -46,6 +47,7 @@ class Criteria:
     coloured: float = 0.3
     negligible: float = 0.1
     lost: float = 0.1
+    lost_refit: float = 0.3
     wrong_values: float = 1.1
     vague: float = 0.1
     least_probability: float = 0.5

@@ -67,8 +67,7 @@ class Details:
     @cached_property
     def reversals(self) -> Mapping[str, tuple[Reversals, ...]]:
         """Mean errors of each fitted model after reversals of the motion, over all records."""
-        window = self._fits.window
-        return {name: tuple(after_reversals(self._fits, m, window)) for name, m in self._fitted.items()}
+        return {name: tuple(after_reversals(self._fits, m)) for name, m in self._fitted.items()}
 
     @cached_property
     def studies(self) -> tuple[Study, ...]:

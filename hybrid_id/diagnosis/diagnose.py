@@ -34,8 +34,9 @@ from hybrid_id.diagnosis.screen import Progress, Step, screen
 from hybrid_id.diagnosis.select import MAX_EFFECTS, Selection, interrupted, refitted_without, select
 from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
-from hybrid_id.diagnosis.windows import window_errors
 from hybrid_id.errors import InputError
+from hybrid_id.identification.horizon_choice import choose_horizon
+from hybrid_id.identification.horizons import Horizon, window_errors
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.facts import inseparable
 from hybrid_id.records.reach import beyond
@@ -52,11 +53,11 @@ def diagnose(
     dataset: Dataset,
     system: System,
     *,
+    horizon: Horizon | None = None,
     max_effects: int = MAX_EFFECTS,
     jobs: int = 1,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
-    window: float | str = "auto",
     kept: Kept | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
@@ -65,12 +66,11 @@ def diagnose(
     Args:
         dataset: train records, validation records if there are any, and test records.
         system: the nominal model.
+        horizon: how long free runs are before they start again from a measured state; None for what the records ask for.
         max_effects: effects at most.
         jobs: processes.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-        window: horizon of fits and errors: length [s] of windows from measured states, ``whole`` for whole records, or
-            ``auto`` for windows where free runs over whole records are lost.
         kept: fits that an earlier run has kept, and where those of this one are kept.
         progress: called with (stage, done, total).
 
@@ -80,14 +80,12 @@ def diagnose(
         InputError: no train record, or the nominal model cannot be fitted to them.
         KeyboardInterrupt: stopped before the search has found anything.
     """
-    if window not in ("auto", "whole") and not (isinstance(window, float | int) and 0.0 < window < np.inf):
-        raise InputError(f"the window is '{window}'; give seconds above 0, 'whole' or 'auto'.")
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     say = progress or (lambda *_: None)
     fits = Fits(dataset, jobs=jobs, signal_share=signal_share, kept=kept)
     say("nominal model", 0, 1)
-    fits, found = search(fits, system, max_effects=max_effects, window=window, progress=progress)
+    fits, found = search(fits, system, horizon=horizon, max_effects=max_effects, progress=progress)
     say("location", 0, 1)
     answer = settle(fits, found, system, seed=seed)
     say("test records", 0, 1)
@@ -146,33 +144,44 @@ def search(
     fits: Fits,
     system: System,
     *,
+    horizon: Horizon | None = None,
     max_effects: int = MAX_EFFECTS,
-    window: float | str = "auto",
     progress: Progress | None = None,
 ) -> tuple[Fits, Selection]:
     """Stages measure, screen, fit and select: the re-fitted model and the effects that the train records call for.
 
-    Models are fitted and compared by free runs over whole records. Where even the best effect's free runs lose these,
-    all of it is done over windows from measured states; so it is where the user asks for windows.
+    Models are fitted and compared by free runs over whole records, where these follow them with the best effect.
+    Otherwise the records choose a shorter horizon, and all is done over that.
+
+    Args:
+        fits: holds the records.
+        system: the nominal model.
+        horizon: that of the user; None for that of the records.
+        max_effects: effects at most.
+        progress: called with (stage, done, total).
     """
-    if not isinstance(window, str):
-        fits = fits.within(window)
-    base, steps, first = fits.base(system), list[Step](), None
+    fits = fits if horizon is None else fits.over(horizon)
+    best = base = fits.base(system)
+    first, steps = None, list[Step]()
     try:
-        if window == "auto":
-            first = screen(fits, base, system, progress=progress)
-            best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
-            shorter = fits.within(WINDOW)
-            if fits.lost(best) and shorter.batch(system).rows > fits.records(system).rows:
-                fits, base, first = shorter, shorter.base(system), None
-        found = select(
+        if horizon is None:
+            if fits.astray(base) <= CRITERIA.lost_refit:
+                first = screen(fits, base, system, progress=progress)
+                best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
+            if fits.astray(best) > CRITERIA.lost:
+                chosen = choose_horizon(
+                    best.system, best.result.engine, fits.records(best.system), [best.result]
+                )
+                if chosen.kind != "whole":
+                    fits = fits.over(chosen)
+                    base, first = fits.base(system), None
+        return fits, select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
         )
     except KeyboardInterrupt:
         if not steps:
             raise
-        return fits, interrupted(base, steps, fits.window)
-    return fits, found
+        return fits, interrupted(base, steps)
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
@@ -224,7 +233,7 @@ def _final(fits: Fits, found: Selection) -> Selection:
 def _wrong_values(fits: Fits, system: System, base: Model) -> bool:
     """Whether the nominal values err clearly more on the train records than the re-fitted ones."""
     both = [
-        errors(fits.dataset, one, engine(), fits.dataset.train, window=fits.window)
+        errors(fits.dataset, one, engine(), fits.dataset.train, horizon=fits.horizon)
         for one in (system, base.system)
     ]
     nominal, refit = both
@@ -256,7 +265,7 @@ def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> 
     fits, base, chosen = answer.fits, answer.found.base, answer.found.chosen
     models = ((system, engine()), (base.system, base.result.engine), (chosen.system, chosen.result.engine))
     nominal, first, last = (
-        errors(dataset, one, how, window=fits.window, signal_share=fits.signal_share) for one, how in models
+        errors(dataset, one, how, horizon=fits.horizon, signal_share=fits.signal_share) for one, how in models
     )
     if nominal is None or first is None or last is None:
         return Tested()
@@ -293,12 +302,7 @@ def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
     Such a model is judged by windows that begin at measured states: of what the re-fitted model leaves there, it has to
     leave next to nothing.
     """
-    if (
-        fits.window is not None
-        or last.coloured <= CRITERIA.coloured
-        or not chosen.effects
-        or behind_play(chosen)
-    ):
+    if not fits.whole or last.coloured <= CRITERIA.coloured or not chosen.effects or behind_play(chosen):
         return False
     left = []
     for system in (base.system, chosen.system):
@@ -322,7 +326,7 @@ def report(dataset: Dataset, system: System, answer: Answer, tested: Tested, *, 
         unknown=graded.unknown and not found.interrupted,
         remainder=graded.remainder,
         remainder_interval=graded.remainder_interval,
-        window=fits.window,
+        horizon=fits.horizon,
         nominal=tested.nominal,
         refit=tested.refit,
         with_effect=tested.with_effect,

@@ -17,11 +17,10 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.validation import coloured, validation
-from hybrid_id.diagnosis.windows import free_runs, windows
 from hybrid_id.errors import InputError, MachineError
-from hybrid_id.identification.fit import fit
-from hybrid_id.identification.horizons import hidden_links
-from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.fit import fit, make_bounds
+from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs, hidden_links, windows
+from hybrid_id.identification.least_squares import Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.rollouts import WORST, Rollouts, Slopes
@@ -30,6 +29,8 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.fan_out import leave_ctrl_c_to_the_first
 from hybrid_id.study.replays import batch_of
@@ -40,9 +41,7 @@ BEGINNING = 12
 COARSE, FINER, FULL, AGAIN = 5, 10, 40, 4
 """Iterations of a first coarse fit, of a finer one, of a fit to the end, and of its re-fit without some records."""
 WINDOW = 0.5
-"""Length [s] of the windows, each from a measured state, that models are fitted to where free runs lose the records."""
-LEAST_IN_WINDOWS = 12
-"""Least iterations of a fit over windows."""
+"""Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 PARALLEL_FROM = 2_000_000
 """States times samples that have been fitted when further fits are shared: about the time that processes take to start,
 and not the time itself, on which no result may depend."""
@@ -76,7 +75,7 @@ class Fits:
         dataset: only its train records are used.
         jobs: processes that share the fits, once a search turns out to be long.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-        window: length [s] of the windows that models are fitted to; None for whole records.
+        horizon: how long free runs are before they start again from a measured state.
         kept: fits of an earlier run, and where those of this one are kept.
     """
 
@@ -86,18 +85,23 @@ class Fits:
         *,
         jobs: int = 1,
         signal_share: float = SIGNAL_SHARE,
-        window: float | None = None,
+        horizon: Horizon = WHOLE,
         kept: Kept | None = None,
     ) -> None:
-        self.dataset, self.jobs, self.signal_share, self.window = dataset, jobs, signal_share, window
+        self.dataset, self.jobs, self.signal_share, self.horizon = dataset, jobs, signal_share, horizon
         self.kept = kept
         self.fitted = 0
 
-    def within(self, window: float) -> Fits:
-        """The same over windows."""
-        shorter = copy.copy(self)
-        shorter.window = window
-        return shorter
+    def over(self, horizon: Horizon) -> Fits:
+        """The same over another horizon."""
+        other = copy.copy(self)
+        other.horizon = horizon
+        return other
+
+    @property
+    def whole(self) -> bool:
+        """Whether models run free over whole records."""
+        return self.horizon.kind == "whole"
 
     def on_all(self) -> Fits:
         """The same for the train and validation records together."""
@@ -111,16 +115,15 @@ class Fits:
         return batch_of(self.dataset, system, self.dataset.train, self.signal_share, "cpu")
 
     def batch(self, system: System) -> Batch:
-        """What models are fitted to: the train records, or windows of them from measured states."""
-        batch = self.records(system)
-        return batch if self.window is None else windows(system, engine(), batch, self.window)
+        """What models are fitted to: the train records, or pieces of them from measured states."""
+        return self.horizon.cut(system, engine(), self.records(system))
 
-    def lost(self, model: Model) -> bool:
-        """Whether a model's free runs lose the records; what is noise loses none, however little an output moves."""
+    def astray(self, model: Model) -> float:
+        """Normalised RMSE of a model's free runs, less the noise, however little an output moves."""
         batch = self.records(model.system)
         scale = batch.std(batch.y) * batch.weight.amax(1)
         square = [np.maximum(np.square(r).mean(0) - 1.0, 0.0) for r in model.result.residual]
-        return float(np.sqrt(square / np.maximum(np.square(scale.numpy()), 1.0)).mean()) > CRITERIA.lost
+        return float(np.sqrt(square / np.maximum(np.square(scale.numpy()), 1.0)).mean())
 
     def base(self, system: System) -> Model:
         """The nominal model, fitted from its nominal values and from a fit in windows, whichever ends lower."""
@@ -137,7 +140,7 @@ class Fits:
 
     def slopes(self, system: System, least: float) -> Slopes | None:
         """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none."""
-        if self.window is not None:
+        if not self.whole:
             return None
         return replace(slopes_at(system, self.records(system), engine()), least=least)
 
@@ -170,7 +173,7 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | Non
     if fits.kept is None:
         return _fit(fits, task, iterations, halting)
     records = (fits.dataset.train, fits.dataset.validation, fits.dataset.outputs)
-    made_from = (records, fits.window, fits.signal_share, task, iterations, halting, engine())
+    made_from = (records, fits.horizon, fits.signal_share, task, iterations, halting, engine())
     return fits.kept.of(made_from, task.effects, task.system, lambda: _fit(fits, task, iterations, halting))
 
 
@@ -181,8 +184,8 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
     full = iterations == FULL
     try:
         batch = fits.batch(task.system)
-        hidden = fits.window is None and hidden_links(task.system, batch)
-        if fits.window is not None:
+        hidden = fits.whole and hidden_links(task.system, batch)
+        if not fits.whole:
             result = _within(task, batch, iterations)
         elif hidden or iterations <= COARSE:
             result = secant_fit(
@@ -208,41 +211,40 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
 def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
     """Weighted errors of a fit on the validation records, or on the train records left out whole, in turn."""
     if not fits.dataset.validation:
-        return predicted(result, batch, fits.window)
+        return predicted(result, batch)
     system, share = result.system, fits.signal_share
     whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
-    seen, run = free_runs(system, result.engine, whole, fits.window)
+    seen, run = runs(system, result.engine, whole, fits.horizon)
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)
     return [row[(weight > 0).any(1)] for row, weight in zip(error, seen.weight.numpy(), strict=True)]
 
 
-def predicted(result: FitResult, batch: Batch, window: float | None) -> list[np.ndarray]:
+def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     """Weighted errors of each row, ``(T, n_y)``, predicted by fits of the other records alone.
 
     Every fit starts where that of all records has ended, with the first states that it has found: these are the left-out
-    record's own. A single record has no others: its blocks are left out one sixth at a time, linearised.
+    record's own. A single record has no others: its blocks are left out one sixth at a time.
     """
     fold = folds(batch)
-    if fold is None:
-        return leave_one_out(result, batch)
-    found: list[np.ndarray] = [np.empty(0)] * batch.rows
-    for k in np.unique(fold):
-        inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
-        part, rest = batch.take(inside), batch.take(outside)
-        if window is None:
-            again = secant_fit(
-                result.system, part, engine=result.engine, iterations=AGAIN, x0=result.x0[inside.numpy()]
-            )
-        else:
-            options = Options(max_iterations=AGAIN, tolerance=0.5)
-            again = fit(result.system, part, pooled=True, engine=result.engine, options=options, warm=False)[
-                0
-            ]
-        cost = Rollouts(result.system, rest, result.engine, result.system.estimated)
-        errors = cost.residuals(again.values[None], result.x0[None, outside.numpy()])[0]
-        for row, error in zip(outside.tolist(), errors, strict=True):
-            found[row] = error[(batch.weight[row] > 0).any(1).numpy()]
-    return found
+    if fold is None or len(set(batch.names)) == batch.rows:
+        return leave_one_out(result, batch, AGAIN)
+    parts = np.unique(fold)
+    inside = [np.flatnonzero(fold != k) for k in parts]
+    system, free = result.system, result.system.estimated
+    sets = torch.repeat_interleave(torch.arange(len(parts)), torch.tensor([len(rows) for rows in inside]))
+    some = batch.take(torch.as_tensor(np.concatenate(inside)))
+    theta = system.theta().detach()[:, None].repeat(1, len(parts))
+    options, bounds = Options(max_iterations=AGAIN, tolerance=0.5), make_bounds(system, free)
+    started = replace(batch, x=batch.x.clone())
+    started.x[:, 0] = torch.as_tensor(result.x0)
+    nodes = simulate(system, result.engine, started).x[np.concatenate(inside)]
+    again = minimise(system, result.engine, some, sets, theta, free, bounds, options, nodes=nodes)
+    points = again.theta[free].T.numpy()
+    runs = Rollouts(system, batch, result.engine, free).residuals(
+        points, np.tile(result.x0, (len(parts), 1, 1))
+    )
+    number, kept = np.searchsorted(parts, fold), (batch.weight > 0).any(2).numpy()
+    return [runs[number[row], row, kept[row]] for row in range(batch.rows)]
 
 
 def _nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> FitResult:
@@ -254,7 +256,7 @@ def _nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> FitRes
     ends = _both_ways(task.system, batch, iterations, task.cost, task.x0)
     if halting and iterations == FULL and min(coloured(end.residual) for end in ends) > CRITERIA.white:
         with suppress(InputError, RuntimeError):
-            near = _within(task, windows(task.system, engine(), batch, WINDOW), LEAST_IN_WINDOWS)
+            near = _within(task, windows(task.system, engine(), batch, WINDOW), FINER)
             ends += _both_ways(near.system, batch, iterations, task.cost, None)
     return min(ends, key=lambda end: end.cost)
 
@@ -283,11 +285,20 @@ def _within(task: Task, batch: Batch, iterations: int) -> FitResult:
 
     Standard errors are those of the encoders' noise, of which the errors are many times here: half of one is little.
     """
-    options = Options(max_iterations=max(iterations, LEAST_IN_WINDOWS), tolerance=0.5)
+    options = Options(max_iterations=iterations, tolerance=0.5)
     result = fit(task.system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
     if not np.isfinite(result.cost):
         raise RuntimeError("the start values diverge")
     return result
+
+
+def runs(system: System, how: Engine, batch: Batch, horizon: Horizon) -> tuple[Batch, np.ndarray]:
+    """Free runs of a model over a horizon of whole records: what is run, and its outputs ``(R, T, n_y)``."""
+    pieces = horizon.cut(system, how, batch)
+    fine = with_substeps(system, how, pieces)
+    # a whole record starts at rest, where it was measured
+    run = simulate(system, fine, pieces) if pieces is batch else free_runs(system, fine, pieces)
+    return pieces, run.y.numpy()
 
 
 def engine() -> Engine:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid_id.diagnosis.validation import BLOCK, coloured
-from hybrid_id.diagnosis.windows import free_runs
+from hybrid_id.diagnosis.fits import runs
+from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import less_half_a_count
 from hybrid_id.records.record import Record
@@ -61,7 +62,7 @@ def errors(
     engine: Engine,
     records: Sequence[Record] | None = None,
     *,
-    window: float | None = None,
+    horizon: Horizon = WHOLE,
     signal_share: float = SIGNAL_SHARE,
 ) -> Errors | None:
     """Errors of a model on records, None where there is none that moves.
@@ -71,14 +72,14 @@ def errors(
         system: the model.
         engine: how it is integrated.
         records: the records; by default the test records.
-        window: length [s] of the free runs, each from a measured state; None for whole records.
+        horizon: how long the free runs are before they start again from a measured state.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
     records = dataset.test if records is None else records
     if not records:
         return None
     whole = batch_of(dataset, system, records, signal_share, "cpu")
-    batch, simulated = free_runs(system, engine, whole, window)
+    batch, simulated = runs(system, engine, whole, horizon)
     length = max(1, round(BLOCK / batch.step))
     declared = {channel.name: channel.noise_std or 0.0 for channel in dataset.outputs}
     blocks, by_record, by_output, noise, weighted = [], {}, {}, [], []

@@ -63,7 +63,7 @@ def per_record(fits: Fits, model: Model, nominal: System) -> PerRecord | None:
         None where there is one record only, or a fit fails, or models are fitted over windows.
     """
     system, batch = model.system, fits.records(model.system)
-    if batch.rows < 2 or fits.window is not None:
+    if batch.rows < 2 or not fits.whole:
         return None
     options = Options(max_iterations=FULL, tolerance=0.05)
     start = at_nominal(system, nominal) or system

@@ -1,98 +1,115 @@
-"""Parameters that a re-fit has moved beyond data-sheet tolerance, to make up for what the model lacks."""
+"""Parameters that a re-fit has moved beyond what data sheets get wrong: it makes up for what the model lacks."""
 
 from __future__ import annotations
 
 import math
 
-from hybrid_id.parameters import Bounded
+import numpy as np
+
+from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.systems.chain import System
 
-BENT, BENT_TORQUE = math.log(1.4), math.log(1.7)
-"""Change of a parameter against its nominal value that data sheets hardly allow; the same of a torque, whose common
-scale is known no better than the others' median."""
+TOLERANCE, TORQUE_TOLERANCE = math.log(1.4), math.log(1.7)
+"""Change of a parameter, as a logarithm, that data sheets hardly allow; the same of a torque, whose common scale is
+known no better than the median of the torques."""
 UNLIKELY = 3.0
 """Standard deviations of a parameter's prior, where it has one, that are as much."""
-LEAST = 1e-3
-"""Entry of a direction below which a parameter does not belong to it."""
+TO_ZERO = -3.0
+"""Logarithm of a change that leaves nothing of a parameter."""
+NUISANCE = 0.3
+"""Share of its value by which a parameter without a prior may well be off."""
 
 
-def implausible_parameters(nominal: System, fitted: System, told: Identifiability | None = None) -> list[str]:
-    """Parameters that a re-fit has moved by more than their priors or, without one, data sheets are wrong, in words.
+def implausible_parameters(
+    nominal: System, fitted: System, identifiability: Identifiability | None = None
+) -> list[str]:
+    """Parameters moved beyond data-sheet tolerance, or beyond their prior where they have one, each in words.
 
-    Where a change that the records do not see (``told``, of the nominal model) has moved a parameter as far, with no
-    other moved further than it may be, this is said beside it.
-
-    Torques, inertias and frictions may all be multiplied by one number without a change of the motion; the median of
-    their changes is taken for it, unless the command is a torque, or one of them is held or has a prior.
+    Where a change that the records do not see (``identifiability``, of the nominal model) has moved a parameter as
+    far, with no other moved further than it may be, this is said beside it. Torques, inertias and frictions may all be
+    multiplied by one number where no torque is known: the median of their changes is taken for it.
     """
-    change, power, turned, words = {}, {}, set(), []
+    words, change, power = [], {}, {}
     now = {(info.component, info.symbol): info.spec.value for info in fitted.table}
     for info in nominal.table:
-        value = now.get((info.component, info.symbol))  # none where an effect has taken the component's place
-        if not info.spec.estimate or info.spec.value <= 0 or value is None:
+        before, after = info.spec, now.get((info.component, info.symbol))
+        if not before.estimate or after is None:  # an effect may have taken the component's place
             continue
-        if info.spec.prior_std is not None and info.spec.prior_mean is not None:
-            off = (value - info.spec.prior_mean) / info.spec.prior_std
+        if before.prior_std is not None and before.prior_mean is not None:
+            off = (after - before.prior_mean) / before.prior_std
             if abs(off) > UNLIKELY:
-                words.append(
-                    f"{info.name} is {abs(off):.1f} standard deviations of its prior too {'high' if off > 0 else 'low'}"
-                )
-            continue
-        if value < 0.0:
-            turned.add(info.name)
-        change[info.name] = math.log(max(value, 1e-12 * info.spec.value) / info.spec.value)
-        power[info.name] = _power(info.spec.unit)
-    scaled = sorted(change[n] / power[n] for n in change if power[n])
-    middle = scaled[len(scaled) // 2] if scaled and not _has_scale(nominal) else 0.0
+                way = "high" if off > 0 else "low"
+                words.append(f"{named(info)} is {abs(off):.1f} standard deviations of its prior too {way}")
+        elif before.value > 0.0 > after:
+            words.append(f"{named(info)} has changed its sign")
+        elif before.value > 0.0:
+            change[info.name] = math.log(max(after, 1e-12 * before.value) / before.value)
+            power[info.name] = torque_power(before.unit)
+    scaled = sorted(change[name] / power[name] for name in change if power[name])
+    common = scaled[len(scaled) // 2] if scaled and not _torque_is_known(nominal, identifiability) else 0.0
     for name, moved in change.items():
-        own = moved - power[name] * middle
-        if name in turned:
-            words.append(f"{name} has changed its sign")
-        elif own < -3.0:
-            words.append(f"{name} is driven to zero{_unseen(nominal, name, -1.0, told)}")
-        elif abs(own) > (BENT_TORQUE if power[name] else BENT):
-            excuse = _unseen(nominal, name, math.exp(own) - 1.0, told)
-            words.append(f"{name} is {math.exp(own):.2f} times its nominal value{excuse}")
+        own, who = moved - power[name] * common, named(nominal.parameter(name))
+        if own < TO_ZERO:
+            words.append(f"{who} is driven to zero{_unseen(nominal, name, -1.0, identifiability)}")
+        elif abs(own) > (TORQUE_TOLERANCE if power[name] else TOLERANCE):
+            excuse = _unseen(nominal, name, math.expm1(own), identifiability)
+            words.append(f"{who} is {math.exp(own):.2f} times its nominal value{excuse}")
     return words
 
 
-def _unseen(nominal: System, name: str, moved: float, told: Identifiability | None) -> str:
+def named(info: ParameterInfo) -> str:
+    """A parameter's name and symbol, such as ``Coulomb level F_c``."""
+    return f"{info.doc} {info.name}"
+
+
+def torque_power(unit: str) -> int:
+    """Power of torque in a unit: 1 of ``N m s/rad`` or ``kg m^2``, -1 of ``rad/(N m)``, -2 of ``1/(N m)^2``."""
+    over, _, under = unit.partition("/")
+    if "N" in under:
+        return -2 if ")^2" in under else -1
+    return int("N" in over or "kg" in over)
+
+
+def _torque_is_known(system: System, identifiability: Identifiability | None) -> bool:
+    """Whether a torque is known from elsewhere than the motion, or the records identify the torques' scale."""
+    torques = [info for info in system.table if torque_power(info.spec.unit) and info.spec.value != 0.0]
+    if any(not info.spec.estimate or info.spec.prior_std is not None for info in torques):
+        return True
+    if any("tau" in joint.channels for joint in system.joints):
+        return True
+    if identifiability is None:
+        return False
+    powers = {info.name: torque_power(info.spec.unit) for info in torques}
+    scale = np.array([powers.get(name, 0) for name in identifiability.names], float)
+    directions = np.array([one.relative for one in identifiability.directions]).reshape(-1, scale.size)
+    left = scale - directions.T @ np.linalg.lstsq(directions.T, scale, rcond=None)[0]
+    return bool(np.linalg.norm(left) > 0.1 * np.linalg.norm(scale))
+
+
+def _unseen(nominal: System, name: str, moved: float, identifiability: Identifiability | None) -> str:
     """What else may have moved a parameter by a share of its value, unseen by the records; empty where nothing may."""
-    if told is None or name not in told.names:
+    if identifiability is None or name not in identifiability.names:
         return ""
-    for one in told.directions:
-        change = dict(zip(told.names, one.relative, strict=True))
-        if abs(change[name]) < LEAST:
+    for one in identifiability.directions:
+        change = dict(zip(identifiability.names, one.relative, strict=True))
+        if abs(change[name]) < 1e-3:
             continue
         others = {
-            k: v * moved / change[name]
-            for k, v in change.items()
-            if k != name and abs(v) > LEAST * abs(change[name])
+            other: share * moved / change[name]
+            for other, share in change.items()
+            if other != name and abs(share) > 1e-3 * abs(change[name])
         }
         if others and all(abs(share) < _allowed(nominal.parameter(k).spec) for k, share in others.items()):
-            words = " and ".join(f"{k} off by {100 * share:+.2g} %" for k, share in others.items())
+            words = " and ".join(
+                f"{named(nominal.parameter(k))} off by {100 * share:+.2g} %" for k, share in others.items()
+            )
             return f" (unseen by these records: {words} would move it as far)"
     return ""
 
 
 def _allowed(spec: Bounded) -> float:
     """Share of its value by which a parameter may well be off."""
-    return (
-        0.3 if spec.prior_std is None else min(UNLIKELY * spec.prior_std / max(abs(spec.value), 1e-300), 0.3)
-    )
-
-
-def _has_scale(system: System) -> bool:
-    """Whether a torque is known from elsewhere than the motion."""
-    torques = (i.spec for i in system.table if _power(i.spec.unit) and i.spec.value != 0.0)
-    known = any(not spec.estimate or spec.prior_std is not None for spec in torques)
-    return known or any("tau" in joint.channels for joint in system.joints)
-
-
-def _power(unit: str) -> int:
-    """Power of torque in a unit: 1 of ``N m s/rad`` or ``kg m^2``, -1 of ``rad/(N m)``, -2 of ``1/(N m)^2``."""
-    over, _, under = unit.partition("/")
-    if "N" in under:
-        return -2 if ")^2" in under else -1
-    return int("N" in over or "kg" in over)
+    if spec.prior_std is None:
+        return NUISANCE
+    return min(UNLIKELY * spec.prior_std / max(abs(spec.value), 1e-300), NUISANCE)

@@ -12,6 +12,7 @@ from hybrid_id.diagnosis.locate import Disturbance, Location, acts_at
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.select import Selection
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.systems.chain import System
 
 FORMER_KEYS = {
@@ -40,7 +41,7 @@ class Diagnosis:
             selected effects.
         remainder: structural share of the gap that stays unexplained, on records left out.
         remainder_interval: 95 % interval.
-        window: length [s] of the free runs over which models were fitted and compared; None for whole records.
+        horizon: how long the free runs are over which models were fitted and compared, here and on the test records.
         nominal, refit, with_effect: errors on the test records of the nominal, the re-fitted and the corrected model;
             None without test records.
         shrink: how far the gap shrinks; None without test records.
@@ -74,7 +75,7 @@ class Diagnosis:
     unknown: bool
     remainder: float
     remainder_interval: Interval
-    window: float | None
+    horizon: Horizon
     nominal: Errors | None
     refit: Errors | None
     with_effect: Errors | None
@@ -145,7 +146,9 @@ class Diagnosis:
         content = self._content()
         former = {old: content[new] for old, new in FORMER_KEYS.items()}
         return (
-            content | former | {"outvoted": [], "halted_elsewhere": self.rest_differs, "window": self.window}
+            content
+            | former
+            | {"outvoted": [], "halted_elsewhere": self.rest_differs, "window": self.horizon.seconds or None}
         )
 
     def _content(self) -> dict[str, Any]:
@@ -159,7 +162,7 @@ class Diagnosis:
             "effects": [_effect(one) for one in self.effects],
             "ties": [list(group) for group in self.ties],
             "remainder": {"share": self.remainder, "interval": list(self.remainder_interval)},
-            "horizon": {"kind": "whole" if self.window is None else "windows", "seconds": self.window},
+            "horizon": {"kind": self.horizon.kind, "seconds": self.horizon.seconds, "words": str(self.horizon)},
             "gap": {
                 "nominal": None if self.nominal is None else self.nominal.nrmse,
                 "refit": None if gap is None else gap.refit,

@@ -11,7 +11,7 @@ from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task
 from hybrid_id.diagnosis.model import Model, Name
-from hybrid_id.identification.horizons import hidden_links
+from hybrid_id.identification.horizons import Horizon, hidden_links
 from hybrid_id.systems.chain import System
 
 PROMISING, STARTS, FINALISTS = 16, 6, 4
@@ -77,7 +77,7 @@ def screen(
 
     coarse = [one for one in fits.run(near, COARSE, tick) if one is not None]
     ranked = _finer(fits, before, best_of_each(coarse, STARTS), tick)
-    if far and not (ranked and ranked[0].white):
+    if far and fits.whole and not (ranked and ranked[0].white):
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
     for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
         chosen = best_of_each(ranked, key=effects_of)[:keep]
@@ -127,7 +127,7 @@ def _from_afar(
         more = fits.run([Task(e.effects, e.system) for e in best], FINER, tick)
         return [e for e in more if e is not None]
 
-    seen = coarse(fits.within(WINDOW), False)
+    seen = coarse(fits.over(Horizon("windows", WINDOW)), False)
     found = further(seen, seen[0].error if seen else math.inf, PROMISING)
     if any(one.white for one in found):
         return found

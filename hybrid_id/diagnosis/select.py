@@ -34,14 +34,12 @@ class Selection:
         base: the nominal model, re-fitted.
         steps: the selection steps; the first says what each effect explains alone.
         chosen: the model that the search ends with; ``base`` where no effect is accepted.
-        window: length [s] of the windows over which all models have been fitted and compared; None for whole records.
         interrupted: whether the search was stopped before its end.
     """
 
     base: Model
     steps: tuple[Step, ...]
     chosen: Model
-    window: float | None = None
     interrupted: bool = False
 
     @property
@@ -106,16 +104,16 @@ def select(
             model = _necessary(fits, base, model, steps)
             if len(model.effects) <= len(before.effects) and not _better_set(model, before):
                 break
-    return Selection(base if model.effects else model, tuple(steps), model, fits.window)
+    return Selection(base if model.effects else model, tuple(steps), model)
 
 
-def interrupted(base: Model, steps: Sequence[Step], window: float | None) -> Selection:
+def interrupted(base: Model, steps: Sequence[Step]) -> Selection:
     """The result of a search that was stopped after so many steps: what they have found."""
     last = steps[-1]
     sure = last.best is not None and accepted(last.best, last.before, last.candidates)
     chosen = last.best if sure and last.best is not None else last.before
     base = base if chosen.effects else chosen
-    return Selection(base, tuple(steps), chosen, window, interrupted=True)
+    return Selection(base, tuple(steps), chosen, interrupted=True)
 
 
 def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> bool:

@@ -24,7 +24,8 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification import least_squares
 from hybrid_id.identification.checkpoint import fingerprint, read_state, write_state
 from hybrid_id.identification.costate import free_run
-from hybrid_id.identification.fit import Progress, make_bounds, measured_windows
+from hybrid_id.identification.fit import Progress, make_bounds
+from hybrid_id.identification.horizons import measured_windows
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.identification.quasi_newton import State, advance, begin, prolonged
 from hybrid_id.identification.result import FitResult, make_result

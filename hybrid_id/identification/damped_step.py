@@ -24,6 +24,7 @@ class Bounds:
         prior_mean: centre of the prior.
         prior_precision: its precision, 0 where there is none.
         scale: smallest size that a parameter's steps are measured by.
+        sized: 1 where its start value or its range gives that size; where it is 0, only the records do.
     """
 
     lower: Tensor
@@ -31,6 +32,7 @@ class Bounds:
     prior_mean: Tensor
     prior_precision: Tensor
     scale: Tensor
+    sized: Tensor
 
     def to(self, dtype: torch.dtype) -> Bounds:
         """The same in another precision."""

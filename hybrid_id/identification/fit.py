@@ -11,19 +11,17 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.horizons import grow, hidden_links
+from hybrid_id.identification.horizons import hidden_links
 from hybrid_id.identification.least_squares import Bounds, Options, minimise
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.start_points import start_points
+from hybrid_id.identification.warm_start import grow, warm_start
 from hybrid_id.simulation.memory import keep_freed_memory
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import rollout, simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
-
-WINDOW = 0.4
-"""Length [s] of the windows of the warm start; one in four is used."""
 
 Progress = Callable[[str, int, Tensor, Tensor], bool | None]
 
@@ -43,7 +41,7 @@ def fit(
     numbers: Sequence[int] | None = None,
     progress: Progress | None = None,
 ) -> list[FitResult]:
-    """Identify one parameter set for each row of a batch, or one for all of them.
+    """Identify one parameter set for each record of a batch, or one for all of them.
 
     The warm start fits short windows that begin at measured states, where the problem is nearly convex (behind a
     gear with play and no encoder: horizons that grow from the records' starts); the full fit then runs over whole
@@ -52,8 +50,8 @@ def fit(
 
     Args:
         system: model with start values, bounds, priors and roles.
-        batch: prepared records.
-        pooled: one parameter set for all rows.
+        batch: prepared records, or pieces of them (:meth:`hybrid_id.identification.horizons.Horizon.cut`).
+        pooled: one parameter set for all rows; otherwise one for all rows of one name.
         engine: how a sample is integrated (default: dry friction); its sub-steps are raised where stability or
             accuracy needs it.
         options: settings of the minimisation.
@@ -76,8 +74,9 @@ def fit(
         raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
     device = batch.x.device
     rows = torch.arange(batch.rows, device=device)
-    sets = torch.zeros_like(rows) if pooled else rows
-    count = 1 if pooled else batch.rows
+    records = list(dict.fromkeys(batch.names))
+    sets = torch.tensor([0 if pooled else records.index(name) for name in batch.names], device=device)
+    count = 1 if pooled else len(records)
     bounds = make_bounds(system, free, device)
     drawn_as = numbers or range(count)
     theta = start_points(system, free, bounds, drawn_as, starts, spread, seed, start_values).to(device)
@@ -144,81 +143,16 @@ def make_bounds(system: System, free: Sequence[int], device: torch.device | str 
     def column(values: Sequence[float]) -> Tensor:
         return torch.tensor(list(values), dtype=torch.float64, device=device)
 
-    scale = []
-    for spec in specs:
-        # a parameter that starts at zero moves in steps of its range, where it has one
-        width = spec.upper - spec.lower
-        scale.append(abs(spec.value) or (0.05 * width if math.isfinite(width) and width < 1e5 else 1e-3))
+    # a parameter that starts at zero moves in steps of its range, where it has one, else as the records say
+    widths = [spec.upper - spec.lower for spec in specs]
+    ranges = [0.05 * width if math.isfinite(width) and width < 1e5 else 0.0 for width in widths]
+    scale = [abs(spec.value) or reach or 1e-3 for spec, reach in zip(specs, ranges, strict=True)]
+    sized = [float(spec.value != 0.0 or reach > 0.0) for spec, reach in zip(specs, ranges, strict=True)]
     return Bounds(
         column([s.lower for s in specs]),
         column([s.upper for s in specs]),
         column([s.value if s.prior_mean is None else s.prior_mean for s in specs]),
         column([0.0 if s.prior_std is None else s.prior_std**-2 for s in specs]),
         0.1 * column(scale),
+        column(sized),
     )
-
-
-def window_samples(samples: int, step: float, seconds: float) -> int | None:
-    """Samples of a window of so many seconds, 25 at least; None where four do not fit into a record.
-
-    Args:
-        samples: of the longest record.
-        step: sample time [s].
-        seconds: length of the window.
-    """
-    length = max(25, round(seconds / step))
-    return length if 4 * length <= samples else None
-
-
-def measured_windows(
-    system: System, batch: Batch, seconds: float, every: int = 1
-) -> tuple[Batch, Tensor] | None:
-    """Windows of a batch whose first states are measured and free within their uncertainty, and the row of each.
-
-    Args:
-        system: tells the states.
-        batch: whole records.
-        seconds: length of a window.
-        every: use one window in this many.
-
-    Returns:
-        None where the records are shorter than four windows.
-    """
-    step = batch.step
-    length = window_samples(batch.x.shape[1], step, seconds)
-    if length is None:
-        return None
-    noise = dict(zip(batch.outputs, (1.0 / batch.weight.amax(1)).unbind(1), strict=True))
-    x0_std = 0.1 * batch.std(batch.x)
-    x0_std[:, system.memory_rows] = 0.0
-    for joint in system.joints:
-        # behind a rigid gear either encoder tells both sides
-        link = joint.gear_ratio if joint.rigid else 1.0
-        for side, row, ratio in (("a", joint.positions[-1], link), ("m", joint.positions[0], 1.0)):
-            if (angle := noise.get(f"q_{side}{joint.number}")) is not None:
-                x0_std[:, row], x0_std[:, row + 1] = ratio * angle, ratio * angle / (20 * step)
-            if (speed := noise.get(f"v_{side}{joint.number}")) is not None:
-                x0_std[:, row + 1] = ratio * speed
-    return batch.windows(length, every * length, x0_std)
-
-
-def warm_start(
-    system: System,
-    engine: Engine,
-    batch: Batch,
-    sets: Tensor,
-    theta: Tensor,
-    free: list[int],
-    bounds: Bounds,
-    options: Options,
-    progress: Callable[[int, Tensor, Tensor], bool | None] | None = None,
-) -> Tensor:
-    """Parameters of each set after a fit of short windows from measured states, ``(n_p, G)``."""
-    found_windows = measured_windows(system, batch, WINDOW, every=4)
-    if found_windows is None:
-        return theta
-    windows, row = found_windows
-    coarse = replace(options, max_iterations=15, tolerance=0.3, loss=options.loss.stages[0])
-    found = minimise(system, engine, windows, sets[row], theta, free, bounds, coarse, progress)
-    usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
-    return torch.where(usable, found.theta, theta)

@@ -137,6 +137,7 @@ def minimise(
         .index_add(0, sets, (batch.weight > 0).sum((1, 2)).to(cost.dtype))
         .clamp_min(1.0)
     )
+    bounds = replace(bounds, scale=_scale(best, bounds, (2.0 * cost / data)[sets]))
     status = ["max_iterations" if ok else "diverged" for ok in torch.isfinite(cost).tolist()]
     running = torch.isfinite(cost).nonzero().flatten()
     damping, growth = torch.full_like(cost, options.damping), torch.full_like(cost, 2.0)
@@ -219,6 +220,23 @@ def minimise(
     open_rows = best.defect > SETTLED * noise.sqrt()[sets]
     best = walk(best, batch, theta[:, sets], open_rows, open_rows)
     return Outcome(theta, total(best, theta, sets), iterations, status, best, history)
+
+
+def _scale(e: Evaluation, bounds: Bounds, noise: Tensor) -> Tensor:
+    """Sizes that steps are measured by, ``(n_f,)``: a standard error where neither start value nor range gives one.
+
+    A fixed size would end the fit: steps as short as it allows may be far below the standard error, as if converged.
+
+    Args:
+        e: evaluation at the start.
+        bounds: box and scales.
+        noise: variance of the weighted residuals of each row, ``(R,)``.
+    """
+    information = e.hessian.diagonal(dim1=1, dim2=2)[:, -len(bounds.scale) :] / noise[:, None]
+    known = torch.isfinite(information).all(1)
+    total = information[known].mean(0) if bool(known.any()) else torch.zeros_like(bounds.scale)
+    unknown = (bounds.sized == 0) & (total > 0)
+    return torch.where(unknown, torch.maximum(total.clamp_min(1e-300).rsqrt(), bounds.scale), bounds.scale)
 
 
 def _worst(defect: Tensor, group: Tensor, noise: Tensor) -> Tensor:

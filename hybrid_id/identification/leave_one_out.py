@@ -11,6 +11,8 @@ from hybrid_id.simulation.batch import Batch
 
 SHARES = (1.0, 0.3, 0.1)
 """Shares of the step that leaving a part out asks for."""
+SETTLED = 1e-3
+"""Relative fall of the others' cost from which another step is worth taking."""
 PARTS = 6
 """Parts that are left out, one at a time."""
 BLOCK = 0.5
@@ -29,55 +31,69 @@ def folds(batch: Batch) -> np.ndarray | None:
     return np.array([number[name] for name in batch.names])
 
 
-def leave_one_out(result: FitResult, batch: Batch) -> list[np.ndarray]:
-    """Weighted residuals of each record, ``(T, n_y)``, each part at what the others alone would ask for.
+def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[np.ndarray]:
+    """Weighted residuals of each record, ``(T, n_y)``, each part at what the others alone ask for.
 
-    Without part i the estimate moves by one Gauss-Newton step, ``(H - H_i) delta = -J_i' r_i``, for the sum of all
-    ``J_j' r_j`` is nothing at the end of a fit (A. C. Davison and D. V. Hinkley, Bootstrap Methods and their
-    Application, 1997, section 6.4). The step is taken as far as it lowers the cost of the others, and simulated.
+    Without part i the estimate moves by Gauss-Newton steps ``(H - H_i) delta = sum_j!=i J_j' r_j`` with the slopes of the
+    whole fit (a chord method; one step: A. C. Davison and D. V. Hinkley, Bootstrap Methods and their Application, 1997,
+    section 6.4). Each step is taken as far as it lowers the simulated cost of the others, and the fit of the others has
+    ended where none does: all parts go side by side, as lanes of one rollout.
 
     Args:
         result: of all records of the batch, pooled.
         batch: the records.
+        iterations: steps at most.
     """
     free = result.system.estimated
     inside = [k for k, name in enumerate(result.names) if name not in result.at_bound]
     if not inside:
         return list(result.residual)
-    kept = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
-    parts = _parts(batch)
-    part = np.concatenate([p[keep] for p, keep in zip(parts, kept, strict=True)])
+    kept = (batch.weight > 0).any(2).numpy()
+    parts = np.asarray(_parts(batch))[kept]
     jacobian = np.concatenate([j[..., inside] for j in result.jacobian])
     residual = np.concatenate(list(result.residual))
     size = np.sqrt(np.maximum(np.square(jacobian).sum((0, 1)), 1e-300))
-    scaled = [(jacobian[part == i] / size).reshape(-1, len(inside)) for i in range(PARTS)]
-    hessians = [j.T @ j for j in scaled]
-    points = []
-    for i, (j, h) in enumerate(zip(scaled, hessians, strict=True)):
-        values, vectors = np.linalg.eigh(np.sum(hessians, 0) - h)
-        told = values > 1e-8 * max(values[-1], 1e-300)
-        pull = -j.T @ residual[part == i].reshape(-1)
-        along = vectors[:, told] @ ((vectors[:, told].T @ pull) / values[told])
-        for share in SHARES:
-            point = result.values.copy()
-            point[inside] += share * along / size
-            points.append(point)
+    scaled = jacobian / size
+    own = [scaled[parts == i].reshape(-1, len(inside)) for i in range(PARTS)]
+    hessian = sum(j.T @ j for j in own)
+    inverses = [_inverse(hessian - j.T @ j) for j in own]
     bounds = make_bounds(result.system, free)
-    tried = np.clip(np.array(points), bounds.lower.numpy(), bounds.upper.numpy())
-    first = np.tile(result.x0, (len(tried), 1, 1))
-    runs = Rollouts(result.system, batch, result.engine, free).residuals(tried, first)
-    runs = runs.reshape(PARTS, len(SHARES), *runs.shape[1:])
-    found = [own.copy() for own in result.residual]
-    squares, stay = np.square(residual).sum(1), float(np.square(residual).sum())
-    for i in range(PARTS):
-        costs = np.square(runs[i]).sum(3)
-        others = (costs * (parts != i)).sum((1, 2))
-        best = int(others.argmin())
-        if others[best] >= stay - float(squares[part == i].sum()):
-            continue
-        for own, run, mine, keep in zip(found, runs[i, best], parts == i, kept, strict=True):
-            own[mine[keep]] = run[mine & keep]
-    return found
+    low, high = bounds.lower.numpy(), bounds.upper.numpy()
+    rollouts = Rollouts(result.system, batch, result.engine, free)
+    points = np.tile(result.values, (PARTS, 1))
+    left = np.tile(residual, (PARTS, 1, 1))
+    others = np.array([parts != i for i in range(PARTS)])
+    costs = np.array([np.square(left[i][others[i]]).sum() for i in range(PARTS)])
+    for _ in range(iterations):
+        tried = np.repeat(points, len(SHARES), 0)
+        for i in range(PARTS):
+            slope = np.einsum("tyk,ty->k", scaled[others[i]], left[i][others[i]])
+            step = inverses[i] @ slope / size
+            tried[i * len(SHARES) : (i + 1) * len(SHARES), inside] += np.outer(SHARES, step)
+        tried = np.clip(tried, low, high)
+        runs = rollouts.residuals(tried, np.tile(result.x0, (len(tried), 1, 1)))[:, kept]
+        gained = False
+        for i in range(PARTS):
+            found = [
+                float(np.square(run[others[i]]).sum())
+                for run in runs[i * len(SHARES) : (i + 1) * len(SHARES)]
+            ]
+            best = int(np.argmin(found))
+            if found[best] < costs[i]:
+                gained |= found[best] < (1.0 - SETTLED) * costs[i]
+                k = i * len(SHARES) + best
+                points[i], left[i], costs[i] = tried[k], runs[k], found[best]
+        if not gained:
+            break
+    unseen = np.take_along_axis(left, parts[None, :, None], 0)[0]
+    return np.split(unseen, np.cumsum(kept.sum(1))[:-1])
+
+
+def _inverse(hessian: np.ndarray) -> np.ndarray:
+    """Pseudo-inverse along the directions that are identified."""
+    values, vectors = np.linalg.eigh(hessian)
+    seen = values > 1e-8 * max(values[-1], 1e-300)
+    return (vectors[:, seen] / values[seen]) @ vectors[:, seen].T
 
 
 def _parts(batch: Batch) -> np.ndarray:

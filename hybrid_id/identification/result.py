@@ -37,7 +37,7 @@ class FitResult:
         units: their units.
         status: "converged", "stalled", "max_iterations", "interrupted" or "diverged".
         message: what the status means and what to do next.
-        records: names of the records it was fitted to.
+        records: names of the records it was fitted to, one for each row: pieces of a record have its name.
         cost: loss with priors at the end.
         n_samples: number of measurements.
         iterations: trial steps.
@@ -113,7 +113,7 @@ class FitResult:
 
     def summary(self) -> str:
         """The fit in a few lines."""
-        lines = [f"{', '.join(self.records)}: {self.message} ({self.iterations} iterations)"]
+        lines = [f"{', '.join(dict.fromkeys(self.records))}: {self.message} ({self.iterations} iterations)"]
         width = max((len(n) for n in self.names), default=0)
         for name, value, unit in zip(self.names, self.values, self.units, strict=True):
             note = "  at its bound" if name in self.at_bound else ""

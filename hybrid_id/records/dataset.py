@@ -1,7 +1,7 @@
 """A set of records with the same channels, and the folder that it is kept in."""
 
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid_id.errors import InputError, close_match, listed
 from hybrid_id.records.record import Record
-from hybrid_id.records.resample import ResampleReport
+from hybrid_id.records.resample import ResampleReport, shift_channels
 from hybrid_id.records.units import to_si
 
 SAMPLE_TIME_TOLERANCE = 1e-3  # mean step of a record against the dataset's sample time, relative
@@ -150,6 +150,23 @@ class Dataset:
                 )
         kept = tuple(report for report in self.resampling if report.record in names)
         return replace(self, records=tuple(by_name[name] for name in names), resampling=kept)
+
+    def without_skew(self, late: Mapping[str, float]) -> "Dataset":
+        """Return the dataset with channels shifted that were recorded late, so that all belong to one time.
+
+        Args:
+            late: Channel -> how late it is recorded [s], negative where early; `records.skew.find_skews` estimates it.
+
+        Raises:
+            InputError: a channel is not there, or a skew is longer than a record.
+        """
+        known = [channel.name for channel in (*self.inputs, *self.outputs)]
+        for name in late:
+            if name not in known:
+                raise InputError(
+                    f"dataset '{self.name}' has no channel '{name}'{close_match(name, known)}; it has {listed(known)}"
+                )
+        return replace(self, records=tuple(shift_channels(record, late) for record in self.records))
 
     @staticmethod
     def load(path: str | Path, *, folder: str | Path | None = None) -> "Dataset":

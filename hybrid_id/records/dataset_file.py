@@ -10,7 +10,7 @@ from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
 from hybrid_id.records.readers import Table, Window, load_any, record_name
 from hybrid_id.records.record import Record, find_fault
-from hybrid_id.records.resample import ResampleReport, resample_record
+from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
 from hybrid_id.records.units import to_si
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
@@ -198,6 +198,7 @@ def _read_record(
         )
     except InputError as error:
         raise InputError(f"{file}: {error}") from None
+    record = shift_channels(record, {channel.name: channel.skew for channel in (*spec.inputs, *spec.outputs)})
     return record.between(*entry.between) if entry.between else record
 
 

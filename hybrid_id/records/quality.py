@@ -20,6 +20,7 @@ from hybrid_id.records.measures import (
 )
 from hybrid_id.records.record import Record, stamp
 from hybrid_id.records.sampling import check_sampling, check_steps
+from hybrid_id.records.skew import check_skews
 from hybrid_id.records.units import stem
 
 __all__ = [
@@ -55,6 +56,7 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
     findings += [Finding("info", "resampled", report.message, report.record) for report in dataset.resampling]
     for channel in dataset.outputs:
         findings += _across_records(dataset, channel)
+    findings += check_skews(dataset)
     findings += _merged([finding for record in dataset for finding in check_record(record)])
     return worst_first(findings)
 

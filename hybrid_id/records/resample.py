@@ -166,6 +166,53 @@ def _mean_of_held(time: np.ndarray, values: np.ndarray, grid: np.ndarray, step: 
     return values[0] + (np.interp(grid + step, stamps, integral) - np.interp(grid, stamps, integral)) / step
 
 
+def shift_channels(record: Record, late: Mapping[str, float]) -> Record:
+    """Bring channels that were recorded late to the stamps of the others.
+
+    Outputs are read off between samples as in resampling; a held input takes its average over each step. The samples
+    at the ends for which a channel has no value are left out.
+
+    Args:
+        record: The record.
+        late: Channel -> how late it is recorded [s]; negative where it is early.
+
+    Raises:
+        InputError: a skew is longer than the record.
+    """
+    from scipy.interpolate import Akima1DInterpolator
+
+    late = {name: skew for name, skew in late.items() if skew}
+    if not late:
+        return record
+    rounding = UNIFORM_TOLERANCE * record.sample_time
+    first = record.time[0] + max(0.0, *(-skew for skew in late.values()))
+    last = record.time[-1] - max(0.0, *late.values())
+    kept = (record.time >= first - rounding) & (record.time <= last + rounding)
+    if kept.sum() < 2:
+        name = max(late, key=lambda channel: abs(late[channel]))
+        raise InputError(
+            f"{record.title} lasts {record.duration:g} s, which a skew of {late[name]:g} s of '{name}' uses up; "
+            "correct the skew, which is in seconds"
+        )
+    time = record.time[kept]
+
+    def shifted(name: str, values: np.ndarray) -> np.ndarray:
+        if name not in late:
+            return values[kept]
+        instants = np.clip(time + late[name], record.time[0], record.time[-1])
+        if name in record.outputs:
+            return Akima1DInterpolator(record.time, values, method="makima")(instants)
+        mean = _mean_of_held(record.time, values, time + late[name], record.sample_time)
+        return np.round(mean) if stem(name) == "enable" else mean
+
+    return replace(
+        record,
+        time=time,
+        inputs={name: shifted(name, values) for name, values in record.inputs.items()},
+        outputs={name: shifted(name, values) for name, values in record.outputs.items()},
+    )
+
+
 def _lost(record: Record, new: Record) -> dict[str, float]:
     """RMS per output of the old samples minus the new ones interpolated back, over their common time."""
     common = record.time <= new.time[-1]

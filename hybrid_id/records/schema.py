@@ -9,6 +9,7 @@ inputs:
   - {name: u1, unit: V}
 outputs:
   - {name: q_m1, unit: deg, noise_std: 0.05}     # unit in the files; values become SI on loading
+  - {name: i1, unit: A, skew: 0.0009}            # s; recorded so much late against the others, shifted on loading
 columns:                      # only where the files name things otherwise
   t: {column: time, unit: ms}
   u1: plant_input
@@ -34,11 +35,12 @@ class _Part(BaseModel):
 
 
 class ChannelEntry(_Part):
-    """One input or output; `unit` is that of the files, and so is `noise_std`."""
+    """One input or output; `unit` is that of the files, and so is `noise_std`; `skew` is in seconds."""
 
     name: str
     unit: str
     noise_std: float | None = Field(default=None, gt=0)
+    skew: float = 0.0
 
 
 class ColumnEntry(_Part):

@@ -187,29 +187,18 @@ def goes_with(location: Location) -> str:
     return f"it {verb} with the {location.signal}"
 
 
-def horizon_words(window: float | None) -> str:
-    """Over what models are fitted, compared and measured."""
-    return (
-        "free runs over whole records"
-        if window is None
-        else f"free runs of {window:g} s from measured states"
-    )
-
-
 def error_lines(diagnosis: Diagnosis) -> list[str]:
     """NRMSE of each output on the test records, nominal to corrected, and the shrink; then what contradicts that."""
     nominal, refit, gap = diagnosis.nominal, diagnosis.refit, diagnosis.shrink
     if nominal is None or refit is None or gap is None:
-        return [f"no test record moves; models were compared over {horizon_words(diagnosis.window)}."]
+        return [f"no test record moves; models were compared over {diagnosis.horizon}."]
     last = diagnosis.with_effect if "corrected" in diagnosis.fitted or diagnosis.varying else None
     records = count(len(nominal.by_record), "test record")
     outputs = "; ".join(
         f"{output} {_errors_words(*(m.by_output[output] for m in (nominal, refit, last) if m is not None))}"
         for output in nominal.by_output
     )
-    lines = [
-        f"NRMSE on {records}, {horizon_words(diagnosis.window)}: {outputs}; noise floor {gap.floor:.3g}."
-    ]
+    lines = [f"NRMSE on {records}, {diagnosis.horizon}: {outputs}; noise floor {gap.floor:.3g}."]
     if last is not None:
         low, high = (100 * min(end, 1.0) for end in gap.interval)
         lines.append(f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %).")

@@ -92,9 +92,10 @@ def half_width(value: float) -> str:
 
 def _remarks(study: Study) -> list[str]:
     lines = [GRADES]
+    lines += [] if study.horizon.kind == "whole" else [f"horizon: {study.horizon}"]
     lines += [f"identifiability: {direction.text}" for direction in study.identifiability.directions]
     failed = [result for result in study.sets if not result.ok]
-    lines += [f"{', '.join(r.records[:3])}: {r.message}" for r in failed[:3]]
+    lines += [f"{', '.join(list(dict.fromkeys(r.records))[:3])}: {r.message}" for r in failed[:3]]
     hits = [sum(name in result.at_bound for result in study.sets) for name in study.names]
     if any(hits):
         of = f" (in {{}} of {len(study.sets)} sets)" if len(study.sets) > 1 else ""

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
@@ -19,11 +20,18 @@ from hybrid_id.study import Comparison, Replay, Study
 from hybrid_id.systems.model_file import save_model
 
 
+def horizon_result(horizon: Horizon) -> dict[str, Any]:
+    """How long the free runs are, as plain data."""
+    seconds = horizon.seconds if horizon.kind == "windows" else None
+    return {"kind": horizon.kind, "seconds": seconds, "words": str(horizon)}
+
+
 def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
     """A study as plain data."""
     index, variation = study.selection.index, study.variation
     return {
         "pooled": study.pooled,
+        "horizon": horizon_result(study.horizon),
         "parameters": list(study.names),
         "units": list(study.selected.units),
         "level": level,
@@ -90,7 +98,7 @@ def _set_result(study: Study, index: int) -> dict[str, Any]:
     result = study.sets[index]
     return {
         "set": study.cross_validation.set_names[index],
-        "records": result.records,
+        "records": list(dict.fromkeys(result.records)),
         "values": result.values,
         "std_error": study.covariances[index].std_error,
         "robust_std_error": study.robust[index].std_error,

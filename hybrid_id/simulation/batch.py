@@ -74,16 +74,29 @@ class Batch:
         """
         samples, device = self.dt.shape[1], self.dt.device
         starts = torch.arange(0, max(samples - length, 0) + 1, stride, device=device)
-        index = (starts[:, None] + torch.arange(length, device=device)).clamp_max(samples - 1)
         row = torch.arange(self.rows, device=device).repeat_interleave(len(starts))
-        cut = {field: getattr(self, field)[:, index].flatten(0, 1) for field in ("dt", "y", "weight", "x")}
-        cut["dt"][:, -1] = 0.0
-        batch = replace(
-            self,
-            u={name: c[:, index].flatten(0, 1) for name, c in self.u.items()},
-            x0_std=x0_std[row],
-            names=tuple(self.names[i] for i in row.tolist()),
-            **cut,
-        )
+        batch = self.pieces(row, starts.repeat(self.rows), torch.full_like(row, length), x0_std[row])
         useful = (batch.weight > 0).any(2).any(1).nonzero().flatten()
         return batch.take(useful), row[useful]
+
+    def pieces(self, row: Tensor, start: Tensor, length: Tensor, x0_std: Tensor) -> Batch:
+        """Pieces of the rows as rows of their own, padded at their end.
+
+        Args:
+            row: which each piece is cut from, ``(P,)``.
+            start: its first sample there, ``(P,)``.
+            length: its samples, ``(P,)``.
+            x0_std: prior standard deviation of its first state around the guess, ``(P, n_x)``.
+        """
+        here = torch.arange(int(length.max()), device=self.dt.device)
+        index = (start[:, None] + torch.minimum(here, length[:, None] - 1)).clamp_max(self.dt.shape[1] - 1)
+        picked = {field: getattr(self, field)[row[:, None], index] for field in ("dt", "y", "weight", "x")}
+        picked["dt"][here >= length[:, None] - 1] = 0.0
+        picked["weight"][here >= length[:, None]] = 0.0
+        return replace(
+            self,
+            u={name: channel[row[:, None], index] for name, channel in self.u.items()},
+            x0_std=x0_std,
+            names=tuple(self.names[i] for i in row.tolist()),
+            **picked,
+        )

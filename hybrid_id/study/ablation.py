@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from hybrid_id.identification.fit import measured_windows
+from hybrid_id.identification.horizons import measured_windows
 from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hybrid
 from hybrid_id.identification.hybrid_plan import HybridOptions
 from hybrid_id.identification.network_data import with_memory

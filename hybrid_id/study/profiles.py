@@ -55,6 +55,7 @@ def profiles(
     chosen, index = study.selected, study.selection.index
     records = [record for record in dataset.train if record.name in chosen.records]
     batch = batch_of(dataset, chosen.system, records, signal_share, "cpu")
+    batch = study.horizon.cut(chosen.system, chosen.engine, batch)
     plain, robust = study.covariances[index], study.robust[index]
 
     def profile(name: str) -> Profile:

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import less_half_a_count
 from hybrid_id.records.record import Record
 from hybrid_id.records.smoothing import noise_level
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.solvers import OdeEngine, stable_engine
+from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.residuals import ResidualTest, residual_test
-from hybrid_id.study.replays import batch_of
+from hybrid_id.study.replays import batch_of, simulated_over
 from hybrid_id.study.result import Study
 from hybrid_id.systems.chain import System
 
@@ -24,10 +24,11 @@ from hybrid_id.systems.chain import System
 def residual_tests(
     dataset: Dataset,
     system: System,
-    engine: Engine | OdeEngine,
+    engine: Engine,
     *,
     records: Sequence[Record] = (),
     x0: np.ndarray | None = None,
+    horizon: Horizon = WHOLE,
     signal_share: float = SIGNAL_SHARE,
 ) -> tuple[ResidualTest, ...]:
     """Test what a model's free runs leave; an output that stands still in all of the records is left out.
@@ -37,25 +38,26 @@ def residual_tests(
         system: the model.
         engine: how it was fitted.
         records: which to simulate (default: the test records, or the train records where none is a test).
-        x0: first state of each, ``(R, n_x)`` (default: as measured).
+        x0: first state of each, ``(R, n_x)`` (default: as measured); of whole records only.
+        horizon: how long the free runs are (default: whole records).
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
     records = records or dataset.test or dataset.train
     batch = batch_of(dataset, system, records, signal_share, "cpu")
-    if x0 is not None:
+    if x0 is not None and horizon.kind == "whole":
         batch.x[:, 0] = torch.as_tensor(x0)
-    run = simulate(system, stable_engine(system, engine, batch), batch)
+    runs = simulated_over(horizon, system, stable_engine(system, engine, batch), batch)
     declared = {channel.name: channel.noise_std for channel in dataset.outputs}
     tests = []
     for column, output in enumerate(batch.outputs):
         residual, inputs, noise = [], [], []
-        for row, record in enumerate(records):
-            measured = record.outputs[output]
+        for run, record in zip(runs, records, strict=True):
+            measured = record.outputs[output][: len(run)]
             if np.ptp(measured) == 0.0:
                 continue
-            left = measured - run.y[row, : record.n_samples, column].numpy()
+            left = measured - run[:, column]
             residual.append(less_half_a_count(left, measured) if np.isfinite(left).all() else left)
-            inputs.append(record.inputs)
+            inputs.append({name: values[: len(run)] for name, values in record.inputs.items()})
             given = declared[output]
             noise.append(float(noise_level(measured)) if given is None else given)
         if residual:
@@ -68,11 +70,17 @@ def study_residuals(
 ) -> dict[str, tuple[ResidualTest, ...]]:
     """What the selected set leaves of the records that it was fitted to (``train``), and of the test records."""
     chosen = study.selected
-    fitted = [dataset[name] for name in chosen.records]
+    fitted = [dataset[name] for name in dict.fromkeys(chosen.records)]
     parts = {"train": (fitted, chosen.x0)} | ({"test": (dataset.test, None)} if dataset.test else {})
     return {
         role: residual_tests(
-            dataset, chosen.system, chosen.engine, records=records, x0=x0, signal_share=signal_share
+            dataset,
+            chosen.system,
+            chosen.engine,
+            records=records,
+            x0=x0,
+            horizon=study.horizon,
+            signal_share=signal_share,
         )
         for role, (records, x0) in parts.items()
     }

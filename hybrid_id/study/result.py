@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.result import FitResult
 from hybrid_id.statistics.cross_validation import CrossValidation
 from hybrid_id.statistics.fit import known_mean
@@ -53,6 +54,7 @@ class Study:
         selection: the set to use.
         test_nrmse: normalised RMSE of the selected set on each test record, by name; empty without test records.
         engine_error: largest change of an estimate in standard errors when the step is halved.
+        horizon: how long the free runs are that were fitted and compared with the records.
         profiles: profile likelihoods of the selected set's parameters, by name, as far as they were asked for.
     """
 
@@ -68,6 +70,7 @@ class Study:
     selection: Selection
     test_nrmse: dict[str, float]
     engine_error: float
+    horizon: Horizon = WHOLE
     profiles: Mapping[str, Profile] = field(default_factory=dict)
 
     @property
@@ -139,6 +142,7 @@ class Study:
             lines.append(
                 f"  {name:<{width}}  {value:11.5g} {reach:>14} {unit:<10}{spread}  trust {grades[name].grade}"
             )
+        lines += [] if self.horizon.kind == "whole" else [f"horizon: {self.horizon}"]
         lines.append(self.identifiability.summary())
         lines.append(self.selection.summary())
         if self.test_nrmse:

@@ -10,11 +10,17 @@ from typing import Literal
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.identification.confirm import confirmed
 from hybrid_id.identification.fit import Progress, fit
+from hybrid_id.identification.horizon_choice import choose_horizon
+from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.divergence import cause_of_divergence
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap
 from hybrid_id.statistics.jackknife import autocorrelation_robust
@@ -39,6 +45,7 @@ def identify(
     seed: int = 0,
     device: str = "cpu",
     signal_share: float = SIGNAL_SHARE,
+    horizon: Horizon | None = None,
     progress: Progress | None = None,
 ) -> Study:
     """Identify one parameter set for each train record, or one over all, with the paper's statistics.
@@ -53,6 +60,8 @@ def identify(
         seed: of start points and bootstrap.
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        horizon: how long the free runs are that are fitted and compared with the records (default: whole records where
+            they follow them, otherwise see :func:`hybrid_id.identification.horizon_choice.choose_horizon`).
         progress: see :func:`hybrid_id.identification.fit.fit`.
 
     Raises:
@@ -62,17 +71,36 @@ def identify(
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     batch = batch_of(dataset, system, dataset.train, signal_share, device)
     model = copy.deepcopy(system).to(device)  # the caller's stays where it is
-    sets = fit(
-        model,
-        batch,
+    engine = engine or Engine()
+
+    def fitted(horizon: Horizon) -> list[FitResult]:
+        part = horizon.cut(model, engine, batch)
+        found = fit(
+            model,
+            part,
+            pooled=pooled,
+            engine=engine,
+            options=options,
+            starts=starts,
+            seed=seed,
+            progress=progress,
+        )
+        return [confirmed(found[0], part, options=options, seed=seed, progress=progress)] if pooled else found
+
+    sets = fitted(horizon or WHOLE)
+    if horizon is None:
+        horizon = choose_horizon(model, engine, batch, sets, options=options)
+        sets = sets if horizon.kind == "whole" else fitted(horizon)
+    return assess(
+        dataset,
+        system,
+        sets,
         pooled=pooled,
-        engine=engine,
-        options=options,
-        starts=starts,
+        batch=batch,
         seed=seed,
-        progress=progress,
+        signal_share=signal_share,
+        horizon=horizon,
     )
-    return assess(dataset, system, sets, pooled=pooled, batch=batch, seed=seed, signal_share=signal_share)
 
 
 def assess(
@@ -84,17 +112,22 @@ def assess(
     batch: Batch | None = None,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
+    horizon: Horizon = WHOLE,
 ) -> Study:
     """The statistics of parameter sets, however they were found; arguments as in :func:`identify`."""
-    if all(result.status == "diverged" for result in sets):
-        raise InputError(
-            f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values."
-        )
     batch = (
         batch_of(dataset, system, dataset.train, signal_share, "cpu") if batch is None else batch.to("cpu")
     )
+    if all(result.status == "diverged" for result in sets):
+        engine = stable_engine(system, sets[0].engine, batch)
+        cause = cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
+        why = f" ({cause})" if cause else ""
+        raise InputError(
+            f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values{why}."
+        )
     for result in sets:  # statistics are numpy's
         result.system.to("cpu")
+    batch = horizon.cut(sets[0].system, sets[0].engine, batch)
     plain, robust = (tuple(_spread(way, r) for r in sets) for way in (covariance, autocorrelation_robust))
     matrix = cross_validate(sets, batch, pooled=pooled)
     selection = select(matrix)
@@ -117,11 +150,11 @@ def assess(
     if any(result.left_early for result in sets):
         why = "a fit was stopped before its end, so that its values are no estimate; let it finish"
         trust = tuple(Trust(name, "D", math.inf, why) for name in names)
-    test = test_nrmse(dataset, chosen, signal_share)
+    test = test_nrmse(dataset, chosen, signal_share, horizon)
     spread = variation(values, names, held=held) if len(sets) > 1 else None
     return Study(
         system, tuple(sets), pooled, spread, plain, robust, told, trust, matrix, selection, test,
-        engine_error(chosen, batch),
+        engine_error(chosen, batch), horizon=horizon,
     )  # fmt: skip
 
 

@@ -31,6 +31,7 @@ from hybrid_id.cli.progress import FitProgress
 from hybrid_id.cli.training_folder import added_results, leave_without_checkpoint, live_folder
 from hybrid_id.config import StudyConfig, load_config, study_config
 from hybrid_id.errors import InputError
+from hybrid_id.identification.horizons import WHOLE
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems.model_file import load_model
 from hybrid_id.twin.demo import DEMO
@@ -520,7 +521,7 @@ def test_interrupt_reaches_the_other_processes(drive: Path, tmp_path: Path, monk
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # as in a process of its own
     data, config = Dataset.load(drive), study_config(drive, {})
     (tmp_path / "stop").touch()
-    (found,) = fit_part(data, [0], load_model(config.model), config, tmp_path / "stop")
+    (found,) = fit_part(data, [0], load_model(config.model), config, tmp_path / "stop", WHOLE)
     assert found.status == "interrupted"
 
 

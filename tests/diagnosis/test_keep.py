@@ -10,7 +10,9 @@ import hybrid_id.diagnosis.select as selection
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.fits import FULL, Fits, Task
 from hybrid_id.diagnosis.keep import Kept
-from hybrid_id.errors import InputError
+from hybrid_id.identification.horizons import Horizon
+
+HALF = Horizon("windows", 0.5)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +61,7 @@ def test_other_records_horizons_and_programs_are_fitted_anew(diagnosed, tmp_path
     for number, fits in enumerate(
         (
             Fits(dataset.select([r.name for r in dataset.records[1:]]), kept=keep),
-            Fits(dataset, kept=keep, window=0.5),
+            Fits(dataset, kept=keep, horizon=HALF),
             Fits(dataset, kept=Kept(tmp_path, "another program")),
         )
     ):
@@ -70,14 +72,8 @@ def test_other_records_horizons_and_programs_are_fitted_anew(diagnosed, tmp_path
     assert keep.count == 6
 
 
-def test_a_window_that_is_none_is_refused(diagnosed) -> None:
-    for window in ("long", 0.0, -1.0, float("inf")):
-        with pytest.raises(InputError, match="give seconds above 0, 'whole' or 'auto'"):
-            diagnose(*diagnosed[:2], window=window)
-
-
 def test_the_horizon_is_what_was_asked_for(diagnosed) -> None:
-    found = diagnose(*diagnosed[:2], max_effects=1, window=0.5)
-    assert found.window == 0.5
+    found = diagnose(*diagnosed[:2], max_effects=1, horizon=HALF)
+    assert found.horizon == HALF and found.as_dict()["window"] == 0.5
     assert found.selected[0].name == "spring_load"
     assert len(found.details.studies) == 2

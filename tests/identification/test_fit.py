@@ -88,6 +88,11 @@ def test_nested_fit_from_the_simpler_optimum_is_never_worse(batch: Batch) -> Non
     assert found.values[found.names.index("F_drop")] < 1e-3
 
 
+def of_their_own(runs: Batch) -> Batch:
+    """The rows as records of their own, each of which gets a parameter set."""
+    return replace(runs, names=tuple(map(str, range(runs.rows))))
+
+
 def test_wide_starts_all_arrive() -> None:
     runs = make_batch(TRUTH, [record(k, samples=700) for k in range(2)], noise_std=NOISE, signal_share=0.0)
     generator = np.random.default_rng(0)
@@ -95,7 +100,7 @@ def test_wide_starts_all_arrive() -> None:
     theta = TRUTH.theta().detach()[:, None].repeat(1, 12)
     free = [k for k, i in enumerate(TRUTH.table) if i.spec.estimate]
     theta[free] *= torch.tensor(generator.uniform(0.5, 1.5, (3, 12)))
-    results = fit(TRUTH, runs.take(rows), start_values=theta)
+    results = fit(TRUTH, of_their_own(runs.take(rows)), start_values=theta)
     assert {r.status for r in results} == {"converged"}
     values = np.array([r.values for r in results])
     for k in range(2):
@@ -218,7 +223,9 @@ def test_many_sets_that_end_at_different_times_all_get_their_iterations() -> Non
     theta = TRUTH.theta().detach()[:, None].repeat(1, 48)
     free = [k for k, i in enumerate(TRUTH.table) if i.spec.estimate]
     theta[free] *= torch.tensor(np.random.default_rng(2).uniform(0.6, 1.6, (3, 48)))
-    results = fit(TRUTH, runs.take(rows), start_values=theta, options=Options(max_iterations=30))
+    results = fit(
+        TRUTH, of_their_own(runs.take(rows)), start_values=theta, options=Options(max_iterations=30)
+    )
     assert {r.status for r in results} == {"converged"}
 
 

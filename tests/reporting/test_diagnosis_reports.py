@@ -11,6 +11,7 @@ from hybrid_id.diagnosis.catalogue import SIDES
 from hybrid_id.diagnosis.locate import Disturbance, Location
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.result import FORMER_KEYS, Diagnosis
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis import effects_table, parameters_table, summary
 from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
@@ -67,7 +68,7 @@ def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
             confounded=("kp and temperature1 rise together",),
             rejected=("delay at joint1/input",),
             contradiction="On the test records the corrected model predicts worse than the re-fitted one.",
-            window=0.5,
+            horizon=Horizon("windows", 0.5),
         ),
         "parameters_only": replace(
             sound,
@@ -146,7 +147,11 @@ def test_errors_are_told_by_output_with_their_horizon(diagnosed) -> None:
         f"{gap.refit:.3g}, corrected {gap.with_effect:.3g}; noise floor {gap.floor:.3g}."
     )
     assert second.startswith(f"shrink of the gap on them: {100 * min(gap.share, 1):.0f} % (")
-    windowed = replace(found, window=0.5, contradiction="The test records do not confirm the correction.")
+    windowed = replace(
+        found,
+        horizon=Horizon("windows", 0.5),
+        contradiction="The test records do not confirm the correction.",
+    )
     assert "free runs of 0.5 s from measured states" in error_lines(windowed)[0]
     assert error_lines(windowed)[2] == "contradiction: The test records do not confirm the correction."
 

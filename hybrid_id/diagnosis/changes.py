@@ -1,0 +1,393 @@
+"""Which physical change explains the values of a re-fit: another load, friction, supply, motor, or sensor scale.
+
+Each change is a subspace of relative parameter changes. Generalised least squares asks how much of the re-fit's change
+it leaves: chi-square of ``d - D s`` with d the relative changes ``ln(fitted / nominal)``, D the columns of the change
+and s their sizes, in the directions that the records identify. The covariance is that of the fit, robust against
+autocorrelated residuals, and 2 % for each parameter, which no nominal value is better than. The change with the fewest
+sizes that leaves nothing sure is named; where none does, several parameters have moved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from hybrid_id.components import ArmGravity, CurrentMotor, DCMotor, Gravity, JointCoupling, TorqueMotor
+from hybrid_id.components.base import Component, Friction, Inertia
+from hybrid_id.diagnosis.plausibility import named, torque_power
+from hybrid_id.identification.result import FitResult
+from hybrid_id.parameters import ParameterInfo
+from hybrid_id.statistics.uncertainty import covariance, robust_covariance
+from hybrid_id.systems.chain import System
+
+NOMINAL = 0.02
+"""Standard deviation of a relative change that counts as none: no nominal value is known better."""
+LEFT = 0.01
+"""Probability of a chi-square, were nothing else changed, below which something sure is left."""
+MOSTLY = 0.8
+"""Share of the chi-square from which a change is said beside others to have moved most."""
+SURE = 1.96
+"""Standard errors of a 95 % interval."""
+VAGUE = 1.0
+"""Relative standard error from which a direction counts as not identified."""
+
+
+@dataclass(frozen=True)
+class RejectedChange:
+    """A change that explains less, or no better with more sizes.
+
+    Attributes:
+        name: As of `ParameterChange`.
+        joint: Number of the joint; 0 for all.
+        explained: Share of the chi-square.
+        probability: Of the chi-square left, were nothing else changed.
+    """
+
+    name: str
+    joint: int
+    explained: float
+    probability: float
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """What has changed in the machine against the nominal values.
+
+    Attributes:
+        name: ``none``, ``load``, ``friction``, ``supply``, ``torque_gain``, ``motor_constant``, ``sensor_scale`` or
+            ``several``.
+        joint: Number of the joint; 0 for all, and where nothing or several have changed.
+        size: Relative change, 0.3 for 30 % more; 0 for ``none`` and ``several``.
+        interval: Its 95 % interval.
+        parameters: Names of the parameters that moved.
+        explained: Share of the re-fit's chi-square against the nominal values that the change explains.
+        words: The same in a sentence.
+        indistinguishable_from: Names of other changes that leave nothing sure either.
+        rejected: The other changes, best first.
+    """
+
+    name: str
+    joint: int
+    size: float
+    interval: tuple[float, float]
+    parameters: tuple[str, ...]
+    explained: float
+    words: str
+    indistinguishable_from: tuple[str, ...] = ()
+    rejected: tuple[RejectedChange, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Hypothesis:
+    """Columns (p, k) of relative changes; ``lead`` is the one that is its size, ``together``: all have one sign."""
+
+    name: str
+    joint: int
+    columns: np.ndarray
+    together: bool = False
+    lead: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """A fitted hypothesis: sizes (k,) with their standard errors, chi-square left and its probability."""
+
+    hypothesis: _Hypothesis
+    sizes: np.ndarray
+    errors: np.ndarray
+    left: float
+    probability: float
+
+
+def find_change(nominal: System, fit: FitResult) -> ParameterChange:
+    """The physical change that explains best how a re-fit differs from the nominal values.
+
+    Args:
+        nominal: the model before the re-fit.
+        fit: its re-fit; parameters that are held or that the nominal model does not have do not count.
+    """
+    kept, change, error = _relative(nominal, fit)
+    names = tuple(fit.names[k] for k in kept)
+    if not names:
+        return _nothing()
+    infos = [nominal.parameter(name) for name in names]
+    axes, spread = _identified(error)
+    if not axes.size:
+        return _nothing()
+    whitener = np.linalg.inv(np.linalg.cholesky(spread))
+    moved = whitener @ axes.T @ change
+    total = float(moved @ moved)
+    if chi2.sf(total, len(moved)) >= LEFT:
+        return _nothing()
+    solutions = [_solve(one, whitener @ axes.T, moved) for one in _hypotheses(nominal, infos)]
+    solutions = sorted((s for s in solutions if _makes_sense(s)), key=lambda s: (len(s.sizes), s.left))
+    passing = [s for s in solutions if s.probability >= LEFT]
+    others = sorted(solutions, key=lambda s: s.left)
+    chosen = passing[0] if passing else None
+
+    def explained(solution: _Solution) -> float:
+        return 1.0 - solution.left / total
+
+    rejected = tuple(
+        RejectedChange(s.hypothesis.name, s.hypothesis.joint, explained(s), s.probability)
+        for s in others
+        if s is not chosen
+    )
+    if chosen is not None:
+        one = chosen.hypothesis
+        lead = one.lead
+        low, high = (np.expm1(chosen.sizes[lead] + way * SURE * chosen.errors[lead]) for way in (-1.0, 1.0))
+        touched = tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row))
+        also = dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name)
+        words = _words(nominal, chosen, names)
+        if also:
+            named_so = ", ".join(name.replace("_", " ") for name in also)
+            words += f"; indistinguishable in these records from a change of {named_so}"
+        return ParameterChange(
+            name=one.name,
+            joint=one.joint,
+            size=float(np.expm1(chosen.sizes[lead])),
+            interval=(float(low), float(high)),
+            parameters=touched,
+            explained=explained(chosen),
+            words=words,
+            indistinguishable_from=tuple(also),
+            rejected=rejected,
+        )
+    most = others[0] if others else None
+    alone = _moved_alone(infos, axes, change, spread)
+    listed = ", ".join(f"{named(infos[k])} {100 * np.expm1(own):+.0f} %" for k, own in alone.items())
+    words = f"Several parameters moved{': ' + listed if listed else ' together'}"
+    if most is not None and explained(most) >= MOSTLY:
+        words += f"; one change explains {100 * explained(most):.0f} % of it: {_words(nominal, most, names)}"
+    touched = tuple(names[k] for k in alone) or names
+    return ParameterChange(
+        "several", 0, 0.0, (0.0, 0.0), touched, explained(most) if most else 0.0, words, (), rejected
+    )
+
+
+def _nothing() -> ParameterChange:
+    return ParameterChange(
+        "none", 0, 0.0, (0.0, 0.0), (), 0.0, "The re-fit leaves the nominal values as they are."
+    )
+
+
+def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, np.ndarray]:
+    """Which of the fit's parameters count, their relative changes (p,), and information and covariance (2, p, p).
+
+    A parameter that is or becomes zero or negative has no logarithm: its change counts in its own larger value.
+    """
+    before = {info.name: info.spec.value for info in nominal.table}
+    kept = [k for k, name in enumerate(fit.names) if name in before]
+    start = np.array([before[fit.names[k]] for k in kept])
+    values = fit.values[kept]
+    positive = (start > 0) & (values > 1e-3 * start)
+    size = np.where(positive, np.abs(values), np.maximum(np.maximum(np.abs(values), np.abs(start)), 1e-300))
+    ratio = np.where(positive, values / np.where(positive, start, 1.0), 1.0)
+    change = np.where(positive, np.log(ratio), (values - start) / size)
+    # The data's own estimate: without the pull of priors towards their means.
+    specs = [fit.system.parameter(fit.names[k]).spec for k in range(len(fit.names))]
+    means = np.array(
+        [v if s.prior_mean is None else s.prior_mean for s, v in zip(specs, fit.values, strict=True)]
+    )
+    pull = fit.prior_precision * (fit.values - means)
+    matched = all(len(j) == len(r) for j, r in zip(fit.jacobian, fit.residual, strict=True))
+    estimate = robust_covariance if matched else covariance
+    residual = (
+        fit.residual
+        if matched
+        else [np.full((j.shape[0], j.shape[1]), fit.noise_scale) for j in fit.jacobian]
+    )
+    cov = estimate(fit.jacobian, residual)
+    change = change + (cov.inverse_hessian @ pull)[kept] / size
+    root = np.concatenate([j.reshape(-1, j.shape[-1])[:, kept] for j in fit.jacobian])
+    root = root * size
+    return kept, change, np.stack([root.T @ root, cov.matrix[np.ix_(kept, kept)] / np.outer(size, size)])
+
+
+def _identified(error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Axes (p, m) of relative changes that the records identify, and the covariance along them (m, m)."""
+    information, cov = error
+    squares, vectors = np.linalg.eigh(information)
+    along = np.einsum("ij,ik,kj->j", vectors, cov, vectors)
+    axes = vectors[:, (squares > 1e-12 * squares[-1]) & (along < VAGUE**2)]
+    return axes, axes.T @ cov @ axes + NOMINAL**2 * np.eye(axes.shape[1])
+
+
+def _solve(hypothesis: _Hypothesis, whitened_axes: np.ndarray, moved: np.ndarray) -> _Solution:
+    """Sizes of a change by least squares in whitened directions (m, p)."""
+    design = whitened_axes @ hypothesis.columns
+    covariance_of_sizes = np.linalg.pinv(design.T @ design, hermitian=True)
+    sizes = covariance_of_sizes @ design.T @ moved
+    left = float(np.sum((moved - design @ sizes) ** 2))
+    freedom = len(moved) - np.linalg.matrix_rank(design)
+    probability = float(chi2.sf(left, freedom)) if freedom > 0 else 0.0
+    return _Solution(hypothesis, sizes, np.sqrt(np.diag(covariance_of_sizes)), left, probability)
+
+
+def _makes_sense(solution: _Solution) -> bool:
+    """Whether the leading size is surely not zero, and what must move together does not surely move apart."""
+    sizes, errors = solution.sizes, SURE * solution.errors
+    lead = solution.hypothesis.lead
+    if not abs(sizes[lead]) > errors[lead]:
+        return False
+    ways = np.sign(sizes) * (np.abs(sizes) > errors)
+    return not solution.hypothesis.together or not (np.any(ways > 0) and np.any(ways < 0))
+
+
+def _hypotheses(system: System, infos: list[ParameterInfo]) -> Iterator[_Hypothesis]:
+    """Every change that the parameters can show, one joint after the other, then all at once."""
+    joints = sorted({_joint(info) for info in infos})
+    coupled = any(isinstance(part, JointCoupling) for part in system.components.values())
+    for joint in [*joints, *([0] if len(joints) > 1 else [])]:
+        mine = [joint in (0, _joint(info)) for info in infos]
+        loads = [m or coupled for m in mine] if joint == max(joints) else [m and not coupled for m in mine]
+        yield from _load(system, infos, 0 if coupled else joint, loads)
+        for name, part in (
+            ("friction", _friction),
+            ("supply", _supply),
+            ("torque_gain", _torque_gain),
+            ("motor_constant", _motor_constant),
+            ("sensor_scale", _sensor_scale),
+        ):
+            powers = np.array([part(system, info) if m else 0.0 for info, m in zip(infos, mine, strict=True)])
+            if np.any(powers):
+                yield _Hypothesis(name, joint, powers[:, None])
+            if name == "friction" and np.count_nonzero(powers) > 1:
+                yield _Hypothesis(name, joint, np.eye(len(infos))[:, powers != 0])
+
+
+def _load(system: System, infos: list[ParameterInfo], joint: int, mine: list[bool]) -> Iterator[_Hypothesis]:
+    """A heavier or lighter link: inertias and weights, each by its own share, since the rotor is part of an inertia."""
+    weighs = np.array([m and _is_weight(system, info) for info, m in zip(infos, mine, strict=True)])
+    load = weighs | np.array([m and _is_inertia(system, info) for info, m in zip(infos, mine, strict=True)])
+    if not load.any():
+        return
+    order = np.flatnonzero(load)
+    lead = next((k for k, index in enumerate(order) if weighs[index]), 0)
+    yield _Hypothesis("load", joint, np.eye(len(infos))[:, order], together=True, lead=lead)
+
+
+def _part(system: System, info: ParameterInfo) -> Component:
+    part = system.components[info.component]
+    assert isinstance(part, Component)
+    return part
+
+
+def _joint(info: ParameterInfo) -> int:
+    """Number of the joint that a parameter belongs to."""
+    return int(info.component.split("/")[0].removeprefix("joint"))
+
+
+def _is_weight(system: System, info: ParameterInfo) -> bool:
+    return isinstance(_part(system, info), Gravity | ArmGravity) and info.spec.unit in ("N m", "N")
+
+
+def _is_inertia(system: System, info: ParameterInfo) -> bool:
+    link = isinstance(_part(system, info), Inertia | JointCoupling)
+    return link and "kg" in info.spec.unit and info.symbol != "J_m"
+
+
+def _friction(system: System, info: ParameterInfo) -> float:
+    """Dry levels and viscous coefficients, one factor."""
+    return float(isinstance(_part(system, info), Friction) and torque_power(info.spec.unit) == 1)
+
+
+def _supply(system: System, info: ParameterInfo) -> float:
+    """A gain c on the voltage: ``P_m1 (c U - P_m2 v) = c P_m1 (U - P_m2 / c v)``."""
+    return {"P_m1": 1.0, "P_m2": -1.0}.get(info.symbol, 0.0) * isinstance(_part(system, info), DCMotor)
+
+
+def _torque_gain(system: System, info: ParameterInfo) -> float:
+    """More torque per command at the same back-EMF: winding resistance, current gain."""
+    part = _part(system, info)
+    motor = isinstance(part, DCMotor | CurrentMotor | TorqueMotor)
+    return float(motor and info.symbol in ("P_m1", "k_t", "gain"))
+
+
+def _motor_constant(system: System, info: ParameterInfo) -> float:
+    """Torque constant and back-EMF together: magnets."""
+    return float(isinstance(_part(system, info), DCMotor))
+
+
+def _sensor_scale(system: System, info: ParameterInfo) -> float:
+    """An angle read c times too large: each power of rad in a unit takes one of c; weight turns with the true angle."""
+    if any(isinstance(part, Gravity | ArmGravity) for part in system.components.values()):
+        return 0.0
+    if _is_inertia(system, info) or info.symbol == "J_m":
+        return -1.0
+    over, _, under = info.spec.unit.partition("/")
+    return float(over.startswith("rad")) - (2.0 if "rad^2" in under else float("rad" in under))
+
+
+_WORDS = {
+    "load": ("The load{joint} is {size} {heavier}", "heavier", "lighter"),
+    "friction": ("Friction{joint} is {size} {heavier} (temperature, grease or wear)", "higher", "lower"),
+    "supply": ("The supply, or a gain on the command{joint}, is {size} {heavier}", "higher", "lower"),
+    "torque_gain": (
+        "The torque per command{joint} is {size} {heavier} (winding resistance, or a gain behind the command)",
+        "higher",
+        "lower",
+    ),
+    "motor_constant": (
+        "The motor's torque and back-EMF constants{joint} are {size} {heavier} (magnets)",
+        "higher",
+        "lower",
+    ),
+    "sensor_scale": ("The angle{joint} is read {size} too {heavier}", "large", "small"),
+}
+
+
+def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
+    """A change as a sentence, with what each parameter did where they did not move as one."""
+    one, lead = solution.hypothesis, solution.hypothesis.lead
+    text, more, less = _WORDS[one.name]
+    ends = [
+        abs(100 * np.expm1(solution.sizes[lead] + way * SURE * solution.errors[lead])) for way in (-1.0, 1.0)
+    ]
+    size = 100 * np.expm1(solution.sizes[lead])
+    moved = [name for name, row in zip(names, one.columns, strict=True) if np.any(row)]
+    joint = f" of joint {one.joint}" if one.joint else " of all joints"
+    if len(system.joints) == 1 or (one.name == "load" and not one.joint):
+        joint = ""
+    interval = f"{abs(size):.0f} % ({min(ends):.0f}-{max(ends):.0f} %)"
+    if one.name == "load" and not any(_is_weight(system, system.parameter(name)) for name in moved):
+        text, more, less = (
+            "The inertia that the motor{joint} moves is {size} {heavier}, as of another load",
+            "larger",
+            "smaller",
+        )
+    words = text.format(joint=joint, size=interval, heavier=more if size > 0 else less)
+    each = [named(system.parameter(name)) for name in moved]
+    if one.name == "friction" and np.ptp(np.sign(solution.sizes)):
+        words = f"Friction{joint} has changed (temperature, grease or wear)"
+    if one.columns.shape[1] > 1:
+        changes = [f"{name} {100 * np.expm1(s):+.0f} %" for name, s in zip(each, solution.sizes, strict=True)]
+        return f"{words}: {', '.join(changes)}"
+    if len(moved) > 1 and one.name == "friction":
+        return f"{words}: {', '.join(each)} {'rose' if size > 0 else 'fell'} together"
+    return words
+
+
+def _moved_alone(
+    infos: list[ParameterInfo], axes: np.ndarray, change: np.ndarray, spread: np.ndarray
+) -> dict[int, float]:
+    """Which parameters have surely moved by themselves, and how far (logarithm).
+
+    Where the records do not identify the common scale of torques, the median of their changes is taken for it.
+    """
+    powers = np.array([torque_power(info.spec.unit) for info in infos], float)
+    scale = powers / max(float(np.linalg.norm(powers)), 1e-300)
+    seen = axes @ axes.T
+    if np.any(powers) and np.linalg.norm(axes.T @ scale) < 0.01:
+        seen = seen + np.outer(scale, scale)
+        change = change - powers * np.median((change / np.where(powers, powers, 1.0))[powers != 0.0])
+    error = np.sqrt(np.diag(axes @ spread @ axes.T))
+    return {
+        k: float(change[k])
+        for k in range(len(infos))
+        if seen[k, k] > 0.98 and abs(change[k]) > SURE * error[k]
+    }

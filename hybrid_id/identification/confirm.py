@@ -1,0 +1,74 @@
+"""Whether a fit has ended at its optimum, by starting again beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid_id.identification.fit import Progress, fit
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.result import NO_ESTIMATE, FitResult
+from hybrid_id.simulation.batch import Batch
+
+NOISE = 1.05
+"""RMS of the weighted residuals up to which they are noise: no other end can be much lower."""
+RISE = 0.05
+"""Rise of the cost, relative to it, that the restart's distance would bring on a quadratic cost."""
+FALL = 0.005
+"""Fall of the cost, relative to it, that shows that the fit had not ended."""
+BRIEF = 8
+"""Iterations of a restart."""
+RESTARTS = 4
+"""Restarts that may each find a lower cost."""
+
+
+def confirmed(
+    result: FitResult,
+    batch: Batch,
+    *,
+    options: Options | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> FitResult:
+    """The fit, or a better one that a restart beside it has led to; its status is "converged" only if no restart did.
+
+    The restart begins beside the estimate along the axes of what the records tell, to a random side of each, and far
+    along the weak ones. Where a few iterations from there end lower, the fit goes on from them. A fit that leaves no
+    more than noise is confirmed as it is.
+
+    Args:
+        result: of one parameter set, over all rows of the batch.
+        batch: the rows that it was fitted to.
+        options: settings of the fit.
+        seed: of the sides.
+        progress: as in :func:`hybrid_id.identification.fit.fit`.
+    """
+    options, generator = options or Options(), np.random.default_rng(seed)
+    brief = replace(options, max_iterations=BRIEF)
+    for _ in range(RESTARTS):
+        if result.status in NO_ESTIMATE or result.noise_scale <= NOISE:
+            return result
+        values = beside(result, generator)
+        start = result.system.with_values(dict(zip(result.names, values.tolist(), strict=True)))
+        settings = {"pooled": True, "engine": result.engine, "warm": False, "progress": progress}
+        again = fit(start, batch, options=brief, **settings)[0]
+        if again.status in NO_ESTIMATE or not again.cost < (1.0 - FALL) * result.cost:
+            return result
+        further = fit(again.system, batch, options=options, **settings)[0]
+        result = further if further.cost <= again.cost else again
+    return replace(result, status="max_iterations")
+
+
+def beside(result: FitResult, generator: np.random.Generator) -> np.ndarray:
+    """A point beside an estimate, at most 30 % of each parameter away and inside its bounds, ``(n_f,)``."""
+    jacobian = np.concatenate([part.reshape(-1, part.shape[-1]) for part in result.jacobian])
+    information = jacobian.T @ jacobian + np.diag(result.prior_precision)
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    strength, axes = np.linalg.eigh(information / np.outer(size, size))
+    far = np.sqrt(2.0 * RISE * result.cost / len(size) / np.maximum(strength, 1e-4 * strength[-1]))
+    step = axes @ (far * generator.choice([-1.0, 1.0], len(size))) / size
+    most = 0.3 * np.abs(result.values)
+    specs = [result.system.parameter(name).spec for name in result.names]
+    moved = result.values + np.where(most > 0, np.clip(step, -most, most), step)
+    return np.clip(moved, [spec.lower for spec in specs], [spec.upper for spec in specs])

@@ -1,0 +1,79 @@
+"""A fit ends at an optimum: whatever it starts at, and whatever ripple it has come to rest in."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import make_record, multisine, rigid_drive
+
+from hybrid_id.components import REGISTRY
+from hybrid_id.identification.confirm import confirmed
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.secant import secant_fit
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.c_code import compiler
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems import System
+
+BIASED = rigid_drive().with_component("joint1/load", REGISTRY["constant_torque"](T_0=-1.0))
+
+
+@pytest.fixture(scope="module")
+def batch() -> Batch:
+    record = make_record(BIASED, multisine(0, samples=600), seed=0, noise={"q_m1": 0.01})
+    return make_batch(BIASED, [record])
+
+
+@pytest.fixture(scope="module")
+def start() -> System:
+    held = replace(BIASED.parameter("J").spec, estimate=False)
+    return BIASED.with_values({"T_0": 0.0, "F_c": 0.0, "F_v": 6e-5}).with_specs({"J": held})
+
+
+def check_bias(values: dict[str, float]) -> None:
+    assert values["T_0"] == pytest.approx(-1.0, rel=0.02)
+    assert values["F_c"] == pytest.approx(0.01, rel=0.02)
+
+
+def test_bias_and_friction_that_start_at_zero_are_found(batch: Batch, start: System) -> None:
+    (found,) = fit(start, batch, pooled=True, warm=False)
+    assert found.ok
+    check_bias(dict(zip(found.names, found.values, strict=True)))
+
+
+@pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
+def test_finite_steps_find_them_too(batch: Batch, start: System) -> None:
+    found = secant_fit(start, batch, engine=Engine(substeps=4, compiled=True))
+    check_bias(dict(zip(found.names, found.values, strict=True)))
+    assert np.isfinite(found.cost)
+
+
+@pytest.fixture(scope="module")
+def lacking(batch: Batch) -> System:
+    """A model without the bias that the records have."""
+    return rigid_drive().with_specs({"J": replace(BIASED.parameter("J").spec, estimate=False)})
+
+
+def test_a_fit_that_stopped_above_its_optimum_goes_on(batch: Batch, lacking: System) -> None:
+    start = lacking.with_values({"F_c": 0.02, "P_m2": 0.03})
+    best = min((fit(s, batch, pooled=True)[0] for s in (lacking, start)), key=lambda one: one.cost)
+    (early,) = fit(start, batch, pooled=True, warm=False, options=Options(tolerance=30.0))
+    assert early.status == "converged"
+    assert early.cost > 1.05 * best.cost
+    found = confirmed(early, batch)
+    assert found.cost < 1.01 * best.cost
+
+
+def test_an_optimum_is_confirmed_as_it_is(batch: Batch, start: System, lacking: System) -> None:
+    (sound,) = fit(start, batch, pooled=True)
+    assert confirmed(sound, batch) is sound  # it leaves noise: not simulated again
+    (ended,) = fit(lacking, batch, pooled=True)
+    assert confirmed(ended, batch).cost <= ended.cost
+
+
+def test_a_fit_that_was_stopped_is_not_called_converged(batch: Batch, start: System) -> None:
+    (stopped,) = fit(start, batch, pooled=True, warm=False, options=Options(max_iterations=3))
+    assert stopped.status == "max_iterations" and not stopped.ok
+    assert "before convergence" in stopped.message

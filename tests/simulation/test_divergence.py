@@ -1,0 +1,66 @@
+"""A simulation that is lost says which record, when, which state, and why."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from drives import batch_of, flexible_drive, make_record, multisine, rigid_drive
+
+from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.horizons import WHOLE
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.simulation.divergence import cause_of_divergence
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
+from hybrid_id.study import compare, identify
+from hybrid_id.systems import System, two_link
+
+
+def cause(system: System, engine: Engine, **channels: np.ndarray) -> str:
+    batch = batch_of(system, channels)
+    return cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
+
+
+def test_sound_simulation_has_no_cause() -> None:
+    assert cause(rigid_drive(), Engine(), u1=multisine(1, samples=100)) == ""
+
+
+def test_unstable_step_is_named() -> None:
+    stiff = flexible_drive().with_values({"k": 1e9})
+    words = cause(stiff, Engine(substeps=1), u1=multisine(1, samples=300, rest=10))
+    assert "record 'row0'" in words and "unstable" in words and " from 0." in words
+
+
+def test_singular_mass_matrix_is_named() -> None:
+    system = two_link((100.0, 100.0))
+    batch = batch_of(system, {"u1": np.zeros(20), "u2": np.zeros(20)}, outputs=("q_m1", "q_m2"))
+    lost = torch.full_like(batch.x, torch.nan)
+    place = next(k for k, info in enumerate(system.table) if info.symbol == "P_3")
+    theta = system.theta().detach()
+    theta[place] = 1e3
+    words = cause_of_divergence(system, Engine(), batch, lost, theta)
+    assert "mass matrix is singular" in words
+
+
+@pytest.fixture
+def dataset() -> Dataset:
+    record = make_record(rigid_drive(), multisine(1, samples=200), seed=1, noise={"q_m1": 0.01})
+    return Dataset("bench", (Channel("u1", "V"),), (Channel("q_m1", "rad"),), (record,))
+
+
+def test_compare_says_which_record_is_lost(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hybrid_id.study.comparison.simulated_over", lambda *_: [np.full((200, 1), np.nan)])
+    with pytest.raises(InputError, match="wrong: record 'run'"):
+        compare(dataset, {"wrong": rigid_drive()}, horizon=WHOLE)
+
+
+def test_identify_says_why_every_fit_diverged(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    sound = fit(rigid_drive(), make_batch(rigid_drive(), dataset.records), options=Options(max_iterations=1))
+    monkeypatch.setattr("hybrid_id.study.run.fit", lambda *_, **__: [replace(sound[0], status="diverged")])
+    monkeypatch.setattr("hybrid_id.study.run.cause_of_divergence", lambda *_: "record 'run' is lost")
+    with pytest.raises(InputError, match=r"diverged; check .* \(record 'run' is lost\)"):
+        identify(dataset, rigid_drive(), horizon=WHOLE)
