@@ -16,7 +16,7 @@ import hybrid_id
 
 PACKAGE = Path(hybrid_id.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
-MAX_LINES = 250
+
 MAX_PUBLIC_NAMES = 40
 
 FLOORS = {

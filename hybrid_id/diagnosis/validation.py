@@ -1,10 +1,11 @@
 """Errors on train records that an estimate has not seen, and what they say of one model against another.
 
-Every record is left out in turn: the model is fitted again without it, and predicts it. The squared errors of two models
-are compared block by block. Where the richer model predicts no better, the sign of each block's difference is a coin's:
-thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic of a whole
-search (R. A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young, Resampling-Based
-Multiple Testing, 1993, for the maximum). It is conservative, for a needless parameter makes predictions worse.
+Every record is left out in turn: the model is fitted again without it, and predicts it. The squared errors of two
+models are compared block by block. Where the richer model predicts no better, the sign of each block's difference is a
+coin's: thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic
+of a whole search (R. A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young,
+Resampling-Based Multiple Testing, 1993, for the maximum). It is conservative, for a needless parameter makes
+predictions worse.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ def p_values(richer: Sequence[Validation], simpler: Validation, seed: int = 0) -
 
     Two statistics are taken, whichever says more: the mean difference of the blocks relative to their record's error,
     and relative to both errors of the block. The first sees an effect that acts at few instants, the second one that
-    acts always and is drowned by the end of free runs. Neighbouring blocks whose differences go together count as one.
+    acts always and is drowned by the end of free runs. Where the differences of neighbouring
+    blocks go together, a statistic is less by the root of the number of blocks over which they do.
 
     Args:
         richer: validations of the candidates.
@@ -96,12 +98,12 @@ def p_values(richer: Sequence[Validation], simpler: Validation, seed: int = 0) -
     scale = np.maximum(scale, 1e-300)[simpler.row]
     for one in richer:
         ones += [(simpler.blocks - one.blocks) / scale, _relative(one, simpler)]
-    width = max(_correlation_length(ones[2 * k + 1], simpler.row) for k in range(len(richer)))
-    merged = np.array([_merged(one, simpler.row, width) for one in ones])
-    size = np.sqrt(np.square(merged).sum(1)).clip(1e-300)
-    seen = (merged.sum(1) / size).reshape(-1, 2).max(1)
-    signs = generator.choice([-1.0, 1.0], size=(DRAWS, merged.shape[1]))
-    largest = (signs @ (merged / size[:, None]).T).max(1)
+    differences = np.array(ones)
+    size = np.sqrt(np.square(differences).sum(1)).clip(1e-300)
+    alike = np.sqrt([_correlation_length(one, simpler.row) for one in ones])
+    seen = (differences.sum(1) / size / alike).reshape(-1, 2).max(1)
+    signs = generator.choice([-1.0, 1.0], size=(DRAWS, differences.shape[1]))
+    largest = (signs @ (differences / size[:, None]).T).max(1)
     return (1.0 + (largest[:, None] >= seen).sum(0)) / (1.0 + DRAWS)
 
 
@@ -109,7 +111,7 @@ def _relative(one: Validation, other: Validation) -> np.ndarray:
     return (other.blocks - one.blocks) / np.maximum(other.blocks + one.blocks, 1e-300)
 
 
-def _correlation_length(series: np.ndarray, row: np.ndarray) -> int:
+def _correlation_length(series: np.ndarray, row: np.ndarray) -> float:
     """Blocks over which a series goes together: ``1 + 2 sum rho_k`` with the autocorrelations while positive."""
     centred = series - series.mean()
     total, length = float(centred @ centred), 1.0
@@ -119,16 +121,7 @@ def _correlation_length(series: np.ndarray, row: np.ndarray) -> int:
         if rho <= 0.0:
             break
         length += 2.0 * rho
-    return max(1, round(length))
-
-
-def _merged(series: np.ndarray, row: np.ndarray, width: int) -> np.ndarray:
-    """Sums of so many neighbouring blocks of a record."""
-    if width == 1:
-        return series
-    place = np.concatenate([np.arange(np.count_nonzero(row == r)) for r in np.unique(row)])
-    group = row * (len(series) + 1) + place // width
-    return np.bincount(np.unique(group, return_inverse=True)[1], series)
+    return length
 
 
 def coloured(residuals: Sequence[np.ndarray]) -> float:

@@ -43,15 +43,15 @@ def catalogue(tmp_path: Path) -> Iterator[None]:
 @pytest.mark.usefixtures("catalogue")
 def test_effect_of_the_guide_is_found() -> None:
     dataset, today = small_case(REGISTRY["cubic_spring"](k_3=0.5))
-    found = diagnose(dataset, today, most=1)
+    found = diagnose(dataset, today, max_effects=1)
     assert "spring_load" in rivals("cubic_spring") and "cubic_spring" in rivals("spring_load")
     assert found.verdict == "effects" and [s.name for s in found.selected] == ["cubic_spring"]
-    suspects = {s.name: s for s in found.effects}
-    assert set(suspects) == set(RIVALS)
-    first = found.search.rounds[0]
+    candidates = {s.name: s for s in found.effects}
+    assert set(candidates) == set(RIVALS)
+    first = found.search.steps[0]
     assert first.candidates[0].effects == (("cubic_spring", "joint1/load"),)
-    assert first.candidates[0].evidence.error < 0.05 * first.candidates[1].evidence.error
-    assert set(suspects["cubic_spring"].parameters) == {"k_3"}
+    assert first.candidates[0].validation.error < 0.05 * first.candidates[1].validation.error
+    assert set(candidates["cubic_spring"].parameters) == {"k_3"}
 
 
 def test_table_of_the_guide_is_the_catalogue() -> None:

@@ -86,7 +86,7 @@ def case(kind: str) -> tuple[Dataset, System]:
 @pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("kind", ["duty", "torque", "current", "servo", "encoders"])
 def test_a_missing_spring_is_named(kind: str) -> None:
-    found = diagnose(*case(kind), most=1)
+    found = diagnose(*case(kind), max_effects=1)
     assert [(s.name, s.where) for s in found.selected] == [("spring_load", "joint1/load")]
     assert found.shrink is not None and found.shrink.share > 0.9
 
@@ -101,5 +101,5 @@ def test_an_encoder_that_counts_edges_is_no_gap() -> None:
         for r in dataset.records
     )
     channels = tuple(replace(channel, noise_std=None) for channel in dataset.outputs)
-    found = diagnose(replace(dataset, records=read, outputs=channels), today, most=1)
+    found = diagnose(replace(dataset, records=read, outputs=channels), today, max_effects=1)
     assert found.verdict == "parameters_only" and not found.varying

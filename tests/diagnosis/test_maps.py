@@ -57,7 +57,7 @@ def test_a_lost_run_has_no_mean() -> None:
 
 def test_a_right_model_leaves_less_after_reversals(diagnosed: Found) -> None:
     dataset, _, found = diagnosed
-    refit = Fits(dataset)
-    (poorer,), (right,) = (after_reversals(refit, one) for one in found.fitted.values())
+    fits = Fits(dataset)
+    (poorer,), (right,) = (after_reversals(fits, one) for one in found.fitted.values())
     assert poorer.count == right.count
     assert np.nanmean(np.abs(right.mean)) < 0.3 * np.nanmean(np.abs(poorer.mean))

@@ -8,8 +8,8 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import PositionLoop, Stribeck
+from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.next_experiment import REST, next_experiment
-from hybrid_id.diagnosis.refit import engine
 from hybrid_id.records.dataset import Channel
 from hybrid_id.systems import System
 

@@ -1,33 +1,23 @@
 """Windows begin where the machine was seen to be, and with what only the model knows where its free run had it."""
 
-import pickle
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
-
 import pytest
 import torch
 from gapcase import small_case
-from joblib import parallel_config
-from joblib.externals.loky.process_executor import BrokenProcessPool
 
-import hybrid_id.diagnosis.attribute as module
-import hybrid_id.diagnosis.refit as refit_module
-import hybrid_id.diagnosis.starts as starts
+import hybrid_id.diagnosis.candidates as candidates
+import hybrid_id.diagnosis.diagnose as module
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis.attribute import attribute
 from hybrid_id.diagnosis.catalogue import CATALOGUE
-from hybrid_id.diagnosis.refit import Refit, Task, engine
-from hybrid_id.diagnosis.untold import untold
+from hybrid_id.diagnosis.fits import Fits, engine
 from hybrid_id.diagnosis.windows import windows
-from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replays import batch_of
 
 
 def cut(place: str, kind: str, **values: float):
-    dataset, today = small_case()
-    system = today.with_component(place, REGISTRY[kind](**values))
+    dataset, nominal = small_case()
+    system = nominal.with_component(place, REGISTRY[kind](**values))
     batch = batch_of(dataset, system, dataset.train, 0.004, "cpu")
     return system, batch, windows(system, engine(), batch, 0.25)
 
@@ -61,105 +51,29 @@ def test_twist_that_nobody_sees_begins_as_in_the_free_run_and_is_held() -> None:
 
 
 def test_records_of_less_than_four_windows_stay_whole() -> None:
-    dataset, today = small_case()
-    batch = batch_of(dataset, today, dataset.train, 0.004, "cpu")
-    assert windows(today, engine(), batch, 0.5) is batch
+    dataset, nominal = small_case()
+    batch = batch_of(dataset, nominal, dataset.train, 0.004, "cpu")
+    assert windows(nominal, engine(), batch, 0.5) is batch
 
 
-def test_free_runs_are_lost_only_where_the_model_is_wrong() -> None:
-    dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    refit = Refit(dataset)
-    lacking = refit.base(today)
-    assert refit.strays(lacking)
-    dataset, today = small_case()
-    assert not Refit(dataset).strays(Refit(dataset).base(today))
-
-
-def test_search_over_windows_names_the_same_and_ends_with_whole_records(monkeypatch) -> None:
-    dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    monkeypatch.setattr(Refit, "strays", lambda *_: True)
+def test_a_search_whose_free_runs_are_lost_is_done_again_over_windows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    monkeypatch.setattr(Fits, "lost", lambda *_: True)
     monkeypatch.setattr(module, "WINDOW", 0.3)
     few = ("spring_load", "thermal_derating", "stribeck_friction")
-    monkeypatch.setattr(starts, "CATALOGUE", {name: CATALOGUE[name] for name in few})
-    found = attribute(Refit(dataset), today, most=1)
-    assert found.window == 0.3
+    monkeypatch.setattr(candidates, "CATALOGUE", {name: CATALOGUE[name] for name in few})
+    fits, found = module.search(Fits(dataset), nominal, max_effects=1)
+    assert fits.window == found.window == 0.3
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
-    assert len(found.chosen.result.residual) == len(dataset.train)
-    assert len(found.rounds[0].before.result.residual) > len(dataset.train)
-    assert found.chosen.evidence.error < 0.2 * found.base.evidence.error
+    assert all(len(e.result.residual) > len(dataset.train) for e in (found.base, found.chosen))
+    assert found.chosen.error < 0.2 * found.base.error
 
 
-def test_what_holds_the_scale_is_said_and_free_scales_are_not_said_twice() -> None:
-    dataset, today = small_case()
-    assert any("one number" in words and "claim" not in words for words in untold(dataset, today))
-    held = today.with_specs({"J": replace(today.parameter("J").spec, estimate=False)})
-    words = untold(dataset, held)
-    assert any("P_m1" in w and "only the claim of J at" in w for w in words), words
-
-
-def test_fits_in_processes_are_those_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    dataset, today = small_case()
-    spring = today.with_component("joint1/load", REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    lost = today.with_values({"J": 1e-12, "F_c": 0.0})
-    some = [Task((), today), Task((), lost), Task((("spring_load", "joint1/load"),), spring)]
-    in_turn = Refit(dataset).run(some, 2)
-    monkeypatch.setattr(refit_module, "SHARED_FROM", 0)
-    with parallel_config(backend="threading"):  # what a process is given is another test's
-        together = Refit(dataset, jobs=2).run(some, 2)
-    assert [None if e is None else (e.effects, e.result.cost) for e in together] == [
-        None if e is None else (e.effects, e.result.cost) for e in in_turn
-    ]
-    assert in_turn[0] is not None and in_turn[2] is not None
-    refit, task = pickle.loads(pickle.dumps((Refit(dataset, jobs=2), some[2])))
-    assert refit.jobs == 2 and task.effects == some[2].effects
-
-
-def test_fits_whose_process_is_lost_are_done_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Lost:
-        """Loses its processes after the first result."""
-
-        def __init__(self, n_jobs: int, **_: str) -> None:
-            self.lost = n_jobs > 1
-
-        def __call__(self, calls: Iterable[tuple]) -> Iterator[object]:
-            for k, (function, args, named) in enumerate(calls):
-                if self.lost and k == 1:
-                    raise BrokenProcessPool
-                yield function(*args, **named)
-
-    dataset, today = small_case()
-    monkeypatch.setattr(refit_module, "SHARED_FROM", 0)
-    monkeypatch.setattr(refit_module, "Parallel", Lost)
-    refit, some = (
-        Refit(dataset, jobs=2),
-        [Task((), today.with_values({"F_v": v})) for v in (4e-5, 5e-5, 6e-5)],
-    )
-    together, in_turn = refit.run(some, 1), Refit(dataset).run(some, 1)
-    assert [e and e.result.cost for e in together] == [e and e.result.cost for e in in_turn]
-    assert refit.jobs == 1
-
-
-def test_a_process_need_not_know_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where fits are shared, an effect of the user's own is registered in the first process alone."""
-    told = []
-
-    def nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> None:
-        told.append(halting)
-        raise RuntimeError("this is all that was asked")
-
-    class Elsewhere:
-        def __init__(self, **_: object) -> None:
-            pass
-
-        def __call__(self, calls: Iterable[tuple]) -> Iterator[object]:
-            for function, args, named in calls:
-                with monkeypatch.context() as there:
-                    for name in list(CATALOGUE):
-                        there.delitem(CATALOGUE, name)
-                    yield function(*args, **named)
-
-    dataset, today = small_case()
-    monkeypatch.setattr(refit_module, "_nearest", nearest)
-    monkeypatch.setattr(refit_module, "Parallel", Elsewhere)
-    Refit(dataset, jobs=2).run([Task((("cogging", "joint1/motor"),), today), Task((), today)], 10)
-    assert told == [True, False]
+def test_records_too_short_for_windows_stay_whole_in_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset, nominal = small_case()
+    monkeypatch.setattr(Fits, "lost", lambda *_: True)
+    monkeypatch.setattr(candidates, "CATALOGUE", {"spring_load": CATALOGUE["spring_load"]})
+    fits, found = module.search(Fits(dataset), nominal, max_effects=1)
+    assert fits.window is None and found.window is None

@@ -147,13 +147,10 @@ def test_errors_are_told_by_output_with_their_horizon(diagnosed) -> None:
         f"{gap.refit:.3g}, corrected {gap.with_effect:.3g}; noise floor {gap.floor:.3g}."
     )
     assert second.startswith(f"shrink of the gap on them: {100 * min(gap.share, 1):.0f} % (")
-    windowed = replace(
-        found,
-        horizon=Horizon("windows", 0.5),
-        contradiction="The test records do not confirm the correction.",
-    )
+    words = "The test records do not confirm the correction."
+    windowed = replace(found, horizon=Horizon("windows", 0.5), contradiction=words)
     assert "free runs of 0.5 s from measured states" in error_lines(windowed)[0]
-    assert error_lines(windowed)[2] == "contradiction: The test records do not confirm the correction."
+    assert error_lines(windowed)[2] == f"contradiction: {words}"
 
 
 def test_ties_come_with_the_experiment_that_distinguishes_them(diagnosed) -> None:

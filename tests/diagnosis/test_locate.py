@@ -8,7 +8,7 @@ import pytest
 from drives import flexible_drive, multisine
 
 from hybrid_id.components import LoggedLoad
-from hybrid_id.diagnosis.course import Course, acts_at, courses
+from hybrid_id.diagnosis.locate import Disturbance, acts_at, disturbances
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
@@ -24,8 +24,8 @@ ARM = two_link((156.0, 84.0)).with_values(
 )  # fmt: skip
 
 
-def seen(system: System, outputs: tuple[str, ...], where: str, size: float) -> list[Course]:
-    """What courses say where something of no law acts at a place: a load [N m], or volts that no record holds."""
+def seen(system: System, outputs: tuple[str, ...], where: str, size: float) -> list[Disturbance]:
+    """What disturbances say where something of no law acts at a place: a load [N m], or volts that no record holds."""
     rng, engine, noise = np.random.default_rng(4), Engine(compiled=True), dict.fromkeys(outputs, NOISE)
     joint, place = where.split("/")
     machine = system.with_component(where, LoggedLoad()) if place == "load" else system
@@ -45,7 +45,7 @@ def seen(system: System, outputs: tuple[str, ...], where: str, size: float) -> l
         records.append(replace(played, name=f"run{k}", inputs=volts, outputs=measured))
     batch = make_batch(system, records, noise_std=noise)
     model = SimpleNamespace(system=system, result=SimpleNamespace(engine=engine))
-    return courses(SimpleNamespace(records=lambda _: batch), model)  # type: ignore[arg-type]
+    return disturbances(SimpleNamespace(records=lambda _: batch), model)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("joint", ["joint1", "joint2"])

@@ -15,12 +15,10 @@ from hybrid_id import load_model, save_model
 from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
 from hybrid_id.components.base import Component
 from hybrid_id.diagnosis.catalogue import CATALOGUE, effect
-from hybrid_id.diagnosis.evidence import evidence
-from hybrid_id.diagnosis.explanation import Explanation
-from hybrid_id.diagnosis.probability import _parameters
-from hybrid_id.diagnosis.refit import engine
-from hybrid_id.diagnosis.scales import scales
-from hybrid_id.diagnosis.scan import (
+from hybrid_id.diagnosis.fits import engine
+from hybrid_id.diagnosis.grade import _parameters
+from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.periodic import (
     GEAR_PERIODS,
     Left,
     friction_spots,
@@ -28,6 +26,8 @@ from hybrid_id.diagnosis.scan import (
     gear_waves,
     rotor_waves,
 )
+from hybrid_id.diagnosis.scales import scales
+from hybrid_id.diagnosis.validation import validation
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study.replays import batch_of
@@ -136,7 +136,7 @@ def test_periods_that_are_fixed_are_told() -> None:
     system = left.result.system.with_component("joint1/motor", Cogging(T_c=0.003, T_s=-0.002, n=1.0))
     fit = secant_fit(system, left.batch, engine=left.result.engine, iterations=8)
     name = ("cogging", "joint1/motor")
-    told = _parameters(Explanation((name,), fit, evidence(fit.residual, 0.005)), name)
+    told = _parameters(Model((name,), fit, validation(fit.residual, 0.005)), name)
     assert set(told) == {"T_c", "T_s", "n"}
     assert told["n"] == (1.0, 0.0)
     assert told["T_c"][1] > 0.0

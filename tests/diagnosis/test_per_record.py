@@ -11,11 +11,12 @@ from gapcase import NOISE, RATIO, SAMPLES, STEP, small_case
 
 import hybrid_id.diagnosis.diagnose as module
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis.attribute import Attribution
-from hybrid_id.diagnosis.own_sets import _explained, _scatter, own_sets
-from hybrid_id.diagnosis.refit import Refit
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.fits import Fits
+from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.per_record import _explained, _scatter, per_record
+from hybrid_id.diagnosis.select import Selection
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.gap import summary
 from hybrid_id.systems import System
 
 FRICTION = (0.0092, 0.0108, 0.0100, 0.0096)
@@ -23,7 +24,7 @@ FRICTION = (0.0092, 0.0108, 0.0100, 0.0096)
 
 def drifting() -> tuple[Dataset, System]:
     """A drive whose dry friction is another one on every record."""
-    dataset, today = small_case()
+    dataset, nominal = small_case()
     records = [
         make_record(
             rigid_drive(ratio=RATIO).with_values({"F_c": friction}),
@@ -33,7 +34,7 @@ def drifting() -> tuple[Dataset, System]:
         for k, (friction, one) in enumerate(zip(FRICTION, dataset.records, strict=True))
     ]  # fmt: skip
     roles = [replace(new, role=old.role) for new, old in zip(records, dataset.records, strict=True)]
-    return replace(dataset, records=tuple(roles)), today
+    return replace(dataset, records=tuple(roles)), nominal
 
 
 @pytest.fixture(scope="module")
@@ -42,46 +43,47 @@ def drift() -> tuple[Dataset, System]:
 
 
 def test_friction_that_drifts_is_said_by_name_and_size(drift) -> None:
-    dataset, today = drift
-    refit = Refit(dataset)
-    own = own_sets(refit, refit.base(today), today)
-    assert own is not None
+    dataset, nominal = drift
+    fits = Fits(dataset)
+    own = per_record(fits, fits.base(nominal), nominal)
+    assert own is not None and own.explained
     assert own.varying[0].startswith("F_c by "), own.varying
     assert float(own.varying[0].split()[2]) == pytest.approx(5.7, abs=2.0)
-    ratio = own.common.system.parameter("P_m1").spec.value / 0.019
-    own_friction = own.common.system.parameter("F_c").spec.value / ratio
-    # one of the train records' own values, whose scale nothing tells
+    ratio = own.model.system.parameter("P_m1").spec.value / 0.019
+    own_friction = own.model.system.parameter("F_c").spec.value / ratio
+    # one of the train records' own values, whose scale nothing identifies
     assert min(abs(own_friction / friction - 1.0) for friction in FRICTION[:3]) < 0.01
 
 
 def test_records_that_one_set_explains_do_not_differ() -> None:
-    dataset, today = small_case()
-    refit = Refit(dataset)
-    base = refit.base(today)
-    own = own_sets(refit, base, today)
-    assert own is not None and own.common is base and not own.varying
+    dataset, nominal = small_case()
+    fits = Fits(dataset)
+    base = fits.base(nominal)
+    own = per_record(fits, base, nominal)
+    assert own is not None and own.model is base and own.explained and not own.varying
 
 
 def test_what_is_missing_within_a_record_is_no_drift() -> None:
-    dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    refit = Refit(dataset)
-    base = refit.base(today)
-    assert own_sets(refit, base, today) is None
-    one = Refit(replace(dataset, records=dataset.records[:1]))
-    assert own_sets(one, base, today) is None  # a record alone says nothing of others
+    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    fits = Fits(dataset)
+    base = fits.base(nominal)
+    own = per_record(fits, base, nominal)
+    assert own is not None and not own.explained and not own.varying
+    assert own.coloured > CRITERIA.coloured
+    one = Fits(replace(dataset, records=dataset.records[:1]))
+    assert per_record(one, base, nominal) is None  # a record alone says nothing of others
+    assert per_record(fits.within(0.3), base, nominal) is None
 
 
 def test_diagnosis_names_no_effect_but_the_drift(drift, monkeypatch) -> None:
-    monkeypatch.setattr(
-        module, "attribute", lambda refit, system, **_: (lambda b: Attribution(b, (), b))(refit.base(system))
-    )
+    def nothing(fits: Fits, base: Model, *_: object, **__: object) -> Selection:
+        return Selection(base, (), base)
+
+    monkeypatch.setattr(module, "select", nothing)
     found = module.diagnose(*drift)
     assert found.verdict == "parameters_only" and not found.unknown
-    assert found.as_dict()["varying_parameters"][0].startswith("F_c by ")
+    assert found.as_dict()["between_record_variation"][0].startswith("F_c by ")
     assert found.as_dict()["no_gap"]
-    words = " ".join(summary(found).split())
-    assert words.startswith("No effect is missing, but the parameters differ from record to record")
-    assert "differ from record to record (standard deviation): F_c by" in words
     still = module.diagnose(*small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3)))
     assert still.verdict == "outside_catalogue" and not still.varying
 

@@ -9,7 +9,7 @@ from drives import flexible_drive, make_record, multisine, rigid_drive
 from gapcase import STEP
 
 from hybrid_id.components import LoggedLoad, Viscous
-from hybrid_id.diagnosis.probe import WINDOW, bumps, probe
+from hybrid_id.diagnosis.response import WINDOW, bumps, respond
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -33,7 +33,7 @@ def test_response_equals_a_simulated_torque(rng: np.random.Generator, kind: str,
     )
     wave = np.repeat(rng.standard_normal(SAMPLES // 8), 8) * 0.1
     batch = make_batch(system, [record], noise_std={"q_m1": 1e-3})
-    opened = probe(system, engine, batch, 1, side)
+    opened = respond(system, engine, batch, 1, side)
     found = opened.response(torch.tensor(wave)[None, :, None])[0, :, 0]
 
     # a torque on the rotor of a rigid gear is one at the link over the gear ratio, and a load opposes

@@ -1,0 +1,184 @@
+"""Fits to the train records, what they predict of records left out, and that processes change nothing."""
+
+import pickle
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from gapcase import small_case
+from joblib import parallel_config
+from joblib.externals.loky.process_executor import BrokenProcessPool
+
+import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
+import hybrid_id.diagnosis.fits as module
+from hybrid_id.components import REGISTRY
+from hybrid_id.diagnosis.catalogue import CATALOGUE
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, predicted
+from hybrid_id.errors import InputError
+from hybrid_id.identification.secant import secant_fit
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.batch import Batch
+
+
+def disturbed(dataset: Dataset, name: str, seed: int = 1) -> Dataset:
+    """The dataset with noise in place of what one of its records measured."""
+    rng = np.random.default_rng(seed)
+    records = (
+        replace(r, outputs={n: rng.standard_normal(len(y)) for n, y in r.outputs.items()})
+        if r.name == name
+        else r
+        for r in dataset.records
+    )
+    return replace(dataset, records=tuple(records))
+
+
+def test_predictions_are_those_of_explicit_fits_without_each_record() -> None:
+    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    fits = Fits(dataset)
+    base = fits.run([Task((), nominal)], FULL)[0]
+    assert base is not None
+    batch = fits.batch(nominal)
+    found = predicted(base.result, batch, None)
+    for k, record in enumerate(dataset.train):
+        others = torch.tensor([i for i in range(batch.rows) if i != k])
+        again = secant_fit(nominal, batch.take(others), engine=engine(), iterations=FULL)
+        own = secant_fit(  # the record by the others' values, from the first state that all have found
+            again.system, batch.take(torch.tensor([k])), engine=engine(), iterations=0, x0=base.result.x0[[k]]
+        )
+        assert found[k].shape == (record.n_samples, 1)
+        assert np.square(found[k]).mean() == pytest.approx(np.square(own.residual[0]).mean(), rel=0.02)
+    # what a record tells of the parameters itself makes it look better than the others predict it
+    assert base.validation.error > np.square(np.concatenate(base.result.residual)).mean()
+
+
+def test_a_record_does_not_enter_the_values_that_predict_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset, nominal = small_case()
+    fits = Fits(dataset)
+    result = secant_fit(nominal, fits.batch(nominal), engine=engine(), iterations=5)
+    seen: list[np.ndarray] = []
+    honest = module.secant_fit
+
+    def watched(*args, **named):
+        seen.append(honest(*args, **named).values)
+        return honest(*args, **named)
+
+    monkeypatch.setattr(module, "secant_fit", watched)
+    predicted(result, fits.batch(nominal), None)
+    noisy = Fits(disturbed(dataset, dataset.train[0].name)).batch(nominal)
+    noisy = replace(noisy, x=fits.batch(nominal).x, weight=fits.batch(nominal).weight)
+    predicted(result, noisy, None)
+    before, after = np.split(np.array(seen), 2)
+    np.testing.assert_array_equal(before[0], after[0])
+    assert np.abs(after[1:] / before[1:] - 1.0).max() > 0.01
+
+
+def test_a_single_record_is_left_out_block_by_block() -> None:
+    for missing in (None, REGISTRY["spring_load"](k_s=0.6, q_s=0.3)):
+        dataset, nominal = small_case(missing)
+        fits = Fits(replace(dataset, records=dataset.records[:1]))
+        base = fits.base(nominal)
+        assert base.validation.error >= np.square(base.result.residual[0]).mean()
+        if missing is not None:
+            spring = nominal.with_component("joint1/load", REGISTRY["spring_load"](k_s=0.5, q_s=0.2))
+            (right,) = fits.run([Task((("spring_load", "joint1/load"),), spring)], FULL)
+            assert right is not None and right.validation.fall(base.validation) > 0.5
+
+
+def test_validation_records_are_judged_by_and_not_fitted() -> None:
+    dataset, nominal = small_case()
+    records = [replace(r, role="validation") if k == 2 else r for k, r in enumerate(dataset.records)]
+    chosen = replace(dataset, records=tuple(records))
+    base = Fits(chosen).base(nominal)
+    alone = Fits(replace(dataset, records=dataset.records[:2])).base(nominal)
+    np.testing.assert_array_equal(base.result.values, alone.result.values)
+    assert base.validation.sizes.sum() == records[2].n_samples
+    noisy = Fits(disturbed(chosen, records[2].name)).base(nominal)
+    np.testing.assert_array_equal(noisy.result.values, base.result.values)
+    assert noisy.validation.error > 10.0 * base.validation.error
+    every = Fits(chosen).on_all()
+    assert len(every.dataset.train) == 3 and not every.dataset.validation
+    assert every.dataset.test == dataset.test
+
+
+def test_free_runs_are_lost_only_where_the_model_is_wrong() -> None:
+    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    assert Fits(dataset).lost(Fits(dataset).base(nominal))
+    dataset, nominal = small_case()
+    assert not Fits(dataset).lost(Fits(dataset).base(nominal))
+
+
+def test_a_model_that_cannot_be_fitted_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset, nominal = small_case()
+    monkeypatch.setattr(Fits, "run", lambda *_: [None, None])
+    with pytest.raises(InputError, match="diverges on dataset 'small gap'"):
+        Fits(dataset).base(nominal)
+
+
+def test_fits_in_processes_are_those_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset, nominal = small_case()
+    spring = nominal.with_component("joint1/load", REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    lost = nominal.with_values({"J": 1e-12, "F_c": 0.0})
+    some = [Task((), nominal), Task((), lost), Task((("spring_load", "joint1/load"),), spring)]
+    in_turn = Fits(dataset).run(some, 2)
+    monkeypatch.setattr(module, "PARALLEL_FROM", 0)
+    with parallel_config(backend="threading"):  # what a process is given is another test's
+        together = Fits(dataset, jobs=2).run(some, 2)
+    assert [None if e is None else (e.effects, e.result.cost) for e in together] == [
+        None if e is None else (e.effects, e.result.cost) for e in in_turn
+    ]
+    assert in_turn[0] is not None and in_turn[2] is not None
+    fits, task = pickle.loads(pickle.dumps((Fits(dataset, jobs=2), some[2])))
+    assert fits.jobs == 2 and task.effects == some[2].effects
+
+
+def test_fits_whose_process_is_lost_are_done_in_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Lost:
+        """Loses its processes after the first result."""
+
+        def __init__(self, n_jobs: int, **_: str) -> None:
+            self.lost = n_jobs > 1
+
+        def __call__(self, calls: Iterable[tuple]) -> Iterator[object]:
+            for k, (function, args, named) in enumerate(calls):
+                if self.lost and k == 1:
+                    raise BrokenProcessPool
+                yield function(*args, **named)
+
+    dataset, nominal = small_case()
+    monkeypatch.setattr(module, "PARALLEL_FROM", 0)
+    monkeypatch.setattr(module, "Parallel", Lost)
+    fits, some = (
+        Fits(dataset, jobs=2),
+        [Task((), nominal.with_values({"F_v": v})) for v in (4e-5, 5e-5, 6e-5)],
+    )
+    together, in_turn = fits.run(some, 1), Fits(dataset).run(some, 1)
+    assert [e and e.result.cost for e in together] == [e and e.result.cost for e in in_turn]
+    assert fits.jobs == 1
+
+
+def test_a_process_need_not_know_the_catalogue(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where fits are shared, an effect of the user's own is registered in the first process alone."""
+    told = []
+
+    def nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> None:
+        told.append(halting)
+        raise RuntimeError("this is all that was asked")
+
+    class Elsewhere:
+        def __init__(self, **_: object) -> None:
+            pass
+
+        def __call__(self, calls: Iterable[tuple]) -> Iterator[object]:
+            for function, args, named in calls:
+                with monkeypatch.context() as there:
+                    for name in list(CATALOGUE):
+                        there.delitem(CATALOGUE, name)
+                    yield function(*args, **named)
+
+    dataset, nominal = small_case()
+    monkeypatch.setattr(module, "_nearest", nearest)
+    monkeypatch.setattr(module, "Parallel", Elsewhere)
+    Fits(dataset, jobs=2).run([Task((("cogging", "joint1/motor"),), nominal), Task((), nominal)], 10)
+    assert told == [True, False]

@@ -1,0 +1,222 @@
+"""What each effect explains and how surely: shares that add up, ties, and what is not asserted."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.grade import (
+    Candidate,
+    Grade,
+    behind_play,
+    doubtful,
+    grade,
+    structural_share,
+    tied_models,
+    tied_sets,
+)
+from hybrid_id.diagnosis.model import Name
+from hybrid_id.diagnosis.screen import Step
+from hybrid_id.diagnosis.select import Selection
+from hybrid_id.diagnosis.validation import Validation
+
+BLOCKS = 240
+SPRING, WEIGHT, BIAS = ((name, "joint1/load") for name in ("spring_load", "gravity_load", "constant_torque"))
+DRAG = "quadratic_drag", "joint1/motor_friction"
+NONE: Any = SimpleNamespace()
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """What a grade asks of a model."""
+
+    effects: tuple[Name, ...]
+    validation: Validation
+    result: Any
+    system: Any
+    finished: bool = True
+    white: bool = False
+    coloured: float = 0.9
+
+    @property
+    def error(self) -> float:
+        return self.validation.error
+
+
+def model(error: float, *effects: Name, seed: int = 0, scatter: float = 0.2, white: bool = False) -> Any:
+    """A model whose blocks scatter about its mean square; of one seed alike."""
+    blocks = error * (1.0 + scatter * np.random.default_rng(seed).uniform(-1.0, 1.0, BLOCKS))
+    found = Validation(25.0 * blocks, np.full(BLOCKS, 25), np.arange(BLOCKS) // 40, 500.0)
+    result = SimpleNamespace(
+        names=("x",), values=[1.0], jacobian=(np.ones((9, 1, 1)),), noise_scale=1.0, n_samples=9, at_bound=(),
+        residual=[np.sqrt(error) * np.sin(0.01 * np.arange(400))[:, None]], cost=error,
+        system=SimpleNamespace(parameter=lambda _: SimpleNamespace(component=""), table=()),
+    )  # fmt: skip
+    return Fitted(tuple(sorted(effects)), found, result, SimpleNamespace(components={}), white=white)
+
+
+def search(*steps: Sequence[Any], chosen: Any = None) -> Selection:
+    """A search whose steps hold the model before, then the candidates."""
+    found = tuple(Step(before, tuple(candidates)) for before, *candidates in steps)
+    return Selection(found[0].before, found, chosen or found[-1].candidates[0])
+
+
+def share_of(found: Grade, name: Name) -> Candidate:
+    return next(c for c in found.candidates if (c.name, c.where) == name)
+
+
+@settings(max_examples=20)
+@given(
+    st.lists(st.floats(0.05, 0.9), min_size=1, max_size=3), st.floats(0.0, 1.0), st.integers(0, 20)
+)  # ratios of errors from each model to the next
+def test_shares_and_the_remainder_add_up_to_the_gap(falls: list[float], structural: float, seed: int) -> None:
+    names, models = (SPRING, DRAG, BIAS), [model(100.0)]
+    for k, fall in enumerate(falls):
+        models.append(model(models[-1].error * fall, *names[: k + 1], seed=seed))
+    steps = list(pairwise(models))
+    found = grade(NONE, search(*steps), structural, seed=seed)
+    assert found.explained + found.remainder == pytest.approx(1.0)
+    last = models[-1].error
+    assert found.gap == pytest.approx(models[0].error - last * (1.0 - structural))
+    for k, (a, b) in enumerate(steps):
+        one = share_of(found, names[k])
+        assert one.share is not None and one.share_interval is not None
+        assert one.selected and one.share == pytest.approx((a.error - b.error) / found.gap)
+        low, high = one.share_interval
+        assert low <= one.share + 0.02 and one.share - 0.02 <= high
+    shares = [c.share for c in found.candidates if c.selected]
+    assert shares == sorted(shares, reverse=True)
+
+
+def test_an_effect_that_explains_all_alone_has_its_share_alone() -> None:
+    base, spring, bias = model(100.0), model(1.0, SPRING), model(50.0, BIAS)
+    found = grade(NONE, search((base, spring, bias)), 0.0)
+    assert share_of(found, SPRING).alone == pytest.approx(1.0)
+    assert share_of(found, BIAS).alone == pytest.approx(50.0 / 99.0)
+    assert share_of(found, BIAS).share is None and share_of(found, BIAS).share_interval is None
+
+
+def test_a_sure_effect_is_probable_and_its_rivals_are_not() -> None:
+    found = grade(NONE, search((model(100.0), model(1.0, SPRING), model(50.0, BIAS))), 0.0)
+    assert share_of(found, SPRING).probability > 0.9
+    assert share_of(found, BIAS).probability < 0.05
+    assert not doubtful(found) and not tied_sets(found.candidates)
+
+
+def test_two_that_explain_alike_are_asserted_as_one_of_both() -> None:
+    base, spring, weight = model(100.0), model(1.0, SPRING, seed=1), model(1.005, WEIGHT, seed=2)
+    told = search((base, spring, weight))
+    found = grade(NONE, told, 0.0)
+    one, other = share_of(found, SPRING), share_of(found, WEIGHT)
+    assert 0.4 < one.probability < 0.6 and one.tied_with == ("gravity_load@joint1/load",)
+    assert one.probability + other.probability > 0.9
+    assert tied_sets(found.candidates) == [("spring_load@joint1/load", "gravity_load@joint1/load")]
+    assert tied_models(told) == [spring, weight]
+    three = grade(NONE, search((base, spring, weight, model(1.005, BIAS, seed=3))), 0.0)
+    assert share_of(three, SPRING).probability < CRITERIA.least_probability
+    assert not doubtful(found) and not doubtful(three)  # together they are probable
+
+
+def candidate(
+    name: Name, probability: float, low: float = 0.2, ties: tuple[str, ...] = (), **more
+) -> Candidate:
+    return Candidate(*name, probability, True, ties, {}, 0.3, (low, 0.4), **more)
+
+
+def graded(*candidates: Candidate) -> Grade:
+    return Grade(candidates, 0.0, (0.0, 0.0), False, 1.0)
+
+
+def test_nothing_improbable_or_of_no_sure_size_is_asserted() -> None:
+    assert doubtful(graded(candidate(SPRING, 0.6), candidate(DRAG, 0.9))) == []
+    assert doubtful(graded(candidate(SPRING, 0.4))) == [SPRING]
+    assert doubtful(graded(candidate(SPRING, 0.9, low=-0.01))) == [SPRING]
+    assert doubtful(graded(candidate(SPRING, 0.9, low=0.0))) == [SPRING]
+    rival = replace(candidate(WEIGHT, 0.3), selected=False)
+    tied = candidate(SPRING, 0.4, ties=("gravity_load@joint1/load",))
+    assert doubtful(graded(tied, rival)) == []
+    assert doubtful(graded(tied, replace(rival, probability=0.05))) == [SPRING]
+    assert doubtful(graded(replace(candidate(SPRING, 0.1), selected=False))) == []
+
+
+def test_an_effect_that_helps_by_chance_has_an_interval_that_holds_zero() -> None:
+    base, spring = model(1.0, scatter=0.9), model(0.99, SPRING, seed=5, scatter=0.9)
+    found = grade(NONE, search((base, spring)), 0.5)
+    interval = found.candidates[0].share_interval
+    assert interval is not None and interval[0] < 0.0
+    assert doubtful(found) == [SPRING]
+
+
+@settings(max_examples=20)
+@given(st.floats(0.01, 0.99), st.floats(0.31, 1.0))
+def test_unknown_is_what_remains_by_a_tenth_and_by_as_much_as_is_explained(
+    fall: float, structural: float
+) -> None:
+    base = model(100.0)
+    found = grade(NONE, search((base, model(100.0 * fall, SPRING))), structural)
+    expected = found.remainder >= 0.1 and found.remainder >= found.explained
+    assert found.unknown == expected
+    assert not grade(NONE, search((base, model(100.0 * fall, SPRING))), structural, varying=True).unknown
+
+
+def test_without_an_effect_all_of_the_gap_is_unknown_or_noise() -> None:
+    base, poor = model(100.0), model(99.0, SPRING)
+    nothing = search((base, poor), chosen=base)
+    unknown, noise = grade(NONE, nothing, 0.8), grade(NONE, nothing, 0.1)
+    assert unknown.unknown and unknown.remainder == pytest.approx(1.0)
+    assert not noise.unknown and unknown.explained == noise.explained == 0.0
+    assert not any(c.selected for c in unknown.candidates)
+    assert max(c.probability for c in unknown.candidates) < 0.5
+
+
+def test_same_seed_same_grade() -> None:
+    told = search((model(100.0), model(20.0, SPRING), model(30.0, BIAS)))
+    assert grade(NONE, told, 0.4, seed=2) == grade(NONE, told, 0.4, seed=2)
+
+
+def test_a_law_that_contains_another_is_no_rival_of_it() -> None:
+    """Friction over the angle with a mean explains whatever dry friction alone does."""
+    dry, waves, drop = (
+        (name, "joint1/motor_friction")
+        for name in ("coulomb_friction", "position_dependent_friction", "stribeck_friction")
+    )
+    found = grade(NONE, search((model(100.0), model(1.0, dry), model(1.0, waves), model(1.0, drop))), 0.0)
+    assert share_of(found, dry).tied_with == ("stribeck_friction@joint1/motor_friction",)
+    assert share_of(found, waves).probability == 0.0
+    # where the waves predict better, dry friction alone is none of theirs
+    found = grade(NONE, search((model(100.0), model(0.5, waves), model(1.0, dry))), 0.0)
+    assert share_of(found, waves).probability > 0.9
+
+
+def leaving(residual: np.ndarray, share: float, **components: None) -> Any:
+    return SimpleNamespace(
+        result=SimpleNamespace(residual=[residual]),
+        coloured=share,
+        system=SimpleNamespace(components=components),
+    )
+
+
+def test_what_has_a_cause_is_what_has_colour_or_a_signal() -> None:
+    error = np.ones((100, 1))
+    torque = [SimpleNamespace(share=0.15), SimpleNamespace(share=0.05)]
+    assert structural_share(leaving(error, 0.8), []) == 0.8
+    assert (
+        structural_share(leaving(error, 0.8), [], 0.05) == 0.0
+    )  # each record's own values leave white noise
+    # colour that small random torques leave counts where a torque of some signal explains it elsewhere
+    assert structural_share(leaving(error, 0.2), torque) == 0.15
+    assert structural_share(leaving(error, 0.1), torque) == 0.1
+    assert structural_share(leaving(error, 0.2), [SimpleNamespace(share=-0.5)]) == 0.0
+    # behind play nobody has measured the link, and no torque of a signal is looked for
+    loose = leaving(error, 0.2, **{"joint1/transmission/backlash": None})
+    assert behind_play(loose) and structural_share(loose, []) == 0.2
+    # errors far below the noise have no cause
+    assert structural_share(leaving(0.05 * error, 0.9), torque) == 0.0

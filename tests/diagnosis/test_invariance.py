@@ -1,0 +1,97 @@
+"""Test records measure and change nothing: scrambling their outputs leaves the answer as it was, number by number."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from gapcase import small_case
+
+import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
+from hybrid_id import Dataset, Diagnosis, load_model
+from hybrid_id.components import REGISTRY
+from hybrid_id.diagnosis.catalogue import CATALOGUE
+from hybrid_id.diagnosis.diagnose import diagnose
+
+ON_DEMAND = "HYBRID_ID_DEVELOPMENT_CASES"
+"""Environment variable with which the development cases are diagnosed twice each, which takes minutes a case."""
+OF_TEST_RECORDS = ("gap", "extrapolation", "not_identifiable", "next_experiments")
+"""Entries of the file that the test records may change: errors on them and where they go; the last two are asked of all
+records and are no part of the answer."""
+
+
+def scrambled(dataset: Dataset, how: str) -> Dataset:
+    """The dataset with what its test records measured in another order, or noise in its place."""
+    rng = np.random.default_rng(7)
+
+    def other(y: np.ndarray) -> np.ndarray:
+        return (
+            rng.permutation(y)
+            if how == "permuted"
+            else y.mean() + 3.0 * y.std() * rng.standard_normal(len(y))
+        )
+
+    records = (
+        replace(r, outputs={n: other(y) for n, y in r.outputs.items()}) if r.role == "test" else r
+        for r in dataset.records
+    )
+    return replace(dataset, records=tuple(records))
+
+
+def answer(found: Diagnosis) -> dict[str, Any]:
+    """All that a diagnosis says but for what test records measure, with the values of the corrected model."""
+    said = {key: value for key, value in found.as_dict().items() if key not in OF_TEST_RECORDS}
+    values = {name: {i.name: i.spec.value for i in one.system.table} for name, one in found.fitted.items()}
+    return said | {
+        "models": values,
+        "places": {name: list(m.system.components) for name, m in found.fitted.items()},
+    }
+
+
+@pytest.fixture
+def few() -> Iterator[None]:
+    """A catalogue of what is missing, a near rival and a far one."""
+    before = dict(CATALOGUE)
+    for name in set(CATALOGUE) - {"spring_load", "constant_torque", "quadratic_drag"}:
+        del CATALOGUE[name]
+    yield
+    CATALOGUE.clear()
+    CATALOGUE.update(before)
+
+
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("missing", ["spring", "nothing", "unknown"])
+def test_scrambled_test_records_change_no_answer(missing: str) -> None:
+    laws = {
+        "spring": ("spring_load", {"k_s": 0.6, "q_s": 0.3}, "load"),
+        "unknown": ("cogging", {"T_c": 0.01}, "motor"),
+    }
+    kind, values, place = laws.get(missing, (None, {}, "load"))
+    dataset, nominal = small_case(kind and REGISTRY[kind](**values), f"joint1/{place}")
+    found = diagnose(dataset, nominal, max_effects=1)
+    assert [one.name for one in found.selected] == (["spring_load"] if missing == "spring" else [])
+    assert found.unknown == (missing == "unknown")
+    for how in ("permuted", "noise"):
+        other = diagnose(scrambled(dataset, how), nominal, max_effects=1)
+        assert answer(other) == answer(found)
+        assert other.with_effect.nrmse > found.with_effect.nrmse
+    without = diagnose(replace(dataset, records=dataset.train), nominal, max_effects=1)
+    assert answer(without) == answer(found)
+    assert without.shrink is None
+
+
+def development_cases() -> list[Path]:
+    folder = Path(__file__).resolve().parents[2] / ".." / "shared" / "gapcases" / "dev"
+    return sorted(path.parent for path in folder.glob("*/dataset.yaml"))
+
+
+@pytest.mark.skipif(ON_DEMAND not in os.environ, reason=f"minutes a case: set {ON_DEMAND}=1")
+@pytest.mark.parametrize("case", development_cases(), ids=lambda path: path.name)
+def test_scrambled_test_records_change_no_answer_of_a_development_case(case: Path) -> None:
+    dataset, nominal = Dataset.load(case / "dataset.yaml"), load_model(case / "model.yaml")
+    found = diagnose(dataset, nominal)
+    assert dataset.test
+    assert answer(diagnose(scrambled(dataset, "permuted"), nominal)) == answer(found)

@@ -1,0 +1,76 @@
+"""Which effects: when a richer model is accepted, and when the search goes on."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from gapcase import small_case
+
+from hybrid_id.diagnosis.fits import Fits
+from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.screen import Step
+from hybrid_id.diagnosis.select import _alive, _leaves_something, accepted, chance, needed_fall, select
+from hybrid_id.diagnosis.validation import validation
+
+PLAY, DELAY = ("backlash", "joint1/transmission"), ("delay", "joint1/input")
+RNG = np.random.default_rng(0)
+NOISE, WAVE = RNG.standard_normal((8000, 1)), np.sin(0.01 * np.arange(8000))[:, None]
+
+
+def model(residual: np.ndarray, *effects: tuple[str, str]) -> Model:
+    """A model that leaves these weighted errors, seen or not."""
+    result: Any = SimpleNamespace(residual=[residual], cost=1.0)
+    return Model(effects, result, validation([residual], 0.002))
+
+
+def test_a_first_effect_is_accepted_where_it_is_sure_and_no_formula_explains_it() -> None:
+    base = model(NOISE + 0.5 * WAVE)
+    assert accepted(model(NOISE, PLAY), base)
+    assert not accepted(model(NOISE + 0.48 * WAVE, PLAY), base)  # by less than a law's formula may be off
+    other = np.random.default_rng(1).standard_normal((8000, 1))
+    assert not accepted(model(other, PLAY), model(NOISE))
+    assert chance(base, base) == 1.0
+
+
+def test_a_second_effect_is_accepted_at_a_small_fall_only_where_it_completes_the_explanation() -> None:
+    first = model(NOISE + 0.6 * WAVE, PLAY)
+    both = model(NOISE, PLAY, DELAY)
+    assert accepted(both, first)  # what is left is white
+    assert not accepted(model(0.92 * (NOISE + 0.6 * WAVE), PLAY, DELAY), first)  # the same waves are left
+    assert not accepted(model(0.98 * NOISE, PLAY, DELAY), model(NOISE, PLAY))
+    assert needed_fall(both, first) < needed_fall(
+        model(NOISE + 1.5 * WAVE, PLAY, DELAY), model(NOISE + 2.0 * WAVE, PLAY)
+    )
+
+
+def test_nothing_is_looked_for_beside_an_effect_that_leaves_white_noise() -> None:
+    assert not _leaves_something(model(NOISE, PLAY))
+    assert _leaves_something(model(NOISE + WAVE, PLAY))
+    assert _leaves_something(model(NOISE))  # the first step says how probable each effect is
+    assert not _leaves_something(model(0.05 * (NOISE + WAVE)))
+
+
+def test_no_effect_is_looked_for_where_the_errors_are_far_below_the_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    dataset, nominal = small_case()
+    base = model(0.01 * WAVE)
+    found = select(Fits(dataset), base, nominal)
+    assert found.chosen is base and found.base is base and not found.steps
+
+
+def test_beside_two_effects_only_what_has_brought_anything_beside_one_is_tried() -> None:
+    def fitted(cost: float, *names: str):
+        effects = tuple((name, "joint1/load") for name in names)
+        return SimpleNamespace(effects=effects, result=SimpleNamespace(cost=cost))
+
+    base, weight, both = fitted(9.0), fitted(8.0, "gravity_load"), fitted(4.0, "gravity_load", "spring_load")
+    idle = fitted(7.99, "gravity_load", "joint_coupling")
+    drag = fitted(7.0, "gravity_load", "quadratic_drag")
+    first, second = Step(base, (weight,)), Step(weight, (both, drag, idle))
+    assert _alive([first], weight) is None
+    names = _alive([first, second], both)
+    assert names == {("spring_load", "joint1/load"), ("quadratic_drag", "joint1/load")}
+    # where the second effect has made the first needless all are looked at again
+    assert _alive([first, second], fitted(5.0, "spring_load")) is None

@@ -1,0 +1,171 @@
+"""Errors on records that an estimate has not seen, and what they say of one model against another."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import lfilter
+from scipy.stats import binom
+
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.validation import (
+    BLOCK,
+    Validation,
+    coloured,
+    effective_samples,
+    mean_square,
+    p_values,
+    validation,
+)
+
+STEP = 0.01
+BLOCKS, ROWS = 40, 6
+
+
+def noise(rng: np.random.Generator, size: float = 1.0) -> list[np.ndarray]:
+    return [size * rng.standard_normal((n, 1)) for n in (120, 90, 100)]
+
+
+def from_blocks(blocks: np.ndarray) -> Validation:
+    """Blocks ``(ROWS * BLOCKS,)`` of records of one length."""
+    return Validation(blocks, np.full(len(blocks), 25), np.repeat(np.arange(ROWS), BLOCKS), 100.0)
+
+
+def autoregression(rng: np.random.Generator, shape: tuple[int, ...], memory: float) -> np.ndarray:
+    """``x_t = a x_{t-1} + e_t`` along the last axis, of unit variance."""
+    start = rng.standard_normal((*shape[:-1], 200 + shape[-1]))
+    series = np.asarray(lfilter([np.sqrt(1.0 - memory**2)], [1.0, -memory], start, axis=-1))
+    return series[..., 200:]
+
+
+@given(st.lists(st.integers(1, 130), min_size=1, max_size=4), st.integers(1, 3), st.integers(0, 99))
+def test_blocks_are_parts_of_the_mean_square(lengths: list[int], outputs: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    errors = [rng.standard_normal((n, outputs)) for n in lengths]
+    found, length = validation(errors, STEP), round(BLOCK / STEP)
+    assert found.error == pytest.approx(mean_square(errors))
+    assert found.sizes.sum() == sum(e.size for e in errors)
+    assert [int((found.row == k).sum()) for k in range(len(errors))] == [-(-n // length) for n in lengths]
+    for k, error in enumerate(errors):
+        assert found.blocks[found.row == k].sum() == pytest.approx(np.square(error).sum())
+
+
+def test_samples_without_a_measurement_count_for_nothing(rng: np.random.Generator) -> None:
+    (error,) = [rng.standard_normal((100, 2))]
+    missing = error.copy()
+    missing[::2, 1] = 0.0  # its weight is zero
+    found = validation([missing], STEP)
+    assert found.error == pytest.approx(np.square(missing).sum() / 150)
+    assert validation([np.zeros((100, 1))], STEP).error == 0.0
+
+
+def test_fall_is_the_relative_fall_of_the_mean_square(rng: np.random.Generator) -> None:
+    errors = noise(rng)
+    whole, half = validation(errors, STEP), validation([0.5 * e for e in errors], STEP)
+    assert half.fall(whole) == pytest.approx(0.75)
+    assert whole.fall(whole) == 0.0
+    assert whole.fall(half) == pytest.approx(-3.0)
+
+
+def test_smaller_errors_are_better_and_none_is_better_than_itself(rng: np.random.Generator) -> None:
+    poor, good = validation(noise(rng, 3.0), STEP), validation(noise(rng), STEP)
+    assert good.z(poor) > 2.0
+    assert poor.z(good) == pytest.approx(-good.z(poor))
+    assert good.z(good) == 0.0
+
+
+def test_an_improvement_at_the_start_is_not_drowned_by_the_end_of_free_runs(rng: np.random.Generator) -> None:
+    growth = np.tile(np.linspace(0.1, 3.0, BLOCKS) ** 4, ROWS)
+    simpler = from_blocks(growth * rng.uniform(0.5, 1.5, ROWS * BLOCKS))
+    richer = from_blocks(simpler.blocks * rng.uniform(0.6, 1.0, ROWS * BLOCKS))
+    assert richer.z(simpler) > 5.0
+    assert p_values([richer], simpler)[0] < 0.01
+
+
+def under_the_null(
+    rng: np.random.Generator, candidates: int, memory: float
+) -> tuple[list[Validation], Validation]:
+    """Models none of which predicts better: relative differences of symmetric signs, which go together."""
+    common = autoregression(rng, (ROWS, BLOCKS), memory).ravel()
+    own = autoregression(rng, (candidates, ROWS, BLOCKS), memory).reshape(candidates, -1)
+    relative = np.clip(0.1 * (0.8 * common + 0.6 * own), -0.9, 0.9)
+    level = rng.uniform(0.5, 2.0, ROWS).repeat(BLOCKS)
+    return [from_blocks(level * (1.0 + one) / (1.0 - one)) for one in relative], from_blocks(level)
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.6])
+@pytest.mark.parametrize("candidates", [1, 5, 30])
+def test_a_search_where_nothing_is_missing_errs_at_most_at_its_level(candidates: int, memory: float) -> None:
+    """Over all candidates together, however they and neighbouring blocks go together."""
+    seeds, wrong = 200, 0
+    for seed in range(seeds):
+        found = p_values(*under_the_null(np.random.default_rng(seed), candidates, memory), seed=seed)
+        wrong += found.min() <= CRITERIA.false_alarms
+    # the binomial 99.9 % point of the level
+    assert wrong <= binom.ppf(0.999, seeds, CRITERIA.false_alarms), wrong / seeds
+
+
+@pytest.mark.parametrize("candidates", [1, 5, 30])
+def test_a_search_finds_the_one_that_is_better(candidates: int) -> None:
+    found = 0
+    for seed in range(20):
+        richer, simpler = under_the_null(np.random.default_rng(seed), candidates, 0.6)
+        richer[0] = from_blocks(0.8 * richer[0].blocks)
+        found += p_values(richer, simpler, seed=seed)[0] <= CRITERIA.false_alarms
+    assert found >= 18
+
+
+def test_an_effect_that_acts_at_few_instants_is_seen(rng: np.random.Generator) -> None:
+    """Where it acts the errors fall tenfold, elsewhere a needless parameter makes them a little worse."""
+    blocks = rng.uniform(0.9, 1.1, ROWS * BLOCKS)
+    acts = np.arange(ROWS * BLOCKS) % 20 == 0
+    simpler = from_blocks(np.where(acts, 10.0, 1.0) * blocks)
+    richer = from_blocks(np.where(acts, 1.0, 1.1) * blocks)
+    assert richer.z(simpler) < 0.0
+    assert p_values([richer], simpler)[0] < 0.05
+
+
+def test_all_candidates_are_judged_by_the_same_draws(rng: np.random.Generator) -> None:
+    richer, simpler = under_the_null(rng, 1, 0.0)
+    alone = p_values(richer, simpler, seed=3)
+    # twins have one statistic: a search over both is no longer a search
+    np.testing.assert_array_equal(p_values(richer * 7, simpler, seed=3), np.repeat(alone, 7))
+    np.testing.assert_array_equal(p_values(richer, simpler, seed=3), alone)
+    assert not np.array_equal(p_values(richer, simpler, seed=4), alone)
+
+
+@given(st.integers(1, 8), st.integers(0, 30))
+def test_the_order_of_candidates_says_nothing(candidates: int, seed: int) -> None:
+    richer, simpler = under_the_null(np.random.default_rng(seed), candidates, 0.5)
+    found, order = p_values(richer, simpler), np.random.default_rng(seed).permutation(candidates)
+    np.testing.assert_allclose(p_values([richer[k] for k in order], simpler), found[order])
+    assert ((found > 0.0) & (found <= 1.0)).all()
+    assert p_values([], simpler).shape == (0,)
+
+
+def test_a_model_against_itself_is_no_finding(rng: np.random.Generator) -> None:
+    _, simpler = under_the_null(rng, 1, 0.0)
+    assert p_values([simpler], simpler)[0] == 1.0
+
+
+@pytest.mark.parametrize("memory", [0.0, 0.5, 0.9])
+def test_independent_samples_of_an_autoregression(rng: np.random.Generator, memory: float) -> None:
+    """N (1 - a) / (1 + a) for x_t = a x_{t-1} + e_t."""
+    records: Sequence[np.ndarray] = list(autoregression(rng, (4, 20_000), memory)[..., None])
+    expected = 80_000 * (1 - memory) / (1 + memory)
+    assert effective_samples(records) == pytest.approx(expected, rel=0.15)
+
+
+def test_white_noise_has_no_colour_and_what_is_smooth_is_all_colour(rng: np.random.Generator) -> None:
+    long = [rng.standard_normal((20_000, 1)) for _ in range(3)]
+    smooth = [np.sin(np.linspace(0.0, 20.0, 20_000))[:, None]]
+    assert coloured(long) < 0.02
+    assert coloured(smooth) > 0.99
+    assert coloured([a + 1.0 * np.sqrt(2.0) * smooth[0] for a in long]) == pytest.approx(0.5, abs=0.03)
+    assert coloured([np.zeros((10, 1))]) == 0.0
+
+
+def test_a_run_that_diverged_is_no_noise() -> None:
+    assert coloured([np.array([[0.1], [np.nan], [0.2]])]) == 1.0
