@@ -61,7 +61,7 @@ def diagnosis_table(
     parts += map(Text, error_lines(diagnosis))
     parts += [Text(line) for line in (where_line(diagnosis), disturbance_line(diagnosis)) if line]
     parts.append(effects_table(diagnosis, TOP))
-    parts += map(Text, value_lines(diagnosis, reach, level)[:TOP])
+    parts += map(Text, value_lines(diagnosis, reach, level))
     remarks = (
         *tie_lines(diagnosis, brief=True)[:2],
         *varying_lines(diagnosis),

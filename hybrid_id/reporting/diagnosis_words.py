@@ -11,7 +11,6 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.grade import Candidate, Interval
 from hybrid_id.diagnosis.held_out import Errors
 from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
-from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.reporting.tables import count
@@ -19,7 +18,7 @@ from hybrid_id.reporting.tables import count
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
 UNLIKELY = 0.01
-"""Probability below which an effect's parameters are noise and no news."""
+"""Probability below which an effect stands in no table of a page."""
 WORSE = 1.5
 """Error of the re-fitted model over that of the nominal one from which it is said."""
 NAMED = 4
@@ -326,42 +325,35 @@ def caution_lines(diagnosis: Diagnosis, max_effects: int | None = None) -> list[
 
 
 def value_lines(diagnosis: Diagnosis, reach: float, level: float) -> list[str]:
-    """Parameters of the effects that are asserted or not improbable, with intervals, a line each."""
+    """Parameters of the selected effects with their intervals, a line each."""
     return [
         f"{words_of(one.name)} ({joint_words(one.where)}, {place_words(one.where)}; {100 * level:g} % intervals): "
         f"{', '.join(values)}."
-        for one in diagnosis.effects
-        if (one.selected or one.probability >= UNLIKELY) and (values := values_of(diagnosis, one, reach))
+        for one in diagnosis.selected
+        if (values := values_of(diagnosis, one, reach))
     ]
 
 
 def values_of(diagnosis: Diagnosis, one: Candidate, reach: float) -> list[str]:
-    """Its parameters as ``total play gap 0.012 (0.0116 to 0.0124) rad``.
+    """Parameters of a selected effect as ``total play gap 0.012 (0.0116 to 0.0124) rad``.
 
-    The interval of a selected one is that of ``identify``, as in the table of parameters.
+    The interval is that of ``identify``, as in the table of parameters.
     """
-    infos, study, found = _infos(diagnosis, one), None, []
-    if one.selected:
-        study = diagnosis.details.studies[-1]
+    infos, study, found = _infos(diagnosis, one), diagnosis.details.studies[-1], []
     for symbol, (value, error) in one.parameters.items():
         info = infos.get(symbol)
         if info is None:
             continue
-        if study is not None and info.name in study.names:
+        if info.name in study.names:
             error = float(study.standard_errors(0)[study.names.index(info.name)])
         found.append(f"{info.doc} {symbol} {measured(value, reach * error, info.spec.unit)}")
     return found
 
 
 def _infos(diagnosis: Diagnosis, one: Candidate) -> dict[str, ParameterInfo]:
-    """Meaning and unit of the parameters that an effect brings, by symbol."""
-    name, keys = (one.name, one.where), {f"{one.where}/{kind}" for kind in effect(one.name).kinds}
-    models: list[Model] = [
-        diagnosis.search.chosen,
-        *(e for s in diagnosis.search.steps for e in s.candidates),
-    ]
-    having = next((model for model in models if name in model.effects), None)
-    return {} if having is None else {i.symbol: i for i in having.system.table if i.component in keys}
+    """Meaning and unit of the parameters that a selected effect brings, by symbol."""
+    keys = {f"{one.where}/{kind}" for kind in effect(one.name).kinds}
+    return {i.symbol: i for i in diagnosis.model.table if i.component in keys}
 
 
 def measured(value: float, half_width: float, unit: str) -> str:
