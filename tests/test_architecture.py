@@ -131,8 +131,6 @@ def faults(module: str, source: str) -> list[str]:
     tree = ast.parse(source)
     found = [fault for imported in imports(tree, module) for fault in import_faults(module, imported)]
     found += call_faults(tree, module)
-    if (lines := source.count("\n")) > MAX_LINES:
-        found.append(f"has {lines} lines; cut it where its subject divides (at most {MAX_LINES})")
     return found
 
 
@@ -165,7 +163,6 @@ def test_module_keeps_the_rules(path: Path) -> None:
         ("reporting.tables", "import sys\nprint(sys.argv[1])", "sys.argv"),
         ("config", "import typer", "only cli/"),
         ("helpers.misc", "", "has no floor"),
-        ("records.record", "\n" * (MAX_LINES + 1), "lines"),
     ],
 )
 def test_offence_is_caught(module: str, source: str, expected: str) -> None:

@@ -1,6 +1,6 @@
 """The experiments of a case: which signals, how large, with which controller and which disturbances."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -58,24 +58,32 @@ class Campaign:
 
         p, e = self.program, self.encoders
         program = Program(*(tile(v) for v in (p.feed, p.reference, p.kp, p.kd, p.ki, p.limit, p.disturbance)))
-        encoders = Encoders(e.quantum, tile(e.jitter), e.link)
+        flaws = e.flaws and replace(e.flaws, lost=tile(e.flaws.lost))
+        encoders = Encoders(e.quantum, tile(e.jitter), e.link, flaws)
         return Campaign(
             program, encoders, np.tile(self.lengths, times), self.notes * times, self.roles * times
         )
 
 
-def draw_campaign(rng: np.random.Generator, robot: Robot, *, coarse: float | None = None) -> Campaign:
+def draw_campaign(
+    rng: np.random.Generator,
+    robot: Robot,
+    *,
+    coarse: float | None = None,
+    lengths: tuple[int, int] | None = None,
+) -> Campaign:
     """Plan six train and two test records.
 
     Args:
         rng: source of all that is random.
         robot: sets amplitudes, gains and limits.
         coarse: quantum of the rotor's encoder [rad]; drawn from 8 to 128 counts a turn by default.
+        lengths: shortest and longest record [samples]; `LENGTHS` by default.
     """
     train, test = (part.split() for part in str(rng.choice(PLANS)).split("|"))
     kinds = [*train, *test]
-    lengths = rng.integers(*LENGTHS, len(kinds))
-    samples, joints, lanes = int(lengths.max()), robot.joints, len(kinds)
+    counts = rng.integers(*(lengths or LENGTHS), len(kinds))
+    samples, joints, lanes = int(counts.max()), robot.joints, len(kinds)
     time = SAMPLE_TIME * np.arange(samples)
     feed, reference = np.zeros((samples, joints, lanes)), np.zeros((samples, joints, lanes))
     kp, kd, ki = (np.zeros((joints, lanes)) for _ in range(3))
@@ -91,7 +99,7 @@ def draw_campaign(rng: np.random.Generator, robot: Robot, *, coarse: float | Non
     program = Program(feed, reference, kp, kd, ki, limit, disturbance)
     encoders = _encoders(rng, robot, samples, lanes, coarse)
     roles = ("train",) * len(train) + ("test",) * len(test)
-    return Campaign(program, encoders, lengths, tuple(NOTES[kind] for kind in kinds), roles)
+    return Campaign(program, encoders, counts, tuple(NOTES[kind] for kind in kinds), roles)
 
 
 def _voltage(rng: np.random.Generator, robot: Robot, joint: int, kind: str, time: np.ndarray) -> np.ndarray:

@@ -74,7 +74,9 @@ class Records:
     noise_floor: float
 
 
-def build(robot: Robot, effects: Sequence[Effect], engine: str = "in_house") -> Plant:
+def build(
+    robot: Robot, effects: Sequence[Effect], engine: str = "in_house", *, substeps: int = SUBSTEPS
+) -> Plant:
     """A robot with effects in one of the engines.
 
     Raises:
@@ -82,7 +84,7 @@ def build(robot: Robot, effects: Sequence[Effect], engine: str = "in_house") -> 
     """
     for effect in effects:
         robot = effect.alter(robot)
-    machine = robot.assemble(substeps=SUBSTEPS)
+    machine = robot.assemble(substeps=substeps)
     for effect in effects:
         effect.install(machine, robot)
     return MujocoMachine(machine) if engine == "mujoco" else machine
@@ -112,25 +114,25 @@ def record_sizes(case: Case, factors: np.ndarray) -> list[Records]:
     volts, measured = run(case.plant(), campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
     clean = replay(case.plant(), volts, sample_time=SAMPLE_TIME, link=campaign.encoders.link)
     lanes = np.arange(count * runs).reshape(count, runs)
-    return [_records(case, volts[..., own], measured[..., own], clean[..., own]) for own in lanes]
+    return [logged(case, volts[..., own], measured[..., own], clean[..., own]) for own in lanes]
 
 
-def tuned(case: Case, share: float) -> Case:
+def tuned(case: Case, share: float, *, substeps: int = SUBSTEPS) -> Case:
     """The case with encoders that suit its motion, and random torques that move the outputs by a share of their noise.
 
     Encoders are made coarser or finer by powers of two until their noise is within `NOISE` of the test records' motion.
     The share holds for four records of five, of the output that feels the torques most, on the machine without effects.
     """
     campaign = case.campaign
-    sound = replace(case, effects=(), engine="in_house")
-    records = record(sound)
-    clean = replay(sound.plant(), records.volts, sample_time=SAMPLE_TIME, link=campaign.encoders.link)
+    sound = build(case.robot, (), substeps=substeps)
+    volts, measured = run(sound, campaign.program, campaign.encoders, sample_time=SAMPLE_TIME)
+    clean = replay(sound, volts, sample_time=SAMPLE_TIME, link=campaign.encoders.link)
     errors, spread, noise = [], [], noise_std(campaign.encoders)
     for b, length in enumerate(campaign.lengths):
-        measured = records.measured[:length, :, b]
-        errors.append(np.mean((clean[:length, :, b] - measured) ** 2, axis=0))
+        own = measured[:length, :, b]
+        errors.append(np.mean((clean[:length, :, b] - own) ** 2, axis=0))
         if campaign.roles[b] == "test":
-            spread.append(np.std(measured, axis=0))
+            spread.append(np.std(own, axis=0))
     floor = np.mean(noise / np.array(spread), axis=0)
     finer = 2.0 ** np.round(np.log2(np.clip(floor, *NOISE) / floor))
     encoders = replace(
@@ -144,7 +146,7 @@ def tuned(case: Case, share: float) -> Case:
     return replace(case, campaign=replace(campaign, program=program, encoders=encoders))
 
 
-def _records(case: Case, volts: np.ndarray, measured: np.ndarray, clean: np.ndarray) -> Records:
+def logged(case: Case, volts: np.ndarray, measured: np.ndarray, clean: np.ndarray) -> Records:
     """What was logged in the records of one size of the effects, (T, channels, records) each."""
     campaign = case.campaign
     outputs = [f"q_m{i + 1}" for i in range(case.robot.joints)] + ["q_a1"] * campaign.encoders.link

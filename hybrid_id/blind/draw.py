@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from hybrid_id.blind import messy
 from hybrid_id.blind.campaign import draw_campaign
 from hybrid_id.blind.case import Case, runs_in_mujoco, tuned
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE, Effect
@@ -37,6 +38,7 @@ def same_case(
     effect: str | None = None,
     level: str | None = None,
     engine: str | None = None,
+    realism: str = "clean",
 ) -> Case:
     """The machine and the experiments of a case once more, for experiments beyond them.
 
@@ -49,14 +51,24 @@ def same_case(
         effect: see there.
         level: see there.
         engine: see there.
+        realism: see there; friction is that of no record.
     """
+    if realism == "messy":
+        family = messy.family_of(seed, family, effect)
+        made = messy.same_machine(seed, draw, name=name, family=family, system=system, effect=effect)
+        graded = None if made is None else made.graded
+        return _known(graded, name).case
     family, level = family_and_level(seed, family, effect, level)
     graded = draw_case(np.random.default_rng([seed, 1, draw]), name, family, system, effect, level, engine)
+    return _known(graded, name).case
+
+
+def _known(graded: Graded | None, name: str) -> Graded:
     if graded is None:
         raise InputError(
             f"case {name} cannot be made again; its answers belong to another version of the generator"
         )
-    return graded.case
+    return graded
 
 
 def family_and_level(seed: int, family: str | None, effect: str | None, level: str | None) -> tuple[str, str]:

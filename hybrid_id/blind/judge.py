@@ -24,25 +24,30 @@ class Judged:
     Attributes:
         case: its name.
         family, level, system, engine: of the case.
-        effect: what was at work, by name; several joined by ``+``.
+        realism: clean or messy.
+        effect: what was at work, of a messy machine what was dominant; several joined by ``+``.
         records: train records that the diagnosis had.
         broken: why there is no diagnosis, empty where there is one.
         seconds: time that the diagnosis took.
         said: what it stands by, in one word: an effect's name (that of the answer where it is accepted), ``unknown``,
             ``none`` or ``broken``.
-        top_1, top_3: whether an accepted name is ranked first, among the first three (single effects).
-        place: whether the first one's place is accepted (single effects).
+        top_1, top_3: whether an accepted name is ranked first, among the first three (single effects; a messy machine's
+            dominant ones).
+        place: whether the first one's place is accepted (likewise).
         top_1_at_place: both together.
         pair: hits, named and true effects of a pair.
         whole: whether exactly what was at work is named: all effects and no other, nothing where nothing was, and
-            "unknown" with no name beside it where it is outside the catalogue.
+            "unknown" with no name beside it where it is outside the catalogue. Of a messy machine: a dominant effect
+            first, no name that was not at work, and "unknown" only where the dominant effect is outside the catalogue.
         false_alarm: whether something is named in a case where the structure is right.
         values: whether it is told there that nothing is wrong, or the parameters alone.
         outside: whether something outside the catalogue is detected where it acts.
         outside_at: whether the joint, and the side of its gear, at which it is said to act are right; None where
             neither is told.
         false_unknown: whether it is claimed where nothing like it acts.
-        confidence: probability of the effect that is ranked first, and whether that one was at work.
+        claims: probability of each ranked effect, and whether it was at work.
+        share_errors: claimed share of the gap of each effect that is rightly named, less the true one [points].
+        share_covered: whether the interval of the first one's share holds the true one.
         shrink_error: claimed share of the gap that closes, less the true one [points].
         covered: whether the interval of the share holds the true one.
         closed: share of the closable gap that is closed.
@@ -53,6 +58,7 @@ class Judged:
     level: str
     system: str
     engine: str
+    realism: str
     effect: str
     records: int
     broken: str
@@ -69,7 +75,9 @@ class Judged:
     outside: bool | None = None
     outside_at: bool | None = None
     false_unknown: bool | None = None
-    confidence: tuple[float, bool] | None = None
+    claims: tuple[tuple[float, bool], ...] = ()
+    share_errors: tuple[float, ...] = ()
+    share_covered: bool | None = None
     shrink_error: float | None = None
     covered: bool | None = None
     closed: float | None = None
@@ -92,42 +100,52 @@ def judge(case: str, sheet: Sheet, said: Said | None) -> Judged:
     broken = "not run" if said is None else str(run.get("message") or "")
     if broken or said is None:
         said = {}
-    family, truth = str(sheet["family"]), sheet["effects"]
+    family, truth, realism = str(sheet["family"]), sheet["effects"], "messy" if "messy" in sheet else "clean"
+    leading = [t for t in truth if t.get("role", "dominant") == "dominant"]
     ranked: Sequence[Said] = said.get("effects", [])
     chosen = [e for e in ranked if e["selected"]]
     unknown = bool(said.get("unknown", False))
-    hits = _hits(chosen, truth) if family in ("single", "pair") else 0
+    known, messy = family != "unknown", realism == "messy"
+    asked = family == "single" or (messy and family == "pair")
+    hits = _hits(chosen, truth) if known or messy else 0
     first = ranked[0] if ranked else None
-    known, single = family != "unknown", family == "single"
-    named = [_named(e, truth[0]) for e in ranked[:3]] if single else []
-    placed = bool(single and first and first["where"] in truth[0]["accept_where"])
+    named = [any(_named(e, t) for t in leading) for e in ranked[:3]] if asked else []
+    at_place = bool(asked and first and any(_right(first, t) for t in leading))
+    if messy:
+        whole = len(chosen) == hits and (at_place if asked else True)
+    else:
+        whole = len(chosen) == hits == (len(truth) if known else 0)
     error, covered = _shrink(said, sheet)
+    errors, share_covered = _shares(chosen, truth) if messy else ((), None)
     return Judged(
         case=case,
         family=family,
         level=str(sheet["level"]),
         system=str(run.get("system") or sheet.get("made_by", {}).get("system", "")),
         engine=str(sheet.get("made_by", {}).get("engine", "")),
-        effect="+".join(t["name"] for t in truth) or "none",
+        realism=realism,
+        effect="+".join(t["name"] for t in leading) or "none",
         records=int(run.get("train_records", 0)),
         broken=broken,
         seconds=float(run.get("seconds", math.nan)),
-        said="broken" if broken else _in_a_word(family, truth, chosen, unknown),
-        top_1=any(named[:1]) if single else None,
-        top_3=any(named) if single else None,
-        place=placed if single else None,
-        top_1_at_place=bool(first and _right(first, truth[0])) if single else None,
-        pair=(hits, len(chosen), len(truth)) if family == "pair" else None,
-        whole=not broken and unknown is not known and len(chosen) == hits == (len(truth) if known else 0),
+        said="broken" if broken else _in_a_word(leading if asked else [], chosen, unknown),
+        top_1=any(named[:1]) if asked else None,
+        top_3=any(named) if asked else None,
+        place=bool(first and any(first["where"] in t["accept_where"] for t in leading)) if asked else None,
+        top_1_at_place=at_place if asked else None,
+        pair=(hits, len(chosen), len(truth)) if family == "pair" and not messy else None,
+        whole=not broken and unknown is not known and whole,
         false_alarm=(bool(chosen) or unknown) if family in SOUND and not broken else None,
         values=_values(said, sheet) if family in SOUND and not broken else None,
         outside=unknown if not known else None,
         outside_at=_acts_there(said.get("unknown_at") or {}, truth[0]) if unknown and not known else None,
         false_unknown=unknown if known and not broken else None,
-        confidence=None if first is None else (float(first["probability"]), bool(_hits([first], truth))),
+        claims=tuple((float(e["probability"]), bool(_hits([e], truth))) for e in ranked),
         shrink_error=error,
         covered=covered,
         closed=None if broken else _closed(said, sheet),
+        share_errors=errors,
+        share_covered=share_covered,
     )  # fmt: skip
 
 
@@ -150,14 +168,34 @@ def _hits(chosen: Sequence[Said], truth: Sequence[Sheet]) -> int:
     return max(sum(map(_right, order, truth)) for order in orders)
 
 
-def _in_a_word(family: str, truth: Sequence[Sheet], chosen: Sequence[Said], unknown: bool) -> str:
+def _in_a_word(leading: Sequence[Sheet], chosen: Sequence[Said], unknown: bool) -> str:
     if unknown:
         return "unknown"
     if not chosen:
         return "none"
-    if family == "single" and _named(chosen[0], truth[0]):
-        return str(truth[0]["name"])
-    return str(chosen[0]["name"])
+    return str(next((t["name"] for t in leading if _named(chosen[0], t)), chosen[0]["name"]))
+
+
+def _shares(chosen: Sequence[Said], truth: Sequence[Sheet]) -> tuple[tuple[float, ...], bool | None]:
+    """Errors [points] of the claimed shares of the effects rightly named, and whether the first interval holds its own.
+
+    The true share is what an effect closes after those that are named before it. The answers know it alone, and after
+    all larger ones; of two dominant effects either may lead.
+    """
+    matched = [next((t for t in truth if _right(e, t)), None) for e in chosen]
+    errors, covered = [], None
+    for k, (said, own) in enumerate(zip(chosen, matched, strict=True)):
+        if own is None or own in matched[:k] or said.get("share") is None:
+            continue
+        before = matched[0]
+        true = own["closes"] if k == 0 else own["share"]
+        if k and before is not None and own["role"] == "dominant" and own is truth[0]:
+            true = own["share"] + before["share"] - before["closes"]
+        errors.append(100 * (float(said["share"]) - true))
+        interval = said.get("share_interval")
+        if k == 0 and interval and None not in interval:
+            covered = bool(interval[0] <= true <= interval[1])
+    return tuple(errors), covered
 
 
 def _acts_there(told: Said, truth: Sheet) -> bool | None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 
+from hybrid_id.blind import messy
 from hybrid_id.blind.draw import FAMILIES, LEAST, SEEN, draw_case, family_and_level
 from hybrid_id.blind.effects import CATALOGUE, OUTSIDE
 from hybrid_id.blind.judge import SOUND
@@ -17,13 +18,17 @@ from hybrid_id.blind.levels import BANDS, Graded
 from hybrid_id.blind.pairs import with_only
 from hybrid_id.blind.rivals import find_rivals
 from hybrid_id.blind.robots import SYSTEMS
-from hybrid_id.blind.sheet import answers
+from hybrid_id.blind.sheet import answers, messy_answers
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.records.yaml_file import write_yaml
 
 NEEDED = 1.2
 """Re-fit with one effect of a pair alone over the error of both, at least, on the test records; on the train records,
 where those who diagnose have to see it, `SEEN`."""
+CLEAN, MESSY = "clean", "messy"
+"""Kinds of cases: one thing lacks, or a dominant one among small ones."""
+MESSY_DRAWS = 14
+"""Messy machines that are tried for a case before it is given up."""
 DRAWS = 8
 """Machines that are tried for a case before it is given up."""
 
@@ -38,6 +43,7 @@ def make_case(
     effect: str | None = None,
     level: str | None = None,
     engine: str | None = None,
+    realism: str = CLEAN,
     grading: bool = True,
 ) -> Path:
     """Make one case; what is not given is drawn.
@@ -51,6 +57,8 @@ def make_case(
         effect: name of the effect, or the first one of a pair; of the class for effects outside the catalogue.
         level: strong, medium or weak.
         engine: in_house or mujoco.
+        realism: clean, where nothing is at work beyond the family; or messy, where that is dominant among small ones,
+            drift and imperfect encoders, and level and engine are not to be chosen.
         grading: whether to look for other effects that explain the records as well; slower.
 
     Returns:
@@ -60,7 +68,10 @@ def make_case(
         InputError: a name is not known, or no machine could be drawn that the effect shows on.
     """
     _check(family=family, system=system, effect=effect, level=level, engine=engine)
+    _check_realism(realism, level, engine)
     name, asked = name or f"c{seed:03d}", level
+    if realism == MESSY:
+        return _make_messy(seed, Path(folder), name, family, system, effect)
     family, level = family_and_level(seed, family, effect, level)
     for draw in range(DRAWS):
         rng = np.random.default_rng([seed, 1, draw])
@@ -82,6 +93,20 @@ def make_case(
             return _write(sheet, graded, Path(folder))
     raise InputError(
         f"case {name}: no machine of {DRAWS} shows {effect or family} at level {level}; give another level or seed"
+    )
+
+
+def _make_messy(
+    seed: int, folder: Path, name: str, family: str | None, system: str | None, effect: str | None
+) -> Path:
+    """Make one messy machine."""
+    family = messy.family_of(seed, family, effect)
+    for draw in range(MESSY_DRAWS):
+        made = messy.same_machine(seed, draw, name=name, family=family, system=system, effect=effect)
+        if made is not None:
+            return _write(messy_answers(made, family, (seed, draw)), made.graded, folder)
+    raise InputError(
+        f"case {name}: no machine of {MESSY_DRAWS} has {effect or family} dominant; give another seed"
     )
 
 
@@ -108,6 +133,7 @@ def make_cases(
     """
     known = ("family", "system", "effect", "level", "engine")
     _check(**{option: options.get(option) for option in known})
+    _check_realism(options.get("realism", CLEAN), options.get("level"), options.get("engine"))
     numbers = range(first, first + n)
     calls = (delayed(_attempt)(seed + i - 1, folder, f"c{i:03d}", options) for i in numbers)
     made = []
@@ -146,6 +172,16 @@ def _write(sheet: Mapping[str, Any], graded: Graded, folder: Path) -> Path:
         write_yaml(folder / "answers" / f"{case.name}.yaml", sheet)
         made.replace(path)
     return path
+
+
+def _check_realism(realism: str, level: str | None, engine: str | None) -> None:
+    """Refuse a kind of cases that is not known, and what a messy machine leaves no choice of."""
+    if realism not in (CLEAN, MESSY):
+        raise InputError(f"blind make: realism '{realism}' is not known; use {CLEAN} or {MESSY}")
+    if realism == MESSY and (level or engine == "mujoco"):
+        raise InputError(
+            "blind make: messy machines have neither level nor MuJoCo; leave --level and --engine out"
+        )
 
 
 def _check(**given: str | None) -> None:

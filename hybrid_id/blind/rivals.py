@@ -80,7 +80,7 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
     noise = float(np.mean(Bench(case, records, lambda _: build(case.robot, case.effects)).clean_error() ** 2))
     screens = [_Screen(case, records, values, beside, noise) for values in (model, true)]
     found = []
-    for kind in _candidates(case, every=truth.name == UNKNOWN):
+    for kind in candidates(case.truth(), every=truth.name == UNKNOWN):
         for joint in range(case.robot.joints):
             if (kind.name, kind.place, joint) == (truth.name, truth.place, truth.joint):
                 continue
@@ -163,12 +163,12 @@ def _fitted(effect: Effect) -> list[str]:
     return [key for key in (*effect.sized, *effect.shapes) if key in effect.values]
 
 
-def _candidates(case: Case, *, every: bool) -> list[type[Effect]]:
+def candidates(robot: Robot, *, every: bool) -> list[type[Effect]]:
     """Formulas that today's simulator could have beside its own parameters: every one, or the first of name and place.
 
     What no name stands for must not be what another formula of a name explains.
     """
-    robot, found = case.truth(), {}
+    found: dict[tuple[str, str, str], type[Effect]] = {}
     for name, kinds in sorted(CATALOGUE.items()):
         for kind in sorted(kinds, key=lambda kind: kind.__name__):
             if kind.fits(robot) and kind.alter is Effect.alter:

@@ -12,7 +12,9 @@ from hybrid_id.blind.judge import Judged
 
 LEVEL = 0.95
 BINS = 10
-"""Bins of the reliability curve."""
+"""Bins of the reliability curve, of equal count."""
+TRIVIAL, SURE = 0.02, 0.95
+"""Probability below which absent names are left out of the calibration, and from which a claim is sure."""
 Score = dict[str, Any]
 """``value``, ``low``, ``high``, the number ``n`` of cases behind it, and the ``wrong`` ones by name."""
 
@@ -28,6 +30,7 @@ SHARES: Mapping[str, Callable[[Judged], bool | None]] = {
     "outside_at": lambda one: one.outside_at,
     "false_unknown": lambda one: one.false_unknown,
     "covered": lambda one: one.covered,
+    "share_covered": lambda one: one.share_covered,
     "broken": lambda one: bool(one.broken),
 }
 BAD = ("false_alarms", "false_unknown", "broken")
@@ -60,7 +63,7 @@ def scores(judged: Sequence[Judged]) -> dict[str, Any]:
         "all": figures(judged),
         "by": by,
         "confusion": confusion(judged),
-        "reliability": reliability([one.confidence for one in judged if one.confidence is not None]),
+        "reliability": reliability(_claims(judged)),
     }
 
 
@@ -76,16 +79,31 @@ def figures(judged: Sequence[Judged]) -> dict[str, Score]:
     f1 = [(one.case, one.f1) for one in judged if one.f1 is not None]
     if f1:
         found["f1"] = mean([value for _, value in f1]) | {"wrong": [case for case, value in f1 if value < 1]}
+    sure = [(one.case, right) for one in judged for p, right in one.claims if p >= SURE]
+    if sure:
+        found["sure"] = share([right for _, right in sure]) | {"wrong": [c for c, right in sure if not right]}
+    if (calibration := reliability(_claims(judged)))["n"]:
+        found["calibration"] = {
+            "value": calibration["expected_error"],
+            "low": None,
+            "high": None,
+            "n": calibration["n"],
+            "wrong": [],
+        }
     for name, values in (
+        ("share_error", [(one.case, error) for one in judged for error in one.share_errors]),
         ("closed", [(one.case, one.closed) for one in judged]),
         ("shrink_error", [(one.case, one.shrink_error) for one in judged]),
         ("seconds", [(one.case, one.seconds) for one in judged]),
     ):
-        told = [(case, abs(v) if name == "shrink_error" else v) for case, v in values if v is not None]
+        told = [(case, abs(v) if name.endswith("_error") else v) for case, v in values if v is not None]
         told = [(case, v) for case, v in told if math.isfinite(v)]
         if told:
             worst = sorted(told, key=lambda pair: pair[1], reverse=name != "closed")[:5]
             found[name] = median([v for _, v in told]) | {"wrong": [case for case, _ in worst]}
+    if "seconds" in found:
+        most = {"value": found["seconds"]["most"], "low": None, "high": None, "n": found["seconds"]["n"]}
+        found["slowest"] = most | {"wrong": found["seconds"]["wrong"][:1]}
     return found
 
 
@@ -117,21 +135,26 @@ def median(values: Sequence[float]) -> Score:
     }
 
 
-def reliability(told: Sequence[tuple[float, bool]]) -> dict[str, Any]:
-    """How often the effect ranked first is at work, against the probability that was claimed.
+def _claims(judged: Sequence[Judged]) -> list[tuple[float, bool]]:
+    """Probability and truth of every name that was ranked, without those that are trivially absent."""
+    return [(p, right) for one in judged for p, right in one.claims if right or p >= TRIVIAL]
 
-    The expected calibration error is the mean distance of the two, bin by bin, weighted by the cases in it (C. Guo et
-    al., On calibration of modern neural networks, ICML 2017).
+
+def reliability(told: Sequence[tuple[float, bool]]) -> dict[str, Any]:
+    """How often a named effect is at work, against the probability that was claimed.
+
+    The expected calibration error is the mean distance of the two over bins of equal count (C. Guo et al., On
+    calibration of modern neural networks, ICML 2017, has bins of equal width).
 
     Args:
-        told: claimed probability and truth of each case.
+        told: claimed probability and truth of each claim.
     """
     bins, error = [], 0.0
-    for k in range(BINS):
-        low, high = k / BINS, (k + 1) / BINS
-        own = [(p, right) for p, right in told if low <= p < high or (k == BINS - 1 and p >= 1.0)]
-        if own:
-            claimed, seen = float(np.mean([p for p, _ in own])), share([right for _, right in own])
+    ordered = sorted(told, key=lambda claim: claim[0])
+    for own in np.array_split(np.arange(len(ordered)), BINS):
+        if len(own):
+            claimed = float(np.mean([ordered[k][0] for k in own]))
+            seen = share([ordered[k][1] for k in own])
             bins.append({"claimed": claimed, **seen})
             error += len(own) / len(told) * abs(claimed - seen["value"])
     brier = float(np.mean([(p - right) ** 2 for p, right in told])) if told else None

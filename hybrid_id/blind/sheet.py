@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from hybrid_id.blind.campaign import SAMPLE_TIME, noise_std
 from hybrid_id.blind.effects import Effect
 from hybrid_id.blind.effects.base import UNKNOWN
 from hybrid_id.blind.levels import Graded, level_of
+from hybrid_id.blind.messy import Messy
 from hybrid_id.blind.pairs import Alone
 from hybrid_id.blind.rivals import Rival
 from hybrid_id.blind.robots import Robot
@@ -62,6 +64,49 @@ def answers(
     if alone:
         notes["with_only_over_both"] = {
             name: {"test": round(one.test, 2), "train": round(one.train, 2)} for name, one in alone.items()
+        }
+    return sheet
+
+
+def messy_answers(messy: Messy, family: str, source: tuple[int, int]) -> dict[str, Any]:
+    """The answer sheet of a messy machine: that of a clean one, its effects in the order in which they are added.
+
+    Each effect further tells its `role` (dominant or small), its `share` of the gap in that order, what it `closes`
+    alone, and by how much a small one alone lifts the re-fit over the floor; `messy` sums them up.
+
+    Args:
+        messy: the machine.
+        family: single, pair or unknown by its dominant effects; none or parameters where its structure is right.
+        source: the seed that it was made from, and which of the machines that were drawn.
+    """
+    sheet = answers(
+        messy.graded, family, source, rivals=[list(part.rivals) for part in messy.parts], alone=None
+    )
+    sheet["level"] = messy.graded.level
+    for told, part in zip(sheet["effects"], messy.parts, strict=True):
+        told |= {"role": part.role, "share": round(part.share, 4), "closes": round(part.closes, 4)}
+        if part.lift is not None:
+            told["lift"] = round(part.lift, 3)
+    encoders = messy.graded.case.campaign.encoders
+    flaws, noise = encoders.flaws, noise_std(encoders)
+    sheet["notes"].pop("rest_of_gap_with_rival", None)
+    sheet["notes"]["rest_with_rival"] = [
+        {f"{r.effect.name}@{r.effect.where}": round(r.rest, 3) for r in part.rivals if np.isfinite(r.rest)}
+        for part in messy.parts
+        if part.role == "dominant"
+    ]
+    sheet["messy"] = {
+        "small_share": round(sum(part.share for part in messy.parts if part.role == "small"), 4),
+        "outside_share": round(sum(part.share for part in messy.parts if part.effect.name == UNKNOWN), 4),
+        "dominant_outside": family == "unknown",
+        "drift_of_friction": [float(f"{std:.3g}") for std in messy.drift.std(axis=1)],
+        "harmless_parameters_not_in_model": list(messy.withheld),
+    }
+    if flaws is not None:
+        sheet["messy"]["encoders"] = {
+            "ripple_over_noise": [float(f"{v:.3g}") for v in flaws.ripple / noise],
+            "late_seconds": [float(f"{v:.3g}") for v in flaws.late * SAMPLE_TIME],
+            "samples_with_missed_counts": float(f"{np.mean(flaws.lost != 0):.3g}"),
         }
     return sheet
 

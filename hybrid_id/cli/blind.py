@@ -67,9 +67,29 @@ EffectOption = Annotated[
     str | None, typer.Option(help="Name of the effect, say backlash.", show_default="drawn")
 ]
 LevelOption = Annotated[str | None, typer.Option(help="strong, medium or weak.", show_default="drawn")]
+RealismOption = Annotated[
+    str,
+    typer.Option(
+        help="clean: one thing lacks, or two. messy: a dominant one among small ones, drifting friction and "
+        "imperfect encoders; with --family none or parameters nothing but those."
+    ),
+]
 EngineOption = Annotated[
     str | None, typer.Option(help="in_house, or mujoco where it is installed.", show_default="drawn")
 ]
+
+
+def _options(
+    system: str | None,
+    family: str | None,
+    effect: str | None,
+    level: str | None,
+    engine: str | None,
+    realism: str,
+) -> dict[str, str | None]:
+    """Options of the generator as the manifest tells them; clean cases tell as much as before there were others."""
+    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
+    return options if realism == "clean" else options | {"realism": realism}
 
 
 @blind.command()
@@ -94,6 +114,7 @@ def make(
     effect: EffectOption = None,
     level: LevelOption = None,
     engine: EngineOption = None,
+    realism: RealismOption = "clean",
     jobs: ProcessesOption = 1,
 ) -> None:
     """Make records of machines in which something is at work that their model lacks.
@@ -104,7 +125,7 @@ def make(
     """
     if open_answers and answers is not None:
         raise InputError("--answers and --open-answers contradict each other; give one of them")
-    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
+    options = _options(system, family, effect, level, engine, realism)
     archive = None if open_answers else answers or out.parent / "sealed" / f"{out.name}.answers.tar"
     make_sealed(out, archive, cases, seed_of(seed), options, jobs, first)
 
@@ -204,6 +225,7 @@ def reproduce(
     effect: EffectOption = None,
     level: LevelOption = None,
     engine: EngineOption = None,
+    realism: RealismOption = "clean",
     method: MethodsOption = None,
     train_records: RecordsOption = None,
     command: CommandOption = None,
@@ -222,7 +244,7 @@ def reproduce(
     from hybrid_id.blind.seal import refuse_others
 
     made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
-    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
+    options = _options(system, family, effect, level, engine, realism)
     with redirect_stdout(sys.stderr) if as_json else nullcontext():
         if archive.exists() and not (made / BEGUN).exists():
             refuse_others(made, asked=cases, seed=seed_of(seed), options=options, first=first)

@@ -102,7 +102,8 @@ def gathered(runs: Sequence[Path], archives: Sequence[Path], *, partial: bool = 
     for method, cases in judged.items():
         found = scores(cases)
         plain = [dataclasses.asdict(one) for one in cases]
-        methods[method] = {"scores": found, "targets": against_targets(found), "judged": plain}
+        realism = "messy" if any(one.realism == "messy" for one in cases) else "clean"
+        methods[method] = {"scores": found, "targets": against_targets(found, realism), "judged": plain}
     first, manifest = next(iter(told)), manifests[0]
     asked = sum(one["asked"] for one in manifests)
     about = {

@@ -50,7 +50,7 @@ def reliability_figure(told: Mapping[str, Mapping[str, Any]]) -> Drawn:
             )
             reach = np.maximum([y - low, high - y], 0)
             axes.errorbar(x, y, reach, color=colour, marker="o", markersize=3, elinewidth=0.6, label=name)
-        axes.set_xlabel("claimed probability of the effect ranked first")
+        axes.set_xlabel("claimed probability of a named effect")
         axes.set_ylabel("share of cases in which it was at work")
         axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
         if axes.get_legend_handles_labels()[0]:

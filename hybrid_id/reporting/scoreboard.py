@@ -20,7 +20,7 @@ Scores = Mapping[str, Any]
 """What ``blind score`` keeps in ``scores.json``."""
 
 ROWS = {
-    "top_1": "first name right (single effects)",
+    "top_1": "first name right (single effects; a dominant one of a messy machine)",
     "top_3": "among the first three",
     "place": "place of the first right",
     "top_1_at_place": "first name right at the right place",
@@ -33,17 +33,25 @@ ROWS = {
     "false_unknown": "false 'unknown'",
     "shrink_error": "error of the claimed shrink, median [points]",
     "covered": "95 % intervals that hold the true shrink",
+    "share_error": "error of the claimed shares, median [points]",
+    "share_covered": "95 % intervals that hold the first one's true share",
+    "sure": "claims of 0.95 or more that are right",
+    "calibration": "expected calibration error",
     "closed": "closable gap that is closed, median",
     "seconds": "time per case, median [s]",
+    "slowest": "time per case, most [s]",
     "broken": "broken cases",
 }
+_PLAIN = ("shrink_error", "share_error", "seconds", "slowest")
+"""Scores in points or seconds."""
 TIES_RESOLVED = 0.7
 """Share of ties that the next experiment is to resolve."""
-IN_GROUPS = ("cases", "top_1", "top_3", "place", "f1", "whole", "false_unknown", "closed", "seconds")
+IN_GROUPS = ("cases", "top_1", "top_3", "place", "f1", "whole", "false_unknown", "sure", "closed", "seconds")
 """Scores that are shown group by group."""
 SHORT = {
     "cases": "cases", "top_1": "first name", "top_3": "first three", "place": "place", "f1": "F1",
-    "whole": "all right", "false_unknown": "false unknown", "closed": "gap closed", "seconds": "time [s]",
+    "whole": "all right", "false_unknown": "false unknown", "sure": "sure claims right", "closed": "gap closed",
+    "seconds": "time [s]",
 }  # fmt: skip
 
 
@@ -53,14 +61,14 @@ def value(name: str, score: Mapping[str, Any] | None, *, interval: bool = True) 
         return "–"
     if name == "cases":
         return str(score["value"])
-    percent = name not in ("f1", "shrink_error", "seconds")
-    form = "{:.1f}" if name in ("shrink_error", "seconds") else "{:.2f}"
+    percent = name not in ("f1", "calibration", *_PLAIN)
+    form = "{:.1f}" if name in _PLAIN else "{:.3f}" if name == "calibration" else "{:.2f}"
 
     def number(x: float) -> str:
         return f"{100 * x:.0f}" if percent else form.format(x)
 
     text = number(score["value"]) + (" %" if percent else "")
-    if not interval or name == "seconds":
+    if not interval or name in ("seconds", "slowest"):
         return text
     if score.get("low") is None:  # of few cases
         return f"{text} ({score['n']})"
@@ -145,8 +153,8 @@ def calibration(told: Mapping[str, Any]) -> str:
     if told["expected_error"] is None:
         return "No effect was ranked, so that there is no probability to judge."
     return (
-        f"Probability of the effect ranked first: expected calibration error {told['expected_error']:.3f}, "
-        f"Brier score {told['brier']:.3f} over {told['n']} cases."
+        f"Probabilities of the named effects: expected calibration error {told['expected_error']:.3f} (ten bins of "
+        f"equal count; absent names below 0.02 left out), Brier score {told['brier']:.3f} over {told['n']} claims."
     )
 
 

@@ -31,6 +31,7 @@ class Effect:
         shapes: keys of `values`, beside the sized ones, that a re-fit may move.
         signed: keys of `values` that may be negative.
         substeps: steps a sample that a fit of it needs.
+        replaces: whether it takes the place of a part of the drive: of size zero it is not gone.
         joint: 0 or 1.
         values: its parameters, each a number or one for each lane.
     """
@@ -43,6 +44,7 @@ class Effect:
     shapes: ClassVar[tuple[str, ...]] = ()
     signed: ClassVar[tuple[str, ...]] = ()
     substeps: ClassVar[int] = 1
+    replaces: ClassVar[bool] = False
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)

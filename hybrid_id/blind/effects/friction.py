@@ -38,7 +38,7 @@ class WithheldCoulomb(Effect):
 class WithheldSmoothCoulomb(WithheldCoulomb):
     """The same as a steep smooth law, which creeps."""
 
-    place = "motor_friction"
+    place, replaces = "motor_friction", True
 
     def install(self, machine, robot):
         drive = self.drive(machine)
@@ -153,7 +153,7 @@ class PreslidingDahl(Effect):
     """The dry friction builds up over a deflection: Dahl's law in Coulomb's place."""
 
     name, place, sized = "presliding_friction", "motor_friction", ("deflection",)
-    size_keys = {"deflection": "rad_of_deflection"}
+    size_keys, replaces = {"deflection": "rad_of_deflection"}, True
 
     @classmethod
     def draw(cls, rng, robot, joint):

@@ -81,7 +81,7 @@ class HardLimit(Effect):
 class SoftLimit(HardLimit):
     """The same, neared gradually."""
 
-    place = "input"
+    place, replaces = "input", True
     soft = True
 
 

@@ -58,6 +58,7 @@ class HystereticGear(Outside):
     """A spring with losses that do not depend on speed, where the model's is linear."""
 
     place, sized, systems = "transmission", ("limit",), ("one_link_flexible",)
+    replaces = True
 
     @classmethod
     def draw(cls, rng, robot, joint):

@@ -20,7 +20,7 @@ class FlatTeeth(Effect):
 
     name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
     systems = RIGID
-    exponent, substeps = 1.0, 4
+    exponent, substeps, replaces = 1.0, 4, True
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -49,6 +49,7 @@ class RoundTeeth(FlatTeeth):
 class PlayBeforeSpring(Effect):
     """Play in series with the spring of a flexible gear."""
 
+    replaces = True
     name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
     systems = ("one_link_flexible",)
 
@@ -66,7 +67,7 @@ class SoftGear(Effect):
 
     name, place, sized, systems = "joint_flexibility", "transmission", ("compliance",), RIGID
     size_keys = {"stiffness": "newton_metres_per_rad_link", "damping": "newton_metre_seconds_link"}
-    shapes = ("ratio",)
+    shapes, replaces = ("ratio",), True
 
     @classmethod
     def draw(cls, rng, robot, joint):
@@ -102,6 +103,7 @@ class CubicSpring(Effect):
 
     name, place, sized = "hardening_flexibility", "transmission", ("stiffening",)
     systems, size_keys = ("one_link_flexible",), {"stiffening": "relative_stiffening_at_stall_torque"}
+    replaces = True
 
     @classmethod
     def draw(cls, rng, robot, joint):

@@ -26,6 +26,29 @@ class Plant(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
+class Flaws:
+    """What encoders get wrong beside noise: ``q(t - late) + ripple sin(q + phase) + lost``.
+
+    Attributes:
+        ripple: (n_outputs,) of an eccentric disk, once a turn of the encoder's shaft [rad].
+        phase: (n_outputs,) of it [rad].
+        late: (n_outputs,) by which a channel is sampled after the others, as a share of a sample.
+        lost: (T, n_outputs, B) counts missed at that time, until the index is passed [rad].
+    """
+
+    ripple: np.ndarray
+    phase: np.ndarray
+    late: np.ndarray
+    lost: np.ndarray
+
+    def applied(self, k: int, true: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """What an encoder makes of the angles (n_outputs, B) of sample k and those of the sample before it."""
+        seen = true - self.late[:, None] * (true - before)
+        wave = np.sin(seen + self.phase[:, None]) - np.sin(self.phase)[:, None]
+        return seen + self.ripple[:, None] * wave + self.lost[k]
+
+
+@dataclass(frozen=True, eq=False)
 class Encoders:
     """``y = Q round((q + n) / Q)`` with quantum Q [rad] and jitter n [rad].
 
@@ -33,15 +56,22 @@ class Encoders:
         quantum: (n_outputs,), rotors first.
         jitter: (T, n_outputs, B).
         link: whether the link of joint 1 has an encoder too.
+        flaws: beside noise; None where there are none.
     """
 
     quantum: np.ndarray
     jitter: np.ndarray
     link: bool = False
+    flaws: Flaws | None = None
 
-    def read(self, k: int, rotor: np.ndarray, link: np.ndarray) -> np.ndarray:
-        """Measured angles (n_outputs, B) of sample k."""
-        true = np.concatenate([rotor, link[:1]]) if self.link else rotor
+    def angles(self, rotor: np.ndarray, link: np.ndarray) -> np.ndarray:
+        """True angles (n_outputs, B) of all shafts with an encoder."""
+        return np.concatenate([rotor, link[:1]]) if self.link else rotor
+
+    def read(self, k: int, true: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """Measured angles (n_outputs, B) of sample k, from the true ones and those of the sample before it."""
+        if self.flaws is not None:
+            true = self.flaws.applied(k, true, before)
         quantum = self.quantum[:, None]
         return quantum * np.round((true + self.jitter[k]) / quantum)
 
@@ -93,8 +123,11 @@ def run(
     measured = np.zeros((samples, len(encoders.quantum), lanes))
     integral = np.zeros((joints, lanes))
     error = np.zeros((DIFFERENCE + 1, joints, lanes))  # the newest last
+    before = encoders.angles(*plant.angles())
     for k in range(samples):
-        measured[k] = encoders.read(k, *plant.angles())
+        true = encoders.angles(*plant.angles())
+        measured[k] = encoders.read(k, true, before)
+        before = true
         error = np.concatenate([error[1:], (program.reference[k] - measured[k, :joints])[None]])
         if k >= resting:
             rate = (error[-1] - error[0]) / (DIFFERENCE * sample_time)

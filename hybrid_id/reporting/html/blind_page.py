@@ -54,7 +54,7 @@ def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
     )
     page.section("Probabilities").add(calibration(told["scores"]["reliability"])).figure(
         figures["reliability"],
-        "How often the effect ranked first was at work, against the probability claimed.",
+        "How often a named effect was at work, against the probability claimed.",
     )
     groups = page.section("Group by group")
     for dimension, figures in told["scores"]["by"].items():
