@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import functools
-import inspect
 import json
 import os
 import statistics
@@ -20,20 +19,13 @@ import subprocess
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-STAGES = {
-    "measure": ("errors",),
-    "locate": ("locate",),
-    "attribute": ("attribute", "decide", "others"),
-    "shrink": ("shrink",),
-    "own sets": ("own_sets",),
-    "next experiment": ("next_experiment",),
-}
-"""Stages by the functions that a diagnosis calls for them."""
+STAGES = ("search", "settle", "test", "report")
+"""Functions of ``diagnosis.diagnose``, one a stage: search measures, screens, fits and selects."""
 REST = "rest"
 TARGETS = {1: 60.0, 2: 180.0}
 """Seconds, by links."""
@@ -56,47 +48,35 @@ class Clock:
 
         @functools.wraps(function)
         def timed(*args: object, **kwargs: object) -> object:
-            found = self._within(stage, lambda: function(*args, **kwargs))
-            return self._each(stage, found) if inspect.isgenerator(found) else found
+            self.turn()
+            self._now.append(stage)
+            try:
+                return function(*args, **kwargs)
+            finally:
+                self.turn()
+                self._now.pop()
 
         return timed
-
-    def _within(self, stage: str, work: Callable[[], Any]) -> Any:
-        self.turn()
-        self._now.append(stage)
-        try:
-            return work()
-        finally:
-            self.turn()
-            self._now.pop()
-
-    def _each(self, stage: str, found: Iterator[Any]) -> Iterator[Any]:
-        """What a search yields bit by bit is searched for while it is asked for."""
-        end = object()
-        while (one := self._within(stage, lambda: next(found, end))) is not end:
-            yield one
 
 
 def one(folder: Path, jobs: int) -> dict[str, Any]:
     """Diagnose a case: its size, its verdict and the time of each stage."""
     from hybrid_id import Dataset, load_model
     from hybrid_id.diagnosis import diagnose as whole
-    from hybrid_id.diagnosis import judged
-    from hybrid_id.diagnosis.refit import Refit
+    from hybrid_id.diagnosis.fits import Fits
 
     dataset, system = Dataset.load(folder), load_model(folder / "model.yaml")
-    fits, run = Counter[str](), Refit.run
+    count, run = Counter[str](), Fits.run
 
-    def counted(self: Refit, tasks: Any, *args: Any, **kwargs: Any) -> Any:
+    def counted(self: Fits, tasks: Any, *args: Any, **kwargs: Any) -> Any:
         tasks = list(tasks)
-        fits["all"] += len(tasks)
+        count["all"] += len(tasks)
         return run(self, tasks, *args, **kwargs)
 
-    Refit.run = counted
+    Fits.run = counted
     clock, begun = Clock(), time.process_time()
-    for stage, names in STAGES.items():
-        for module, name in ((m, n) for m in (whole, judged) for n in names if hasattr(m, n)):
-            setattr(module, name, clock.of(stage, getattr(module, name)))
+    for stage in STAGES:
+        setattr(whole, stage, clock.of(stage, getattr(whole, stage)))
     found = whole.diagnose(dataset, system, jobs=jobs)
     clock.turn()
     return {
@@ -106,7 +86,7 @@ def one(folder: Path, jobs: int) -> dict[str, Any]:
         "samples": sum(record.n_samples for record in dataset.records),
         "verdict": found.verdict,
         "effects": len(found.search.chosen.effects),
-        "fits": fits["all"],
+        "fits": count["all"],
         "stages": dict(clock.spent),
         "processor": time.process_time() - begun,
     }

@@ -47,22 +47,22 @@ def rng() -> np.random.Generator:
 
 @pytest.fixture(scope="session")
 def diagnosed() -> "tuple[Dataset, System, Diagnosis]":
-    """Records of a drive with a spring at its link, today's model without it, and the diagnosis."""
+    """Records of a drive with a spring at its link, the nominal model without it, and the diagnosis."""
     from gapcase import small_case
 
     from hybrid_id.components import REGISTRY
     from hybrid_id.diagnosis.diagnose import diagnose
 
-    dataset, today = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    return dataset, today, diagnose(dataset, today, max_effects=1)
+    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    return dataset, nominal, diagnose(dataset, nominal, max_effects=1)
 
 
 @pytest.fixture(scope="session")
 def sound() -> "tuple[Dataset, System, Diagnosis]":
-    """Records of a drive whose model lacks nothing but the right values, today's model, and the diagnosis."""
+    """Records of a drive whose model lacks nothing but the right values, the nominal model, and the diagnosis."""
     from gapcase import small_case
 
     from hybrid_id.diagnosis.diagnose import diagnose
 
-    dataset, today = small_case()
-    return dataset, today, diagnose(dataset, today, max_effects=1)
+    dataset, nominal = small_case()
+    return dataset, nominal, diagnose(dataset, nominal, max_effects=1)

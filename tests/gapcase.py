@@ -15,7 +15,7 @@ MADE: dict[tuple | None, Dataset] = {}
 
 
 def small_case(missing: Component | None = None, where: str = WHERE) -> tuple[Dataset, System]:
-    """Records of 1.5 s of a drive with ``missing`` somewhere, and today's model, whose values are a little off."""
+    """Records of 1.5 s of a drive with ``missing`` somewhere, and the nominal model, whose values are a little off."""
     key = (
         None
         if missing is None
@@ -23,8 +23,8 @@ def small_case(missing: Component | None = None, where: str = WHERE) -> tuple[Da
     )
     if key not in MADE:
         MADE[key] = _simulated(missing, where)
-    today = rigid_drive(ratio=RATIO).with_values({"J": 2.3e-5, "F_c": 0.009, "F_v": 6e-5})
-    return MADE[key], today
+    nominal = rigid_drive(ratio=RATIO).with_values({"J": 2.3e-5, "F_c": 0.009, "F_v": 6e-5})
+    return MADE[key], nominal
 
 
 def _simulated(missing: Component | None, where: str) -> Dataset:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from hybrid_id.diagnosis.pulses import Pulse
+from hybrid_id.diagnosis.impulses import Pulse
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import resample_record
@@ -65,7 +65,7 @@ def planned(folder: Path) -> list[tuple[str, str, float, float]]:
     return found
 
 
-def told(pulse: Pulse) -> str:
+def in_words(pulse: Pulse) -> str:
     """A claim in words."""
     return f"{pulse.record} at {pulse.time:.3f} s, {pulse.joint}: {pulse.size:+.2f} +- {pulse.std:.2f} N m"
 
@@ -101,7 +101,7 @@ class Score:
                 hits += 1
                 line += f"found at {best.time:.3f} s, {best.size:+.2f} +- {best.std:.2f} N m"
             lines.append(line if fits else f"{line}missed")
-        lines += [f"false: {told(claim)}" for claim in left]
+        lines += [f"false: {in_words(claim)}" for claim in left]
         return cls(tuple(lines), hits, len(wanted), count)
 
     def __str__(self) -> str:

@@ -4,12 +4,12 @@ import sys
 from pathlib import Path
 
 import torch
-from logs import Score, batch_of, planned, read_runs, told
+from logs import Score, batch_of, in_words, planned, read_runs
 
 sys.path.insert(1, str(Path(__file__).parents[1] / "08_double_pendulum"))
 from arm import build  # pyright: ignore[reportMissingImports]
 
-from hybrid_id.diagnosis.pulses import calibrate
+from hybrid_id.diagnosis.impulses import calibrate
 from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.simulation.solvers import OdeEngine
 
@@ -30,7 +30,7 @@ for task in config["tasks"]:
         claims = detector.find(batch_of(system, rest, config["noise"]))
         print(
             f"  unperturbed repeats: {len(claims)} claimed in {len(rest)} records",
-            *map(told, claims),
+            *map(in_words, claims),
             sep="\n    ",
         )
         claims = detector.find(batch_of(system, pushed, config["noise"]))

@@ -1,5 +1,8 @@
-"""`diagnose`: where records and today's model disagree, which effect causes it, and how far the gap shrinks."""
+"""`diagnose`: where records and the nominal model disagree, which effects explain how much of it, and what remains."""
 
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,7 +11,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from hybrid_id.cli.console import err, remark, show
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.folder import DIAGNOSIS, EVENTS, page_and_pictures, refuse_taken, required, results_folder
+from hybrid_id.cli.fits_folder import keep_after, kept_fits
+from hybrid_id.cli.folder import DIAGNOSIS, EVENTS, page_and_pictures, required, results_folder
 from hybrid_id.cli.inputs import checked_records, load_system, remark_uneven
 from hybrid_id.cli.options import (
     ForceOption,
@@ -17,19 +21,22 @@ from hybrid_id.cli.options import (
     OutOption,
     SeedOption,
     SourceArgument,
+    WindowOption,
+    as_window,
     use_threads,
 )
 from hybrid_id.cli.study import reach_of
 from hybrid_id.config import Identification, StudyConfig, study_config
 
 if TYPE_CHECKING:
+    from hybrid_id.diagnosis.keep import Kept
     from hybrid_id.diagnosis.result import Diagnosis
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.systems.chain import System
 
 
 NEXT = "next_experiment.csv"
-"""Commands of the record that would part effects which are tied."""
+"""Commands of the record that would distinguish tied effects."""
 LONG, MOST_JOBS = 200_000, 4
 """Samples from which a fit may need a gigabyte, and processes that are started without being asked for."""
 
@@ -38,55 +45,74 @@ def diagnose(
     source: SourceArgument,
     model: ModelOption = None,
     out: OutOption = None,
-    most: Annotated[int | None, typer.Option(help="Effects at most.", min=1, show_default="3")] = None,
+    max_effects: Annotated[int | None, typer.Option(help="Effects at most.", min=1, show_default="3")] = None,
+    most: Annotated[int | None, typer.Option(hidden=True, min=1)] = None,
+    window: WindowOption = None,
     jobs: Annotated[
         int | None,
         typer.Option(help="Processes that share the fits.", min=1, show_default="one on each core"),
     ] = None,
     seed: SeedOption = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the unfinished diagnosis in the folder of results.")
+    ] = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Find out why records and today's model disagree: where the gap lies, which effect causes it, how far it shrinks.
+    """Find out why records and the nominal model disagree: which effects explain how much of the gap, and what remains.
 
-    Searches on the train records; the test records measure the gap (where they alone show it, the worst of them joins
-    the train records, and it is said). Writes report.html, diagnosis.json, model.yaml (with the effects), refit.yaml
-    (today's model, re-fitted), next_experiment.csv (where effects are tied: what to command next), pictures and
-    TensorBoard events.
+    Train records fit; records left out, or validation records, choose; the test records only measure. Writes
+    report.html, diagnosis.json, model.yaml (with the effects), refit.yaml (the nominal model, re-fitted),
+    next_experiment.csv (where effects are tied: what to command next), pictures and TensorBoard events. Ctrl-C ends the
+    search with what it has found, --resume goes on.
     """
     config = study_config(
         source,
         {
             "model": None if model is None else str(model),
             "output.folder": None if out is None else str(out),
-            "gap.most": most,
+            "gap.max_effects": most if max_effects is None else max_effects,
+            "identification.window": None if window is None else as_window(window),
             "gap.jobs": jobs,
             "identification.seed": seed,
         },
     )
     home = required(config.output.folder)
-    refuse_taken(home, force=force, reads=config.reads)
-    said, plain = config.identification, Identification()
-    if idle := [k for k in type(said).model_fields if k != "seed" and getattr(said, k) != getattr(plain, k)]:
-        remark(
-            f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
-        )
-    dataset = checked_records(config)
-    remark_uneven(dataset)
-    use_threads(1)
-    system = load_system(config, dataset)
-    diagnosis = run(dataset, system, config)
-    with results_folder(home, force=force) as folder:
-        text = write_diagnosis(folder, home, config, dataset, system, diagnosis)
+    with kept_fits(home, force=force, resume=resume, reads=config.reads) as kept:
+        said, plain = config.identification, Identification()
+        if idle := [
+            k
+            for k in type(said).model_fields
+            if k not in ("seed", "window") and getattr(said, k) != getattr(plain, k)
+        ]:
+            remark(
+                f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
+            )
+        dataset = checked_records(config)
+        remark_uneven(dataset)
+        use_threads(1)
+        system = load_system(config, dataset)
+        diagnosis = run(dataset, system, config, kept)
+        with results_folder(home, force=True) as folder:  # kept_fits has asked
+            text = write_diagnosis(folder, home, config, diagnosis)
+            if diagnosis.interrupted:
+                keep_after(home, folder)
     if as_json:
         stdout().print(text, markup=False, soft_wrap=True)
-        return
-    from hybrid_id.reporting.gap import diagnosis_table
+    else:
+        from hybrid_id.reporting.diagnosis import diagnosis_table
 
-    further = f"{NEXT}, " if (home / NEXT).exists() else ""
-    show(diagnosis_table(diagnosis, reach_of(config), config.statistics.level))
-    page, pictures = page_and_pictures(config)
-    show(f"results are in {home}: {page}{DIAGNOSIS}, model.yaml, refit.yaml, {further}{pictures}config.yaml")
+        further = f"{NEXT}, " if (home / NEXT).exists() else ""
+        show(diagnosis_table(diagnosis, reach_of(config), config.statistics.level, config.gap.max_effects))
+        page, pictures = page_and_pictures(config)
+        show(
+            f"results are in {home}: {page}{DIAGNOSIS}, model.yaml, refit.yaml, {further}{pictures}config.yaml"
+        )
+    if diagnosis.interrupted:
+        remark(
+            "stopped: the results are those of the steps that were complete; the same command with --resume goes on"
+        )
+        raise typer.Exit(130)
 
 
 def fitting_jobs(dataset: "Dataset") -> int:
@@ -97,20 +123,33 @@ def fitting_jobs(dataset: "Dataset") -> int:
     return 1 if samples > LONG else min(cpu_count(), MOST_JOBS)
 
 
-def run(dataset: "Dataset", system: "System", config: StudyConfig) -> "Diagnosis":
+def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept") -> "Diagnosis":
     """Diagnose as the config says, with a bar on stderr."""
     from hybrid_id.diagnosis.diagnose import diagnose as find
+    from hybrid_id.identification.horizons import Horizon
 
-    with SearchProgress() as progress:
+    with SearchProgress() as progress, terminated_as_interrupted():
         return find(
             dataset,
             system,
-            most=config.gap.most,
+            max_effects=config.gap.max_effects,
+            horizon=Horizon.of(config.identification.window),
             jobs=config.gap.jobs or fitting_jobs(dataset),
             seed=config.identification.seed,
             signal_share=config.preprocessing.signal_share,
+            kept=kept,
             progress=progress,
         )
+
+
+@contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """Let SIGTERM end a search as Ctrl-C does."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class SearchProgress:
@@ -125,7 +164,7 @@ class SearchProgress:
             TimeRemainingColumn(),
         )
         self._bar = Progress(*columns, console=console, disable=not console.is_terminal)
-        self._task: TaskID = self._bar.add_task("today's model", total=None)
+        self._task: TaskID = self._bar.add_task("nominal model", total=None)
         self._stage = ""
 
     def __enter__(self) -> "SearchProgress":
@@ -144,22 +183,13 @@ class SearchProgress:
         self._bar.update(self._task, description=words, completed=done)
 
 
-def write_diagnosis(
-    folder: Path,
-    home: Path,
-    config: StudyConfig,
-    dataset: "Dataset",
-    system: "System",
-    diagnosis: "Diagnosis",
-) -> str:
+def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis") -> str:
     """Write all files of a diagnosis.
 
     Args:
         folder: Where to write.
         home: Where the folder will be at last.
         config: What was asked for.
-        dataset: The records.
-        system: Today's model.
         diagnosis: The result.
 
     Returns:
@@ -167,16 +197,11 @@ def write_diagnosis(
     """
     from hybrid_id.reporting.residual_words import residual_result
     from hybrid_id.reporting.results import as_json
-    from hybrid_id.study.residual_tests import residual_tests
     from hybrid_id.systems.model_file import save_model
 
-    share, seen = config.preprocessing.signal_share, diagnosis.as_searched(dataset)
-    residuals = {
-        name: residual_tests(seen, one.system, one.result.engine, signal_share=share)
-        for name, one in diagnosis.fitted.items()
-    }
-    told = diagnosis.as_dict() | {"residual_tests": residual_result(residuals)}
-    text = as_json("diagnose", {"seed": config.identification.seed} | told)
+    seed = {"seed": config.identification.seed}
+    residuals = {"residual_tests": residual_result(diagnosis.details.residual_tests)}
+    text = as_json("diagnose", seed | diagnosis.as_dict() | residuals)
     save_model(diagnosis.model, folder / "model.yaml")
     save_model(diagnosis.search.base.system, folder / "refit.yaml")
     if diagnosis.experiments and diagnosis.experiments[0].tells:
@@ -187,9 +212,9 @@ def write_diagnosis(
     config.save(folder / "config.yaml", home=home)
     wish = config.output
     if wish.figures or wish.tensorboard or wish.report:
-        from hybrid_id.reporting.gap_figures import diagnosis_figures
+        from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 
-        figures = diagnosis_figures(dataset, system, diagnosis, signal_share=share)
+        figures = diagnosis_figures(diagnosis)
         images = {name: figure.image for name, figure in figures.items()}
         if wish.figures:
             from hybrid_id.reporting.style import save
@@ -197,33 +222,23 @@ def write_diagnosis(
             for name, image in images.items():
                 save(image, folder / f"{name}.png")
         if wish.tensorboard:
-            from hybrid_id.reporting.events import write_gap_events
+            from hybrid_id.reporting.events import write_diagnosis_events
 
-            write_gap_events(folder / EVENTS, diagnosis, images)
+            write_diagnosis_events(folder / EVENTS, diagnosis, images)
         if wish.report:
-            from hybrid_id.diagnosis.confidence import as_identified
             from hybrid_id.records.quality import remarks
-            from hybrid_id.reporting.html.gap_page import gap_page
+            from hybrid_id.reporting.html.diagnosis_page import diagnosis_page
             from hybrid_id.reporting.html.made import how_made
 
-            judged = [
-                as_identified(seen, one, signal_share=share, seed=config.identification.seed)
-                for one in diagnosis.fitted.values()
-            ]
-            page = gap_page(
-                dataset,
-                system,
+            page = diagnosis_page(
                 diagnosis,
                 figures,
                 reach=reach_of(config),
                 level=config.statistics.level,
-                judged=judged,
-                residuals=residuals,
-                findings=remarks(dataset),
+                max_effects=config.gap.max_effects,
+                findings=remarks(diagnosis.details.dataset),
             )
             study = (folder / "config.yaml").read_text(encoding="utf-8")
-            how_made(page, "diagnose", study, {"seed": config.identification.seed}).write(
-                folder / "report.html"
-            )
+            how_made(page, "diagnose", study, seed).write(folder / "report.html")
     (folder / DIAGNOSIS).write_text(text + "\n", encoding="utf-8")
     return text

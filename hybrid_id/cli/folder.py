@@ -15,6 +15,8 @@ RESULT = "result.json"
 DIAGNOSIS = "diagnosis.json"
 CHECKPOINT = "checkpoint.pt"
 EVENTS = "tensorboard"
+FITS = "fits"
+"""Folder of the fits that an unfinished diagnosis keeps."""
 BEGUN = ".begun"
 """Marks a training that is not complete; says whether it has put earlier results aside."""
 RESULTS = (RESULT, DIAGNOSIS)
@@ -90,7 +92,8 @@ def visible(path: Path) -> list[Path]:
 
 def _holds_ours(path: Path) -> bool:
     """Whether a folder holds results, or a training that has begun."""
-    return (path / BEGUN).exists() or any(_is_ours(path / name) for name in RESULTS)
+    ours = (*(path / name for name in RESULTS), path / FITS / "about.json")
+    return (path / BEGUN).exists() or any(_is_ours(file) for file in ours)
 
 
 def only_begun(path: Path) -> bool:

@@ -1,7 +1,7 @@
 """The sections of a study file, with all their defaults."""
 
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import (
     BaseModel,
@@ -12,6 +12,7 @@ from pydantic import (
     PositiveFloat,
     PositiveInt,
     field_validator,
+    model_validator,
 )
 
 from hybrid_id.records.schema import ResampleEntry
@@ -188,13 +189,23 @@ class Gap(Section):
     """How `diagnose` searches; the seed is that of the identification.
 
     Attributes:
-        most: effects at most.
+        max_effects: effects at most; ``most`` in files of 0.1.
         jobs: processes that share the fits; None for one on each core, up to four, and one alone where the records are
             so long that each would need a gigabyte.
     """
 
-    most: PositiveInt = 3
+    max_effects: PositiveInt = 3
     jobs: PositiveInt | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _former_name(cls, content: Any) -> Any:
+        """The key ``most`` of study files of 0.1."""
+        if isinstance(content, dict) and "most" in content:
+            content = {k: v for k, v in content.items() if k != "most"} | {
+                "max_effects": content.get("max_effects", content["most"])
+            }
+        return content
 
 
 class Statistics(Section):

@@ -1,6 +1,6 @@
 """Baseline: residual networks alone, which say where something is missing and how it looks, but not what it is.
 
-For each joint the acceleration is regressed, as in :mod:`.reconstruct`, on what today's model has, plus one small
+For each joint the acceleration is regressed, as in :mod:`.reconstruct`, on what the nominal model has, plus one small
 network that reads what acts in a place: the speed for friction, the rotor's angle for the motor, the link's angle for
 the load, the command for the input. The network that predicts a record left out best tells the place and the profile.
 As it has no names, it says "unknown" wherever it predicts clearly better than the physics alone.
@@ -16,7 +16,7 @@ import torch
 from torch import Tensor, nn
 
 from hybrid_id.contenders.reconstruct import Torque, reconstructed
-from hybrid_id.contenders.report import answer, suspect
+from hybrid_id.contenders.report import answer, named
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 
@@ -40,7 +40,7 @@ def network(dataset: Dataset, system: System) -> dict[str, Any]:
     found.sort(key=lambda one: -one[0])
     share = np.array([max(ratio - 1.0, 0.0) for ratio, _, _ in found])
     share = share / max(float(share.sum()), 1e-12)
-    effects = [suspect("residual_network", where, p) for p, (_, where, _) in zip(share, found, strict=True)]
+    effects = [named("residual_network", where, p) for p, (_, where, _) in zip(share, found, strict=True)]
     content = answer(dataset.name, effects, {}, unknown=found[0][0] >= CLEAR)
     return content | {"location": [about for _, _, about in found[:3]]}
 

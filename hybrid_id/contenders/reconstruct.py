@@ -1,9 +1,10 @@
 """A joint's torque reconstructed from records, and what a library of effects would add to it.
 
-The acceleration of each joint, which is its torque up to a factor, is a sum of what today's model has (``q'' = P/J u -
-P_2 P/J q' - F_c/J sgn q' - ...``, gears taken as rigid) and of groups of terms, one for each effect that has an
-algebraic one. Both sides are filtered alike, so that the derivatives fall on the filter (weak form: D. A. Messenger and
-D. M. Bortz, Multiscale Model. Simul. 19, 2021). Play and flexibility have no terms here, what has a memory by a proxy.
+The acceleration of each joint, which is its torque up to a factor, is a sum of what the nominal model has
+(``q'' = P/J u - P_2 P/J q' - F_c/J sgn q' - ...``, gears taken as rigid) and of groups of terms, one for each effect
+that has an algebraic one. Both sides are filtered alike, so that the derivatives fall on the filter (weak form: D. A.
+Messenger and D. M. Bortz, Multiscale Model. Simul. 19, 2021). Play and flexibility have no terms here, what has a
+memory by a proxy.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ class Torque:
 
     Attributes:
         target: the acceleration [rad/s^2], ``(N,)``.
-        own: columns of what today's model has, ``(N, m)``.
+        own: columns of what the nominal model has, ``(N, m)``.
         library: columns of the effects, ``(N, k)`` each.
         signals: what acts in each place of the joint, ``(N, k)``.
     """
@@ -87,7 +88,7 @@ def reconstructed(dataset: Dataset, record: Record, system: System, joint: int) 
 def _terms(
     keys: set[str], where: str, step: float, u: np.ndarray, q: np.ndarray, v: np.ndarray, link: np.ndarray
 ) -> tuple[list[np.ndarray], dict[Name, list[np.ndarray]]]:
-    """What today's model has of one joint, and the library by effect and place: command, rotor and link angles."""
+    """What the nominal model has of one joint, and the library by effect and place: command, rotor and link angles."""
     sign, fastest = np.sign(v), float(np.abs(v).max()) or 1.0
     sine, cosine, friction = np.sin(link), np.cos(link), f"{where}/motor_friction"
     base, library = [u, v], {

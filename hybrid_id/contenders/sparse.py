@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.contenders.reconstruct import Name, Torque, reconstructed
-from hybrid_id.contenders.report import answer, suspect
+from hybrid_id.contenders.report import answer, named
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 
@@ -34,7 +34,7 @@ def sparse(dataset: Dataset, system: System) -> dict[str, Any]:
         found |= gains
     total = sum(found.values()) or 1.0
     ranked = sorted(found, key=lambda name: (name not in stays, -found[name]))
-    effects = [suspect(*name, found[name] / total, selected=name in stays) for name in ranked]
+    effects = [named(*name, found[name] / total, selected=name in stays) for name in ranked]
     return answer(dataset.name, effects, {})
 
 
@@ -79,7 +79,7 @@ class Products:
     """Inner products of all columns of a regression: all that its solutions need.
 
     Attributes:
-        groups: indices of each group's columns; those of today's model come before them.
+        groups: indices of each group's columns; those of the nominal model come before them.
         gram: ``(m, m)``.
         right: of the columns with the target, ``(m,)``.
         square: of the target with itself.

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.details import Details
 from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine
 from hybrid_id.diagnosis.grade import (
     Grade,
@@ -22,14 +23,15 @@ from hybrid_id.diagnosis.grade import (
     tied_sets,
 )
 from hybrid_id.diagnosis.held_out import Errors, Shrink, errors, shrink
+from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.diagnosis.screen import Progress, screen
-from hybrid_id.diagnosis.select import MAX_EFFECTS, Selection, refitted_without, select
+from hybrid_id.diagnosis.screen import Progress, Step, screen
+from hybrid_id.diagnosis.select import MAX_EFFECTS, Selection, interrupted, refitted_without, select
 from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
@@ -56,6 +58,7 @@ def diagnose(
     jobs: int = 1,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
+    kept: Kept | None = None,
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Find out why records and simulator disagree.
@@ -68,21 +71,25 @@ def diagnose(
         jobs: processes.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        kept: fits that an earlier run has kept, and where those of this one are kept.
         progress: called with (stage, done, total).
+
+    Ctrl-C during the search ends it with what it has found: ``Diagnosis.interrupted`` says so.
 
     Raises:
         InputError: no train record, or the nominal model cannot be fitted to them.
+        KeyboardInterrupt: stopped before the search has found anything.
     """
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     say = progress or (lambda *_: None)
-    fits = Fits(dataset, jobs=jobs, signal_share=signal_share)
+    fits = Fits(dataset, jobs=jobs, signal_share=signal_share, kept=kept)
     say("nominal model", 0, 1)
     fits, found = search(fits, system, horizon=horizon, max_effects=max_effects, progress=progress)
     say("location", 0, 1)
     answer = settle(fits, found, system, seed=seed)
     say("test records", 0, 1)
-    return report(dataset, system, answer, test(dataset, system, answer, seed=seed))
+    return report(dataset, system, answer, test(dataset, system, answer, seed=seed), seed=seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,6 +126,8 @@ class Answer:
         base = self.found.base
         if self.found.chosen.effects:
             return "effects"
+        if self.found.interrupted:
+            return "inconclusive"  # the rest of the catalogue was not tried
         if self.grade.unknown:
             return "outside_catalogue"
         if self.varying:
@@ -153,17 +162,26 @@ def search(
     """
     fits = fits if horizon is None else fits.over(horizon)
     best = base = fits.base(system)
-    first = None
-    if horizon is None:
-        if fits.astray(base) <= CRITERIA.lost_refit:
-            first = screen(fits, base, system, progress=progress)
-            best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
-        if fits.astray(best) > CRITERIA.lost:
-            chosen = choose_horizon(best.system, best.result.engine, fits.records(best.system), [best.result])
-            if chosen.kind != "whole":
-                fits = fits.over(chosen)
-                base, first = fits.base(system), None
-    return fits, select(fits, base, system, first=first, max_effects=max_effects, progress=progress)
+    first, steps = None, list[Step]()
+    try:
+        if horizon is None:
+            if fits.astray(base) <= CRITERIA.lost_refit:
+                first = screen(fits, base, system, progress=progress)
+                best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
+            if fits.astray(best) > CRITERIA.lost:
+                chosen = choose_horizon(
+                    best.system, best.result.engine, fits.records(best.system), [best.result]
+                )
+                if chosen.kind != "whole":
+                    fits = fits.over(chosen)
+                    base, first = fits.base(system), None
+        return fits, select(
+            fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
+        )
+    except KeyboardInterrupt:
+        if not steps:
+            raise
+        return fits, interrupted(base, steps)
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
@@ -294,19 +312,21 @@ def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
     return 0.0 < left[1] < CRITERIA.left_open * left[0]
 
 
-def report(dataset: Dataset, system: System, answer: Answer, tested: Tested) -> Diagnosis:
+def report(dataset: Dataset, system: System, answer: Answer, tested: Tested, *, seed: int = 0) -> Diagnosis:
     """Stage report: all that a diagnosis shows and writes, in one object."""
-    found, graded = answer.found, answer.grade
+    found, graded, fits = answer.found, answer.grade, answer.fits
+    left_open = graded.unknown or graded.remainder >= CRITERIA.left_open
+    named_joint = bool(found.chosen.effects) and len(system.joints) > 1
     told = preflight(dataset, system) if implausible_parameters(system, found.base.system) else None
     return Diagnosis(
         case=dataset.name,
         verdict=answer.verdict,
         effects=graded.candidates,
         ties=tuple(tied_sets(graded.candidates)),
-        unknown=graded.unknown,
+        unknown=graded.unknown and not found.interrupted,
         remainder=graded.remainder,
         remainder_interval=graded.remainder_interval,
-        horizon=answer.fits.horizon,
+        horizon=fits.horizon,
         nominal=tested.nominal,
         refit=tested.refit,
         with_effect=tested.with_effect,
@@ -322,7 +342,10 @@ def report(dataset: Dataset, system: System, answer: Answer, tested: Tested) -> 
         not_identifiable=not_identifiable(dataset, found.chosen.system),
         confounded=tuple(inseparable(dataset.records)),
         extrapolation=tuple(beyond(dataset)),
-        disturbances=tuple(disturbances(answer.fits, found.chosen)) if graded.unknown else (),
+        disturbances=tuple(disturbances(fits, found.chosen)) if left_open else (),
+        disturbances_before=tuple(disturbances(fits, found.base)) if named_joint else (),
         vague=answer.vague,
+        changes="",
         search=found,
+        details=Details(fits, system, found.fitted, answer.before, tested.with_effect, seed=seed),
     )

@@ -14,6 +14,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.validation import coloured, validation
 from hybrid_id.errors import InputError, MachineError
@@ -75,6 +76,7 @@ class Fits:
         jobs: processes that share the fits, once a search turns out to be long.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long free runs are before they start again from a measured state.
+        kept: fits of an earlier run, and where those of this one are kept.
     """
 
     def __init__(
@@ -84,8 +86,10 @@ class Fits:
         jobs: int = 1,
         signal_share: float = SIGNAL_SHARE,
         horizon: Horizon = WHOLE,
+        kept: Kept | None = None,
     ) -> None:
         self.dataset, self.jobs, self.signal_share, self.horizon = dataset, jobs, signal_share, horizon
+        self.kept = kept
         self.fitted = 0
 
     def over(self, horizon: Horizon) -> Fits:
@@ -151,7 +155,7 @@ class Fits:
             some, jobs = (left, self.jobs) if shared and len(left) > 1 else (left[:1], 1)
             try:
                 # another process need not know the catalogue, to which the user may have added
-                calls = (delayed(_fit)(self, t, iterations, over_angle(t.effects)) for t in some)
+                calls = (delayed(_kept)(self, t, iterations, over_angle(t.effects)) for t in some)
                 for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
                     found.append(outcome)
                     if done is not None:
@@ -162,6 +166,15 @@ class Fits:
                 self.jobs = 1
             self.fitted += sum(len(task.system.state_names) for task in some) * samples
         return found
+
+
+def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None:
+    """A fit, as an earlier run has kept it if there is one."""
+    if fits.kept is None:
+        return _fit(fits, task, iterations, halting)
+    records = (fits.dataset.train, fits.dataset.validation, fits.dataset.outputs)
+    made_from = (records, fits.horizon, fits.signal_share, task, iterations, halting, engine())
+    return fits.kept.of(made_from, task.effects, task.system, lambda: _fit(fits, task, iterations, halting))
 
 
 def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None:

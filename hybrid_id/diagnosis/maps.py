@@ -10,7 +10,6 @@ import torch
 from hybrid_id.diagnosis.fits import Fits, engine
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.response import bumps, respond
-from hybrid_id.identification.horizons import windows
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replays import batch_of
@@ -103,18 +102,16 @@ def torque_map(fits: Fits, model: Model, joint: int, side: str) -> TorqueMap:
     return TorqueMap(f"joint{joint}", side, share, angle, speed, torque)
 
 
-def after_reversals(fits: Fits, model: Model, window: float | None = None) -> list[Reversals]:
+def after_reversals(fits: Fits, model: Model) -> list[Reversals]:
     """Mean errors after the reversals of every measured angle, over all records, train and test.
 
     Args:
-        fits: holds the records.
+        fits: holds the records and their horizon.
         model: the fitted model.
-        window: length [s] of the windows from measured states that are simulated; None for whole records.
     """
     system, dataset = model.system, fits.dataset
     batch = batch_of(dataset, system, dataset.records, fits.signal_share, "cpu")
-    if window is not None:
-        batch = windows(system, engine(), batch, window)
+    batch = fits.horizon.cut(system, engine(), batch)
     run = simulate(system, with_substeps(system, model.result.engine, batch), batch)
     time = torch.cumsum(batch.dt, 1) - batch.dt
     found = []

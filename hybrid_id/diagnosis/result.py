@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+from hybrid_id.diagnosis.details import Details
 from hybrid_id.diagnosis.grade import Candidate, Interval
 from hybrid_id.diagnosis.held_out import Errors, Shrink
 from hybrid_id.diagnosis.locate import Disturbance, Location, acts_at
@@ -13,6 +14,18 @@ from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.systems.chain import System
+
+FORMER_KEYS = {
+    "left": "residual_after",
+    "unknown_at": "unknown_location",
+    "courses": "disturbance_location",
+    "bent_parameters": "implausible_parameters",
+    "withdrawn": "rejected",
+    "varying_parameters": "between_record_variation",
+    "cannot_be_told": "not_identifiable",
+    "beyond_training": "extrapolation",
+}
+"""Keys of ``diagnosis.json`` under the names that they had up to 0.1; written beside the new ones for one release."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +62,10 @@ class Diagnosis:
             each side of each joint, best first.
         vague: least standard error, relative, of what these records identify of the nominal model, where no effect is
             named; 0 elsewhere.
+        disturbances_before: the same of the re-fitted model, where an effect is named and there are several joints.
+        changes: which physical change explains the new parameter values, in a sentence; empty where none does.
         search: all that was tried.
+        details: maps, reversals, parameter statistics and tests of residuals, each computed when first asked for.
     """
 
     case: str
@@ -76,8 +92,16 @@ class Diagnosis:
     confounded: tuple[str, ...]
     extrapolation: tuple[str, ...]
     disturbances: tuple[Disturbance, ...]
+    disturbances_before: tuple[Disturbance, ...]
     vague: float
+    changes: str
     search: Selection = field(repr=False)
+    details: Details = field(repr=False)
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the search was stopped before its end, so that the answer holds what had been found until then."""
+        return self.search.interrupted
 
     @property
     def selected(self) -> tuple[Candidate, ...]:
@@ -92,40 +116,47 @@ class Diagnosis:
     @property
     def fitted(self) -> dict[str, Model]:
         """The models that were fitted: ``re-fitted``, and ``corrected`` where that is another one."""
-        same = self.search.chosen is self.search.base
-        return {"re-fitted": self.search.base} | ({} if same else {"corrected": self.search.chosen})
+        return self.search.fitted
 
     def summary(self) -> str:
         """Verdict, place, effects and gap in a few lines; the command ``diagnose`` says the same in sentences."""
-        lines = [f"verdict: {self.verdict}"]
-        lines += [
-            f"  {one.joint}: {one.signal} explains {100 * one.share:.0f} %"
-            for one in self.location[:3]
-            if one.share > 0
-        ]
+        lines = [f"verdict: {self.verdict}{' (interrupted)' if self.interrupted else ''}"]
         for one in self.effects[:4]:
-            reach = ", ".join(
-                f"{k} = {v:.4g} ± {1.96 * error:.2g}" for k, (v, error) in one.parameters.items()
-            )
-            mark = "selected" if one.selected else "tied" if one.tied_with else ""
+            share = "" if one.share is None else f"  {100 * one.share:.0f} % of the gap"
+            values = ", ".join(f"{k} = {v:.4g}" for k, (v, _) in one.parameters.items())
+            mark = "selected" if one.selected else "indistinguishable" if one.tied_with else ""
             lines.append(
-                f"  {one.probability:.3f}  {one.name} at {one.where}  {reach if mark else ''}  {mark}".rstrip()
+                f"  {one.probability:.3f}{share}  {one.name} at {one.where}  {values if mark else ''}  {mark}".rstrip()
             )
+        low, high = self.remainder_interval
+        lines.append(
+            f"  unexplained: {100 * self.remainder:.0f} % of the gap ({100 * low:.0f}-{100 * high:.0f} %)"
+        )
         if self.nominal is not None and self.shrink is not None:
             gap, low, high = self.shrink, *self.shrink.interval
             lines.append(
-                f"normalised error on test records: today's {self.nominal.nrmse:.3g}, re-fitted {gap.refit:.3g}, "
-                f"corrected {gap.with_effect:.3g}; {100 * gap.share:.0f} % ({100 * low:.0f}-{100 * high:.0f} %) of the "
-                "gap closed"
+                f"NRMSE on the test records, mean of the outputs: nominal {self.nominal.nrmse:.3g}, re-fitted "
+                f"{gap.refit:.3g}, corrected {gap.with_effect:.3g}; shrink {100 * gap.share:.0f} % "
+                f"({100 * low:.0f}-{100 * high:.0f} %)"
             )
         return "\n".join([*lines, *(f"implausible: {one}" for one in self.implausible)])
 
     def as_dict(self) -> dict[str, Any]:
-        """The content of ``diagnosis.json``."""
+        """The content of ``diagnosis.json``, former keys included."""
+        content = self._content()
+        former = {old: content[new] for old, new in FORMER_KEYS.items()}
+        return (
+            content
+            | former
+            | {"outvoted": [], "halted_elsewhere": self.rest_differs, "window": self.horizon.seconds or None}
+        )
+
+    def _content(self) -> dict[str, Any]:
         gap, unknown_at = self.shrink, acts_at(self.disturbances) if self.unknown else None
         return {
             "case": self.case,
             "verdict": self.verdict,
+            "interrupted": self.interrupted,
             "unknown": self.unknown,
             "no_gap": self.verdict in ("no_gap", "parameters_only"),
             "effects": [_effect(one) for one in self.effects],
@@ -154,6 +185,7 @@ class Diagnosis:
             "residual_after": [_location(one) for one in self.residual_after[:3]],
             "unknown_location": unknown_at and dict(zip(("joint", "place"), unknown_at, strict=True)),
             "disturbance_location": [vars(one) for one in self.disturbances],
+            "changes": self.changes,
             "implausible_parameters": list(self.implausible),
             "rejected": list(self.rejected),
             "between_record_variation": list(self.varying),

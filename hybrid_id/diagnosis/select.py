@@ -34,11 +34,18 @@ class Selection:
         base: the nominal model, re-fitted.
         steps: the selection steps; the first says what each effect explains alone.
         chosen: the model that the search ends with; ``base`` where no effect is accepted.
+        interrupted: whether the search was stopped before its end.
     """
 
     base: Model
     steps: tuple[Step, ...]
     chosen: Model
+    interrupted: bool = False
+
+    @property
+    def fitted(self) -> dict[str, Model]:
+        """The models that the search stands by: ``re-fitted``, and ``corrected`` where that is another one."""
+        return {"re-fitted": self.base} | ({} if self.chosen is self.base else {"corrected": self.chosen})
 
 
 def select(
@@ -47,6 +54,7 @@ def select(
     nominal: System,
     *,
     first: Step | None = None,
+    steps: list[Step] | None = None,
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> Selection:
@@ -57,10 +65,11 @@ def select(
         base: the nominal model, re-fitted over that horizon.
         nominal: the nominal system.
         first: the first step, where it has been taken.
+        steps: takes each step as soon as it is there: what an interrupted search has found.
         max_effects: effects at most.
         progress: called with (stage, done, total).
     """
-    model, steps, restarted = base, list[Step](), False
+    model, steps, restarted = base, [] if steps is None else steps, False
     while (
         len(model.effects) < max_effects
         and sum(not one.swap for one in steps) < MAX_STEPS
@@ -96,6 +105,15 @@ def select(
             if len(model.effects) <= len(before.effects) and not _better_set(model, before):
                 break
     return Selection(base if model.effects else model, tuple(steps), model)
+
+
+def interrupted(base: Model, steps: Sequence[Step]) -> Selection:
+    """The result of a search that was stopped after so many steps: what they have found."""
+    last = steps[-1]
+    sure = last.best is not None and accepted(last.best, last.before, last.candidates)
+    chosen = last.best if sure and last.best is not None else last.before
+    base = base if chosen.effects else chosen
+    return Selection(base, tuple(steps), chosen, interrupted=True)
 
 
 def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> bool:

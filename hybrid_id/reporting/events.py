@@ -9,6 +9,7 @@ import numpy as np
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.reporting.diagnosis_words import errors_by_name
 from hybrid_id.study import Study
 
 
@@ -36,21 +37,24 @@ def write_study_events(
         _write_images(writer, images)
 
 
-def write_gap_events(folder: Path, diagnosis: Diagnosis, images: Mapping[str, np.ndarray]) -> None:
-    """Write event files of a diagnosis: errors on the test records, probabilities by rank, and the pictures.
+def write_diagnosis_events(folder: Path, diagnosis: Diagnosis, images: Mapping[str, np.ndarray]) -> None:
+    """Write event files of a diagnosis: errors on the test records, shares, probabilities, and the pictures.
 
     Args:
         folder: Where to.
         diagnosis: The result.
         images: Pictures by name, (H, W, 3).
     """
-    models = {"today": diagnosis.nominal, "re-fitted": diagnosis.refit, "corrected": diagnosis.with_effect}
     with SummaryWriter(str(folder)) as writer:
-        for name, errors in models.items():
-            if errors is not None:
-                writer.add_scalar(f"gap/{name}", errors.nrmse)
+        for name, errors in errors_by_name(diagnosis).items():
+            writer.add_scalar(f"gap/{name}", errors.nrmse)
+            for output, value in errors.by_output.items():
+                writer.add_scalar(f"gap/{output}/{name}", value)
+        writer.add_scalar("share/unexplained", diagnosis.remainder)
         for one in diagnosis.effects:
             writer.add_scalar(f"probability/{one.where}/{one.name}", one.probability)
+            if one.share is not None:
+                writer.add_scalar(f"share/{one.where}/{one.name}", one.share)
         _write_images(writer, images)
 
 

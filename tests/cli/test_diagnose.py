@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -22,18 +23,10 @@ from hybrid_id.config import load_config
 from hybrid_id.diagnosis.next_experiment import next_experiment
 
 FILES = {
-    "config.yaml", "diagnosis.json", "gap.png", "missing_torque.png", "model.yaml", "refit.yaml", "report.html",
-    "reversals.png", "suspects.png", "tensorboard", "torque_map.png", "where.png", "worst_record.png",
+    "candidates.png", "config.yaml", "diagnosis.json", "gap.png", "location.png", "missing_torque.png", "model.yaml",
+    "refit.yaml", "report.html", "reversals.png", "shares.png", "tensorboard", "torque_map.png", "worst_record.png",
 }  # fmt: skip
 
-SEARCHED = """
-import hybrid_id.cli.diagnose as command
-from hybrid_id.cli import main
-
-search = command.run
-command.run = lambda *given: print("searching", flush=True) or search(*given)
-main()
-"""
 IMPORTING = """
 import builtins, os, signal
 from hybrid_id.cli import main
@@ -62,7 +55,7 @@ main()
 
 @pytest.fixture(scope="module")
 def records(diagnosed, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Dataset folder of the drive with the spring, today's model in it."""
+    """Dataset folder of the drive with the spring, the nominal model in it."""
     folder = tmp_path_factory.mktemp("records") / "spring"
     diagnosed[0].save(folder)
     save_model(diagnosed[1], folder / "model.yaml")
@@ -79,7 +72,7 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
     out = tmp_path / "runs" / "gap"
     said = run("diagnose", records, "--out", out, "--seed", 7)
     assert said.code == 0
-    assert said.out.startswith("Spring load at the load of joint 1")
+    assert said.out.startswith("Spring load explains 100 % (")
     assert len(said.out.splitlines()) <= 25
     assert {path.name for path in out.iterdir()} == FILES
     result = json.loads((out / "diagnosis.json").read_text())
@@ -92,7 +85,7 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
     verdicts = {name: tests[0]["verdict"] for name, tests in result["residual_tests"].items()}
     assert verdicts["re-fitted"] == "not white" and verdicts["corrected"] in ("white", "nearly white")
     assert load_config(out / "config.yaml").dataset.resolve() == records.resolve()
-    look_at(out / "report.html", tmp_path, figures=7)
+    look_at(out / "report.html", tmp_path, figures=8)
 
 
 def test_the_next_experiment_is_ready_to_be_played(
@@ -120,11 +113,11 @@ def test_written_models_are_those_of_the_diagnosis(
 ) -> None:
     dataset, _, found = diagnosed
     run("diagnose", records, "--out", tmp_path / "gap")
-    for name, explanation in (("model", found.search.chosen), ("refit", found.search.base)):
+    for name, fitted in (("model", found.search.chosen), ("refit", found.search.base)):
         again = load_model(tmp_path / "gap" / f"{name}.yaml")
-        assert list(again.components) == list(explanation.system.components)
-        torch.testing.assert_close(again.theta(), explanation.system.theta(), rtol=1e-12, atol=0)
-        runs = [replay(dataset, s, engine=explanation.result.engine)[3] for s in (again, explanation.system)]
+        assert list(again.components) == list(fitted.system.components)
+        torch.testing.assert_close(again.theta(), fitted.system.theta(), rtol=1e-12, atol=0)
+        runs = [replay(dataset, s, engine=fitted.result.engine)[3] for s in (again, fitted.system)]
         assert runs[0].nrmse["q_m1"] == pytest.approx(runs[1].nrmse["q_m1"], rel=1e-9)
     # the next command takes it as it is
     said = run("simulate", records, "--model", tmp_path / "gap" / "model.yaml", "--out", tmp_path / "replay")
@@ -142,27 +135,29 @@ def test_earlier_diagnosis_is_replaced_only_by_force(run, known, records: Path, 
 
 
 def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
-    dataset, today = small_case()
+    dataset, nominal = small_case()
     dataset.save(tmp_path / "data")
-    save_model(today, tmp_path / "data" / "model.yaml")
+    save_model(nominal, tmp_path / "data" / "model.yaml")
     study = tmp_path / "study.yaml"
     study.write_text(
-        "dataset: data\ngap: {most: 1}\noutput: {folder: out, figures: false, tensorboard: false, report: false}\n"
+        "dataset: data\ngap: {max_effects: 1}\n"
+        "output: {folder: out, figures: false, tensorboard: false, report: false}\n"
     )
     said = run("diagnose", study)
     assert said.code == 0
-    assert said.out.startswith("Wrong parameters explain the gap, and no effect is missing")
+    assert said.out.startswith("Wrong parameter values explain the gap, and no effect is missing.")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {
         "config.yaml", "diagnosis.json", "model.yaml", "refit.yaml",
     }  # fmt: skip
-    assert load_config(tmp_path / "out" / "config.yaml").gap.most == 1
+    assert load_config(tmp_path / "out" / "config.yaml").gap.max_effects == 1
 
 
 @pytest.mark.parametrize(
     ("text", "names"),
     [
-        ("dataset: DATA\ngap: {most: 0}\n", ("gap.most", "0")),
-        ("dataset: DATA\ngap: {effects: 2}\n", ("gap.effects", "unknown")),
+        ("dataset: DATA\ngap: {max_effects: 0}\n", ("gap.max_effects", "0")),
+        ("dataset: DATA\nidentification: {window: 0}\n", ("identification.window", "0")),
+        ("dataset: DATA\ngap: {colour: 2}\n", ("gap.colour", "unknown")),
         ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
         ("dataset: DATA\npreprocessing: {records: [run_3]}\n", ("no train record",)),
     ],
@@ -180,25 +175,92 @@ def test_wrong_input_ends_with_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
-def test_ctrl_c_leaves_nothing_behind(records: Path, tmp_path: Path) -> None:
+def test_a_stopped_search_keeps_its_fits_and_resumes(run, records: Path, tmp_path: Path) -> None:
     """The signal goes to every process of the group, as from a terminal."""
-    line = [sys.executable, "-c", SEARCHED, "diagnose", str(records), "--out", str(tmp_path / "runs" / "gap")]
+    out = tmp_path / "runs" / "gap"
+    asked = ["diagnose", str(records), "--max-effects", "1", "--jobs", "1", "--out", str(out)]
     # a shell that started the tests in its background has told them to ignore the signal
     own = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         process = subprocess.Popen(
-            line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+            [sys.executable, "-m", "hybrid_id", *asked],
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
         )
     finally:
         signal.signal(signal.SIGINT, own)
-    assert process.stdout is not None and process.stdout.readline() == "searching\n"
-    time.sleep(1.0)
+    while process.poll() is None and len(list(out.glob("fits/*.npz"))) < 5:
+        time.sleep(0.05)
     os.killpg(process.pid, signal.SIGINT)
     _, said = process.communicate()
     assert process.returncode == 130
-    assert said.splitlines()[-1] == "Error: stopped; no results were written."
+    assert re.fullmatch(
+        r"Error: stopped; \d+ fits are kept in .*, and the same command with --resume goes on\.",
+        said.splitlines()[-1],
+    )
     assert "Traceback" not in said
-    assert not (tmp_path / "runs").exists()
+    refused = run(*asked)
+    assert refused.code == 2 and "holds an unfinished diagnosis; --resume goes on" in refused.err
+    kept = {file.name for file in out.glob("fits/*.npz")}
+    files, write = [], command.write_diagnosis
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            command, "write_diagnosis", lambda *given: files.extend(out.glob("fits/*.npz")) or write(*given)
+        )
+        done = run(*asked, "--resume")
+    assert done.code == 0 and done.out.startswith("Spring load explains")
+    assert kept < {file.name for file in files}
+    assert {path.name for path in out.iterdir()} == FILES
+
+
+def test_results_of_an_interrupted_search_are_written_and_it_resumes(
+    run, diagnosed, monkeypatch: pytest.MonkeyPatch, records: Path, tmp_path: Path
+) -> None:
+    found, out = diagnosed[2], tmp_path / "gap"
+    cut = replace(found, search=replace(found.search, interrupted=True))
+
+    def interrupted(dataset, system, config, kept):
+        (kept.folder / "0.npz").write_bytes(b"")  # a fit
+        return cut
+
+    monkeypatch.setattr(command, "run", interrupted)
+    said = run("diagnose", records, "--out", out)
+    assert said.code == 130 and "--resume goes on" in said.err
+    assert "The search was interrupted" in " ".join(said.out.split())
+    assert json.loads((out / "diagnosis.json").read_text())["interrupted"] is True
+    assert (out / "fits" / "0.npz").exists()
+    assert "holds an unfinished diagnosis" in run("diagnose", records, "--out", out).err
+    monkeypatch.setattr(command, "run", lambda *_: found)
+    assert run("diagnose", records, "--out", out, "--resume").code == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    assert json.loads((out / "diagnosis.json").read_text())["interrupted"] is False
+
+
+def test_terminated_is_interrupted() -> None:
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), command.terminated_as_interrupted():
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1.0)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+@pytest.mark.parametrize(
+    ("options", "most", "window"),
+    [
+        (["--max-effects", 2], 2, "auto"),
+        (["--most", 2], 2, "auto"),
+        (["--window", "whole"], 3, "whole"),
+        (["--window", "0.5"], 3, 0.5),
+    ],
+)
+def test_options_reach_the_search(
+    options: list, most: int, window: float | str, run, diagnosed, monkeypatch, records: Path, tmp_path: Path
+) -> None:
+    asked = []
+    monkeypatch.setattr(command, "run", lambda *given: asked.append(given[2]) or diagnosed[2])
+    assert run("diagnose", records, "--out", tmp_path / "gap", *options).code == 0
+    assert (asked[0].gap.max_effects, asked[0].identification.window) == (most, window)
 
 
 @pytest.mark.parametrize(

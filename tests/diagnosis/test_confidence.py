@@ -3,6 +3,7 @@
 import numpy as np
 
 from hybrid_id.diagnosis.confidence import as_identified
+from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems import System
@@ -12,7 +13,7 @@ def test_what_only_the_scale_of_all_torques_sets_has_no_interval(
     diagnosed: tuple[Dataset, System, Diagnosis],
 ) -> None:
     dataset, _, found = diagnosed
-    told = as_identified(dataset, found.search.chosen)
+    told = as_identified(Fits(dataset), found.search.chosen)
     assert told.names == found.search.chosen.result.names
     np.testing.assert_allclose(told.selected.values, found.search.chosen.result.values)
     # voltage and angle: all torques and inertias may be multiplied by one number

@@ -1,0 +1,94 @@
+"""What a report shows of a diagnosis beside its answer: maps, reversals, parameter statistics, tests of residuals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+from hybrid_id.diagnosis.confidence import as_identified
+from hybrid_id.diagnosis.fits import Fits
+from hybrid_id.diagnosis.held_out import Errors
+from hybrid_id.diagnosis.locate import Location
+from hybrid_id.diagnosis.maps import Reversals, TorqueMap, after_reversals, torque_map
+from hybrid_id.diagnosis.model import Model
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.study import Comparison, Study, replay
+from hybrid_id.study.residual_tests import ResidualTest, residual_tests
+from hybrid_id.systems.chain import System
+
+JOINTS = 3
+"""Joints of which maps are made at most."""
+
+
+class Details:
+    """Results that follow from a diagnosis. Each is computed when it is first asked for, and then kept.
+
+    A board that scores a thousand diagnoses asks for none of them; the command ``diagnose`` for all that it writes.
+
+    Args:
+        fits: the records, their horizon and their noise.
+        nominal: the nominal model.
+        fitted: the models that were fitted, by name.
+        location: where the re-fitted model lacks a torque, best first.
+        errors: of the corrected model on the test records; None without test records.
+        seed: of the bootstrap.
+    """
+
+    def __init__(
+        self,
+        fits: Fits,
+        nominal: System,
+        fitted: Mapping[str, Model],
+        location: tuple[Location, ...],
+        errors: Errors | None,
+        *,
+        seed: int = 0,
+    ) -> None:
+        self.nominal, self.seed = nominal, seed
+        self._fits, self._fitted, self._location, self._errors = fits.on_all(), fitted, location, errors
+
+    @property
+    def dataset(self) -> Dataset:
+        """The records; those of validation are train records here, as in the final fit."""
+        return self._fits.dataset
+
+    @cached_property
+    def maps(self) -> tuple[Mapping[str, TorqueMap], ...]:
+        """Torque that each fitted model misses over angle and speed, of one joint each."""
+        places = {one.joint: one.place for one in reversed(self._location)}  # the best of a joint is the last
+        return tuple(
+            {
+                name: torque_map(self._fits, m, int(joint[5:]), places[joint])
+                for name, m in self._fitted.items()
+            }
+            for joint in sorted(places)[:JOINTS]
+        )
+
+    @cached_property
+    def reversals(self) -> Mapping[str, tuple[Reversals, ...]]:
+        """Mean errors of each fitted model after reversals of the motion, over all records."""
+        return {name: tuple(after_reversals(self._fits, m)) for name, m in self._fitted.items()}
+
+    @cached_property
+    def studies(self) -> tuple[Study, ...]:
+        """Each fitted model with the parameter statistics of ``identify``."""
+        return tuple(as_identified(self._fits, model, seed=self.seed) for model in self._fitted.values())
+
+    @cached_property
+    def residual_tests(self) -> Mapping[str, tuple[ResidualTest, ...]]:
+        """Whether what each fitted model leaves is white and independent of the inputs."""
+        share = self._fits.signal_share
+        return {
+            name: residual_tests(self.dataset, m.system, m.result.engine, signal_share=share)
+            for name, m in self._fitted.items()
+        }
+
+    @cached_property
+    def worst_record(self) -> Comparison:
+        """All models on the test record that the corrected one predicts worst; on a train record without any."""
+        errors = self._errors
+        first = self.dataset.train[0].name
+        name = first if errors is None else max(errors.by_record, key=errors.by_record.__getitem__)
+        part = self.dataset.select([name])
+        fitted = {n: replay(part, m.system, engine=m.result.engine) for n, m in self._fitted.items()}
+        return Comparison({"nominal": replay(part, self.nominal)} | fitted)

@@ -1,0 +1,427 @@
+"""A diagnosis in sentences: the headline first, then where, how far, what is indistinguishable and what is doubtful."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+from hybrid_id.diagnosis.catalogue import effect, separation
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.grade import Candidate, Interval
+from hybrid_id.diagnosis.held_out import Errors
+from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
+from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.parameters import ParameterInfo
+from hybrid_id.reporting.tables import count
+
+LEAST_SHARE = 0.02
+"""Share of the gap from which a place is worth naming."""
+UNLIKELY = 0.01
+"""Probability below which an effect stands in no table of a page."""
+WORSE = 1.5
+"""Error of the re-fitted model over that of the nominal one from which it is said."""
+NAMED = 4
+"""Members of a tie that a headline names."""
+PLACES = {
+    "input": "at the input", "motor": "in the motor", "motor_friction": "on the motor side",
+    "transmission": "in the gear", "link_friction": "on the link side", "load": "at the load",
+}  # fmt: skip
+SIDES = {"motor": "motor side", "load": "link side"}
+
+# ---- the headline ----
+
+
+def headline(diagnosis: Diagnosis) -> str:
+    """What the diagnosis states, what is known first."""
+    sentence = {
+        "effects": _effects,
+        "outside_catalogue": _outside,
+        "parameters_only": _parameters_only,
+        "no_gap": _no_gap,
+        "inconclusive": _inconclusive,
+    }[diagnosis.verdict](diagnosis)
+    if diagnosis.interrupted:
+        sentence += " The search was interrupted: what is missing here may not have been tried."
+    return sentence
+
+
+def _effects(diagnosis: Diagnosis) -> str:
+    chosen = diagnosis.selected
+    said = [
+        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} ({_sure(one)})"
+        for k, one in enumerate(chosen)
+    ]
+    sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
+    if diagnosis.unknown:
+        sentence += " An effect outside the catalogue acts as well."
+    return sentence
+
+
+def _sure(one: Candidate) -> str:
+    share = "" if one.share_interval is None else f"{range_percent(one.share_interval)}; "
+    return f"{share}probability {'above 0.99' if one.probability > 0.99 else f'{one.probability:.2f}'}"
+
+
+def _named(diagnosis: Diagnosis, one: Candidate) -> str:
+    """An effect with those that it is indistinguishable from, and its joint where several joints leave no doubt."""
+    members = [(one.name, one.where), *(_member(tie) for tie in one.tied_with)]
+    names = list(dict.fromkeys(words_of(name) for name, _ in members))
+    shown = [*names[:NAMED], *([f"{len(names) - NAMED} more"] if len(names) > NAMED else [])]
+    words = joined(shown, "or")
+    joints = {where.split("/")[0] for _, where in members}
+    if len(diagnosis.model.joints) > 1 and joints == {acts_at(diagnosis.disturbances_before)[0]}:
+        words += f" at {joint_words(one.where)}"
+    return words + (" (indistinguishable on these records)" if len(names) > 1 else "")
+
+
+def _remains(diagnosis: Diagnosis) -> str:
+    """The unexplained share, its interval, and where it acts and on what it depends where that is identified."""
+    if diagnosis.remainder < 0.5 * LEAST_SHARE:
+        return "nothing structural remains"
+    interval = range_percent(diagnosis.remainder_interval)
+    return f"{percent(diagnosis.remainder)} ({interval}) remains unexplained{_acting(diagnosis)}"
+
+
+def _acting(diagnosis: Diagnosis) -> str:
+    """Where what remains acts and on what it depends, as far as the records identify that."""
+    joint, side = acts_at(diagnosis.disturbances)
+    if joint is None:
+        return ""
+    one = _signal(diagnosis, joint, side)
+    words = f", at {joint_words(joint)}" + (f", on the {SIDES[side]}" if side in SIDES else "")
+    if one is None:
+        return words
+    return words + (f" ({IN_WORDS[one.signal]})" if one.signal in IN_WORDS else f", with the {one.signal}")
+
+
+def _signal(diagnosis: Diagnosis, joint: str, side: str | None) -> Location | None:
+    """The torque over one signal that explains most of what remains at a place; None where none explains a tenth."""
+    return next(
+        (
+            one
+            for one in diagnosis.residual_after
+            if one.joint == joint and side in (None, one.place) and one.share > CRITERIA.left_open
+        ),
+        None,
+    )
+
+
+def _outside(diagnosis: Diagnosis) -> str:
+    share = f"{percent(diagnosis.remainder)} ({range_percent(diagnosis.remainder_interval)})"
+    return (
+        f"An effect outside the catalogue explains {share} of the gap{_acting(diagnosis)}; none of "
+        f"{count(len(diagnosis.effects), 'effect')} of the catalogue does."
+    )
+
+
+def _parameters_only(diagnosis: Diagnosis) -> str:
+    if diagnosis.varying:
+        return (
+            "No effect is missing, but the parameters differ from record to record: each record's own values leave "
+            "nothing but noise, one common set does not."
+        )
+    sentence = "Wrong parameter values explain the gap, and no effect is missing."
+    # which physical change explains the new values
+    return f"{sentence} {diagnosis.changes}" if diagnosis.changes else sentence
+
+
+def _no_gap(diagnosis: Diagnosis) -> str:
+    tried = count(len(diagnosis.effects), "effect")
+    return (
+        f"There is no gap: none of {tried} predicts records left out surely better than the nominal model, "
+        "re-fitted."
+    )
+
+
+def _inconclusive(diagnosis: Diagnosis) -> str:
+    if diagnosis.interrupted:
+        return "Inconclusive: no effect had been accepted."
+    advice = "Record longer, or with faster changes of the command."
+    if diagnosis.vague > CRITERIA.vague:
+        return (
+            f"Inconclusive: too little data. No parameter is identified better than to ±{196 * diagnosis.vague:.2g} % "
+            f"(95 %), and an effect would hide in that. {advice}"
+        )
+    worth = diagnosis.search.base.validation.effective
+    return f"Inconclusive: too little data. The errors are worth {worth:.0f} independent samples. {advice}"
+
+
+# ---- the lines below it ----
+
+
+def where_line(diagnosis: Diagnosis) -> str:
+    """Sides of joints and signals that explain most of what the re-fitted model leaves; empty where none does."""
+    sides: dict[str, list[str]] = {}
+    for one in [one for one in diagnosis.location if one.share > LEAST_SHARE][:3]:
+        side = side_words(one.joint, one.place)
+        sides.setdefault(side, []).append(f"{one.signal} ({percent(one.share)})")
+    if not sides:
+        return ""
+    words = "; ".join(f"{side}, over {', '.join(signals)}" for side, signals in sides.items())
+    return f"residual before (mean square, re-fitted model) is explained by a torque at {words}."
+
+
+def disturbance_line(diagnosis: Diagnosis) -> str:
+    """How much a torque of any course in time explains of what remains, there and elsewhere; empty where none acts."""
+    joint, _ = acts_at(diagnosis.disturbances)
+    elsewhere = [one.share for one in diagnosis.disturbances if one.joint != joint]
+    if joint is None or not elsewhere:
+        return ""
+    return (
+        f"residual after (corrected model): a torque of any course in time at {joint_words(joint)} explains "
+        f"{percent(diagnosis.disturbances[0].share)} of it within short windows (mean square), elsewhere "
+        f"{percent(max(*elsewhere, 0.0))} at most."
+    )
+
+
+def goes_with(location: Location) -> str:
+    """How the missing torque depends on its signal, in words."""
+    if location.signal in IN_WORDS:
+        return IN_WORDS[location.signal]
+    steps = [b - a for a, b in zip(location.torque, location.torque[1:], strict=False)]
+    rising = sum(step for step in steps if step > 0)
+    falling = -sum(step for step in steps if step < 0)
+    verb = "grows" if rising > 5 * falling else "falls" if falling > 5 * rising else "varies"
+    return f"it {verb} with the {location.signal}"
+
+
+def error_lines(diagnosis: Diagnosis) -> list[str]:
+    """NRMSE of each output on the test records, nominal to corrected, and the shrink; then what contradicts that."""
+    nominal, refit, gap = diagnosis.nominal, diagnosis.refit, diagnosis.shrink
+    if nominal is None or refit is None or gap is None:
+        return [f"no test record moves; models were compared over {diagnosis.horizon}."]
+    last = diagnosis.with_effect if "corrected" in diagnosis.fitted or diagnosis.varying else None
+    records = count(len(nominal.by_record), "test record")
+    outputs = "; ".join(
+        f"{output} {_errors_words(*(m.by_output[output] for m in (nominal, refit, last) if m is not None))}"
+        for output in nominal.by_output
+    )
+    lines = [f"NRMSE on {records}, {diagnosis.horizon}: {outputs}; noise floor {gap.floor:.3g}."]
+    if last is not None:
+        low, high = (100 * min(end, 1.0) for end in gap.interval)
+        lines.append(f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %).")
+    if diagnosis.contradiction:
+        lines.append(f"contradiction: {diagnosis.contradiction}")
+    if diagnosis.rest_differs:
+        lines.append(
+            "rest positions differ (stick): free runs halt elsewhere than the machine, although the corrected model "
+            "follows it from measured states."
+        )
+    return lines
+
+
+def _errors_words(nominal: float, refit: float, corrected: float | None = None) -> str:
+    last = "" if corrected is None else f", corrected {corrected:.3g}"
+    return f"nominal {nominal:.3g}, re-fitted {refit:.3g}{last}"
+
+
+def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
+    """Groups of indistinguishable effects, each with what would distinguish them; ``brief`` omits why."""
+    lines = []
+    for group in diagnosis.ties:
+        members = [_member(member) for member in group]
+        names = ", ".join(_at(*member) for member in members)
+        words = _excitations(members, brief)
+        advice = f" What would distinguish them: {words}." if words else ""
+        lines.append(f"indistinguishable on these records: {names}.{advice}")
+    return lines
+
+
+def _excitations(members: Sequence[tuple[str, str]], brief: bool) -> str:
+    """What would distinguish the members of a tie, pairs with the first one first; each excitation is said once."""
+    found: dict[str, list[str]] = {}
+    for one, other in combinations(members, 2):
+        pair = f"{words_of(one[0])} and {words_of(other[0])}"
+        if one[0] == other[0]:
+            pair = f"the places of {words_of(one[0])}"
+        if words := separation(one, other):
+            pairs = found.setdefault(words.partition(": ")[0] if brief else words, [])
+            pairs += [pair] if pair not in pairs else []
+    if brief or len(members) == 2:
+        return "; ".join(found)
+    return "; ".join(f"for {', and for '.join(pairs)}, {words}" for words, pairs in found.items())
+
+
+def experiment_lines(diagnosis: Diagnosis) -> list[str]:
+    """The follow-up record that distinguishes the tied models best, as one line; none without ties."""
+    if not diagnosis.experiments:
+        return []
+    best = diagnosis.experiments[0]
+    if not best.tells:
+        return [
+            "next experiment: no simulated command makes the outputs of the tied models differ by more than "
+            f"{best.distance:.2g} times the encoders' noise (RMS); change the load, or how the joint stands."
+        ]
+    words = (
+        f"next experiment: {best.name} at joint {best.joint}: the outputs of the tied models would differ by "
+        f"{best.distance:.2g} times the encoders' noise (RMS; {best.today:.2g} in these records)."
+    )
+    alike = "; ".join(" and ".join(_at(*_member(name)) for name in pair) for pair in best.together)
+    return [words + (f" It does not distinguish {alike}." if alike else "")]
+
+
+def rejected_lines(diagnosis: Diagnosis) -> list[str]:
+    """Effects that the search accepted and that are not sure enough to be asserted, as one line."""
+    if not diagnosis.rejected:
+        return []
+    words = joined([_at(*one.split(" at ")) for one in diagnosis.rejected])
+    return [f"rejected: {words}: improbable, or of a size that may be zero."]
+
+
+def varying_lines(diagnosis: Diagnosis) -> list[str]:
+    """Between-record variation of parameters, as one line; none where one set explains all records."""
+    if not diagnosis.varying:
+        return []
+    return [
+        f"between-record variation (standard deviation): {joined(list(diagnosis.varying))}. `identify` fits a set a "
+        "record; a simulator is drawn from such sets, not from one."
+    ]
+
+
+def not_identifiable_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:
+    """Changes of parameters that these records do not identify, then signals that are confounded, a line each."""
+    lines = [f"not identifiable: {words}." for words in diagnosis.not_identifiable[:most]]
+    return lines + [f"confounded: {words}." for words in diagnosis.confounded[:most]]
+
+
+def implausible_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str]:
+    """Parameters that the re-fit has moved beyond data-sheet tolerance, as one line; none where there is none."""
+    if not diagnosis.implausible:
+        return []
+    shown = list(diagnosis.implausible[:most])
+    more = len(diagnosis.implausible) - len(shown)
+    words = ", ".join(shown) + (f" and {more} more" if more else "")
+    why = (
+        "a missing effect may hide in them" if not diagnosis.selected else "the missing effect hides in them"
+    )
+    return [f"implausible parameters: the re-fit moves them beyond data-sheet tolerance, so {why}: {words}."]
+
+
+def extrapolation_lines(diagnosis: Diagnosis) -> list[str]:
+    """Test records that go where no train record has been, where something is left or contradicts."""
+    doubt = diagnosis.unknown or diagnosis.rejected or diagnosis.contradiction
+    lines = diagnosis.extrapolation if doubt else ()
+    return [
+        f"extrapolation: {words}: the train records do not identify what acts there only." for words in lines
+    ]
+
+
+def caution_lines(diagnosis: Diagnosis, max_effects: int | None = None) -> list[str]:
+    """What speaks against the re-fit, and against what remains being outside the catalogue."""
+    nominal, refit, lines = diagnosis.nominal, diagnosis.refit, []
+    worse = nominal is not None and refit is not None and refit.nrmse > WORSE * nominal.nrmse
+    if worse and diagnosis.verdict != "no_gap":
+        lines.append(
+            "the re-fitted model predicts the test records worse than the nominal one: a train record may contradict "
+            "the others; 'hybrid-id check' looks at each."
+        )
+    if diagnosis.unknown and max_effects is not None and len(diagnosis.selected) >= max_effects:
+        lines.append("more effects at once were not looked for: give a larger --max-effects.")
+    return lines
+
+
+# ---- words ----
+
+
+def value_lines(diagnosis: Diagnosis, reach: float, level: float) -> list[str]:
+    """Parameters of the selected effects with their intervals, a line each."""
+    return [
+        f"{words_of(one.name)} ({joint_words(one.where)}, {place_words(one.where)}; {100 * level:g} % intervals): "
+        f"{', '.join(values)}."
+        for one in diagnosis.selected
+        if (values := values_of(diagnosis, one, reach))
+    ]
+
+
+def values_of(diagnosis: Diagnosis, one: Candidate, reach: float) -> list[str]:
+    """Parameters of a selected effect as ``total play gap 0.012 (0.0116 to 0.0124) rad``.
+
+    The interval is that of ``identify``, as in the table of parameters.
+    """
+    infos, study, found = _infos(diagnosis, one), diagnosis.details.studies[-1], []
+    for symbol, (value, error) in one.parameters.items():
+        info = infos.get(symbol)
+        if info is None:
+            continue
+        if info.name in study.names:
+            error = float(study.standard_errors(0)[study.names.index(info.name)])
+        found.append(f"{info.doc} {symbol} {measured(value, reach * error, info.spec.unit)}")
+    return found
+
+
+def _infos(diagnosis: Diagnosis, one: Candidate) -> dict[str, ParameterInfo]:
+    """Meaning and unit of the parameters that a selected effect brings, by symbol."""
+    keys = {f"{one.where}/{kind}" for kind in effect(one.name).kinds}
+    return {i.symbol: i for i in diagnosis.model.table if i.component in keys}
+
+
+def measured(value: float, half_width: float, unit: str) -> str:
+    """A value with its interval and unit; what is held has no interval, what is not identified says so."""
+    sure = ""
+    if half_width != 0:
+        sure = f" ({value - half_width:.4g} to {value + half_width:.4g})"
+        sure = sure if math.isfinite(half_width) else " (not identified)"
+    return f"{value:.4g}{sure}{'' if unit == '1' else f' {unit}'}"
+
+
+def errors_by_name(diagnosis: Diagnosis) -> dict[str, Errors]:
+    """Errors on the test records by the name of the model, as far as there are any."""
+    corrected = {"corrected": diagnosis.with_effect} if "corrected" in diagnosis.fitted else {}
+    found = {"nominal": diagnosis.nominal, "re-fitted": diagnosis.refit} | corrected
+    return {name: errors for name, errors in found.items() if errors is not None}
+
+
+def words_of(name: str) -> str:
+    """An effect's name as people write it."""
+    return name.replace("_dependent", "-dependent").replace("_", " ").replace("stribeck", "Stribeck")
+
+
+def _member(tie: str) -> tuple[str, str]:
+    """``name@where`` of a tie."""
+    name, _, where = tie.partition("@")
+    return name, where
+
+
+def _at(name: str, where: str) -> str:
+    """An effect with its place; ``name@where and name@where`` of models with several more effects."""
+    if " and " in where:
+        first, _, rest = where.partition(" and ")
+        return f"{_at(name, first)} with {_at(*_member(rest))}"
+    return f"{words_of(name)} ({joint_words(where)}, {place_words(where)})"
+
+
+def joint_words(where: str) -> str:
+    """``joint1/motor`` -> ``joint 1``."""
+    return where.split("/")[0].replace("joint", "joint ")
+
+
+def side_words(joint: str, place: str) -> str:
+    """``joint1``, ``load`` -> ``joint 1, link side``; a joint whose sides move alike has none."""
+    return f"{joint_words(joint)}, {SIDES[place]}" if place in SIDES else joint_words(joint)
+
+
+def place_words(where: str) -> str:
+    """``joint1/transmission`` -> ``in the gear``."""
+    return PLACES.get(where.split("/")[-1], where)
+
+
+def percent(share: float) -> str:
+    """A share as it is printed."""
+    return f"{100 * min(share, 1.0):.0f} %"
+
+
+def range_percent(interval: Interval) -> str:
+    """An interval of a share as it is printed; a share lies between 0 and 1."""
+    low, high = (100 * min(max(end, 0.0), 1.0) for end in interval)
+    return f"{low:.0f}-{high:.0f} %"
+
+
+def joined(words: Sequence[str], last: str = "and") -> str:
+    """A list as people say it."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
+
+
+def capital(words: str) -> str:
+    """A sentence's start."""
+    return words[:1].upper() + words[1:]

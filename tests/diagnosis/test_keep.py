@@ -1,0 +1,79 @@
+"""Fits that a search keeps: a search that was stopped goes on with them and says the same to the last byte."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import hybrid_id.diagnosis.select as selection
+from hybrid_id.diagnosis.diagnose import diagnose
+from hybrid_id.diagnosis.fits import FULL, Fits, Task
+from hybrid_id.diagnosis.keep import Kept
+from hybrid_id.identification.horizons import Horizon
+
+HALF = Horizon("windows", 0.5)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Kept:
+    return Kept(tmp_path_factory.mktemp("fits"), "this program")
+
+
+def test_a_stopped_search_goes_on_to_the_same_answer(diagnosed, kept: Kept) -> None:
+    dataset, nominal, whole = diagnosed
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if done == 20:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        diagnose(dataset, nominal, max_effects=1, kept=kept, progress=stop)
+    assert 20 <= kept.count < 30
+    again = diagnose(dataset, nominal, max_effects=1, kept=kept)
+    assert json.dumps(again.as_dict()) == json.dumps(whole.as_dict())
+    count = kept.count
+    once_more = diagnose(dataset, nominal, max_effects=1, kept=kept)
+    assert json.dumps(once_more.as_dict()) == json.dumps(whole.as_dict()) and kept.count == count
+
+
+def test_what_a_search_has_found_is_told_when_it_is_stopped(diagnosed, kept: Kept, monkeypatch) -> None:
+    dataset, nominal, whole = diagnosed
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(selection, "_freed", stop)
+    cut = diagnose(dataset, nominal, max_effects=1, kept=kept)
+    assert cut.interrupted and cut.verdict == "effects"
+    assert [one.name for one in cut.selected] == [one.name for one in whole.selected]
+
+
+def test_other_records_horizons_and_programs_are_fitted_anew(diagnosed, tmp_path: Path) -> None:
+    dataset, nominal, _ = diagnosed
+    keep, asked = Kept(tmp_path, "this program"), [Task((), nominal)]
+    (first,) = Fits(dataset, kept=keep).run(asked, 1)
+    assert first is not None and keep.count == 1
+    (again,) = Fits(dataset, kept=keep).run(asked, 1)
+    assert keep.count == 1 and again is not None
+    assert np.array_equal(again.result.values, first.result.values) and again.error == first.error
+    assert again.system.theta().equal(first.system.theta())
+    for number, fits in enumerate(
+        (
+            Fits(dataset.select([r.name for r in dataset.records[1:]]), kept=keep),
+            Fits(dataset, kept=keep, horizon=HALF),
+            Fits(dataset, kept=Kept(tmp_path, "another program")),
+        )
+    ):
+        fits.run(asked, 1)
+        assert keep.count == number + 2
+    Fits(dataset, kept=keep).run([Task((), nominal, cost=1.0)], 1)
+    Fits(dataset, kept=keep).run(asked, FULL)
+    assert keep.count == 6
+
+
+def test_the_horizon_is_what_was_asked_for(diagnosed) -> None:
+    found = diagnose(*diagnosed[:2], max_effects=1, horizon=HALF)
+    assert found.horizon == HALF and found.as_dict()["window"] == 0.5
+    assert found.selected[0].name in ("spring_load", "gravity_load")  # alike over so short a time
+    assert len(found.details.studies) == 2

@@ -1,0 +1,328 @@
+"""A diagnosis in words, tables, pictures and on its page."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from hybrid_id.diagnosis.catalogue import SIDES
+from hybrid_id.diagnosis.locate import Disturbance, Location
+from hybrid_id.diagnosis.next_experiment import Experiment
+from hybrid_id.diagnosis.result import FORMER_KEYS, Diagnosis
+from hybrid_id.identification.horizons import Horizon
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.diagnosis import effects_table, parameters_table, summary
+from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
+from hybrid_id.reporting.diagnosis_words import (
+    error_lines,
+    goes_with,
+    headline,
+    tie_lines,
+    value_lines,
+    words_of,
+)
+from hybrid_id.reporting.events import write_diagnosis_events
+from hybrid_id.reporting.html.diagnosis_page import diagnosis_page
+from hybrid_id.reporting.html.twin import Drawn
+from hybrid_id.reporting.parameter_tables import bound_cells
+from hybrid_id.systems import System
+
+PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", 12.345, 1.3)
+TIED = ("spring_load@joint1/load", "gravity_load@joint1/load")
+MANY = (
+    "asymmetric_friction@joint1/motor_friction", "asymmetric_friction@joint1/link_friction",
+    "constant_torque@joint1/load", "gravity_load@joint1/load", "spring_load@joint1/load", "delay@joint1/input",
+)  # fmt: skip
+PLACE = Location("joint2", "load", "angle", 0.62, np.linspace(-1, 1, 5), np.linspace(-2, 2, 5))
+ACTS = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 0.1, 9.0))
+
+
+@pytest.fixture(scope="module")
+def figures(diagnosed: tuple[Dataset, System, Diagnosis]) -> dict[str, Drawn]:
+    return diagnosis_figures(diagnosed[2])
+
+
+def half_explained(found: Diagnosis, **changes: object) -> Diagnosis:
+    """The spring explains 43 % of the gap, something at joint 2 the rest."""
+    first = replace(found.effects[0], share=0.43, share_interval=(0.37, 0.48), probability=0.97)
+    some = {
+        "effects": (first, *found.effects[1:]), "unknown": True, "remainder": 0.57,
+        "remainder_interval": (0.5, 0.62), "disturbances": ACTS, "residual_after": (PLACE,),
+    }  # fmt: skip
+    return replace(found, **(some | changes))
+
+
+def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
+    """Every verdict, the longest form of each."""
+    implausible = tuple(f"F_v{k} is driven to zero" for k in range(9))
+    return {
+        "effects": half_explained(found, ties=(TIED, TIED), implausible=implausible, experiments=(PROPOSED,)),
+        "outside_catalogue": half_explained(
+            found,
+            verdict="outside_catalogue",
+            effects=found.effects[1:],
+            ties=(MANY[:4],),
+            implausible=implausible,
+            confounded=("kp and temperature1 rise together",),
+            rejected=("delay at joint1/input",),
+            contradiction="On the test records the corrected model predicts worse than the re-fitted one.",
+            horizon=Horizon("windows", 0.5),
+        ),
+        "parameters_only": replace(
+            sound,
+            verdict="parameters_only",
+            implausible=implausible,
+            changes="A load explains the new values.",
+        ),
+        "no_gap": replace(sound, verdict="no_gap", rejected=("delay at joint1/input",)),
+        "inconclusive": replace(sound, verdict="inconclusive"),
+    }
+
+
+WORDS = {
+    "effects": "Spring load explains 43 % (37-48 %; probability 0.97) of the gap; 57 % (50-62 %) remains unexplained, "
+    "at joint 2, on the link side, with the angle. An effect outside the catalogue acts as well.",
+    "outside_catalogue": "An effect outside the catalogue explains 57 % (50-62 %) of the gap, at joint 2, on the link "
+    "side, with the angle; none of ",
+    "parameters_only": "Wrong parameter values explain the gap, and no effect is missing. A load explains the new "
+    "values.",
+    "no_gap": "There is no gap: none of ",
+    "inconclusive": "Inconclusive: too little data. The errors are worth ",
+}
+
+
+@pytest.mark.parametrize("verdict", WORDS)
+def test_summary_begins_with_what_is_known_and_is_short(verdict: str, diagnosed, sound) -> None:
+    lines = summary(variants(diagnosed[2], sound[2])[verdict]).splitlines()
+    assert " ".join(lines).startswith(WORDS[verdict])
+    assert len(lines) <= 25
+    assert max(map(len, lines)) <= 120
+
+
+def test_headline_of_a_whole_explanation(diagnosed) -> None:
+    sentence = headline(diagnosed[2])
+    assert sentence.startswith("Spring load explains 100 % (") and sentence.endswith(
+        "nothing structural remains."
+    )
+
+
+def test_no_place_is_named_unless_it_is_identified(diagnosed) -> None:
+    two = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 0.68, 1.0))
+    assert "unexplained. An effect" in headline(half_explained(diagnosed[2], disturbances=two))
+    weak = half_explained(diagnosed[2], residual_after=(replace(PLACE, share=0.03),))
+    assert "unexplained, at joint 2, on the link side. An effect" in headline(weak)
+    one_side = half_explained(diagnosed[2], disturbances=(ACTS[0], Disturbance("joint2", "motor", 0.69, 1.0)))
+    assert "at joint 2, with the angle" in headline(one_side)
+
+
+def test_indistinguishable_effects_share_a_headline(diagnosed) -> None:
+    found = half_explained(diagnosed[2])
+    tied = replace(found.effects[0], tied_with=(TIED[1], "load_dependent_friction@joint1/motor_friction"))
+    sentence = headline(replace(found, effects=(tied, *found.effects[1:])))
+    assert sentence.startswith(
+        "Spring load, gravity load or load-dependent friction (indistinguishable on these records) explains 43 %"
+    )
+
+
+def test_an_interrupted_search_says_so(diagnosed, sound) -> None:
+    for one, words in (
+        (diagnosed[2], "Spring load explains"),
+        (sound[2], "Inconclusive: no effect had been"),
+    ):
+        verdict = one.verdict if one.selected else "inconclusive"
+        cut = replace(one, verdict=verdict, search=replace(one.search, interrupted=True))
+        assert headline(cut).startswith(words) and "The search was interrupted" in headline(cut)
+        assert cut.as_dict()["interrupted"] is True
+
+
+def test_errors_are_told_by_output_with_their_horizon(diagnosed) -> None:
+    found: Diagnosis = diagnosed[2]
+    gap = found.shrink
+    assert gap is not None and found.nominal is not None
+    first, second = error_lines(found)
+    assert first == (
+        f"NRMSE on 1 test record, free runs over whole records: q_m1 nominal {found.nominal.nrmse:.3g}, re-fitted "
+        f"{gap.refit:.3g}, corrected {gap.with_effect:.3g}; noise floor {gap.floor:.3g}."
+    )
+    assert second.startswith(f"shrink of the gap on them: {100 * min(gap.share, 1):.0f} % (")
+    words = "The test records do not confirm the correction."
+    windowed = replace(found, horizon=Horizon("windows", 0.5), contradiction=words)
+    assert "free runs of 0.5 s from measured states" in error_lines(windowed)[0]
+    assert error_lines(windowed)[2] == f"contradiction: {words}"
+
+
+def test_ties_come_with_the_experiment_that_distinguishes_them(diagnosed) -> None:
+    words = " ".join(summary(replace(diagnosed[2], ties=(TIED,), experiments=(PROPOSED,))).split())
+    assert (
+        "indistinguishable on these records: spring load (joint 1, at the load), gravity load (joint 1, at the load)."
+        in words
+    )
+    assert "What would distinguish them: slow motion both ways over a quarter turn and more." in words
+    assert (
+        "next experiment: reversals of growing size at joint 1: the outputs of the tied models would differ"
+        in words
+    )
+    assert "by 12 times the encoders' noise (RMS; 1.3 in these records)." in words
+    idle = replace(diagnosed[2], ties=(TIED,), experiments=(replace(PROPOSED, distance=0.08),))
+    assert "differ by more than 0.08 times" in " ".join(summary(idle).split())
+    assert idle.as_dict()["next_experiments"] == []
+    clear = summary(replace(diagnosed[2], ties=(), experiments=()))
+    assert "indistinguishable" not in clear and "next experiment" not in clear
+
+
+def test_a_tie_quotes_what_distinguishes_its_own_pair(diagnosed) -> None:
+    spring, lag = "joint_flexibility@joint1/transmission", "electrical_lag@joint1/motor"
+    tied = tie_lines(
+        replace(diagnosed[2], ties=((spring, "delay@joint1/input"), (lag, "delay@joint1/input")))
+    )
+    assert "distinguish them: a slow sweep through the resonance" in tied[0] and "lag" not in tied[0]
+    assert "distinguish them: a fast sweep: a delay turns the phase on" in tied[1]
+    (unknown,) = tie_lines(replace(diagnosed[2], ties=(("delay@joint1/input", TIED[0]),)))
+    assert unknown.endswith("(joint 1, at the load).")  # nothing is known of this pair
+    (sides,) = tie_lines(replace(diagnosed[2], ties=(MANY[:2],)))
+    assert sides.endswith(f"distinguish them: {SIDES}.")
+
+
+def test_a_tie_of_many_says_each_excitation_once(diagnosed) -> None:
+    (line,) = tie_lines(replace(diagnosed[2], ties=(MANY,)))
+    assert (
+        f"distinguish them: for the places of asymmetric friction, {SIDES}; for asymmetric friction and constant"
+        in line
+    )
+    shared = "slow motion both ways over the whole range: uneven friction is the same all over"
+    assert line.count(shared) == 1
+    assert (
+        f"for asymmetric friction and gravity load, and for asymmetric friction and spring load, {shared}"
+        in line
+    )
+    (brief,) = tie_lines(replace(diagnosed[2], ties=(MANY,)), brief=True)
+    assert brief.split("distinguish them: ")[1] == (
+        f"{SIDES.split(': ')[0]}; steady speeds both ways at several heights, cold and warm; slow motion both ways "
+        "over the whole range; slow motion both ways over a quarter turn and more."
+    )
+
+
+def test_without_test_records_no_error_is_claimed(diagnosed, sound) -> None:
+    blind = {"nominal": None, "refit": None, "with_effect": None, "shrink": None}
+    for one in (
+        diagnosed[2],
+        replace(sound[2], verdict="no_gap"),
+        replace(sound[2], verdict="parameters_only"),
+    ):
+        words = summary(replace(one, **blind))
+        assert "NRMSE" not in words
+        assert "no test record moves" in words
+
+
+@pytest.mark.parametrize(
+    ("torque", "words"),
+    [
+        ([-2.0, 0.0, 1.0, 3.0], "it grows with the angle"),
+        ([3.0, 1.0, 0.0, -2.0], "it falls with the angle"),
+        ([0.0, 2.0, 2.0, 0.0], "it varies with the angle"),
+    ],
+)
+def test_profile_in_words(torque: list[float], words: str) -> None:
+    one = Location("joint1", "load", "angle", 0.5, np.arange(4.0), np.array(torque))
+    assert goes_with(one) == words
+
+
+def test_every_signal_has_words(diagnosed) -> None:
+    for one in diagnosed[2].location:
+        assert goes_with(one).startswith("it ")
+
+
+def test_former_keys_say_what_the_new_ones_say(diagnosed) -> None:
+    content = half_explained(diagnosed[2]).as_dict()
+    assert all(content[old] == content[new] for old, new in FORMER_KEYS.items())
+    assert content["unknown_at"] == {"joint": "joint2", "place": "load"}
+    assert content["outvoted"] == [] and content["window"] is None and content["halted_elsewhere"] is False
+    assert content["gap"]["by_output"]["q_m1"]["refit"] == content["gap"]["refit"]
+
+
+def test_tables_hold_every_effect_and_parameter(diagnosed) -> None:
+    found = diagnosed[2]
+    assert effects_table(found).row_count == len(found.effects)
+    table = parameters_table(found)
+    names = list(table.columns[0].cells)
+    assert {"J", "F_c", "k_s", "q_s"} <= set(names)
+    heads = [str(column.header) for column in table.columns]
+    assert heads[:3] == ["parameter", "meaning", "nominal"] and heads[7] == "unit"
+    row = names.index("k_s")
+    cells = {name: [str(list(column.cells)[k]) for column in table.columns] for k, name in enumerate(names)}
+    assert cells["k_s"][2:5] == ["", "", ""]  # the nominal model lacks it
+    assert names.index("k_s") == row and cells["k_s"][1] == "stiffness of what pulls"
+    assert cells["k_s"][6] == "none"  # in voltage and angle no torque has a scale
+    low, high = map(float, cells["q_s"][6].split(" to "))
+    assert low < float(cells["q_s"][5]) < high
+
+
+def test_one_interval_for_a_number(diagnosed) -> None:
+    """The effect's line shows the interval of the table of parameters."""
+    found = diagnosed[2]
+    (values,), parameters = value_lines(found, 1.96, 0.95), parameters_table(found)
+    names = list(parameters.columns[0].cells)
+    interval = str(list(parameters.columns[6].cells)[names.index("q_s")])
+    assert f"({interval}) rad" in values and "(not identified) N m/rad" in values
+
+
+def test_a_bound_that_is_reached_is_marked(diagnosed) -> None:
+    model = diagnosed[2].model
+    value = model.parameter("q_s").spec.value
+    tight = model.with_specs({"q_s": replace(model.parameter("q_s").spec, upper=value)})
+    assert [str(cell) for cell in bound_cells(tight, "q_s")][1] == f"{value:.4g}, reached"
+    assert "reached" not in str(bound_cells(model, "q_s")[1])
+
+
+def test_pictures_are_there_and_not_empty(figures, sound) -> None:
+    names = [
+        "shares",
+        "gap",
+        "missing_torque",
+        "location",
+        "torque_map",
+        "reversals",
+        "candidates",
+        "worst_record",
+    ]
+    assert list(figures) == names
+    assert not {"shares", "missing_torque", "torque_map"} & set(
+        diagnosis_figures(sound[2])
+    )  # nothing is missing
+    for image, plot in figures.values():
+        assert plot["data"]
+        assert image.dtype == np.uint8 and image.shape[2] == 3
+        assert image.min() < 60 and (image == 255).mean() > 0.5
+
+
+def test_pictures_of_records_without_a_test(diagnosed) -> None:
+    alone = replace(diagnosed[2], nominal=None, refit=None, with_effect=None, shrink=None)
+    assert "gap" not in diagnosis_figures(alone)
+
+
+def test_page_has_the_headline_first_and_every_picture(diagnosed, figures) -> None:
+    found = diagnosed[2]
+    text = diagnosis_page(found, figures, reach=1.96, level=0.95).html()
+    titles = re.findall(r"<h2>(.*?)</h2>", text)
+    assert titles == [
+        "Effects", "Location", "Test records", "Parameters", "Residuals", "Ties and next experiment", "Records",
+    ]  # fmt: skip
+    assert "Re-fitted model, q_m1: not white" in text and "Corrected model, q_m1: " in text
+    assert text.index("Spring load explains") < text.index("<h2>")
+    assert text.count("data:image/png;base64,") == len(figures)
+    assert all(words_of(one.name) in text for one in found.effects)
+    assert text.count('<td class="">joint 1') < len(
+        found.effects
+    )  # the improbable ones are named in a sentence
+
+
+def test_events_hold_errors_shares_probabilities_and_pictures(diagnosed, figures, tmp_path) -> None:
+    images = {name: figure.image for name, figure in figures.items()}
+    write_diagnosis_events(tmp_path, diagnosed[2], images)
+    events = EventAccumulator(str(tmp_path)).Reload()
+    scalars = set(events.Tags()["scalars"])
+    assert {"gap/nominal", "gap/re-fitted", "gap/corrected", "gap/q_m1/corrected"} <= scalars
+    assert {"probability/joint1/load/spring_load", "share/joint1/load/spring_load"} <= scalars
+    assert {f"figures/{name}" for name in images} == set(events.Tags()["images"])
