@@ -17,7 +17,7 @@ for case in sys.argv[2:]:
     begun = time.process_time()
     fits, found = search(Fits(dataset), nominal, max_effects=1)
     middle = time.process_time()
-    todo = [task for part in tasks(fits, found.base, nominal) for task in part]
+    todo = tasks(fits, found.base)
     ends = best_of_each([one for one in fits.run(todo, FULL) if one is not None], key=effects_of)
     slow = simplest_first(ends, found.base)
     fast = found.steps[0].candidates if found.steps else ()

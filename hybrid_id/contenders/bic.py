@@ -28,7 +28,7 @@ def bic(dataset: Dataset, system: System) -> dict[str, Any]:
     """Name the effect with the least criterion, if any is below that of the nominal model."""
     fits = Fits(dataset)
     base = fits.base(system)
-    coarse = best_of_each(fits.run([t for part in tasks(fits, base, system) for t in part], COARSE))
+    coarse = best_of_each(fits.run(tasks(fits, base), COARSE))
     finals = fits.run([Task(one.effects, one.system) for one in coarse[:FINALISTS]], FULL)
     ranked = best_of_each([*coarse, *finals])
     criteria = np.array([criterion(base), *(criterion(one) for one in ranked)])

@@ -18,7 +18,7 @@ def stribeck(dataset: Dataset, system: System) -> dict[str, Any]:
     """Name Stribeck friction, whatever the records say."""
     fits = Fits(dataset)
     base = fits.base(system)
-    todo = [task for part in tasks(fits, base, system) for task in part if task.effects[0][0] == NAME]
+    todo = [task for task in tasks(fits, base) if task.effects[0][0] == NAME]
     found = sorted((one for one in fits.run(todo, ITERATIONS) if one is not None), key=lambda one: one.error)
     places = list(dict.fromkeys(one.effects[0][1] for one in found)) or ["joint1/motor_friction"]
     effects = [named(NAME, where, 1.0 if k == 0 else 0.0, selected=k == 0) for k, where in enumerate(places)]

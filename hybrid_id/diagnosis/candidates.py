@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 import hybrid_id.diagnosis.effects  # noqa: F401  (fills the catalogue)
@@ -20,42 +20,41 @@ SPRINGS = ("backlash", "joint_flexibility", "hardening_flexibility")
 """Effects of which a gear has one."""
 
 
-def tasks(
-    fits: Fits,
-    before: Model,
-    nominal: System,
-    among: frozenset[Name] | None = None,
-    refused: Collection[Name] = (),
-) -> tuple[list[Task], list[Task]]:
-    """A fit to start for every effect, place and initial value, or for those of some effects, but for refused ones.
+def tasks(fits: Fits, before: Model, among: frozenset[Name] | None = None) -> list[Task]:
+    """A fit to start for every effect, place and initial value, or for those of some effects, from a model's values.
 
-    Each starts where the model before has ended. Where that has moved its parameters beyond what data sheets get wrong,
-    each may start from the nominal values, too: the second list, for fits from afar.
+    Args:
+        fits: holds the records.
+        before: the model that the effects are added to.
+        among: the effects; None for the whole catalogue.
     """
     batch = fits.records(before.system)
-    left = Left(before.result, batch)
-    taken, found, others = set(before.effects), [], []
-    moved = len(before.effects) < 2 and bool(implausible_parameters(nominal, before.system))
-    least = before.result.cost
-    here, there = fits.slopes(before.system, least), None
-    if (
-        moved
-        and hidden_links(before.system, batch)
-        and (own := at_nominal(before.system, nominal)) is not None
-    ):
-        there = fits.slopes(own, least)  # behind play even a fit from afar is one of whole records
+    left, near = Left(before.result, batch), fits.slopes(before.system, before.result.cost)
+    found = []
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
             for where, starts in effect.models(before.system, size, left).items():
                 name = effect.name, where
-                if name in taken or name in refused or (among is not None and name not in among):
+                if name in before.effects or (among is not None and name not in among):
                     continue
-                names = tuple(sorted((*before.effects, name)))
-                for start in starts:
-                    found.append(Task(names, start, here))
-                    if moved and (again := at_nominal(start, nominal)) is not None:
-                        others.append(Task(names, again, there))
-    return found, others
+                found += [Task(tuple(sorted((*before.effects, name))), start, near) for start in starts]
+    return found
+
+
+def from_nominal(fits: Fits, before: Model, nominal: System, fitted: Sequence[Model]) -> list[Task]:
+    """The same from the nominal values, with each effect as a coarse fit has found it.
+
+    Only where the model before has moved its parameters beyond what data sheets get wrong, to make up for
+    what it lacks: that may be far from where they are with the right effect.
+    """
+    if before.effects or not implausible_parameters(nominal, before.system):
+        return []
+    near = None
+    if hidden_links(before.system, fits.records(before.system)):
+        own = at_nominal(before.system, nominal)
+        near = None if own is None else fits.slopes(own, before.result.cost)
+    starts = ((one, at_nominal(one.system, nominal)) for one in fitted)
+    return [Task(one.effects, start, near) for one, start in starts if start is not None]
 
 
 def at_nominal(system: System, nominal: System) -> System | None:

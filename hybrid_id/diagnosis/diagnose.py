@@ -6,10 +6,12 @@ The test records are opened once, after the answer is frozen: they measure the g
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
 from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine
@@ -40,6 +42,7 @@ from hybrid_id.identification.horizons import Horizon, window_errors
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.facts import inseparable
 from hybrid_id.records.reach import beyond
+from hybrid_id.records.skew import Skew, find_skews
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.identifiable import preflight
 from hybrid_id.study.replays import batch_of
@@ -66,7 +69,8 @@ def diagnose(
     Args:
         dataset: train records, validation records if there are any, and test records.
         system: the nominal model.
-        horizon: how long free runs are before they start again from a measured state; None for what the records ask for.
+        horizon: how long free runs are before they start again from a measured state; None for what the
+            records ask for.
         max_effects: effects at most.
         jobs: processes.
         seed: of the resampling.
@@ -83,13 +87,15 @@ def diagnose(
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     say = progress or (lambda *_: None)
+    skews = find_skews(dataset)
+    dataset = dataset.without_skew({one.channel: one.late for one in skews})
     fits = Fits(dataset, jobs=jobs, signal_share=signal_share, kept=kept)
     say("nominal model", 0, 1)
     fits, found = search(fits, system, horizon=horizon, max_effects=max_effects, progress=progress)
     say("location", 0, 1)
     answer = settle(fits, found, system, seed=seed)
     say("test records", 0, 1)
-    return report(dataset, system, answer, test(dataset, system, answer, seed=seed), seed=seed)
+    return report(dataset, system, answer, test(dataset, system, answer, seed=seed), skews=skews, seed=seed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,7 +191,7 @@ def search(
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
-    """Freeze the answer: drop what is not sure, divide the gap, say where it lies and whether something unknown acts."""
+    """Freeze the answer: drop what is not sure, divide the gap, locate it, say whether something unknown acts."""
     before, rejected = tuple(locate(fits, found.base)), list[str]()
     while True:
         chosen = found.chosen
@@ -290,7 +296,7 @@ def _contradiction(answer: Answer, gap: Shrink, first: Errors, last: Errors) -> 
         and last.over_noise > 2.0 * max(trained, CRITERIA.negligible)
     ):
         return (
-            "The test records show something that no train record shows: give one of them the role 'train' and diagnose "
+            "The test records show what no train record shows: give one of them the role 'train' and diagnose "
             "again."
         )
     return ""
@@ -312,7 +318,23 @@ def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
     return 0.0 < left[1] < CRITERIA.left_open * left[0]
 
 
-def report(dataset: Dataset, system: System, answer: Answer, tested: Tested, *, seed: int = 0) -> Diagnosis:
+def _changes(answer: Answer, system: System) -> str:
+    """Which physical change explains the new values, in a sentence, where nothing but these is wrong."""
+    fit = answer.found.base.result
+    if answer.verdict != "parameters_only" or fit.left_early:
+        return ""
+    return find_change(system, fit).words
+
+
+def report(
+    dataset: Dataset,
+    system: System,
+    answer: Answer,
+    tested: Tested,
+    *,
+    skews: Sequence[Skew] = (),
+    seed: int = 0,
+) -> Diagnosis:
     """Stage report: all that a diagnosis shows and writes, in one object."""
     found, graded, fits = answer.found, answer.grade, answer.fits
     left_open = graded.unknown or graded.remainder >= CRITERIA.left_open
@@ -345,7 +367,8 @@ def report(dataset: Dataset, system: System, answer: Answer, tested: Tested, *, 
         disturbances=tuple(disturbances(fits, found.chosen)) if left_open else (),
         disturbances_before=tuple(disturbances(fits, found.base)) if named_joint else (),
         vague=answer.vague,
-        changes="",
+        changes=_changes(answer, system),
+        skews=tuple(one.message for one in skews),
         search=found,
         details=Details(fits, system, found.fitted, answer.before, tested.with_effect, seed=seed),
     )

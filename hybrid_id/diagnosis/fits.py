@@ -18,6 +18,7 @@ from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.validation import coloured, validation
 from hybrid_id.errors import InputError, MachineError
+from hybrid_id.identification.confirm import confirmed
 from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs, hidden_links, windows
 from hybrid_id.identification.least_squares import Options, minimise
@@ -136,7 +137,13 @@ class Fits:
             raise InputError(
                 f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
             )
-        return min(ends, key=lambda e: e.result.cost)
+        best = min(ends, key=lambda e: e.result.cost)
+        # a fit that has stopped early would lend its gap to the first effect that frees it
+        again = confirmed(best.result, self.batch(best.system), options=Options(tolerance=0.05))
+        further = (
+            self.run([Task((), again.system, x0=again.x0)], FULL)[0] if again is not best.result else None
+        )
+        return further if further is not None and further.result.cost < best.result.cost else best
 
     def slopes(self, system: System, least: float) -> Slopes | None:
         """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none."""
@@ -222,8 +229,8 @@ def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
 def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     """Weighted errors of each row, ``(T, n_y)``, predicted by fits of the other records alone.
 
-    Every fit starts where that of all records has ended, with the first states that it has found: these are the left-out
-    record's own. A single record has no others: its blocks are left out one sixth at a time.
+    Every fit starts where that of all records has ended, with the first states that it has found: these are
+    the left-out record's own. A single record has no others: its blocks are left out one sixth at a time.
     """
     fold = folds(batch)
     if fold is None or len(set(batch.names)) == batch.rows:

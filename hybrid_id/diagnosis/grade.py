@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -109,7 +110,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     floor = last.error * (1.0 - structural)
     gap = max(first.error - floor, 1e-12 * max(first.error, 1e-300))
     draws = _nested(models, steps, structural, seed)
-    names = [added_effect(b, a) for a, b in zip(models[:-1], models[1:], strict=True)]
+    names = [added_effect(b, a) for a, b in pairwise(models)]
     shares = {
         name: ((a.error - b.error) / gap, _interval(draws[:, k]))
         for k, (name, a, b) in enumerate(zip(names, models[:-1], models[1:], strict=True))
@@ -245,8 +246,9 @@ def _weights(step: Step) -> np.ndarray:
 def _present(step: Step) -> float:
     """Probability that any effect beyond the model before is at work.
 
-    The p-value of the whole search as a bound of the Bayes factor against chance, ``-e p ln p`` at even odds (T. Sellke,
-    M. J. Bayarri and J. O. Berger, The American Statistician 55, 2001), times how far the fall is what an effect needs.
+    The p-value of the whole search as a bound of the Bayes factor against chance, ``-e p ln p`` at even odds
+    (T. Sellke, M. J. Bayarri and J. O. Berger, The American Statistician 55, 2001), times how far the fall is
+    what an effect needs.
     """
     if step.best is None:
         return 0.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.diagnosis.validation import BLOCK, coloured
 from hybrid_id.diagnosis.fits import runs
+from hybrid_id.diagnosis.validation import BLOCK, coloured
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import less_half_a_count

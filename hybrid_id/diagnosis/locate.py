@@ -1,8 +1,8 @@
 """Where the gap lies: at which joint, on which side, and on what the missing torque depends.
 
-A torque of any course in time has no signal and needs no catalogue: it says where something unknown acts. One torque has to
-explain the outputs of all joints at once, so that the right joint of an arm explains more than another; so does the right
-side of a compliant gear, by less.
+A torque of any course in time has no signal and needs no catalogue: it says where something unknown acts. One
+torque has to explain the outputs of all joints at once, so that the right joint of an arm explains more than
+another; so does the right side of a compliant gear, by less.
 """
 
 from __future__ import annotations

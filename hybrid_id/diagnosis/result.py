@@ -63,6 +63,7 @@ class Diagnosis:
         vague: least standard error, relative, of what these records identify of the nominal model, where no effect is
             named; 0 elsewhere.
         disturbances_before: the same of the re-fitted model, where an effect is named and there are several joints.
+        skews: channels that are recorded late against others, in words; the diagnosis has shifted them.
         changes: which physical change explains the new parameter values, in a sentence; empty where none does.
         search: all that was tried.
         details: maps, reversals, parameter statistics and tests of residuals, each computed when first asked for.
@@ -95,6 +96,7 @@ class Diagnosis:
     disturbances_before: tuple[Disturbance, ...]
     vague: float
     changes: str
+    skews: tuple[str, ...]
     search: Selection = field(repr=False)
     details: Details = field(repr=False)
 
@@ -190,6 +192,7 @@ class Diagnosis:
             "rejected": list(self.rejected),
             "between_record_variation": list(self.varying),
             "not_identifiable": [*self.not_identifiable, *self.confounded],
+            "skews": list(self.skews),
             "extrapolation": list(self.extrapolation),
             "next_experiments": [
                 {

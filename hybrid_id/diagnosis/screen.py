@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from hybrid_id.diagnosis.candidates import special_cases, tasks
+from hybrid_id.diagnosis.candidates import from_nominal, special_cases, tasks
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task
@@ -14,7 +14,7 @@ from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.identification.horizons import Horizon, hidden_links
 from hybrid_id.systems.chain import System
 
-PROMISING, STARTS, FINALISTS = 16, 6, 4
+PROMISING, STARTS, FINALISTS = 12, 4, 4
 """Effects that are fitted finer, further initial values of the best of them, and effects that are fitted to the end."""
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted further."""
@@ -50,24 +50,22 @@ def screen(
     nominal: System,
     *,
     among: frozenset[Name] | None = None,
-    refused: Collection[Name] = (),
     progress: Progress | None = None,
 ) -> Step:
-    """Every effect of the catalogue, or some of them, but for refused ones, added to a model, one at a time.
+    """Every effect of the catalogue, or some of them, added to a model, one at a time.
 
-    All are fitted coarsely; the promising ones finer, judged by linearised leave-one-out; the best to the end, judged by
-    true re-fits without the records that judge them.
+    All are fitted coarsely; the promising ones finer, judged by linearised leave-one-out; the best to the
+    end, judged by true re-fits without the records that judge them.
 
     Args:
         fits: fits models to the train records.
         before: the model that the effects are added to.
         nominal: the nominal system.
         among: the effects that are tried; None for all.
-        refused: effects that are not tried.
         progress: called with (stage, done, total).
     """
-    near, far = tasks(fits, before, nominal, among, refused)
-    total, count = len(near) + len(far) + PROMISING + STARTS + FINALISTS, [0]
+    near = tasks(fits, before, among)
+    total, count = len(near) + PROMISING + STARTS + FINALISTS, [0]
     stage = f"effect {len(before.effects) + 1}"
 
     def tick() -> None:
@@ -75,9 +73,10 @@ def screen(
         if progress is not None:
             progress(stage, min(count[0], total), total)
 
-    coarse = [one for one in fits.run(near, COARSE, tick) if one is not None]
-    ranked = _finer(fits, before, best_of_each(coarse, STARTS), tick)
-    if far and fits.whole and not (ranked and ranked[0].white):
+    coarse = best_of_each([one for one in fits.run(near, COARSE, tick) if one is not None], STARTS)
+    ranked = _finer(fits, before, coarse, tick)
+    if fits.whole and not (ranked and ranked[0].white):
+        far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
     for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
         chosen = best_of_each(ranked, key=effects_of)[:keep]
@@ -102,8 +101,8 @@ def finished(fits: Fits, some: Sequence[Model]) -> list[Model]:
 def _finer(fits: Fits, before: Model, coarse: Sequence[Model], tick: Callable[[], object]) -> list[Model]:
     """The most promising effects fitted finer, and some more initial values of the best; beside two effects fewer."""
     firsts = best_of_each(coarse, key=effects_of)
-    many = PROMISING if len(before.effects) < 2 else FINALISTS
-    more = [one for one in coarse if one not in firsts][: STARTS if many == PROMISING else 0]
+    many, starts = (FINALISTS, 0) if len(before.effects) > 1 else (PROMISING, STARTS)
+    more = [one for one in coarse if one not in firsts][:starts]
     return _further(fits, before, firsts[:many] + more, firsts, FINER, tick)
 
 
@@ -115,6 +114,8 @@ def _from_afar(
     Where the link is hidden behind play no window knows its state: where nothing else explains the records, coarse fits
     of whole ones instead, of which those are let go that stay far behind what has been found.
     """
+    if not far:
+        return []
     batch = fits.records(far[0].system)  # which links are measured is the same for every model
     hidden = [hidden_links(task.system, batch) for task in far]
 
@@ -221,7 +222,7 @@ def best_of_each(
 
 
 def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
-    """Of the finished candidates that predict as well as the best, the one with the fewest parameters leads (parsimony).
+    """Of the finished candidates that predict as well as the best, the one with fewest parameters leads (parsimony).
 
     Where the records cannot tell on which side of a gear an effect acts, it is where it usually does.
     """

@@ -1,8 +1,9 @@
 """Which effects: forward selection with swaps and backward elimination.
 
-The effect that predicts records left out best is added; then the next beside it; then those that had explained as much as
-the first are tried in its place, and each of the selected has to show that the rest cannot do without it. Before an
-effect is accepted, the model without it is fitted again from where the model with it has ended.
+The effect that predicts records left out best is added; then the next beside it; then those that had
+explained as much as the first are tried in its place, and each of the selected has to show that the rest
+cannot do without it. Before an effect is accepted, the model without it is fitted again from where the model
+with it has ended.
 """
 
 from __future__ import annotations

@@ -34,10 +34,11 @@ def folds(batch: Batch) -> np.ndarray | None:
 def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[np.ndarray]:
     """Weighted residuals of each record, ``(T, n_y)``, each part at what the others alone ask for.
 
-    Without part i the estimate moves by Gauss-Newton steps ``(H - H_i) delta = sum_j!=i J_j' r_j`` with the slopes of the
-    whole fit (a chord method; one step: A. C. Davison and D. V. Hinkley, Bootstrap Methods and their Application, 1997,
-    section 6.4). Each step is taken as far as it lowers the simulated cost of the others, and the fit of the others has
-    ended where none does: all parts go side by side, as lanes of one rollout.
+    Without part i the estimate moves by Gauss-Newton steps ``(H - H_i) delta = sum_j!=i J_j' r_j`` with the
+    slopes of the whole fit (a chord method; one step: A. C. Davison and D. V. Hinkley, Bootstrap Methods and
+    their Application, 1997, section 6.4). Each step is taken as far as it lowers the simulated cost of the
+    others, and the fit of the others has ended where none does: all parts go side by side, as lanes of one
+    rollout.
 
     Args:
         result: of all records of the batch, pooled.
