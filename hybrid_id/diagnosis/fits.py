@@ -202,10 +202,8 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
             result = _nearest(task, batch, iterations, halting)
         if hidden and task.shake and full:
             result = shaken(result, batch)
-        if full or fits.dataset.validation:
-            unseen = _unseen(fits, result, batch)
-        else:
-            unseen = leave_one_out(result, batch) if iterations > COARSE else list(result.residual)
+        coarse = iterations <= COARSE and not fits.dataset.validation
+        unseen = list(result.residual) if coarse else _unseen(fits, result, batch)
         found = validation(unseen, batch.step)
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):

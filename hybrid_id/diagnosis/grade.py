@@ -15,7 +15,7 @@ from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.model import Model, Name, added_effect
 from hybrid_id.diagnosis.screen import Step
 from hybrid_id.diagnosis.select import Selection, accepted, chance, needed_fall, refitted_without
-from hybrid_id.diagnosis.validation import DRAWS, mean_square
+from hybrid_id.diagnosis.validation import DRAWS, Validation, mean_square
 
 Interval = tuple[float, float]
 
@@ -127,11 +127,12 @@ def _with_share(
     one: Candidate, shares: dict[Name, tuple[float, Interval]], found: Selection, gap: float
 ) -> Candidate:
     base = found.base.validation.error
+    measurable = gap > CRITERIA.least_fall * base  # shares of next to nothing say nothing
     alone = next(
         (
             (base - e.error) / gap
             for step in found.steps
-            if not step.before.effects
+            if measurable and not step.before.effects
             for e in step.candidates
             if added_effect(e, step.before) == (one.name, one.where)
         ),
@@ -177,31 +178,28 @@ def _ladder(fits: Fits, found: Selection) -> tuple[list[Model], list[Step]]:
 
 
 def _nested(models: Sequence[Model], steps: Sequence[Step], structural: float, seed: int) -> np.ndarray:
-    """Draws of the shares ``(draws, n + 1)``, the remainder last: blocks drawn choose, those not drawn measure."""
+    """Draws of the shares ``(draws, n + 1)``, the remainder last: the blocks drawn choose among rivals, too."""
     generator, n = np.random.default_rng(seed), len(models[0].validation.blocks)
     ends = [one.validation for one in models]
     rivals = []
     for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
         alike = [e for e in step.candidates if e.finished and accepted(e, step.before, step.candidates)]
+        # the step may have compared them beside other effects than the chosen ones: their distance to its best counts
         shift = after.error / max(step.best.error, 1e-300) if step.best is not None else 1.0
-        rivals.append((before.validation, [after.validation, *(e.validation for e in alike[1:])], shift))
+        some = [(after.validation, 1.0), *((e.validation, shift) for e in alike[1:])]
+        rivals.append((before.validation, some))
     found = np.zeros((DRAWS // 4, len(models)))
     for draw in found:
         count = np.bincount(generator.integers(0, n, n), minlength=n)
-        out = count == 0
-        if not out.any():
-            out = ~out
 
-        def over(one, weight):
-            return float(weight @ one.blocks / max(weight @ one.sizes, 1.0))
+        def over(one: Validation, count: np.ndarray = count) -> float:
+            return float(count @ one.blocks / (count @ one.sizes))
 
-        floor = (1.0 - structural) * over(ends[-1], out)
-        gap = max(over(ends[0], out) - floor, 1e-300)
-        for k, (before, some, shift) in enumerate(rivals):
-            inside = [over(one, count) * (1.0 if j == 0 else shift) for j, one in enumerate(some)]
-            j = int(np.argmin(inside))
-            draw[k] = (over(before, out) - over(some[j], out) * (1.0 if j == 0 else shift)) / gap
-        draw[-1] = structural * over(ends[-1], out) / gap
+        left = structural * over(ends[-1])
+        gap = max(over(ends[0]) - over(ends[-1]) + left, 1e-300)
+        for k, (before, some) in enumerate(rivals):
+            draw[k] = (over(before) - min(shift * over(one) for one, shift in some)) / gap
+        draw[-1] = left / gap
     return found
 
 

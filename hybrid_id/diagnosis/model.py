@@ -20,8 +20,7 @@ class Model:
     Attributes:
         effects: what has been added to the nominal model, in the order of their names.
         result: the fit.
-        validation: its errors on records left out: linearised for what has only been screened, of true re-fits for
-            what has been fitted to the end.
+        validation: its errors on records left out; those of the fit itself for what has only been fitted coarsely.
         finished: whether it has been fitted to the end.
     """
 

@@ -78,6 +78,7 @@ def select(
     ):
         step = first or screen(fits, model, nominal, among=_alive(steps, model), progress=progress)
         first = None
+        step = _accepted_first(step)
         steps.append(step)
         best, swaps = step.best, list[Step]()
         if best is not None and model.effects and promising(best, model):
@@ -115,6 +116,14 @@ def interrupted(base: Model, steps: Sequence[Step]) -> Selection:
     chosen = last.best if sure and last.best is not None else last.before
     base = base if chosen.effects else chosen
     return Selection(base, tuple(steps), chosen, interrupted=True)
+
+
+def _accepted_first(step: Step) -> Step:
+    """The step led by the best candidate that is accepted; as it was where none is."""
+    passing = [e for e in step.candidates if e.finished and accepted(e, step.before, step.candidates)]
+    if not passing or passing[0] is step.candidates[0]:
+        return step
+    return replace(step, candidates=(passing[0], *(e for e in step.candidates if e is not passing[0])))
 
 
 def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> bool:

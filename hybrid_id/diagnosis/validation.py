@@ -112,16 +112,22 @@ def _relative(one: Validation, other: Validation) -> np.ndarray:
 
 
 def _correlation_length(series: np.ndarray, row: np.ndarray) -> float:
-    """Blocks over which a series goes together: ``1 + 2 sum rho_k`` with the autocorrelations while positive."""
-    centred = series - series.mean()
-    total, length = float(centred @ centred), 1.0
-    for lag in range(1, max(2, len(series) // 4)):
+    """Blocks over which a series goes together: ``1 + 2 sum rho_k`` with the autocorrelations while positive.
+
+    Each record's own mean is taken out: that one record gains more than another is no correlation in time. What this
+    takes from the correlation, about its length over that of a record, is given back.
+    """
+    own = np.unique(row, return_inverse=True)[1]
+    count = np.bincount(own)
+    centred = series - (np.bincount(own, series) / count)[own]
+    total, length, shortest = float(centred @ centred), 1.0, int(count.min())
+    for lag in range(1, max(2, shortest // 2)):
         same = row[lag:] == row[:-lag]
         rho = float((centred[lag:] * centred[:-lag])[same].sum()) / max(total, 1e-300)
         if rho <= 0.0:
             break
         length += 2.0 * rho
-    return length
+    return length * (1.0 + 2.0 * length / max(shortest, 2))
 
 
 def coloured(residuals: Sequence[np.ndarray]) -> float:

@@ -12,7 +12,7 @@ def _delay(system, s, place):
     if has(system, f"joint{s.joint}/input", "delay", "late_reading"):
         return []
     # a long history costs time, and few drives need one
-    longest = min(0.03, 15.0 * s.sample_time)
+    longest = min(0.06, 15.0 * s.sample_time)
     late = [
         ("delay", {"T_d": free(start * s.sample_time, 0.0, most, "s")})
         for start, most in ((0.5, longest), (3.0, longest), (25.0, 5.0 * longest))
