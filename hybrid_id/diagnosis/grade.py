@@ -273,7 +273,7 @@ def indistinguishable(model: Model, step: Step) -> list[Model]:
         if e.error < closed
         and not _contains(e, step)
         and max(e.error / model.error, model.error / e.error) < near
-        and abs(model.validation.z(e.validation)) < CRITERIA.distinct_z
+        and model.validation.z(e.validation) < CRITERIA.distinct_z
     ]
 
 
