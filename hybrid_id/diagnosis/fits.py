@@ -202,8 +202,10 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
             result = _nearest(task, batch, iterations, halting)
         if hidden and task.shake and full:
             result = shaken(result, batch)
-        coarse = iterations <= COARSE and not fits.dataset.validation
-        unseen = list(result.residual) if coarse else _unseen(fits, result, batch)
+        if fits.dataset.validation or full or (iterations > COARSE and not fits.whole):
+            unseen = _unseen(fits, result, batch)
+        else:
+            unseen = leave_one_out(result, batch, AGAIN) if iterations > COARSE else list(result.residual)
         found = validation(unseen, batch.step)
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
@@ -231,8 +233,10 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     the left-out record's own. A single record has no others: its blocks are left out one sixth at a time.
     """
     fold = folds(batch)
-    if fold is None or len(set(batch.names)) == batch.rows:
+    if fold is None:
         return leave_one_out(result, batch, AGAIN)
+    if len(set(batch.names)) == batch.rows:
+        return _predicted_records(result, batch, fold)
     parts = np.unique(fold)
     inside = [np.flatnonzero(fold != k) for k in parts]
     system, free = result.system, result.system.estimated
@@ -250,6 +254,25 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     )
     number, kept = np.searchsorted(parts, fold), (batch.weight > 0).any(2).numpy()
     return [runs[number[row], row, kept[row]] for row in range(batch.rows)]
+
+
+def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> list[np.ndarray]:
+    """The same of whole records, by finite steps, which see through stick and slip and play."""
+    found: list[np.ndarray] = [np.empty(0)] * batch.rows
+    for k in np.unique(fold):
+        inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
+        again = secant_fit(
+            result.system,
+            batch.take(inside),
+            engine=result.engine,
+            iterations=AGAIN,
+            x0=result.x0[inside.numpy()],
+        )
+        rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
+        errors = rest.residuals(again.values[None], result.x0[None, outside.numpy()])[0]
+        for row, error in zip(outside.tolist(), errors, strict=True):
+            found[row] = error[(batch.weight[row] > 0).any(1).numpy()]
+    return found
 
 
 def _nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> FitResult:

@@ -54,8 +54,8 @@ def screen(
 ) -> Step:
     """Every effect of the catalogue, or some of them, added to a model, one at a time.
 
-    All are fitted coarsely, the promising ones finer, the best to the end; the latter two are judged by re-fits without
-    the records that judge them.
+    All are fitted coarsely; the promising ones finer, judged by leave-one-out with the slopes of the fit; the best to
+    the end, judged by true re-fits without the records that judge them.
 
     Args:
         fits: fits models to the train records.

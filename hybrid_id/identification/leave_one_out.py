@@ -65,6 +65,7 @@ def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[
     left = np.tile(residual, (PARTS, 1, 1))
     others = np.array([parts != i for i in range(PARTS)])
     costs = np.array([np.square(left[i][others[i]]).sum() for i in range(PARTS)])
+    active = set(range(PARTS))
     for _ in range(iterations):
         tried = np.repeat(points, len(SHARES), 0)
         for i in range(PARTS):
@@ -73,18 +74,20 @@ def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[
             tried[i * len(SHARES) : (i + 1) * len(SHARES), inside] += np.outer(SHARES, step)
         tried = np.clip(tried, low, high)
         runs = rollouts.residuals(tried, np.tile(result.x0, (len(tried), 1, 1)))[:, kept]
-        gained = False
-        for i in range(PARTS):
+        for i in sorted(active):
             found = [
                 float(np.square(run[others[i]]).sum())
                 for run in runs[i * len(SHARES) : (i + 1) * len(SHARES)]
             ]
             best = int(np.argmin(found))
-            if found[best] < costs[i]:
-                gained |= found[best] < (1.0 - SETTLED) * costs[i]
+            # first states are held, which costs the whole step a little: it is taken all the same
+            best = 0 if found[0] <= (1.0 + SETTLED) * min(found[best], costs[i]) else best
+            if found[best] >= (1.0 - SETTLED) * costs[i]:
+                active.remove(i)
+            if found[best] <= (1.0 + SETTLED) * costs[i]:
                 k = i * len(SHARES) + best
                 points[i], left[i], costs[i] = tried[k], runs[k], found[best]
-        if not gained:
+        if not active:
             break
     unseen = np.take_along_axis(left, parts[None, :, None], 0)[0]
     return np.split(unseen, np.cumsum(kept.sum(1))[:-1])

@@ -9,7 +9,7 @@ import hybrid_id.diagnosis.diagnose as module
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.fits import Fits, engine
-from hybrid_id.diagnosis.windows import windows
+from hybrid_id.identification.horizons import Horizon, windows
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replays import batch_of
@@ -56,24 +56,23 @@ def test_records_of_less_than_four_windows_stay_whole() -> None:
     assert windows(nominal, engine(), batch, 0.5) is batch
 
 
-def test_a_search_whose_free_runs_are_lost_is_done_again_over_windows(
+def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    monkeypatch.setattr(Fits, "lost", lambda *_: True)
-    monkeypatch.setattr(module, "WINDOW", 0.3)
+    monkeypatch.setattr(Fits, "astray", lambda *_: 1.0)
+    monkeypatch.setattr(module, "choose_horizon", lambda *_: Horizon("windows", 0.3))
     few = ("spring_load", "thermal_derating", "stribeck_friction")
     monkeypatch.setattr(candidates, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     fits, found = module.search(Fits(dataset), nominal, max_effects=1)
-    assert fits.window == found.window == 0.3
+    assert fits.horizon == Horizon("windows", 0.3)
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
     assert all(len(e.result.residual) > len(dataset.train) for e in (found.base, found.chosen))
     assert found.chosen.error < 0.2 * found.base.error
 
 
-def test_records_too_short_for_windows_stay_whole_in_a_search(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_horizon_of_the_user_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     dataset, nominal = small_case()
-    monkeypatch.setattr(Fits, "lost", lambda *_: True)
     monkeypatch.setattr(candidates, "CATALOGUE", {"spring_load": CATALOGUE["spring_load"]})
-    fits, found = module.search(Fits(dataset), nominal, max_effects=1)
-    assert fits.window is None and found.window is None
+    fits, _ = module.search(Fits(dataset), nominal, horizon=Horizon("windows", 0.3), max_effects=1)
+    assert fits.horizon == Horizon("windows", 0.3)

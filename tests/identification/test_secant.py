@@ -8,10 +8,10 @@ import pytest
 import torch
 from drives import batch_of, multisine, rigid_drive
 
-from hybrid_id.components import Backlash, Delay, Gravity, Saturation, Viscous
+from hybrid_id.components import Backlash, Delay, Gravity, Viscous
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.left_out import PARTS, _parts, left_out
+from hybrid_id.identification.leave_one_out import PARTS, _parts, leave_one_out
 from hybrid_id.identification.rollouts import Rollouts
 from hybrid_id.identification.secant import _followed, secant_fit, shaken, slopes_at
 from hybrid_id.parameters import Bounded
@@ -125,33 +125,23 @@ def test_a_part_left_out_is_predicted_as_by_a_fit_to_the_others() -> None:
     batch = batch_of(truth, inputs, rows=3, outputs=("q_m1",))
     run = rollout(truth, DRY, batch, truth.theta().detach()[:, None].expand(-1, 3))[..., :1]
     noise = NOISE * torch.randn(run.shape, generator=torch.Generator().manual_seed(1), dtype=run.dtype)
+    run[2] *= 1.05  # another machine: what the others predict of it differs from what it says itself
     batch = replace(batch, y=run + noise, weight=torch.full_like(run, 1.0 / NOISE))
     whole = secant_fit(truth, batch, engine=DRY)
     seen = sum(float(np.square(r).sum()) for r in whole.residual)
-    found, refitted = left_out(whole, batch), []
+    found, refitted = leave_one_out(whole, batch, 4), []
     free = [i for i, info in enumerate(truth.table) if info.spec.estimate]
     parts = _parts(batch)
-    for i in range(PARTS):
+    for i in range(min(PARTS, batch.rows)):
         mine = torch.tensor(parts == i)[..., None]
         others = replace(batch, weight=batch.weight * ~mine)
         alone = secant_fit(whole.system, others, engine=DRY)
-        run = Rollouts(truth, batch, DRY, free).residuals(alone.values[None])[0]
+        run = Rollouts(truth, batch, DRY, free).residuals(alone.values[None], whole.x0[None])[0]
         refitted.append(float(np.square(run[parts == i]).sum()))
     told = sum(float(np.square(r).sum()) for r in found)
-    assert told > seen
-    assert told - seen == pytest.approx(sum(refitted) - seen, rel=0.3)
-
-
-def test_what_one_record_alone_tells_is_not_lost_with_it() -> None:
-    # only the second record reaches the supply's limit: left out whole, it would be predicted without one
-    truth = rigid_drive().with_component("joint1/input", Saturation(V_max=Bounded(5.0, 1.0, 12.0, "V")))
-    slow, fast = (multisine(k, samples=600, rest=20, amplitude=a) for k, a in ((0, 2.0), (1, 9.0)))
-    batch = batch_of(truth, {"u1": np.stack([slow, fast])}, rows=2, outputs=("q_m1",))
-    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None].expand(-1, 2))[..., :1]
-    noise = NOISE * torch.randn(run.shape, generator=torch.Generator().manual_seed(1), dtype=run.dtype)
-    batch = replace(batch, y=run + noise, weight=torch.full_like(run, 1.0 / NOISE))
-    found = left_out(secant_fit(truth, batch, engine=DRY), batch)
-    assert float(np.mean(np.square(found[1]))) < 1.2
+    assert told > 1.2 * seen
+    # steps with the slopes of the whole fit: a screen, not a fit
+    assert told == pytest.approx(sum(refitted), rel=0.3)
 
 
 def test_priors_hold_what_the_records_do_not_tell() -> None:
