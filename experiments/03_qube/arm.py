@@ -12,7 +12,7 @@ import torch
 
 from hybrid_id import Dataset, Engine, Record, System, fit, load_model, make_batch, simulate
 from hybrid_id.components import Stribeck
-from hybrid_id.identification.fit import measured_windows
+from hybrid_id.identification.horizons import measured_windows
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import Bounded

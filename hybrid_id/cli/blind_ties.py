@@ -116,7 +116,7 @@ def _extended(
     cases: Path,
     tied: Mapping[str, Mapping[str, Any]],
     sheets: Mapping[str, Any],
-    options: Mapping[str, str | None],
+    options: Mapping[str, Any],
     jobs: int,
 ) -> "list[Case]":
     """The files of each case with the proposed record among them."""
@@ -133,7 +133,7 @@ def _extended(
 
 
 def extended(
-    folder: Path, experiment: Mapping[str, Any], sheet: Mapping[str, Any], options: Mapping[str, str | None]
+    folder: Path, experiment: Mapping[str, Any], sheet: Mapping[str, Any], options: Mapping[str, Any]
 ) -> "Case":
     """A case with one more record.
 

@@ -25,7 +25,7 @@ from hybrid_id.systems.chain import System
 
 NOMINAL = 0.02
 """Standard deviation of a relative change that counts as none: no nominal value is known better."""
-LEFT = 0.01
+LEFT = 0.02
 """Probability of a chi-square, were nothing else changed, below which something sure is left."""
 MOSTLY = 0.8
 """Share of the chi-square from which a change is said beside others to have moved most."""

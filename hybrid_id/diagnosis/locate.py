@@ -195,6 +195,9 @@ def disturbances(fits: Fits, model: Model) -> list[Disturbance]:
         for side in ("motor",) if joint.rigid else ("motor", "load"):
             rest, whole = respond(model.system, engine, batch, joint.number, side).unexplained(KNOT)
             # windows count alike: one in which a joint sticks otherwise than it was linearised would drown the rest
+            # a window that the linearisation has lost says nothing for either side
+            lost = ~np.isfinite(rest) | ~np.isfinite(whole)
+            rest, whole = np.where(lost, 1.0, rest), np.where(lost, 1.0, whole)
             sides["joint" if joint.rigid else side] = rest / np.maximum(whole, 1e-300)
         if not {f"q_m{joint.number}", f"q_a{joint.number}"} <= set(batch.outputs):
             sides = {"joint": min(sides.values(), key=np.mean)}  # one encoder tells no side

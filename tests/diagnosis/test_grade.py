@@ -148,11 +148,16 @@ def test_nothing_improbable_or_of_no_sure_size_is_asserted() -> None:
 
 
 def test_an_effect_that_helps_by_chance_has_an_interval_that_holds_zero() -> None:
-    base, spring = model(1.0, scatter=0.9), model(0.99, SPRING, seed=5, scatter=0.9)
-    found = grade(NONE, search((base, spring)), 0.5)
-    interval = found.candidates[0].share_interval
-    assert interval is not None and interval[0] < 0.0
-    assert doubtful(found) == [SPRING]
+    held = 0
+    for seed in range(1, 21):
+        base, spring = model(1.0, scatter=0.9), model(1.0, SPRING, seed=seed, scatter=0.9)
+        found = grade(NONE, search((base, spring)), 0.5)
+        interval = found.candidates[0].share_interval
+        assert interval is not None
+        if interval[0] < 0.0:
+            held += 1
+            assert doubtful(found) == [SPRING]
+    assert held >= 17
 
 
 @settings(max_examples=20)
@@ -164,7 +169,7 @@ def test_unknown_is_what_remains_by_a_tenth_and_by_as_much_as_is_explained(
     found = grade(NONE, search((base, model(100.0 * fall, SPRING))), structural)
     expected = found.remainder >= 0.1 and found.remainder >= found.explained
     assert found.unknown == expected
-    assert not grade(NONE, search((base, model(100.0 * fall, SPRING))), structural, varying=True).unknown
+    assert not grade(NONE, search((base, model(100.0 * fall, SPRING))), 0.0).unknown
 
 
 def test_without_an_effect_all_of_the_gap_is_unknown_or_noise() -> None:

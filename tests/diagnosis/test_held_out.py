@@ -10,6 +10,7 @@ from gapcase import small_case
 import hybrid_id.diagnosis.held_out as module
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.held_out import Errors, shrink
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Channel, Dataset
 
 
@@ -66,10 +67,10 @@ def test_errors_over_one_window_of_a_whole_record_are_those_of_the_record() -> N
     dataset, nominal = small_case()
     whole = module.errors(dataset, nominal, engine())
     # records of less than four windows stay whole
-    same = module.errors(dataset, nominal, engine(), window=1.5)
+    same = module.errors(dataset, nominal, engine(), horizon=Horizon("windows", 1.5))
     assert whole is not None and same is not None
     assert same.nrmse == whole.nrmse and same.by_record == whole.by_record
-    short = module.errors(dataset, nominal, engine(), window=0.3)
+    short = module.errors(dataset, nominal, engine(), horizon=Horizon("windows", 0.3))
     assert short is not None and short.by_record.keys() == whole.by_record.keys()
     assert short.nrmse < whole.nrmse  # each begins at a measured state
     assert sum(len(b) for row in short.blocks for b in row) >= sum(

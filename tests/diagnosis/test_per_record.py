@@ -16,6 +16,7 @@ from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.per_record import _explained, _scatter, per_record
 from hybrid_id.diagnosis.select import Selection
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems import System
 
@@ -72,7 +73,7 @@ def test_what_is_missing_within_a_record_is_no_drift() -> None:
     assert own.coloured > CRITERIA.coloured
     one = Fits(replace(dataset, records=dataset.records[:1]))
     assert per_record(one, base, nominal) is None  # a record alone says nothing of others
-    assert per_record(fits.within(0.3), base, nominal) is None
+    assert per_record(fits.over(Horizon("windows", 0.3)), base, nominal) is None
 
 
 def test_diagnosis_names_no_effect_but_the_drift(drift, monkeypatch) -> None:

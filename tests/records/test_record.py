@@ -68,7 +68,7 @@ def test_between_keeps_stamps_and_both_ends() -> None:
         ({"outputs": {"q_m1": np.full(100, np.inf)}}, "sample 0: 'q_m1' is inf"),
         ({"outputs": {"q_m1": ["x"] * 100}}, "not an array of numbers"),
         ({"time": np.full(100, 3.0)}, "sample 1: time goes from 3 s to 3 s"),
-        ({"role": "validate"}, "'train' or 'test'"),
+        ({"role": "validate"}, "'train', 'validation' or 'test'"),
         ({"name": "a/b"}, "file name"),
         ({"name": ""}, "file name"),
         ({"inputs": {"i1": np.ones(100)}, "outputs": {"i1": np.ones(100)}}, "an input and an output"),
