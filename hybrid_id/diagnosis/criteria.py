@@ -47,7 +47,7 @@ class Criteria:
     coloured: float = 0.3
     negligible: float = 0.1
     lost: float = 0.1
-    lost_refit: float = 0.3
+    lost_refit: float = 0.5
     wrong_values: float = 1.1
     vague: float = 0.1
     least_probability: float = 0.5
