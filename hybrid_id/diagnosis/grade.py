@@ -142,15 +142,21 @@ def _with_share(
     return replace(one, share=share, share_interval=interval, alone=alone)
 
 
+def together(one: Candidate, everyone: Sequence[Candidate]) -> float:
+    """Probability that an effect or one that it is indistinguishable from is at work."""
+    return min(
+        sum(c.probability for c in everyone if c is one or f"{c.name}@{c.where}" in one.tied_with), 1.0
+    )
+
+
 def doubtful(found: Grade) -> list[Name]:
     """Selected effects that may not be asserted: improbable, with all that they are tied with, or of no sure size."""
-    probability = {f"{c.name}@{c.where}": c.probability for c in found.candidates}
     return [
         (c.name, c.where)
         for c in found.candidates
         if c.selected
         and (
-            c.probability + sum(probability.get(tie, 0.0) for tie in c.tied_with) < CRITERIA.least_probability
+            together(c, found.candidates) < CRITERIA.least_probability
             or (c.share_interval is not None and c.share_interval[0] <= 0.0)
         )
     ]

@@ -8,7 +8,7 @@ from itertools import combinations
 
 from hybrid_id.diagnosis.catalogue import effect, separation
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.grade import Candidate, Interval
+from hybrid_id.diagnosis.grade import Candidate, Interval, together
 from hybrid_id.diagnosis.held_out import Errors
 from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.result import Diagnosis
@@ -49,7 +49,7 @@ def headline(diagnosis: Diagnosis) -> str:
 def _effects(diagnosis: Diagnosis) -> str:
     chosen = diagnosis.selected
     said = [
-        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} ({_sure(one)})"
+        f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} ({_sure(diagnosis, one)})"
         for k, one in enumerate(chosen)
     ]
     sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
@@ -58,9 +58,10 @@ def _effects(diagnosis: Diagnosis) -> str:
     return sentence
 
 
-def _sure(one: Candidate) -> str:
+def _sure(diagnosis: Diagnosis, one: Candidate) -> str:
     share = "" if one.share_interval is None else f"{range_percent(one.share_interval)}; "
-    return f"{share}probability {'above 0.99' if one.probability > 0.99 else f'{one.probability:.2f}'}"
+    probability = together(one, diagnosis.effects)
+    return f"{share}probability {'above 0.99' if probability > 0.99 else f'{probability:.2f}'}"
 
 
 def _named(diagnosis: Diagnosis, one: Candidate) -> str:
