@@ -159,7 +159,7 @@ def draw_messy(
     small = [] if family in SOUND else _small(rng, robot, leaders)
     campaign = draw_campaign(rng, robot, lengths=LENGTHS)
     case = tuned(Case(name, robot, (), campaign, {}), rng.uniform(0.12, 0.4), substeps=1)
-    case = replace(case, campaign=_flawed(rng, robot, case))
+    case = replace(case, campaign=_flawed(rng, case))
     spread = rng.uniform(0.008, 0.045, (robot.joints, 1))
     drift = 1 + spread * np.clip(rng.standard_normal((robot.joints, len(campaign.roles))), -2.0, 2.0)
     names = [robot.name(i, "F_v") for i in range(robot.joints)]
@@ -238,7 +238,7 @@ def _goes_with(one: Effect, others: Sequence[Effect], robot: Robot) -> bool:
     return all(other.acts_at(one.alter(altered), other.joint) for other in others)
 
 
-def _flawed(rng: np.random.Generator, robot: Robot, case: Case):
+def _flawed(rng: np.random.Generator, case: Case):
     """The experiments with encoders that are eccentric, miss counts, and are read a little apart."""
     campaign = case.campaign
     encoders, noise = campaign.encoders, noise_std(campaign.encoders)
@@ -574,8 +574,9 @@ def _rivals(
     plane = np.linalg.qr((rows[1:] - rows[0]).T)[0]
     gap = rows[0] - plane @ (plane.T @ rows[0])
     starts: dict[int, tuple[float, Simulator]] = {}
+    grown: list[tuple[int, Simulator]] = []  # by the number of its kind
     for i, draws in enumerate(drawn):
-        grown = [
+        own_sizes = [
             replace(
                 start,
                 sizes=tuple(s if j == i else 0.0 for j in range(len(kinds))),
@@ -586,14 +587,12 @@ def _rivals(
             for one in draws
             for s in (0.3, 1.1)
         ]
-        starts[i] = (np.inf, grown[0])
-        drawn[i] = grown  # type: ignore[assignment]
-    for group in tried._alike([one.sizes for grown in drawn for one in grown]):  # type: ignore[attr-defined]
-        flat = [one for grown in drawn for one in grown]
-        chosen = [flat[k] for k in group]
-        changes = tried.residuals(chosen, made) - rows[0]  # type: ignore[arg-type]
-        for one, change in zip(chosen, changes, strict=True):
-            i = int(np.flatnonzero(one.sizes)[0])  # type: ignore[attr-defined]
+        starts[i] = (np.inf, own_sizes[0])
+        grown += [(i, one) for one in own_sizes]
+    for group in tried.alike([one.sizes for _, one in grown]):
+        chosen = [grown[k] for k in group]
+        changes = tried.residuals([one for _, one in chosen], made) - rows[0]
+        for (i, one), change in zip(chosen, changes, strict=True):
             change = change - plane @ (plane.T @ change)
             square = float(change @ change) + 1e-9
             along = -float(change @ gap) / square
@@ -602,8 +601,8 @@ def _rivals(
                 along = max(along, 0.0)
             left = float(np.mean((gap + along * change) ** 2))
             if left < starts[i][0] and along:
-                size = tuple(s * float(np.clip(along, -8.0, 8.0)) for s in one.sizes)  # type: ignore[attr-defined]
-                starts[i] = (left, replace(one, sizes=size))  # type: ignore[type-var]
+                size = tuple(s * float(np.clip(along, -8.0, 8.0)) for s in one.sizes)
+                starts[i] = (left, replace(one, sizes=size))
     closing = base.train - own.train
     promising = sorted((left, i) for i, (left, _) in starts.items() if base.train - left >= WORTH * closing)
     best = [

@@ -138,7 +138,7 @@ class Mixtures:
     def record(self, mixtures: Sequence[Sequence[float]], drift: np.ndarray) -> list[Measured]:
         """Measure the machines of several mixtures, all records of all of them side by side."""
         found: dict[int, Measured] = {}
-        for rows in self._alike(mixtures):
+        for rows in self.alike(mixtures):
             count, runs = len(rows), len(self.campaign.roles)
             campaign = self.campaign.repeated(count)
             sizes = np.repeat(np.array([mixtures[k] for k in rows], float).T, runs, axis=1)
@@ -153,7 +153,7 @@ class Mixtures:
     def floors(self, mixtures: Sequence[Sequence[float]], measured: Sequence[Measured]) -> np.ndarray:
         """Normalised RMSE of each machine itself, its friction that of no record, on its test records."""
         found = np.zeros(len(mixtures))
-        for rows in self._alike(mixtures):
+        for rows in self.alike(mixtures):
             simulators = [Simulator(i, tuple(mixtures[k]), {}) for i, k in enumerate(rows)]
             own = [measured[k] for k in rows]
             angles = self.replay(simulators, own, self.test, least=FINE, settled=False)
@@ -212,7 +212,7 @@ class Mixtures:
         """Angles (T, n_outputs, K, R) of any simulators on all of their records."""
         rows = np.arange(len(self.campaign.roles))
         found: np.ndarray | None = None
-        for group in self._alike([one.sizes for one in simulators]):
+        for group in self.alike([one.sizes for one in simulators]):
             angles = self.replay([simulators[k] for k in group], measured, rows)
             if found is None:
                 found = np.zeros((*angles.shape[:2], len(simulators), len(rows)))
@@ -248,7 +248,7 @@ class Mixtures:
     def fit(self, simulators: Sequence[Simulator], measured: Sequence[Measured], *, rounds: int) -> list[Fit]:
         """Fit simulators to their train records from where they stand, each until it gains little."""
         found: dict[int, Fit] = {}
-        for rows in self._alike([one.sizes for one in simulators]):
+        for rows in self.alike([one.sizes for one in simulators]):
             fits = self._fit([simulators[k] for k in rows], measured, rounds)
             found |= dict(zip(rows, fits, strict=True))
         return [found[k] for k in range(len(simulators))]
@@ -291,7 +291,7 @@ class Mixtures:
             for i, (one, c) in enumerate(zip(now, cost, strict=True))
         ]
 
-    def _alike(self, mixtures: Sequence[Sequence[float]]) -> list[list[int]]:
+    def alike(self, mixtures: Sequence[Sequence[float]]) -> list[list[int]]:
         """Numbers of mixtures, those together that are alike in what replaces a part or needs smaller steps."""
         groups: dict[tuple[bool, ...], list[int]] = {}
         for k, sizes in enumerate(mixtures):

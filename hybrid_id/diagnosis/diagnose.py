@@ -279,10 +279,10 @@ def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> 
     floor = min(max(last.noise, last.nrmse * float(np.sqrt(1.0 - min(left, 1.0)))), last.nrmse)
     gap = shrink(first, last, floor, seed=seed)
     rest = _rest_differs(fits, base, chosen, last)
-    return Tested(nominal, first, last, gap, "" if rest else _contradiction(answer, gap, first, last), rest)
+    return Tested(nominal, first, last, gap, "" if rest else _contradiction(answer, gap, last), rest)
 
 
-def _contradiction(answer: Answer, gap: Shrink, first: Errors, last: Errors) -> str:
+def _contradiction(answer: Answer, gap: Shrink, last: Errors) -> str:
     """Where the test records contradict a frozen answer, in a sentence."""
     if answer.found.chosen.effects and gap.interval[1] <= 0.0:
         return "On the test records the corrected model predicts worse than the re-fitted one."

@@ -20,6 +20,7 @@ from hybrid_id.diagnosis.validation import coloured, validation
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.identification.confirm import confirmed
 from hybrid_id.identification.fit import fit, make_bounds
+from hybrid_id.identification.horizon_choice import astray
 from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs, hidden_links, windows
 from hybrid_id.identification.least_squares import Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out
@@ -121,10 +122,7 @@ class Fits:
 
     def astray(self, model: Model) -> float:
         """Normalised RMSE of a model's free runs, less the noise, however little an output moves."""
-        batch = self.records(model.system)
-        scale = batch.std(batch.y) * batch.weight.amax(1)
-        square = [np.maximum(np.square(r).mean(0) - 1.0, 0.0) for r in model.result.residual]
-        return float(np.sqrt(square / np.maximum(np.square(scale.numpy()), 1.0)).mean())
+        return astray([model.result], self.records(model.system))
 
     def base(self, system: System) -> Model:
         """The nominal model, fitted from its nominal values and from a fit in windows, whichever ends lower."""

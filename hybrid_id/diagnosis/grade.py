@@ -14,7 +14,7 @@ from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.model import Model, Name, added_effect
 from hybrid_id.diagnosis.screen import Step
-from hybrid_id.diagnosis.select import Selection, accepted, chance, needed_fall, refitted_without
+from hybrid_id.diagnosis.select import Selection, accepted_ones, chance, needed_fall, refitted_without
 from hybrid_id.diagnosis.validation import DRAWS, Validation, mean_square
 
 Interval = tuple[float, float]
@@ -189,7 +189,7 @@ def _nested(models: Sequence[Model], steps: Sequence[Step], structural: float, s
     ends = [one.validation for one in models]
     rivals = []
     for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
-        alike = [e for e in step.candidates if e.finished and accepted(e, step.before, step.candidates)]
+        alike = accepted_ones(step)
         # the step may have compared them beside other effects than the chosen ones: their distance to its best counts
         shift = after.error / max(step.best.error, 1e-300) if step.best is not None else 1.0
         some = [(after.validation, 1.0), *((e.validation, shift) for e in alike[1:])]

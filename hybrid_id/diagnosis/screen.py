@@ -92,12 +92,6 @@ def promising(one: Model, before: Model) -> bool:
     return one.validation.fall(before.validation) > 0.5 * needed
 
 
-def finished(fits: Fits, some: Sequence[Model]) -> list[Model]:
-    """Candidates fitted to the end, as far as they can be."""
-    ends = iter(fits.run([Task(e.effects, e.system, x0=e.result.x0) for e in some if not e.finished], FULL))
-    return [e for e in (one if one.finished else next(ends) for one in some) if e is not None]
-
-
 def _finer(fits: Fits, before: Model, coarse: Sequence[Model], tick: Callable[[], object]) -> list[Model]:
     """The most promising effects fitted finer, and some more initial values of the best; beside two effects fewer."""
     firsts = best_of_each(coarse, key=effects_of)

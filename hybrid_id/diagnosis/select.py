@@ -120,7 +120,7 @@ def interrupted(base: Model, steps: Sequence[Step]) -> Selection:
 
 def _accepted_first(step: Step) -> Step:
     """The step led by the best candidate that is accepted; as it was where none is."""
-    passing = [e for e in step.candidates if e.finished and accepted(e, step.before, step.candidates)]
+    passing = accepted_ones(step)
     if not passing or passing[0] is step.candidates[0]:
         return step
     return replace(step, candidates=(passing[0], *(e for e in step.candidates if e is not passing[0])))
@@ -136,6 +136,17 @@ def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> b
     """
     fall = richer.validation.fall(simpler.validation)
     return fall >= needed_fall(richer, simpler) and chance(richer, simpler, rivals) <= CRITERIA.false_alarms
+
+
+def accepted_ones(step: Step) -> list[Model]:
+    """The candidates of a step that are accepted, in its order: one draw of chance serves them all."""
+    ends, before = [e for e in step.candidates if e.finished], step.before
+    chances = p_values([e.validation for e in ends], before.validation)
+    return [
+        e
+        for e, p in zip(ends, chances, strict=True)
+        if p <= CRITERIA.false_alarms and e.validation.fall(before.validation) >= needed_fall(e, before)
+    ]
 
 
 def needed_fall(richer: Model, simpler: Model) -> float:

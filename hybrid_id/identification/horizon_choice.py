@@ -57,7 +57,7 @@ def choose_horizon(
     if not system.estimated:
         return WHOLE
     whole = whole or fit(system, batch, pooled=True, engine=engine, options=options)
-    if _error(whole, batch) <= FOLLOWED:
+    if astray(whole, batch) <= FOLLOWED:
         return Horizon(reason="they follow the records")
     brief, found = replace(options, max_iterations=BRIEF), []
     for horizon in (*(Horizon("windows", s) for s in SECONDS), Horizon("strokes"), WHOLE):
@@ -68,7 +68,7 @@ def choose_horizon(
             one = fit(system, part, pooled=True, engine=engine, options=brief, warm=False)[0]
             if one.status != "diverged":
                 system = one.system
-                if _error([one], batch) < LOST:
+                if astray([one], batch) < LOST:
                     found.append((float(part.dt.sum(1).median()), horizon, one))
     if not found:
         return Horizon(reason="no horizon is followed")
@@ -84,10 +84,14 @@ def choose_horizon(
     return replace(horizon, reason=f"whole runs lose the records{_lost_after(one, batch)}")
 
 
-def _error(fits: Sequence[FitResult], batch: Batch) -> float:
+def astray(fits: Sequence[FitResult], batch: Batch) -> float:
     """Normalised RMSE beyond noise of the free runs of fits, outputs and records averaged.
 
     Noise leads no free run astray, however little an output moves.
+
+    Args:
+        fits: of whole records or of their pieces.
+        batch: the whole records.
     """
     found = []
     for one in fits:
