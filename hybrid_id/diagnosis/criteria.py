@@ -19,6 +19,8 @@ class Criteria:
         distinct_fall: relative difference of the mean squares of two candidates below which these are
             indistinguishable, and
         distinct_z: standard errors of their difference below which they are, too.
+        much: share of what the best explains that a simpler candidate has to explain to lead in its place, where both
+            leave structure that the records do not surely tell apart.
         left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival; and
             the least share of the gap that a remainder has where something outside the catalogue is claimed.
         white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
@@ -42,6 +44,7 @@ class Criteria:
     completing_fall: float = 0.1
     distinct_fall: float = 0.11
     distinct_z: float = 2.5
+    much: float = 0.5
     left_open: float = 0.1
     white: float = 0.1
     coloured: float = 0.3

@@ -16,6 +16,7 @@ from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.model import Model, Name
+from hybrid_id.diagnosis.plausibility import NUISANCE
 from hybrid_id.diagnosis.validation import coloured, validation
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.identification.confirm import confirmed
@@ -129,19 +130,24 @@ class Fits:
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
-        tasks = [Task((), start) for start in (system, near.system)]
-        ends = [e for e in self.run(tasks, FULL) if e is not None]
-        if not ends:
+        best = self._best([system, near.system])
+        if best is None:
             raise InputError(
                 f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
             )
-        best = min(ends, key=lambda e: e.result.cost)
+        if not best.white:
+            best = self._best([held(start, system, best) for start in (system, best.system)]) or best
         # a fit that has stopped early would lend its gap to the first effect that frees it
         again = confirmed(best.result, self.batch(best.system), options=Options(tolerance=0.05))
         further = (
             self.run([Task((), again.system, x0=again.x0)], FULL)[0] if again is not best.result else None
         )
         return further if further is not None and further.result.cost < best.result.cost else best
+
+    def _best(self, starts: Sequence[System]) -> Model | None:
+        """The fit of the nominal model from several starts that ends lowest."""
+        ends = [e for e in self.run([Task((), start) for start in starts], FULL) if e is not None]
+        return min(ends, key=lambda e: e.result.cost, default=None)
 
     def slopes(self, system: System, least: float) -> Slopes | None:
         """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none."""
@@ -173,6 +179,30 @@ class Fits:
         return found
 
 
+def held(system: System, nominal: System, fitted: Model) -> System:
+    """A model whose parameters are held to their nominal values as data sheets hold them.
+
+    What a model lacks moves its parameters beyond reason, and a re-fit without one record the more: an error of several
+    noises that lasts is one measurement, and weighs as little. Friction is held by no data sheet, nor is anything held
+    that has a prior of its own or a nominal value of zero.
+
+    Args:
+        system: the model, with any effects.
+        nominal: with the nominal values.
+        fitted: its mean square and the number of independent samples that it leaves scale the priors.
+    """
+    worth = fitted.result.noise_scale**2 * fitted.result.n_samples / max(fitted.validation.effective, 1.0)
+    std = NUISANCE / max(worth, 1.0) ** 0.5
+    known = {(i.component, i.symbol): i.spec for i in nominal.table if i.spec.prior_std is None}
+    priors = {}
+    for info in system.table:
+        spec = known.get((info.component, info.symbol))
+        if spec is None or not spec.estimate or spec.value == 0.0 or "_friction/" in info.component:
+            continue
+        priors[info.name] = replace(info.spec, prior_mean=spec.value, prior_std=std * abs(spec.value))
+    return system.with_specs(priors)
+
+
 def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None:
     """A fit, as an earlier run has kept it if there is one."""
     if fits.kept is None:
@@ -200,11 +230,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
             result = _nearest(task, batch, iterations, halting)
         if hidden and task.shake and full:
             result = shaken(result, batch)
-        if fits.dataset.validation or full or (iterations > COARSE and not fits.whole):
-            unseen = _unseen(fits, result, batch)
-        else:
-            unseen = leave_one_out(result, batch, AGAIN) if iterations > COARSE else list(result.residual)
-        found = validation(unseen, batch.step)
+        found = validation(_unseen(fits, result, batch) if full else result.residual, batch.step)
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
@@ -294,7 +320,9 @@ def _both_ways(
 
     The first walks through valleys in which whole rollouts are stuck; the second sees through events and from afar.
     """
-    options, ends = Options(max_iterations=iterations, tolerance=0.05), []
+    # standard errors are those of the encoders' noise, of which the errors of what is not there yet are many
+    noise = (2.0 * cost / float((batch.weight > 0).sum())) ** 0.5
+    options, ends = Options(max_iterations=iterations, tolerance=0.05 * max(noise, 1.0)), []
     last = iterations == FULL
     with suppress(InputError, RuntimeError):
         exact = fit(system, batch, pooled=True, engine=engine(), options=options, warm=last)[0]

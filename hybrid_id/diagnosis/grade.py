@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -13,8 +14,8 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.model import Model, Name, added_effect
-from hybrid_id.diagnosis.screen import Step
-from hybrid_id.diagnosis.select import Selection, accepted_ones, chance, needed_fall, refitted_without
+from hybrid_id.diagnosis.screen import Step, needed_fall
+from hybrid_id.diagnosis.select import Selection, accepted_ones, chance, refitted_without
 from hybrid_id.diagnosis.validation import DRAWS, Validation, mean_square
 
 Interval = tuple[float, float]
@@ -130,7 +131,7 @@ def _with_share(
     measurable = gap > CRITERIA.least_fall * base  # shares of next to nothing say nothing
     alone = next(
         (
-            (base - e.error) / gap
+            base * e.fall(step.before) / gap
             for step in found.steps
             if measurable and not step.before.effects
             for e in step.candidates
@@ -189,10 +190,9 @@ def _nested(models: Sequence[Model], steps: Sequence[Step], structural: float, s
     ends = [one.validation for one in models]
     rivals = []
     for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
-        alike = accepted_ones(step)
         # the step may have compared them beside other effects than the chosen ones: their distance to its best counts
         shift = after.error / max(step.best.error, 1e-300) if step.best is not None else 1.0
-        some = [(after.validation, 1.0), *((e.validation, shift) for e in alike[1:])]
+        some = [(after.validation, 1.0), *((e.validation, shift) for e in _leaders(step, after)[1:])]
         rivals.append((before.validation, some))
     found = np.zeros((DRAWS // 4, len(models)))
     for draw in found:
@@ -207,6 +207,13 @@ def _nested(models: Sequence[Model], steps: Sequence[Step], structural: float, s
             draw[k] = (over(before) - min(shift * over(one) for one, shift in some)) / gap
         draw[-1] = left / gap
     return found
+
+
+def _leaders(step: Step, after: Model) -> list[Model]:
+    """Accepted candidates that other records could have put first: where structure is left, none of more parameters."""
+    alike = accepted_ones(step)
+    most = math.inf if after.right or not alike else len(alike[0].result.names)
+    return [e for e in alike if len(e.result.names) <= most]
 
 
 def _interval(draws: np.ndarray) -> Interval:
@@ -240,11 +247,26 @@ def _candidates(found: Selection) -> list[Candidate]:
 def _weights(step: Step) -> np.ndarray:
     """Share of each candidate among them, from how surely the best predicts better."""
     best = step.candidates[0]
-    surplus = np.array(
-        [np.inf if _contains(e, step) else max(best.validation.z(e.validation), 0.0) for e in step.candidates]
+    judged = [e is best or (e.finished and not _contains(e, step)) for e in step.candidates]
+    logs = np.array(
+        [_log_odds(best, e) if has else -np.inf for e, has in zip(step.candidates, judged, strict=True)]
     )
-    odds = np.exp(-0.5 * np.square(surplus))
+    odds = np.exp(logs - logs.max())
     return odds / odds.sum()
+
+
+def _log_odds(best: Model, one: Model) -> float:
+    """Of a candidate against the one that leads: how it predicts, and half a logarithm of the sample a parameter.
+
+    The second is what a needless parameter costs a marginal likelihood (G. Schwarz, Annals of Statistics 6, 1978).
+    Where the best is right, it leads by what is more than chance already.
+    """
+    surplus = best.ahead_of(one)
+    if best.right:
+        return -0.5 * max(surplus, 0.0) ** 2
+    further = len(one.result.names) - len(best.result.names)
+    cost = 0.5 * further * float(np.log(max(best.validation.effective, 1.0)))
+    return -0.5 * surplus * abs(surplus) - cost
 
 
 def _present(step: Step) -> float:
@@ -270,16 +292,17 @@ def _contains(model: Model, step: Step) -> bool:
 
 def indistinguishable(model: Model, step: Step) -> list[Model]:
     """Candidates of a step whose errors are those of one of them, as far as its records say; itself among them."""
-    least = min(e.error for e in step.candidates)
+    least = min(e.error for e in step.candidates if e.finished or e is model)
     closed = least + CRITERIA.left_open * max(step.before.error - least, 0.0)
     near = 1.0 / (1.0 - CRITERIA.distinct_fall)
     return [
         e
         for e in step.candidates
-        if e.error < closed
+        if e.finished
+        and e.error < closed
         and not _contains(e, step)
         and max(e.error / model.error, model.error / e.error) < near
-        and model.validation.z(e.validation) < CRITERIA.distinct_z
+        and model.ahead_of(e) < CRITERIA.distinct_z
     ]
 
 

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from scipy.stats import norm, t
+
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.validation import Validation, coloured
+from hybrid_id.diagnosis.validation import Validation, coloured, mean_square
 from hybrid_id.identification.result import FitResult
 from hybrid_id.systems.chain import System
 
@@ -20,7 +23,7 @@ class Model:
     Attributes:
         effects: what has been added to the nominal model, in the order of their names.
         result: the fit.
-        validation: its errors on records left out; those of the fit itself for what has only been fitted coarsely.
+        validation: its errors on records left out; those of the fit itself for what has not been fitted to the end.
         finished: whether it has been fitted to the end.
     """
 
@@ -40,6 +43,17 @@ class Model:
         return self.validation.error
 
     @property
+    def trained(self) -> float:
+        """Mean square of the weighted errors of the fit itself."""
+        return mean_square(self.result.residual)
+
+    def fall(self, before: Model) -> float:
+        """Share of another model's mean square by which this one's is lower, on records left out where it has them."""
+        if self.finished:
+            return self.validation.fall(before.validation)
+        return 1.0 - self.trained / max(before.trained, 1e-300)
+
+    @property
     def coloured(self) -> float:
         """Share of what the fit leaves that neighbouring samples have in common."""
         return coloured(self.result.residual)
@@ -48,6 +62,23 @@ class Model:
     def white(self) -> bool:
         """Whether it leaves next to nothing but white noise, so that no other model can do much better."""
         return self.coloured < CRITERIA.white
+
+    def ahead_of(self, other: Model) -> float:
+        """By how many standard errors this model predicts better than another.
+
+        Where this one is right, what is left is noise and every block of time a witness of its own. Where it leaves
+        structure, the reasons why either errs last as long as a record, and records are the witnesses, so few that
+        Student's distribution is taken for a normal one of the same probability.
+        """
+        if self.right:
+            return self.validation.z(other.validation)
+        surplus, count = self.validation.over_records(other.validation)
+        return float(np.sign(surplus) * norm.isf(t.sf(abs(surplus), count - 1)))
+
+    @property
+    def right(self) -> bool:
+        """Whether what it leaves has no structure from which something is missing."""
+        return self.coloured <= CRITERIA.coloured
 
 
 def added_effect(richer: Model, simpler: Model) -> Name:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from hybrid_id.diagnosis.candidates import from_nominal, special_cases, tasks
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
@@ -54,8 +55,8 @@ def screen(
 ) -> Step:
     """Every effect of the catalogue, or some of them, added to a model, one at a time.
 
-    All are fitted coarsely; the promising ones finer, judged by leave-one-out with the slopes of the fit; the best to
-    the end, judged by true re-fits without the records that judge them.
+    All are fitted coarsely, the promising ones finer, and the best of these to the end: only then are they judged, by
+    re-fits without the records that judge them.
 
     Args:
         fits: fits models to the train records.
@@ -83,13 +84,21 @@ def screen(
         ranked = _further(fits, before, [one for one in chosen if not one.finished], ranked, FULL, tick)
     if ranked and promising(ranked[0], before):
         ranked = _polished(fits, before, ranked, tick)
-    return Step(before, tuple(simplest_first(best_of_each(ranked, key=effects_of), before)))
+    ends = best_of_each(ranked, key=effects_of, order=judged)
+    return Step(before, tuple(simplest_first(ends, before)))
 
 
 def promising(one: Model, before: Model) -> bool:
     """Whether a candidate may yet be accepted, as far as it has been fitted: by half of the fall that it needs."""
-    needed = CRITERIA.completing_fall if before.effects else CRITERIA.least_fall
-    return one.validation.fall(before.validation) > 0.5 * needed
+    return one.fall(before) > 0.5 * needed_fall(one, before)
+
+
+def needed_fall(richer: Model, simpler: Model) -> float:
+    """Relative fall of the mean square from which an effect is named."""
+    if not simpler.effects:
+        return CRITERIA.least_fall
+    completes = richer.white or (richer.right and not simpler.right)
+    return CRITERIA.completing_fall if completes else CRITERIA.next_fall
 
 
 def _finer(fits: Fits, before: Model, coarse: Sequence[Model], tick: Callable[[], object]) -> list[Model]:
@@ -118,15 +127,15 @@ def _from_afar(
         return best_of_each([e for e in among.run(some, COARSE, tick) if e is not None], STARTS)
 
     def further(seen: Sequence[Model], least: float, most: int) -> list[Model]:
-        best = [e for e in seen if e.error < HOPELESS * least][:most]
+        best = [e for e in seen if e.trained < HOPELESS * least][:most]
         more = fits.run([Task(e.effects, e.system) for e in best], FINER, tick)
         return [e for e in more if e is not None]
 
     seen = coarse(fits.over(Horizon("windows", WINDOW)), False)
-    found = further(seen, seen[0].error if seen else math.inf, PROMISING)
+    found = further(seen, seen[0].trained if seen else math.inf, PROMISING)
     if any(one.white for one in found):
         return found
-    known = min((e.error for e in (*ranked, *found)), default=math.inf)
+    known = min((e.trained for e in (*ranked, *found)), default=math.inf)
     return [*found, *further(coarse(fits, True), known, STARTS)]
 
 
@@ -141,14 +150,22 @@ def _further(
     """Some of the candidates fitted further, as far as they are not hopeless, among everyone again, best first."""
     if not some:
         return list(everyone)
-    best = min((*some, *everyone), key=lambda e: e.error)
+    best = min((*some, *everyone), key=lambda e: e.trained)
     limit = math.inf
     if iterations == FULL or before.effects or best.white:
-        closed = best.error + CRITERIA.left_open * max(before.error - best.error, 0.0)
-        limit = max(HOPELESS * best.error, closed)
-    rivals = [e for e in some if e.error < limit]
+        open_ = CRITERIA.left_open if best.right else 1.0 - CRITERIA.much
+        closed = best.trained + open_ * max(before.trained - best.trained, 0.0)
+        limit = max(HOPELESS * best.trained, closed)
+    rivals = [e for e in some if e.trained < limit]
+    leads = best.trained / (1.0 - CRITERIA.distinct_fall)
     todo = [
-        Task(e.effects, e.system, cost=e.result.cost, x0=e.result.x0, shake=promising(e, before))
+        Task(
+            e.effects,
+            e.system,
+            cost=e.result.cost,
+            x0=e.result.x0,
+            shake=promising(e, before) and e.trained < leads,
+        )
         for e in rivals
     ]
     more = fits.run(todo, iterations, tick)
@@ -167,7 +184,7 @@ def _polished(fits: Fits, before: Model, ranked: list[Model], tick: Callable[[],
             if ranked[0].white or not over_angle(ranked[0].effects):
                 break
             again = fits.run([Task(ranked[0].effects, ranked[0].system, x0=ranked[0].result.x0)], FULL)[0]
-            if again is None or again.error > (1.0 - SAME) * ranked[0].error:
+            if again is None or again.trained > (1.0 - SAME) * ranked[0].trained:
                 break
             ranked = best_of_each([again, *ranked], 2)
     special = fits.run(special_cases(fits, before, ranked[0]), FULL)
@@ -176,7 +193,7 @@ def _polished(fits: Fits, before: Model, ranked: list[Model], tick: Callable[[],
         e
         for e in ranked
         if not e.finished
-        and e.error < ranked[0].error / (1.0 - CRITERIA.distinct_fall)
+        and e.trained < ranked[0].trained / (1.0 - CRITERIA.distinct_fall)
         and len(e.result.names) < len(ranked[0].result.names)
     ]
     return _further(fits, before, simpler[:FINALISTS], ranked, FULL, tick)
@@ -195,8 +212,21 @@ def shape_of(one: Model) -> tuple[object, ...]:
     return one.effects, tuple(i.spec.value for i in shape)
 
 
+def trained(one: Model) -> float:
+    """By the errors of the fit itself, as long as fits of different stages are compared."""
+    return one.trained
+
+
+def judged(one: Model) -> tuple[bool, float]:
+    """By the errors on records left out; what has not been fitted to the end comes after."""
+    return not one.finished, one.error
+
+
 def best_of_each(
-    found: Sequence[Model], each: int = 1, key: Callable[[Model], object] = shape_of
+    found: Sequence[Model],
+    each: int = 1,
+    key: Callable[[Model], object] = shape_of,
+    order: Callable[[Model], Any] = trained,
 ) -> list[Model]:
     """The best fits of each set of effects, best first; of those that have come to the same end only one.
 
@@ -204,10 +234,11 @@ def best_of_each(
         found: fits.
         each: so many of each set.
         key: what counts as one set; by default every shape does.
+        order: by which they are ranked.
     """
     ends: dict[object, list[float]] = {}
     best = []
-    for one in sorted(found, key=lambda e: e.error):
+    for one in sorted(found, key=order):
         known = ends.setdefault(key(one), [])
         if len(known) < each and all(abs(one.result.cost - end) > SAME * end for end in known):
             known.append(one.result.cost)
@@ -223,22 +254,25 @@ def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
     if not ranked:
         return []
     best = next((e for e in ranked if e.finished), ranked[0])
-    closed = best.error + CRITERIA.left_open * max(before.error - best.error, 0.0)
-    equals = [
-        e
-        for e in ranked
-        if e.finished
-        and e.error < best.error / (1.0 - CRITERIA.least_fall)
-        and (e.error <= closed or best.validation.z(e.validation) < CRITERIA.distinct_z)
-    ]
+    equals = [e for e in ranked if e.finished and _equals(best, e, before)]
     first = min(equals, key=lambda e: len(e.result.names), default=best)
-    twins = [
-        e
-        for e in equals
-        if _joints(e) == _joints(first) and first.validation.z(e.validation) < CRITERIA.distinct_z
-    ]
+    twins = [e for e in equals if _joints(e) == _joints(first) and first.ahead_of(e) < CRITERIA.distinct_z]
     first = min(twins, key=_unusual, default=first)
     return [first, *(e for e in ranked if e is not first)]
+
+
+def _equals(best: Model, one: Model, before: Model) -> bool:
+    """Whether a candidate predicts as well as the best.
+
+    Where the best is right, next to as well; where it leaves structure, whatever these records do not surely tell from
+    it, and what does the greater part of what it does: a flexible law takes some of what others leave.
+    """
+    if best.right:
+        closed = best.error + CRITERIA.left_open * max(before.error - best.error, 0.0)
+        near = one.error < best.error / (1.0 - CRITERIA.least_fall)
+        return near and (one.error <= closed or best.ahead_of(one) < CRITERIA.distinct_z)
+    much = before.error - one.error >= CRITERIA.much * (before.error - best.error)
+    return much and best.ahead_of(one) < CRITERIA.distinct_z
 
 
 def _joints(one: Model) -> list[tuple[str, str]]:

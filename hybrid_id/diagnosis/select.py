@@ -17,7 +17,7 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FINER, FULL, Fits, Task
 from hybrid_id.diagnosis.model import Model, Name, added_effect
 from hybrid_id.diagnosis.periodic import Left
-from hybrid_id.diagnosis.screen import FINALISTS, HOPELESS, Progress, Step, promising, screen
+from hybrid_id.diagnosis.screen import FINALISTS, HOPELESS, Progress, Step, needed_fall, promising, screen
 from hybrid_id.diagnosis.validation import mean_square, p_values
 from hybrid_id.systems.chain import System
 
@@ -149,14 +149,6 @@ def accepted_ones(step: Step) -> list[Model]:
     ]
 
 
-def needed_fall(richer: Model, simpler: Model) -> float:
-    """Relative fall of the mean square from which an effect is named."""
-    if not simpler.effects:
-        return CRITERIA.least_fall
-    completes = richer.white or richer.coloured <= CRITERIA.coloured < simpler.coloured
-    return CRITERIA.completing_fall if completes else CRITERIA.next_fall
-
-
 def chance(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> float:
     """Probability that the best of all candidates would predict so much better by chance."""
     others = [e for e in rivals if e is not richer and e.finished]
@@ -168,7 +160,7 @@ def refitted_without(fits: Fits, base: Model, richer: Model, name: Name) -> Mode
     start = without(richer.system, base.system, name)
     rest = tuple(effect for effect in richer.effects if effect != name)
     found = None if start is None else fits.run([Task(rest, start)], FINER)[0]
-    if found is None or found.error > HOPELESS * max(richer.error, base.error):
+    if found is None or found.trained > HOPELESS * max(richer.trained, base.trained):
         return found
     return fits.run([Task(rest, found.system)], FULL)[0]
 
@@ -184,7 +176,7 @@ def _swaps(fits: Fits, base: Model, chosen: Model, steps: Sequence[Step]) -> lis
         if rest is None:
             continue
         near = one.best.error / (1.0 - CRITERIA.distinct_fall)
-        rivals = [e for e in one.candidates[1:] if e.error < near][:FINALISTS]
+        rivals = [e for e in one.candidates[1:] if e.finished and e.error < near][:FINALISTS]
         tasks = swapped(rest, tuple(e for e in chosen.effects if e != name), rivals, one.before)
         ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)
         alone = refitted_without(fits, base, chosen, name) if ends else None

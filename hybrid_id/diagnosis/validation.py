@@ -17,6 +17,8 @@ import numpy as np
 
 BLOCK = 0.25
 """Length [s] of the blocks in which errors are compared."""
+FEWEST = 4
+"""Records from which a mean over records has a standard error."""
 DRAWS = 2000
 """Draws of a null distribution, and of a bootstrap."""
 
@@ -55,6 +57,25 @@ class Validation:
         difference = _relative(self, other)
         spread = float(difference.std(ddof=1)) if len(difference) > 1 else 0.0
         return float(difference.mean() / max(spread, 1e-3) * np.sqrt(len(difference)))
+
+    def over_records(self, other: Validation) -> tuple[float, int]:
+        """The same where both err for reasons of their own, record by record: these reasons last as long as a record.
+
+        Returns:
+            Mean over the records of the logarithm of the ratio of mean squares, in standard errors (Student's t), and
+            the number of records; of fewer than :data:`FEWEST` records, equal parts of these.
+        """
+        own = self.row
+        parts = -(-FEWEST // (int(own.max()) + 1))
+        if parts > 1:
+            sizes = np.bincount(own)
+            within = np.concatenate([np.arange(size) * parts // size for size in sizes])
+            own = np.unique(own * parts + within, return_inverse=True)[1]
+        ratio = np.log(np.maximum(np.bincount(own, other.blocks), 1e-300))
+        ratio -= np.log(np.maximum(np.bincount(own, self.blocks), 1e-300))
+        n = len(ratio)
+        spread = float(ratio.std(ddof=1)) if n > 1 else 0.0
+        return float(ratio.mean() / max(spread, 1e-3) * np.sqrt(n)), n
 
 
 def validation(residuals: Sequence[np.ndarray], sample_time: float) -> Validation:

@@ -37,7 +37,8 @@ def _deadband(system, s, place):
 
 
 def _saturation(system, s, place):
-    if has(system, f"joint{s.joint}/input", "voltage_saturation", "soft_saturation"):
+    # the duty that an amplifier has applied, beside the supply, has its limits in it
+    if has(system, f"joint{s.joint}/input", "voltage_saturation", "soft_saturation", "duty_supply"):
         return []
     low, high = 0.2 * s.command, s.command
     hard = [("voltage_saturation", {"V_max": free(x * high, low, high, "V")}) for x in (0.95, 0.75, 0.55)]

@@ -3,6 +3,8 @@
 from hybrid_id.diagnosis.catalogue import Effect, free, has, register
 from hybrid_id.diagnosis.periodic import rotor_waves, second_wave
 
+FASTEST = 1.0
+"""Least time constant [s] with which the winding of a small motor warms, by data sheets."""
 FIRST_SHARES = (1.0, 0.3)
 """Of the cogging that a linear estimate asks for: beside so much, the rotor may stop elsewhere than it did."""
 
@@ -38,7 +40,7 @@ def _thermal(system, s, place):
     return [
         (
             "thermal_derating",
-            {"T_w": free(share * s.duration, 0.02 * s.duration, 30.0 * s.duration, "s"),
+            {"T_w": free(max(share * s.duration, FASTEST), FASTEST, max(30.0 * s.duration, 9.0 * FASTEST), "s"),
              "c": free(0.1 / s.torque**2, 0.0, 30.0 / s.torque**2, "1/(N m)^2")},
         )
         for share in (0.3, 3.0)
