@@ -27,7 +27,7 @@ FINALISTS = 5
 def bic(dataset: Dataset, system: System) -> dict[str, Any]:
     """Name the effect with the least criterion, if any is below that of the nominal model."""
     fits = Fits(dataset)
-    base = fits.base(system)
+    base = fits.base(system, free=True)
     coarse = best_of_each(fits.run(tasks(fits, base), COARSE))
     finals = fits.run([Task(one.effects, one.system) for one in coarse[:FINALISTS]], FULL)
     ranked = best_of_each([*coarse, *finals])

@@ -17,7 +17,7 @@ ITERATIONS = 15
 def stribeck(dataset: Dataset, system: System) -> dict[str, Any]:
     """Name Stribeck friction, whatever the records say."""
     fits = Fits(dataset)
-    base = fits.base(system)
+    base = fits.base(system, free=True)
     todo = [task for task in tasks(fits, base) if task.effects[0][0] == NAME]
     found = sorted((one for one in fits.run(todo, ITERATIONS) if one is not None), key=lambda one: one.error)
     places = list(dict.fromkeys(one.effects[0][1] for one in found)) or ["joint1/motor_friction"]

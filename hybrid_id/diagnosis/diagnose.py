@@ -156,8 +156,8 @@ def search(
 ) -> tuple[Fits, Selection]:
     """Stages measure, screen, fit and select: the re-fitted model and the effects that the train records call for.
 
-    Models are fitted and compared by free runs over whole records, where these follow them with the best effect.
-    Otherwise the records choose a shorter horizon, and all is done over that.
+    Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
+    leave no structure. Otherwise the records choose the horizon, and all is done over that.
 
     Args:
         fits: holds the records.
@@ -174,10 +174,9 @@ def search(
             if fits.astray(base) <= CRITERIA.lost_refit:
                 first = screen(fits, base, system, progress=progress)
                 best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
-            if fits.astray(best) > CRITERIA.lost:
-                chosen = choose_horizon(
-                    best.system, best.result.engine, fits.records(best.system), [best.result]
-                )
+            if fits.astray(best) > CRITERIA.lost or _adds_up(fits, best, system):
+                batch, how = fits.records(best.system), best.result.engine
+                chosen = choose_horizon(best.system, how, batch, [best.result], followed=0.0)
                 if chosen.kind != "whole":
                     fits = fits.over(chosen)
                     base, first = fits.base(system), None
@@ -188,6 +187,14 @@ def search(
         if not steps:
             raise
         return fits, interrupted(base, steps)
+
+
+def _adds_up(fits: Fits, best: Model, system: System) -> bool:
+    """Whether what a model lacks adds up along its free runs, however closely they follow: no record's own values do."""
+    if best.right:
+        return False
+    own = per_record(fits, best, system)
+    return own is None or not own.explained
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:

@@ -45,6 +45,8 @@ COARSE, FINER, FULL, AGAIN = 5, 10, 40, 4
 """Iterations of a first coarse fit, of a finer one, of a fit to the end, and of its re-fit without some records."""
 WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
+NARROWEST = 1e-6
+"""Relative standard deviation of the narrowest prior that a fit can still move against."""
 PARALLEL_FROM = 2_000_000
 """States times samples that have been fitted when further fits are shared: about the time that processes take to start,
 and not the time itself, on which no result may depend."""
@@ -125,8 +127,11 @@ class Fits:
         """Normalised RMSE of a model's free runs, less the noise, however little an output moves."""
         return astray([model.result], self.records(model.system))
 
-    def base(self, system: System) -> Model:
-        """The nominal model, fitted from its nominal values and from a fit in windows, whichever ends lower."""
+    def base(self, system: System, *, free: bool = False) -> Model:
+        """The nominal model, fitted from its nominal values and from a fit in windows, whichever ends lower.
+
+        Where it leaves structure its parameters are held (:func:`held`), unless they are to be ``free``.
+        """
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
@@ -135,7 +140,7 @@ class Fits:
             raise InputError(
                 f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
             )
-        if not best.white:
+        if not (best.right or free):
             best = self._best([held(start, system, best) for start in (system, best.system)]) or best
         # a fit that has stopped early would lend its gap to the first effect that frees it
         again = confirmed(best.result, self.batch(best.system), options=Options(tolerance=0.05))
@@ -192,14 +197,26 @@ def held(system: System, nominal: System, fitted: Model) -> System:
         fitted: its mean square and the number of independent samples that it leaves scale the priors.
     """
     worth = fitted.result.noise_scale**2 * fitted.result.n_samples / max(fitted.validation.effective, 1.0)
-    std = NUISANCE / max(worth, 1.0) ** 0.5
+    std = max(NUISANCE / max(worth, 1.0) ** 0.5, NARROWEST)
+    return _with_priors(system, nominal, lambda value: (value, std * abs(value)))
+
+
+def released(system: System, nominal: System) -> System:
+    """The same model held no longer: one that lacks nothing needs no help to stay near its true values."""
+    return _with_priors(system, nominal, lambda value: (None, None))
+
+
+def _with_priors(
+    system: System, nominal: System, prior: Callable[[float], tuple[float | None, float | None]]
+) -> System:
     known = {(i.component, i.symbol): i.spec for i in nominal.table if i.spec.prior_std is None}
     priors = {}
     for info in system.table:
         spec = known.get((info.component, info.symbol))
         if spec is None or not spec.estimate or spec.value == 0.0 or "_friction/" in info.component:
             continue
-        priors[info.name] = replace(info.spec, prior_mean=spec.value, prior_std=std * abs(spec.value))
+        mean, std = prior(spec.value)
+        priors[info.name] = replace(info.spec, prior_mean=mean, prior_std=std)
     return system.with_specs(priors)
 
 

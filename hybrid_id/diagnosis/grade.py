@@ -331,7 +331,8 @@ def _parameters(model: Model, name: Name) -> dict[str, tuple[float, float]]:
     result = model.result
     jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])
     scale = max(result.noise_scale**2 * result.n_samples / max(model.validation.effective, 1.0), 1e-300)
-    information = jacobian.T @ jacobian / scale
+    # priors, too, are scaled to what the model leaves
+    information = (jacobian.T @ jacobian + np.diag(result.prior_precision)) / scale
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
     covariance = np.linalg.pinv(information / np.outer(size, size), rcond=1e-10) / np.outer(size, size)
     unseen = np.diag(information) == 0.0  # no measurement depends on it

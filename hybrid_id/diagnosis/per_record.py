@@ -8,7 +8,7 @@ import numpy as np
 
 from hybrid_id.diagnosis.candidates import at_nominal
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, released
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.validation import coloured, mean_square
 from hybrid_id.identification.fit import fit
@@ -66,7 +66,7 @@ def per_record(fits: Fits, model: Model, nominal: System) -> PerRecord | None:
     if batch.rows < 2 or not fits.whole:
         return None
     options = Options(max_iterations=FULL, tolerance=0.05)
-    start = at_nominal(system, nominal) or system
+    start = released(at_nominal(system, nominal) or system, nominal)
     try:
         sets = fit(start, batch, pooled=False, engine=engine(), options=options)
     except RuntimeError:  # one of them breaks off

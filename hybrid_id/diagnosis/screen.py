@@ -10,7 +10,7 @@ from typing import Any
 from hybrid_id.diagnosis.candidates import from_nominal, special_cases, tasks
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task
+from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task, released
 from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.identification.horizons import Horizon, hidden_links
 from hybrid_id.systems.chain import System
@@ -75,15 +75,15 @@ def screen(
             progress(stage, min(count[0], total), total)
 
     coarse = best_of_each([one for one in fits.run(near, COARSE, tick) if one is not None], STARTS)
-    ranked = _finer(fits, before, coarse, tick)
+    ranked = _finer(fits, nominal, before, coarse, tick)
     if fits.whole and not (ranked and ranked[0].white):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
     for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
         chosen = best_of_each(ranked, key=effects_of)[:keep]
-        ranked = _further(fits, before, [one for one in chosen if not one.finished], ranked, FULL, tick)
+        ranked = _further(fits, nominal, before, [one for one in chosen if not one.finished], ranked, FULL, tick)
     if ranked and promising(ranked[0], before):
-        ranked = _polished(fits, before, ranked, tick)
+        ranked = _polished(fits, nominal, before, ranked, tick)
     ends = best_of_each(ranked, key=effects_of, order=judged)
     return Step(before, tuple(simplest_first(ends, before)))
 
@@ -101,12 +101,14 @@ def needed_fall(richer: Model, simpler: Model) -> float:
     return CRITERIA.completing_fall if completes else CRITERIA.next_fall
 
 
-def _finer(fits: Fits, before: Model, coarse: Sequence[Model], tick: Callable[[], object]) -> list[Model]:
+def _finer(
+    fits: Fits, nominal: System, before: Model, coarse: Sequence[Model], tick: Callable[[], object]
+) -> list[Model]:
     """The most promising effects fitted finer, and some more initial values of the best; beside two effects fewer."""
     firsts = best_of_each(coarse, key=effects_of)
     many, starts = (FINALISTS, 0) if len(before.effects) > 1 else (PROMISING, STARTS)
     more = [one for one in coarse if one not in firsts][:starts]
-    return _further(fits, before, firsts[:many] + more, firsts, FINER, tick)
+    return _further(fits, nominal, before, firsts[:many] + more, firsts, FINER, tick)
 
 
 def _from_afar(
@@ -141,13 +143,17 @@ def _from_afar(
 
 def _further(
     fits: Fits,
+    nominal: System,
     before: Model,
     some: Sequence[Model],
     everyone: Sequence[Model],
     iterations: int,
     tick: Callable[[], object],
 ) -> list[Model]:
-    """Some of the candidates fitted further, as far as they are not hopeless, among everyone again, best first."""
+    """Some of the candidates fitted further, as far as they are not hopeless, among everyone again, best first.
+
+    To the end, what is right without its parameters held is fitted without.
+    """
     if not some:
         return list(everyone)
     best = min((*some, *everyone), key=lambda e: e.trained)
@@ -158,15 +164,18 @@ def _further(
         limit = max(HOPELESS * best.trained, closed)
     rivals = [e for e in some if e.trained < limit]
     leads = best.trained / (1.0 - CRITERIA.distinct_fall)
+    starts = [e.system for e in rivals]
+    if iterations == FULL:
+        starts = [_released(fits, nominal, e) for e in rivals]
     todo = [
         Task(
             e.effects,
-            e.system,
+            start,
             cost=e.result.cost,
             x0=e.result.x0,
             shake=promising(e, before) and e.trained < leads,
         )
-        for e in rivals
+        for e, start in zip(rivals, starts, strict=True)
     ]
     more = fits.run(todo, iterations, tick)
     # what has been fitted further counts, be it better or worse; the rest stays as it was seen
@@ -174,11 +183,22 @@ def _further(
     return best_of_each([*(e for e in more if e is not None), *kept], 2)
 
 
-def _polished(fits: Fits, before: Model, ranked: list[Model], tick: Callable[[], object]) -> list[Model]:
+def _released(fits: Fits, nominal: System, one: Model) -> System:
+    """Where a candidate's last fit starts: held no longer, if it then leaves no structure."""
+    start = released(one.system, nominal)
+    if start.table == one.system.table:
+        return one.system
+    free = fits.run([Task(one.effects, start, x0=one.result.x0)], FINER)[0]
+    return free.system if free is not None and free.right else one.system
+
+
+def _polished(
+    fits: Fits, nominal: System, before: Model, ranked: list[Model], tick: Callable[[], object]
+) -> list[Model]:
     """The leading effect from its other initial values, its special cases, and simpler candidates, all to the end."""
     if not ranked[0].white:
         own = [one for one in ranked if one.effects == ranked[0].effects and not one.finished]
-        ranked = _further(fits, before, own[:FINALISTS], ranked, FULL, tick)
+        ranked = _further(fits, nominal, before, own[:FINALISTS], ranked, FULL, tick)
         # along the ripples of a torque over the angle each further fit comes a little further
         for _ in range(FINALISTS):
             if ranked[0].white or not over_angle(ranked[0].effects):
@@ -196,7 +216,7 @@ def _polished(fits: Fits, before: Model, ranked: list[Model], tick: Callable[[],
         and e.trained < ranked[0].trained / (1.0 - CRITERIA.distinct_fall)
         and len(e.result.names) < len(ranked[0].result.names)
     ]
-    return _further(fits, before, simpler[:FINALISTS], ranked, FULL, tick)
+    return _further(fits, nominal, before, simpler[:FINALISTS], ranked, FULL, tick)
 
 
 def effects_of(one: Model) -> tuple[Name, ...]:

@@ -36,6 +36,7 @@ def choose_horizon(
     batch: Batch,
     whole: Sequence[FitResult] = (),
     *,
+    followed: float = FOLLOWED,
     options: Options | None = None,
 ) -> Horizon:
     """The longest of whole records, strokes and windows beyond which error grows faster than information.
@@ -51,13 +52,14 @@ def choose_horizon(
         engine: how it is simulated.
         batch: whole records, prepared for it.
         whole: fits of the records as a whole, one or one a record; fitted here where there is none.
+        followed: normalised RMSE beyond noise up to which they do; 0 to compare horizons in any case.
         options: settings of these fits.
     """
     options = options or Options()
     if not system.estimated:
         return WHOLE
     whole = whole or fit(system, batch, pooled=True, engine=engine, options=options)
-    if astray(whole, batch) <= FOLLOWED:
+    if astray(whole, batch) <= followed:
         return Horizon(reason="they follow the records")
     brief, found = replace(options, max_iterations=BRIEF), []
     for horizon in (*(Horizon("windows", s) for s in SECONDS), Horizon("strokes"), WHOLE):

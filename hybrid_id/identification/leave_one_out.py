@@ -56,29 +56,34 @@ def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[
     size = np.sqrt(np.maximum(np.square(jacobian).sum((0, 1)), 1e-300))
     scaled = jacobian / size
     own = [scaled[parts == i].reshape(-1, len(inside)) for i in range(PARTS)]
-    hessian = sum(j.T @ j for j in own)
-    inverses = [_inverse(hessian - j.T @ j) for j in own]
     bounds = make_bounds(result.system, free)
+    mean, precision = bounds.prior_mean.numpy()[inside], bounds.prior_precision.numpy()[inside]
+    hessian = sum(j.T @ j for j in own) + np.diag(precision / size**2)
+    inverses = [_inverse(hessian - j.T @ j) for j in own]
     low, high = bounds.lower.numpy(), bounds.upper.numpy()
     rollouts = Rollouts(result.system, batch, result.engine, free)
     points = np.tile(result.values, (PARTS, 1))
     left = np.tile(residual, (PARTS, 1, 1))
     others = np.array([parts != i for i in range(PARTS)])
-    costs = np.array([np.square(left[i][others[i]]).sum() for i in range(PARTS)])
+
+    def cost(run: np.ndarray, part: int, point: np.ndarray) -> float:
+        prior = float(precision @ np.square(point[inside] - mean))
+        return float(np.square(run[others[part]]).sum()) + prior
+
+    costs = np.array([cost(left[i], i, points[i]) for i in range(PARTS)])
     active = set(range(PARTS))
     for _ in range(iterations):
         tried = np.repeat(points, len(SHARES), 0)
         for i in range(PARTS):
             slope = np.einsum("tyk,ty->k", scaled[others[i]], left[i][others[i]])
+            slope -= precision * (points[i, inside] - mean) / size
             step = inverses[i] @ slope / size
             tried[i * len(SHARES) : (i + 1) * len(SHARES), inside] += np.outer(SHARES, step)
         tried = np.clip(tried, low, high)
         runs = rollouts.residuals(tried, np.tile(result.x0, (len(tried), 1, 1)))[:, kept]
         for i in sorted(active):
-            found = [
-                float(np.square(run[others[i]]).sum())
-                for run in runs[i * len(SHARES) : (i + 1) * len(SHARES)]
-            ]
+            lanes = range(i * len(SHARES), (i + 1) * len(SHARES))
+            found = [cost(runs[k], i, tried[k]) for k in lanes]
             best = int(np.argmin(found))
             # first states are held, which costs the whole step a little: it is taken all the same
             best = 0 if found[0] <= (1.0 + SETTLED) * min(found[best], costs[i]) else best

@@ -16,7 +16,8 @@ import hybrid_id.diagnosis.fits as module
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, predicted
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, predicted, released
+from hybrid_id.diagnosis.model import Model
 from hybrid_id.errors import InputError
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Dataset
@@ -80,6 +81,31 @@ def test_a_single_record_is_left_out_block_by_block() -> None:
             spring = nominal.with_component("joint1/load", REGISTRY["spring_load"](k_s=0.5, q_s=0.2))
             (right,) = fits.run([Task((("spring_load", "joint1/load"),), spring)], FULL)
             assert right is not None and right.validation.fall(base.validation) > 0.5
+
+
+def test_what_lacks_something_is_held_as_a_data_sheet_holds_it() -> None:
+    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    own = nominal.parameter("P_m1").spec
+    nominal = nominal.with_specs({"P_m1": replace(own, prior_mean=own.value, prior_std=0.001)})
+    fits = Fits(dataset)
+    free, base = fits.base(nominal, free=True), fits.base(nominal)
+    assert free.system.parameter("J").spec.prior_std is None
+
+    def moved(one: Model) -> float:
+        return abs(np.log(one.system.parameter("J").spec.value / nominal.parameter("J").spec.value))
+
+    assert not base.right and 2.0 * moved(base) < moved(free)
+    specs = {info.symbol: info.spec for info in base.system.table}
+    assert specs["P_m1"].prior_std == 0.001  # its own
+    assert specs["F_c"].prior_std is None  # friction is on no data sheet
+    again = {info.symbol: info.spec for info in released(base.system, nominal).table}
+    assert again["J"].prior_std is None and again["P_m1"].prior_std == 0.001
+
+
+def test_a_right_model_is_held_by_nothing() -> None:
+    dataset, nominal = small_case()
+    base = Fits(dataset).base(nominal)
+    assert base.right and all(info.spec.prior_std is None for info in base.system.table)
 
 
 def test_validation_records_are_judged_by_and_not_fitted() -> None:

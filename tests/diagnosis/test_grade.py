@@ -23,7 +23,7 @@ from hybrid_id.diagnosis.grade import (
     tied_models,
     tied_sets,
 )
-from hybrid_id.diagnosis.model import Name
+from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.screen import Step
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.diagnosis.validation import Validation
@@ -44,11 +44,15 @@ class Fitted:
     system: Any
     finished: bool = True
     white: bool = False
-    coloured: float = 0.9
+    coloured: float = 0.2
 
     @property
     def error(self) -> float:
         return self.validation.error
+
+    trained = error
+    right = property(lambda self: self.coloured <= CRITERIA.coloured)
+    fall, ahead_of = Model.fall, Model.ahead_of
 
 
 def model(error: float, *effects: Name, seed: int = 0, scatter: float = 0.2, white: bool = False) -> Any:
@@ -57,6 +61,7 @@ def model(error: float, *effects: Name, seed: int = 0, scatter: float = 0.2, whi
     found = Validation(25.0 * blocks, np.full(BLOCKS, 25), np.arange(BLOCKS) // 40, 500.0)
     result = SimpleNamespace(
         names=("x",), values=[1.0], jacobian=(np.ones((9, 1, 1)),), noise_scale=1.0, n_samples=9, at_bound=(),
+        prior_precision=np.zeros(1),
         residual=[np.sqrt(error) * np.sin(0.01 * np.arange(400))[:, None]], cost=error,
         system=SimpleNamespace(parameter=lambda _: SimpleNamespace(component=""), table=()),
     )  # fmt: skip

@@ -1,34 +1,44 @@
 """One selection step: which candidates are fitted further, and which leads."""
 
-from collections.abc import Callable
+from dataclasses import dataclass, field
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
 from hybrid_id.diagnosis.screen import best_of_each, effects_of, promising, simplest_first
-from hybrid_id.diagnosis.validation import Validation
 
 
-def judged(error: float, z: Callable[[Validation], float] = lambda _: 0.0) -> Validation:
-    """Errors of a mean square, and how surely it is less than another's."""
+@dataclass(eq=False)
+class Fitted:
+    """What a selection step asks of a candidate."""
 
-    class Judged(Validation):
-        error = property(lambda _: error)
+    effects: tuple[Any, ...]
+    error: float
+    parameters: int = 1
+    z: float = 0.0
+    right: bool = True
+    white: bool = False
+    finished: bool = True
+    system: Any = None
+    result: Any = field(init=False)
 
-        def z(self, other: Validation) -> float:
-            return z(other)
+    def __post_init__(self) -> None:
+        self.result = SimpleNamespace(names=("x",) * self.parameters, cost=self.error)
+        self.trained = self.error
 
-    return Judged(np.zeros(1), np.ones(1), np.zeros(1, int), 2.0)
+    def ahead_of(self, other: "Fitted") -> float:
+        return self.z
+
+    def fall(self, before: "Fitted") -> float:
+        return 1.0 - self.error / before.error
 
 
 def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
-    def fitted(name: str, error: float, parameters: int, z: float = 0.0):
-        effects = ((name, "joint1/load"),)
-        result = SimpleNamespace(names=("x",) * parameters)
-        told = judged(error, lambda _: z)
-        return SimpleNamespace(effects=effects, validation=told, error=error, result=result, finished=True)
+    def fitted(name: str, error: float, parameters: int, z: float = 0.0) -> Any:
+        return Fitted(((name, "joint1/load"),), error, parameters, z)
 
     spring, bias, weight = (
         fitted("spring_load", 1.0, 7), fitted("constant_torque", 1.02, 6), fitted("gravity_load", 1.2, 5)
@@ -47,12 +57,24 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
     assert simplest_first(sure, large) == [bias, sure[0], weight]
 
 
+def test_where_structure_is_left_a_simple_law_leads_that_does_most_of_it() -> None:
+    """A flexible law takes some of whatever else is missing: that it predicts better says little for it."""
+
+    def fitted(name: str, error: float, parameters: int, z: float = 2.0) -> Any:
+        return Fitted(((name, "joint1/motor_friction"),), error, parameters, z, right=False)
+
+    before: Any = Fitted((), 10.0)
+    waves, loaded = fitted("position_dependent_friction", 2.0, 9), fitted("load_dependent_friction", 4.0, 6)
+    assert simplest_first([waves, loaded], before) == [loaded, waves]
+    weak = fitted("quadratic_drag", 7.0, 6)  # does less than half of it
+    assert simplest_first([waves, weak], before) == [waves, weak]
+    sure = fitted("position_dependent_friction", 2.0, 9, z=3.0)
+    assert simplest_first([sure, loaded], before) == [sure, loaded]
+
+
 def test_an_effect_is_where_it_usually_acts_where_the_records_cannot_tell() -> None:
-    def fitted(place: str, error: float, z: float = 0.0):
-        effects = (("asymmetric_friction", f"joint1/{place}"),)
-        result = SimpleNamespace(names=("x",))
-        told = judged(error, lambda _: z)
-        return SimpleNamespace(effects=effects, validation=told, error=error, result=result, finished=True)
+    def fitted(place: str, error: float, z: float = 0.0) -> Any:
+        return Fitted((("asymmetric_friction", f"joint1/{place}"),), error, 1, z)
 
     at_link, at_rotor, before = fitted("link_friction", 1.0), fitted("motor_friction", 1.01), fitted("", 9.0)
     assert simplest_first([at_link, at_rotor], before) == [at_rotor, at_link]
@@ -67,12 +89,8 @@ def test_waves_of_different_periods_are_different_models() -> None:
     _, nominal = small_case()
     place = "joint1/motor"
 
-    def fitted(n: float, error: float):
-        system = nominal.with_component(place, Cogging(n=n))
-        result = SimpleNamespace(cost=error)
-        return SimpleNamespace(
-            effects=(("cogging", place),), validation=judged(error), error=error, result=result, system=system
-        )
+    def fitted(n: float, error: float) -> Any:
+        return Fitted((("cogging", place),), error, system=nominal.with_component(place, Cogging(n=n)))
 
     three, four, worse = fitted(3.0, 1.0), fitted(4.0, 2.0), fitted(3.0, 3.0)
     assert best_of_each([worse, four, three]) == [three, four]
@@ -80,10 +98,14 @@ def test_waves_of_different_periods_are_different_models() -> None:
 
 
 def test_beside_an_effect_nothing_is_fitted_to_the_end_that_cannot_be_accepted() -> None:
-    def one(error: float, *names: str):
-        return SimpleNamespace(effects=tuple(names), validation=judged(error), error=error)
+    def one(error: float, *names: str) -> Any:
+        return Fitted(tuple(names), error, right=False)
 
     weight = one(1.0, "gravity_load")
-    assert promising(one(0.9, "gravity_load", "spring_load"), weight)
+    assert promising(one(0.87, "gravity_load", "spring_load"), weight)
     assert not promising(one(0.97, "gravity_load", "spring_load"), weight)
     assert promising(one(0.98, "spring_load"), one(1.0))
+    # what completes the answer needs less
+    small, done = one(0.94, "gravity_load", "spring_load"), one(0.94, "gravity_load", "spring_load")
+    done.right = True
+    assert promising(done, weight) and not promising(small, weight)

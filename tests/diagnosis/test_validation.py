@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 from scipy.stats import binom
+from scipy.stats import t as student
 
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.validation import (
     BLOCK,
+    FEWEST,
     Validation,
     coloured,
     effective_samples,
@@ -50,6 +52,40 @@ def test_blocks_are_parts_of_the_mean_square(lengths: list[int], outputs: int, s
     assert [int((found.row == k).sum()) for k in range(len(errors))] == [-(-n // length) for n in lengths]
     for k, error in enumerate(errors):
         assert found.blocks[found.row == k].sum() == pytest.approx(np.square(error).sum())
+
+
+def test_records_are_the_witnesses_where_errors_last_as_long_as_they_do(rng: np.random.Generator) -> None:
+    """One of two records better and one worse says nothing, however many blocks each has."""
+    base = rng.uniform(0.9, 1.1, ROWS * BLOCKS)
+    better = np.repeat([0.2, 5.0] * (ROWS // 2), BLOCKS)
+    mixed, surplus = from_blocks(base * better), from_blocks(0.5 * base)
+    (t, n), (sure, _) = mixed.over_records(from_blocks(base)), surplus.over_records(from_blocks(base))
+    assert n == ROWS and abs(t) < 0.1 and sure > 50.0
+    assert from_blocks(base).over_records(mixed)[0] == pytest.approx(-t)
+
+
+def test_few_records_are_divided(rng: np.random.Generator) -> None:
+    for rows in (1, 2, 3):
+        row = np.repeat(np.arange(rows), BLOCKS)
+        one, other = (
+            Validation(size * rng.uniform(0.9, 1.1, len(row)), np.full(len(row), 25), row, 100.0)
+            for size in (0.8, 1.0)
+        )
+        t, n = one.over_records(other)
+        assert n == rows * -(-FEWEST // rows) >= FEWEST and t > 4.0
+
+
+@pytest.mark.parametrize("rows", [4, 12])
+def test_the_record_wise_difference_of_equals_is_student_s(rows: int) -> None:
+    """Two models that err alike: their difference over records exceeds a quantile as often as it says."""
+    rng, beyond = np.random.default_rng(5), 0
+    for _ in range(400):
+        row = np.repeat(np.arange(rows), BLOCKS)
+        own = np.exp(rng.standard_normal((2, rows)))[:, row]
+        one, other = (Validation(size, np.full(len(row), 25), row, 100.0) for size in own)
+        t, n = one.over_records(other)
+        beyond += abs(t) > student.isf(0.05, n - 1)
+    assert 0.06 < beyond / 400 < 0.14
 
 
 def test_samples_without_a_measurement_count_for_nothing(rng: np.random.Generator) -> None:

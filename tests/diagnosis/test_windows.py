@@ -61,7 +61,7 @@ def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
 ) -> None:
     dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     monkeypatch.setattr(Fits, "astray", lambda *_: 1.0)
-    monkeypatch.setattr(module, "choose_horizon", lambda *_: Horizon("windows", 0.3))
+    monkeypatch.setattr(module, "choose_horizon", lambda *_, **__: Horizon("windows", 0.3))
     few = ("spring_load", "thermal_derating", "stribeck_friction")
     monkeypatch.setattr(candidates, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     fits, found = module.search(Fits(dataset), nominal, max_effects=1)

@@ -156,6 +156,23 @@ def test_priors_hold_what_the_records_do_not_tell() -> None:
     assert found.system.parameter(name).spec.value == pytest.approx(spec.value, rel=0.01)
 
 
+def test_what_is_held_stays_held_without_a_part() -> None:
+    truth = rigid_drive(Viscous(F_v=5e-5))
+    inputs = {"u1": np.stack([multisine(k, samples=400, rest=20) for k in range(3)])}
+    batch = batch_of(truth, inputs, rows=3, outputs=("q_m1",))
+    run = rollout(truth, DRY, batch, truth.theta().detach()[:, None].expand(-1, 3))[..., :1]
+    run[2] *= 1.2  # another machine
+    batch = replace(batch, y=run, weight=torch.full_like(run, 1.0 / NOISE))
+    specs = {i.name: i.spec for i in truth.table if i.spec.estimate}
+    tight = {n: replace(s, prior_mean=s.value, prior_std=1e-8 * s.value) for n, s in specs.items()}
+    errors = [
+        sum(float(np.square(r).sum()) for r in one)
+        for whole in (secant_fit(truth.with_specs(tight), batch, engine=DRY),)
+        for one in (whole.residual, leave_one_out(whole, batch, 4))
+    ]
+    assert errors[1] == pytest.approx(errors[0], rel=1e-6)
+
+
 def test_shaking_never_ends_higher_and_says_the_same_again() -> None:
     truth = loose_drive(0.03)
     batch = measured(truth, Rollouts(truth, measured(truth, QUICK), QUICK, [0]).engine)
