@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -25,12 +26,14 @@ class Case:
         build: records and model from the folder of the data.
         expected: answers that are right: names of the effect that comes first, or a verdict where none is named.
         size: of the expected effect: parameter, least and largest right value; empty where any will do.
+        changes: pattern of the change of parameter values that has to be named, whatever else is; empty for none.
         window: length of the free runs [s] that nominal, re-fitted and corrected model are scored by; None for none.
     """
 
     build: Callable[[Path], Machine]
     expected: tuple[str, ...] = ()
     size: tuple[str, float, float] | tuple[()] = ()
+    changes: str = ""
     window: float | None = None
 
 
@@ -41,6 +44,8 @@ def agreement(case: Case, answer: Mapping[str, Any]) -> str:
     indistinguishable from it), ``nothing named``, ``wrong below 0.5``, ``wrong``, or ``-`` where nothing definite is
     expected.
     """
+    if case.changes:
+        return "right" if re.search(case.changes, answer["changes"], re.IGNORECASE) else "nothing named"
     if not case.expected:
         return "-"
     named = [effect for effect in answer["effects"] if effect.get("selected")]
@@ -119,7 +124,7 @@ def known_pendulum(data: Path) -> Machine:
 def interventions(known: Callable[[Path], Machine], channel: str, bias: float) -> dict[str, Case]:
     """The three known changes of one machine."""
     return {
-        "load_plus_30": Case(lambda data: heavier(known(data)), ("parameters_only",)),
+        "load_plus_30": Case(lambda data: heavier(known(data)), changes="the load is .* lighter"),
         "delay_30ms": Case(lambda data: late(known(data)), ("delay",), ("T_d", 0.02, 0.04)),
         "bias": Case(lambda data: biased(known(data), channel, bias), ("constant_torque",)),
     }

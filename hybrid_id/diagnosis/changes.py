@@ -27,8 +27,6 @@ NOMINAL = 0.02
 """Standard deviation of a relative change that counts as none: no nominal value is known better."""
 LEFT = 0.02
 """Probability of a chi-square, were nothing else changed, below which something sure is left."""
-MOSTLY = 0.8
-"""Share of the chi-square from which a change is said beside others to have moved most."""
 SURE = 1.96
 """Standard errors of a 95 % interval."""
 VAGUE = 1.0
@@ -67,6 +65,7 @@ class ParameterChange:
         words: The same in a sentence.
         indistinguishable_from: Names of other changes that leave nothing sure either.
         rejected: The other changes, best first.
+        together: Names of changes that explain the better part of it together, where one alone does not.
     """
 
     name: str
@@ -78,6 +77,7 @@ class ParameterChange:
     words: str
     indistinguishable_from: tuple[str, ...] = ()
     rejected: tuple[RejectedChange, ...] = ()
+    together: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,16 +157,24 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
             indistinguishable_from=tuple(also),
             rejected=rejected,
         )
-    most = others[0] if others else None
+    # where no torque is known, changes that differ by the scale of all torques are told apart by none
+    blind = _scale_unseen(infos, axes)
+    parts = [] if blind else _together(list(_hypotheses(nominal, infos)), whitener @ axes.T, moved)
     alone = _moved_alone(infos, axes, change, spread)
-    listed = ", ".join(f"{named(infos[k])} {100 * np.expm1(own):+.0f} %" for k, own in alone.items())
-    words = f"Several parameters moved{': ' + listed if listed else ' together'}"
-    if most is not None and explained(most) >= MOSTLY:
-        words += f"; one change explains {100 * explained(most):.0f} % of it: {_words(nominal, most, names)}"
-    touched = tuple(names[k] for k in alone) or names
-    return ParameterChange(
-        "several", 0, 0.0, (0.0, 0.0), touched, explained(most) if most else 0.0, words, (), rejected
+    within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
+    listed = ", ".join(
+        f"{named(infos[k])} {100 * np.expm1(own):+.0f} %" for k, own in alone.items() if k not in within
     )
+    words = "; ".join(_words(nominal, one, names) for one in parts)
+    words = words[:1] + words[1:].replace("; The", "; the").replace("; Friction", "; friction")
+    if words:
+        words += f"; beside that {listed}" if listed else ""
+    else:
+        words = f"Several parameters moved{': ' + listed if listed else ' together'}"
+    touched = tuple(names[k] for k in sorted(within | set(alone))) or names
+    together = tuple(one.hypothesis.name for one in parts)
+    most = explained(others[0]) if others else 0.0
+    return ParameterChange("several", 0, 0.0, (0.0, 0.0), touched, most, words, (), rejected, together)
 
 
 def _nothing() -> ParameterChange:
@@ -188,12 +196,10 @@ def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, n
     size = np.where(positive, np.abs(values), np.maximum(np.maximum(np.abs(values), np.abs(start)), 1e-300))
     ratio = np.where(positive, values / np.where(positive, start, 1.0), 1.0)
     change = np.where(positive, np.log(ratio), (values - start) / size)
-    # The data's own estimate: without the pull of priors towards their means.
-    specs = [fit.system.parameter(fit.names[k]).spec for k in range(len(fit.names))]
-    means = np.array(
-        [v if s.prior_mean is None else s.prior_mean for s, v in zip(specs, fit.values, strict=True)]
-    )
-    pull = fit.prior_precision * (fit.values - means)
+    # the data's own estimate: without the pull of the user's priors towards their means
+    own = {info.name: info.spec.prior_mean for info in nominal.table}
+    means = [v if own.get(n) is None else own[n] for n, v in zip(fit.names, fit.values, strict=True)]
+    pull = fit.prior_precision * (fit.values - np.array(means))
     matched = all(len(j) == len(r) for j, r in zip(fit.jacobian, fit.residual, strict=True))
     estimate = robust_covariance if matched else covariance
     residual = (
@@ -226,6 +232,59 @@ def _solve(hypothesis: _Hypothesis, whitened_axes: np.ndarray, moved: np.ndarray
     freedom = len(moved) - np.linalg.matrix_rank(design)
     probability = float(chi2.sf(left, freedom)) if freedom > 0 else 0.0
     return _Solution(hypothesis, sizes, np.sqrt(np.diag(covariance_of_sizes)), left, probability)
+
+
+def _together(hypotheses: list[_Hypothesis], whitened_axes: np.ndarray, moved: np.ndarray) -> list[_Solution]:
+    """Changes that act at once, the one that explains most first; each moves several parameters as one cause does."""
+    found: list[_Solution] = []
+    left = float(moved @ moved)
+    while True:
+        taken = [one.hypothesis for one in found]
+        used = np.any([one.columns.any(1) for one in taken], axis=0) if taken else False
+        free = [one for one in hypotheses if not np.any(one.columns.any(1) & used)]
+        tried = [
+            _solve_together([*taken, one], whitened_axes, moved)
+            for one in free
+            if _as_one(one, taken, whitened_axes, moved)
+        ]
+        tried = [parts for parts in tried if all(_makes_sense(one) and _coherent(one) for one in parts)]
+        best = min(tried, key=lambda parts: (parts[0].left, len(parts[-1].sizes)), default=None)
+        if best is None or chi2.sf(left - best[0].left, len(best[-1].sizes)) >= LEFT:
+            return found
+        found, left = best, best[0].left
+
+
+def _solve_together(
+    hypotheses: list[_Hypothesis], whitened_axes: np.ndarray, moved: np.ndarray
+) -> list[_Solution]:
+    """Sizes of several changes by one least squares; the chi-square left is that of all."""
+    every = _solve(
+        _Hypothesis("several", 0, np.hstack([one.columns for one in hypotheses])), whitened_axes, moved
+    )
+    ends = np.cumsum([one.columns.shape[1] for one in hypotheses])[:-1]
+    sizes, errors = np.split(every.sizes, ends), np.split(every.errors, ends)
+    return [
+        _Solution(one, size, error, every.left, every.probability)
+        for one, size, error in zip(hypotheses, sizes, errors, strict=True)
+    ]
+
+
+def _as_one(
+    change: _Hypothesis, taken: list[_Hypothesis], whitened_axes: np.ndarray, moved: np.ndarray
+) -> bool:
+    """Whether several parameters have moved by one size, next to which sizes of their own explain nothing sure."""
+    rows, sizes = np.flatnonzero(change.columns.any(1)), change.columns.shape[1]
+    if len(rows) <= sizes:
+        return True
+    apart = _Hypothesis(change.name, change.joint, np.eye(len(change.columns))[:, rows])
+    left = [_solve_together([*taken, one], whitened_axes, moved)[0].left for one in (change, apart)]
+    return float(chi2.sf(left[0] - left[1], len(rows) - sizes)) >= LEFT
+
+
+def _coherent(solution: _Solution) -> bool:
+    """Whether more than one parameter has surely moved as the change says: one alone may have any cause."""
+    sure = np.abs(solution.sizes) > SURE * solution.errors
+    return int(solution.hypothesis.columns[:, sure].any(1).sum()) > 1
 
 
 def _makes_sense(solution: _Solution) -> bool:
@@ -372,6 +431,13 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
     return words
 
 
+def _scale_unseen(infos: list[ParameterInfo], axes: np.ndarray) -> bool:
+    """Whether the records say nothing of a common factor of all torques."""
+    powers = np.array([torque_power(info.spec.unit) for info in infos], float)
+    size = float(np.linalg.norm(powers))
+    return size > 0.0 and float(np.linalg.norm(axes.T @ powers)) < 0.01 * size
+
+
 def _moved_alone(
     infos: list[ParameterInfo], axes: np.ndarray, change: np.ndarray, spread: np.ndarray
 ) -> dict[int, float]:
@@ -380,10 +446,9 @@ def _moved_alone(
     Where the records do not identify the common scale of torques, the median of their changes is taken for it.
     """
     powers = np.array([torque_power(info.spec.unit) for info in infos], float)
-    scale = powers / max(float(np.linalg.norm(powers)), 1e-300)
     seen = axes @ axes.T
-    if np.any(powers) and np.linalg.norm(axes.T @ scale) < 0.01:
-        seen = seen + np.outer(scale, scale)
+    if _scale_unseen(infos, axes):
+        seen = seen + np.outer(powers, powers) / float(powers @ powers)
         change = change - powers * np.median((change / np.where(powers, powers, 1.0))[powers != 0.0])
     error = np.sqrt(np.diag(axes @ spread @ axes.T))
     return {

@@ -27,7 +27,7 @@ from hybrid_id.diagnosis.grade import (
 from hybrid_id.diagnosis.held_out import Errors, Shrink, errors, shrink
 from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.locate import Location, disturbances, locate
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.model import Model, Name, added_effect
 from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import implausible_parameters
@@ -178,8 +178,10 @@ def search(
                 batch, how = fits.records(best.system), best.result.engine
                 chosen = choose_horizon(best.system, how, batch, [best.result], followed=0.0)
                 if chosen.kind != "whole":
+                    few = None if first is None else _helping(first)
                     fits = fits.over(chosen)
-                    base, first = fits.base(system), None
+                    base = fits.base(system)
+                    first = screen(fits, base, system, among=few, progress=progress)
         return fits, select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
         )
@@ -189,8 +191,14 @@ def search(
         return fits, interrupted(base, steps)
 
 
+def _helping(step: Step) -> frozenset[Name]:
+    """The effects that explain anything of what their train records show."""
+    least = (1.0 - CRITERIA.least_fall) * step.before.trained
+    return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained < least)
+
+
 def _adds_up(fits: Fits, best: Model, system: System) -> bool:
-    """Whether what a model lacks adds up along its free runs, however closely they follow: no record's own values do."""
+    """Whether what a model lacks adds up along its free runs: no record's own values explain the structure left."""
     if best.right:
         return False
     own = per_record(fits, best, system)
@@ -326,11 +334,20 @@ def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
 
 
 def _changes(answer: Answer, system: System) -> str:
-    """Which physical change explains the new values, in a sentence, where nothing but these is wrong."""
-    fit = answer.found.base.result
-    if answer.verdict != "parameters_only" or fit.left_early:
+    """Which physical change explains the new values, in a sentence.
+
+    Beside effects, or where something unknown remains, only what is no friction, which these change themselves.
+    """
+    fit = answer.found.chosen.result
+    if fit.left_early or not (answer.wrong_values or answer.verdict == "parameters_only"):
         return ""
-    return find_change(system, fit).words
+    change = find_change(system, fit)
+    several = change.together or (change.name,)
+    return "" if answer.verdict != "parameters_only" and _VAGUE.issuperset(several) else change.words
+
+
+_VAGUE = frozenset({"none", "several", "friction"})
+"""Changes that say little beside an effect."""
 
 
 def report(

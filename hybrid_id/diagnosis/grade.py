@@ -14,7 +14,7 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.model import Model, Name, added_effect
-from hybrid_id.diagnosis.screen import Step, needed_fall
+from hybrid_id.diagnosis.screen import Step, log_odds, needed_fall
 from hybrid_id.diagnosis.select import Selection, accepted_ones, chance, refitted_without
 from hybrid_id.diagnosis.validation import DRAWS, Validation, mean_square
 
@@ -249,24 +249,10 @@ def _weights(step: Step) -> np.ndarray:
     best = step.candidates[0]
     judged = [e is best or (e.finished and not _contains(e, step)) for e in step.candidates]
     logs = np.array(
-        [_log_odds(best, e) if has else -np.inf for e, has in zip(step.candidates, judged, strict=True)]
+        [log_odds(best, e) if has else -np.inf for e, has in zip(step.candidates, judged, strict=True)]
     )
     odds = np.exp(logs - logs.max())
     return odds / odds.sum()
-
-
-def _log_odds(best: Model, one: Model) -> float:
-    """Of a candidate against the one that leads: how it predicts, and half a logarithm of the sample a parameter.
-
-    The second is what a needless parameter costs a marginal likelihood (G. Schwarz, Annals of Statistics 6, 1978).
-    Where the best is right, it leads by what is more than chance already.
-    """
-    surplus = best.ahead_of(one)
-    if best.right:
-        return -0.5 * max(surplus, 0.0) ** 2
-    further = len(one.result.names) - len(best.result.names)
-    cost = 0.5 * further * float(np.log(max(best.validation.effective, 1.0)))
-    return -0.5 * surplus * abs(surplus) - cost
 
 
 def _present(step: Step) -> float:

@@ -81,7 +81,9 @@ def screen(
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
     for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
         chosen = best_of_each(ranked, key=effects_of)[:keep]
-        ranked = _further(fits, nominal, before, [one for one in chosen if not one.finished], ranked, FULL, tick)
+        ranked = _further(
+            fits, nominal, before, [one for one in chosen if not one.finished], ranked, FULL, tick
+        )
     if ranked and promising(ranked[0], before):
         ranked = _polished(fits, nominal, before, ranked, tick)
     ends = best_of_each(ranked, key=effects_of, order=judged)
@@ -266,16 +268,34 @@ def best_of_each(
     return best
 
 
+def log_odds(best: Model, one: Model) -> float:
+    """Of a candidate against the one that leads: how it predicts, and half a logarithm of the sample a parameter.
+
+    The second is what a needless parameter costs a marginal likelihood (G. Schwarz, Annals of Statistics 6, 1978).
+    Where the best is right, it leads by what is more than chance already.
+    """
+    surplus = best.ahead_of(one)
+    if best.right:
+        return -0.5 * max(surplus, 0.0) ** 2
+    further = len(one.result.names) - len(best.result.names)
+    cost = 0.5 * further * math.log(max(best.validation.effective, 1.0))
+    return -0.5 * surplus * abs(surplus) - cost
+
+
 def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
     """Of the finished candidates that predict as well as the best, the one with fewest parameters leads (parsimony).
 
+    Where the best leaves structure, the most probable one does, which has fewer parameters or the best predictions.
     Where the records cannot tell on which side of a gear an effect acts, it is where it usually does.
     """
     if not ranked:
         return []
     best = next((e for e in ranked if e.finished), ranked[0])
     equals = [e for e in ranked if e.finished and _equals(best, e, before)]
-    first = min(equals, key=lambda e: len(e.result.names), default=best)
+    if best.right:
+        first = min(equals, key=lambda e: len(e.result.names), default=best)
+    else:
+        first = max(equals, key=lambda e: log_odds(best, e), default=best)
     twins = [e for e in equals if _joints(e) == _joints(first) and first.ahead_of(e) < CRITERIA.distinct_z]
     first = min(twins, key=_unusual, default=first)
     return [first, *(e for e in ranked if e is not first)]

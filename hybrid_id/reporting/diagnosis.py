@@ -12,6 +12,7 @@ from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.errors import InputError
 from hybrid_id.reporting.diagnosis_words import (
     caution_lines,
+    change_lines,
     disturbance_line,
     error_lines,
     experiment_lines,
@@ -65,6 +66,7 @@ def diagnosis_table(
     remarks = (
         *tie_lines(diagnosis, brief=True)[:2],
         *varying_lines(diagnosis),
+        *change_lines(diagnosis),
         *rejected_lines(diagnosis),
         *experiment_lines(diagnosis),
         *implausible_lines(diagnosis, 4),

@@ -270,6 +270,13 @@ def rejected_lines(diagnosis: Diagnosis) -> list[str]:
     return [f"rejected: {words}: improbable, or of a size that may be zero."]
 
 
+def change_lines(diagnosis: Diagnosis) -> list[str]:
+    """Which physical change explains the new values, as one line; none where the headline says it."""
+    if not diagnosis.changes or diagnosis.verdict == "parameters_only":
+        return []
+    return [f"parameter values: {diagnosis.changes}"]
+
+
 def varying_lines(diagnosis: Diagnosis) -> list[str]:
     """Between-record variation of parameters, as one line; none where one set explains all records."""
     if not diagnosis.varying:

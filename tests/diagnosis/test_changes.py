@@ -1,5 +1,6 @@
 """A re-fit's new values as one physical change: load, friction, supply, and nothing where nothing has changed."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -156,6 +157,15 @@ def test_what_no_change_explains_is_listed() -> None:
     assert blind.name == "several" and set(blind.parameters) == {"F_c", "J", "P_m2"}
 
 
+def test_two_changes_at_once_are_each_named() -> None:
+    """A load beside friction of another day, and a constant of the motor that has moved alone."""
+    truth = changed(TILTED, J=0.75, G_l=0.77, F_c=1.5, F_v=1.4, P_m2=1.2)
+    found = find_change(TILTED, pretended(TILTED, truth))
+    assert found.name == "several" and set(found.together) == {"load", "friction"}
+    assert re.search(r"the load is 2[1-5] % \(\d\d-\d\d %\) lighter: inertia .* J -2[3-7] %", found.words)
+    assert re.search(r"beside that .* P_m2 \+(19|20|21) %$", found.words)
+
+
 def test_held_parameters_and_a_condensed_fit() -> None:
     held = TILTED.with_specs({"P_m1": replace(TILTED.parameter("P_m1").spec, estimate=False)})
     result = pretended(held, changed(held, J=1.2, G_l=1.3))
@@ -173,11 +183,9 @@ def test_a_prior_pulls_the_estimate_but_not_the_change() -> None:
     pulled = np.linalg.solve(
         information + np.diag(precision), information @ result.values + precision * spec.value
     )
-    system = LEVEL.with_values(dict(zip(result.names, pulled, strict=True)))
-    system = system.with_specs(
-        {"J": replace(system.parameter("J").spec, prior_mean=spec.value, prior_std=precision[k] ** -0.5)}
-    )
-    found = find_change(LEVEL, replace(result, system=system, values=pulled, prior_precision=precision))
+    believed = LEVEL.with_specs({"J": replace(spec, prior_mean=spec.value, prior_std=precision[k] ** -0.5)})
+    system = believed.with_values(dict(zip(result.names, pulled, strict=True)))
+    found = find_change(believed, replace(result, system=system, values=pulled, prior_precision=precision))
     assert found.name == "load" and found.size == pytest.approx(0.3, abs=0.06)
 
 

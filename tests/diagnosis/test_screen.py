@@ -4,7 +4,6 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
@@ -28,6 +27,7 @@ class Fitted:
     def __post_init__(self) -> None:
         self.result = SimpleNamespace(names=("x",) * self.parameters, cost=self.error)
         self.trained = self.error
+        self.validation = SimpleNamespace(effective=400.0)
 
     def ahead_of(self, other: "Fitted") -> float:
         return self.z
