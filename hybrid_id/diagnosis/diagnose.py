@@ -176,7 +176,8 @@ def search(
                 best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
             if fits.astray(best) > CRITERIA.lost or _adds_up(fits, best, system):
                 batch, how = fits.records(best.system), best.result.engine
-                chosen = choose_horizon(best.system, how, batch, [best.result], followed=0.0)
+                chance = best.error > CRITERIA.by_chance * best.trained
+                chosen = choose_horizon(best.system, how, batch, [best.result], followed=0.0, pieces=chance)
                 if chosen.kind != "whole":
                     few = None if first is None else _helping(first)
                     fits = fits.over(chosen)

@@ -24,7 +24,7 @@ from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.horizon_choice import astray
 from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs, hidden_links, windows
 from hybrid_id.identification.least_squares import Options, minimise
-from hybrid_id.identification.leave_one_out import folds, leave_one_out
+from hybrid_id.identification.leave_one_out import folds, leave_one_out, started_without
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.rollouts import WORST, Rollouts, Slopes
 from hybrid_id.identification.secant import secant_fit, shaken, slopes_at
@@ -41,8 +41,12 @@ from hybrid_id.systems.chain import System
 
 BEGINNING = 12
 """Iterations of the fit in windows that the nominal model starts with: its values may be far."""
-COARSE, FINER, FULL, AGAIN = 5, 10, 40, 4
-"""Iterations of a first coarse fit, of a finer one, of a fit to the end, and of its re-fit without some records."""
+COARSE, FINER, FULL = 5, 10, 40
+"""Iterations of a first coarse fit, of a finer one, and of a fit to the end."""
+AGAIN = 4
+"""Iterations of its re-fit without some records."""
+STUCK, SHAKES = 2e-3, 3
+"""Fall of the others' cost below which a re-fit without a record has not moved, and shakes of it then."""
 WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 NARROWEST = 1e-6
@@ -252,19 +256,37 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
         return None  # a start that the physics refuses is no candidate
+    sound = np.isfinite(found.error) and all(np.isfinite(part).all() for part in result.jacobian)
     # a search keeps hundreds
-    return Model(task.effects, result.condensed(), found, full) if np.isfinite(found.error) else None
+    return Model(task.effects, result.condensed(), found, full) if sound else None
 
 
 def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
-    """Weighted errors of a fit on the validation records, or on the train records left out whole, in turn."""
-    if not fits.dataset.validation:
-        return predicted(result, batch)
+    """Weighted errors of a fit on the validation records, or on the train records left out whole, in turn.
+
+    A free run that has lost its record errs at most by as much as any record moves: how far it strays from there says
+    nothing of the model, and would drown all other records.
+    """
     system, share = result.system, fits.signal_share
+    train = fits.records(system)
+    reach = (train.std(train.y) * train.weight.amax(1)).amax(0).clamp_min(1.0).numpy()
+    if not fits.dataset.validation:
+        return bounded(predicted(result, batch), reach)
     whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
     seen, run = runs(system, result.engine, whole, fits.horizon)
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)
-    return [row[(weight > 0).any(1)] for row, weight in zip(error, seen.weight.numpy(), strict=True)]
+    kept = [row[(weight > 0).any(1)] for row, weight in zip(error, seen.weight.numpy(), strict=True)]
+    return bounded(kept, reach)
+
+
+def bounded(errors: Sequence[np.ndarray], reach: np.ndarray) -> list[np.ndarray]:
+    """Weighted errors of free runs, ``(T, n_y)`` each, scaled down to an RMS of at most ``reach`` ``(n_y,)``."""
+    return [row * np.minimum(1.0, reach / np.maximum(rms(row), 1e-300)) for row in errors]
+
+
+def rms(errors: np.ndarray) -> np.ndarray:
+    """Root of the mean square over time, ``(n_y,)``."""
+    return np.sqrt(np.square(errors).mean(0))
 
 
 def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
@@ -283,11 +305,12 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     system, free = result.system, result.system.estimated
     sets = torch.repeat_interleave(torch.arange(len(parts)), torch.tensor([len(rows) for rows in inside]))
     some = batch.take(torch.as_tensor(np.concatenate(inside)))
+    some = replace(some, x=some.x.clone())
+    some.x[:, 0] = torch.as_tensor(result.x0[np.concatenate(inside)])
     theta = system.theta().detach()[:, None].repeat(1, len(parts))
-    options, bounds = Options(max_iterations=AGAIN, tolerance=0.5), make_bounds(system, free)
-    started = replace(batch, x=batch.x.clone())
-    started.x[:, 0] = torch.as_tensor(result.x0)
-    nodes = simulate(system, result.engine, started).x[np.concatenate(inside)]
+    theta[free] = torch.as_tensor(started_without(result, batch, np.searchsorted(parts, fold)).T)
+    options, bounds = Options(max_iterations=2 * AGAIN, tolerance=0.5), make_bounds(system, free)
+    nodes = simulate(system, result.engine, some, theta[:, sets]).x
     again = minimise(system, result.engine, some, sets, theta, free, bounds, options, nodes=nodes)
     points = again.theta[free].T.numpy()
     runs = Rollouts(system, batch, result.engine, free).residuals(
@@ -298,7 +321,12 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
 
 
 def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> list[np.ndarray]:
-    """The same of whole records, by finite steps, which see through stick and slip and play."""
+    """The same of whole records, by finite steps, which see through stick and slip and play.
+
+    In the ripples of a cost that leaves structure such a fit may not move at all, and would predict what it has seen:
+    then it is shaken.
+    """
+    rippled = coloured(result.residual) > CRITERIA.coloured
     found: list[np.ndarray] = [np.empty(0)] * batch.rows
     for k in np.unique(fold):
         inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
@@ -309,6 +337,8 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
             iterations=AGAIN,
             x0=result.x0[inside.numpy()],
         )
+        if rippled and again.cost > (1.0 - STUCK) * again.history[0]:
+            again = shaken(again, batch.take(inside), tries=SHAKES)
         rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
         errors = rest.residuals(again.values[None], result.x0[None, outside.numpy()])[0]
         for row, error in zip(outside.tolist(), errors, strict=True):

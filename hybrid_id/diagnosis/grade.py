@@ -164,7 +164,11 @@ def doubtful(found: Grade) -> list[Name]:
 
 
 def _ladder(fits: Fits, found: Selection) -> tuple[list[Model], list[Step]]:
-    """Models from the re-fitted nominal one to the chosen one, an effect more each, and the step of each effect."""
+    """Models from the re-fitted nominal one to the chosen one, an effect more each, and the step of each effect.
+
+    Last comes the effect without which the others predict best, as far as they have been fitted: each explains what it
+    can before the smaller ones may, in whatever order they were found.
+    """
     chosen, base = found.chosen, found.base
     order: dict[Name, Step] = {}
     for step in found.steps:
@@ -172,16 +176,22 @@ def _ladder(fits: Fits, found: Selection) -> tuple[list[Model], list[Step]]:
             order.setdefault(name, step)
     for name in chosen.effects:
         order.setdefault(name, Step(base, (chosen,)))
-    models, names = [chosen], list(order)
+    models, names, last = [chosen], list(order), list[Name]()
     known = [e for s in found.steps for e in (s.before, *s.candidates) if e.finished]
-    for name in names[:0:-1]:
-        rest = tuple(sorted(set(models[0].effects) - {name}))
-        same = [e for e in known if e.effects == rest]
-        fitted = min(same, key=lambda e: e.error) if same else refitted_without(fits, base, models[0], name)
-        if fitted is None:
+    while len(names) > 1:
+        rests = {name: tuple(sorted(set(names) - {name})) for name in names}
+        simpler = [e for e in known if e.effects in rests.values()]
+        found_last = rests[names[-1]]
+        if not any(e.effects == found_last for e in simpler):
+            again = refitted_without(fits, base, models[0], names[-1])
+            simpler += [] if again is None else [again]
+        if not simpler:
             break
-        models.insert(0, fitted)
-    return ([base, *models] if chosen.effects else [base]), list(order.values())
+        models.insert(0, min(simpler, key=lambda e: e.error))
+        last.insert(0, added_effect(models[1], models[0]))
+        names.remove(last[0])
+    steps = [order[name] for name in (*names, *last)]
+    return ([base, *models] if chosen.effects else [base]), steps
 
 
 def _nested(models: Sequence[Model], steps: Sequence[Step], structural: float, seed: int) -> np.ndarray:
@@ -262,7 +272,7 @@ def _present(step: Step) -> float:
     (T. Sellke, M. J. Bayarri and J. O. Berger, The American Statistician 55, 2001), times how far the fall is
     what an effect needs.
     """
-    if step.best is None:
+    if step.best is None or not step.best.finished:
         return 0.0
     fall = step.best.validation.fall(step.before.validation) / needed_fall(step.best, step.before)
     p = chance(step.best, step.before, step.candidates)

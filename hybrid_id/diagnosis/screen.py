@@ -250,7 +250,7 @@ def best_of_each(
     key: Callable[[Model], object] = shape_of,
     order: Callable[[Model], Any] = trained,
 ) -> list[Model]:
-    """The best fits of each set of effects, best first; of those that have come to the same end only one.
+    """The best fits of each set of effects, best first; of those that have come to the same end only one, fitted to it.
 
     Args:
         found: fits.
@@ -258,12 +258,13 @@ def best_of_each(
         key: what counts as one set; by default every shape does.
         order: by which they are ranked.
     """
-    ends: dict[object, list[float]] = {}
-    best = []
+    best: list[Model] = []
     for one in sorted(found, key=order):
-        known = ends.setdefault(key(one), [])
-        if len(known) < each and all(abs(one.result.cost - end) > SAME * end for end in known):
-            known.append(one.result.cost)
+        known = [k for k, e in enumerate(best) if key(e) == key(one)]
+        same = [k for k in known if abs(one.result.cost - best[k].result.cost) <= SAME * best[k].result.cost]
+        if same:
+            best[same[0]] = one if one.finished and not best[same[0]].finished else best[same[0]]
+        elif len(known) < each:
             best.append(one)
     return best
 

@@ -135,7 +135,12 @@ def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> b
         rivals: all candidates among which the richer one has been found.
     """
     fall = richer.validation.fall(simpler.validation)
-    return fall >= needed_fall(richer, simpler) and chance(richer, simpler, rivals) <= CRITERIA.false_alarms
+    # what has not been fitted to the end has seen the records that would judge it
+    return (
+        richer.finished
+        and fall >= needed_fall(richer, simpler)
+        and chance(richer, simpler, rivals) <= CRITERIA.false_alarms
+    )
 
 
 def accepted_ones(step: Step) -> list[Model]:

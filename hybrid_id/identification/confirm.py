@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
 
+from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import Progress, fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import NO_ESTIMATE, FitResult
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.systems.chain import System
 
 NOISE = 1.05
 """RMS of the weighted residuals up to which they are noise: no other end can be much lower."""
@@ -19,6 +22,8 @@ FALL = 0.005
 """Fall of the cost, relative to it, that shows that the fit had not ended."""
 BRIEF = 8
 """Iterations of a restart."""
+NEARER = (1.0, 0.5, 0.25, 0.1)
+"""Shares of a restart's distance, of which the first is taken at which the system is physical."""
 RESTARTS = 4
 """Restarts that may each find a lower cost."""
 
@@ -49,8 +54,9 @@ def confirmed(
     for _ in range(RESTARTS):
         if result.status in NO_ESTIMATE or result.noise_scale <= NOISE:
             return result
-        values = beside(result, generator)
-        start = result.system.with_values(dict(zip(result.names, values.tolist(), strict=True)))
+        start = _started(result, beside(result, generator))
+        if start is None:
+            return result
         settings = {"pooled": True, "engine": result.engine, "warm": False, "progress": progress}
         again = fit(start, batch, options=brief, **settings)[0]
         if again.status in NO_ESTIMATE or not again.cost < (1.0 - FALL) * result.cost:
@@ -58,6 +64,15 @@ def confirmed(
         further = fit(again.system, batch, options=options, **settings)[0]
         result = further if further.cost <= again.cost else again
     return replace(result, status="max_iterations")
+
+
+def _started(result: FitResult, values: np.ndarray) -> System | None:
+    """The system at a point beside an estimate, or nearer to it where that is unphysical; None where all are."""
+    for share in NEARER:
+        point = result.values + share * (values - result.values)
+        with suppress(InputError):
+            return result.system.with_values(dict(zip(result.names, point.tolist(), strict=True)))
+    return None
 
 
 def beside(result: FitResult, generator: np.random.Generator) -> np.ndarray:

@@ -37,6 +37,7 @@ def choose_horizon(
     whole: Sequence[FitResult] = (),
     *,
     followed: float = FOLLOWED,
+    pieces: bool = False,
     options: Options | None = None,
 ) -> Horizon:
     """The longest of whole records, strokes and windows beyond which error grows faster than information.
@@ -53,6 +54,7 @@ def choose_horizon(
         batch: whole records, prepared for it.
         whole: fits of the records as a whole, one or one a record; fitted here where there is none.
         followed: normalised RMSE beyond noise up to which they do; 0 to compare horizons in any case.
+        pieces: whether whole records are not to be taken.
         options: settings of these fits.
     """
     options = options or Options()
@@ -64,7 +66,7 @@ def choose_horizon(
     brief, found = replace(options, max_iterations=BRIEF), []
     for horizon in (*(Horizon("windows", s) for s in SECONDS), Horizon("strokes"), WHOLE):
         part = horizon.cut(system, engine, batch)
-        if horizon.kind != "whole" and part.rows == batch.rows:
+        if (pieces or horizon.kind != "whole") and part.rows == batch.rows:
             continue
         with suppress(RuntimeError, InputError):  # it diverges over so long a time
             one = fit(system, part, pooled=True, engine=engine, options=brief, warm=False)[0]

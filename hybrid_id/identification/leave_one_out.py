@@ -45,41 +45,26 @@ def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[
         batch: the records.
         iterations: steps at most.
     """
-    free = result.system.estimated
-    inside = [k for k, name in enumerate(result.names) if name not in result.at_bound]
-    if not inside:
+    parts = np.asarray(_parts(batch))
+    model = Linearised(result, batch, parts)
+    if not model.inside:
         return list(result.residual)
-    kept = (batch.weight > 0).any(2).numpy()
-    parts = np.asarray(_parts(batch))[kept]
-    jacobian = np.concatenate([j[..., inside] for j in result.jacobian])
-    residual = np.concatenate(list(result.residual))
-    size = np.sqrt(np.maximum(np.square(jacobian).sum((0, 1)), 1e-300))
-    scaled = jacobian / size
-    own = [scaled[parts == i].reshape(-1, len(inside)) for i in range(PARTS)]
-    bounds = make_bounds(result.system, free)
-    mean, precision = bounds.prior_mean.numpy()[inside], bounds.prior_precision.numpy()[inside]
-    hessian = sum(j.T @ j for j in own) + np.diag(precision / size**2)
-    inverses = [_inverse(hessian - j.T @ j) for j in own]
-    low, high = bounds.lower.numpy(), bounds.upper.numpy()
+    free, kept = result.system.estimated, model.kept
+    parts, residual = parts[kept], np.concatenate(list(result.residual))
     rollouts = Rollouts(result.system, batch, result.engine, free)
     points = np.tile(result.values, (PARTS, 1))
     left = np.tile(residual, (PARTS, 1, 1))
     others = np.array([parts != i for i in range(PARTS)])
 
     def cost(run: np.ndarray, part: int, point: np.ndarray) -> float:
-        prior = float(precision @ np.square(point[inside] - mean))
-        return float(np.square(run[others[part]]).sum()) + prior
+        return float(np.square(run[others[part]]).sum()) + model.prior_cost(point)
 
     costs = np.array([cost(left[i], i, points[i]) for i in range(PARTS)])
     active = set(range(PARTS))
     for _ in range(iterations):
         tried = np.repeat(points, len(SHARES), 0)
         for i in range(PARTS):
-            slope = np.einsum("tyk,ty->k", scaled[others[i]], left[i][others[i]])
-            slope -= precision * (points[i, inside] - mean) / size
-            step = inverses[i] @ slope / size
-            tried[i * len(SHARES) : (i + 1) * len(SHARES), inside] += np.outer(SHARES, step)
-        tried = np.clip(tried, low, high)
+            tried[i * len(SHARES) : (i + 1) * len(SHARES)] = model.steps(i, points[i], left[i])
         runs = rollouts.residuals(tried, np.tile(result.x0, (len(tried), 1, 1)))[:, kept]
         for i in sorted(active):
             lanes = range(i * len(SHARES), (i + 1) * len(SHARES))
@@ -96,6 +81,82 @@ def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[
             break
     unseen = np.take_along_axis(left, parts[None, :, None], 0)[0]
     return np.split(unseen, np.cumsum(kept.sum(1))[:-1])
+
+
+class Linearised:
+    """What leaving a part of the samples out asks for, with the slopes of the whole fit.
+
+    Args:
+        result: of all rows of the batch, pooled.
+        batch: the rows.
+        parts: number of the part that each sample is left out with, ``(R, T)``.
+
+    Attributes:
+        inside: estimated parameters that are not at a bound.
+        kept: samples that are measured, ``(R, T)``.
+    """
+
+    def __init__(self, result: FitResult, batch: Batch, parts: np.ndarray) -> None:
+        self.inside = [k for k, name in enumerate(result.names) if name not in result.at_bound]
+        self.kept = (batch.weight > 0).any(2).numpy()
+        self.parts = parts[self.kept]
+        if not self.inside:
+            return
+        bounds = make_bounds(result.system, result.system.estimated)
+        self.low, self.high = bounds.lower.numpy(), bounds.upper.numpy()
+        self.mean = bounds.prior_mean.numpy()[self.inside]
+        self.precision = bounds.prior_precision.numpy()[self.inside]
+        jacobian = np.concatenate([j[..., self.inside] for j in result.jacobian])
+        self.size = np.sqrt(np.maximum(np.square(jacobian).sum((0, 1)), 1e-300))
+        self.scaled = jacobian / self.size
+        own = [self.scaled[self.parts == i].reshape(-1, len(self.inside)) for i in range(PARTS)]
+        hessian = sum(j.T @ j for j in own) + np.diag(self.precision / self.size**2)
+        self.inverses = [_inverse(hessian - j.T @ j) for j in own]
+
+    def steps(self, part: int, point: np.ndarray, left: np.ndarray) -> np.ndarray:
+        """Points at shares of the step that the samples of all other parts ask for, ``(S, n_f)``.
+
+        Args:
+            part: what is left out.
+            point: where the step begins, ``(n_f,)``.
+            left: weighted residuals there of the samples that are measured, ``(N, n_y)``.
+        """
+        others = self.parts != part
+        slope = np.einsum("tyk,ty->k", self.scaled[others], left[others])
+        slope -= self.precision * (point[self.inside] - self.mean) / self.size
+        points = np.tile(point, (len(SHARES), 1))
+        points[:, self.inside] += np.outer(SHARES, self.inverses[part] @ slope / self.size)
+        return np.clip(points, self.low, self.high)
+
+    def prior_cost(self, point: np.ndarray) -> float:
+        """Twice the cost of the priors at a point ``(n_f,)``."""
+        return float(self.precision @ np.square(point[self.inside] - self.mean))
+
+
+def started_without(result: FitResult, batch: Batch, fold: np.ndarray) -> np.ndarray:
+    """Where fits without each part begin, ``(P, n_f)``: as far along the linearised step as serves the others best.
+
+    Never at the fit of all: a fit that does not move from there would predict what it has seen.
+
+    Args:
+        result: of all rows of the batch, pooled.
+        batch: the rows.
+        fold: number of the part that each row is left out with, ``(R,)``.
+    """
+    model = Linearised(result, batch, np.broadcast_to(fold[:, None], batch.dt.shape))
+    if not model.inside:
+        return np.tile(result.values, (int(fold.max()) + 1, 1))
+    residual = np.concatenate(list(result.residual))
+    rollouts = Rollouts(result.system, batch, result.engine, result.system.estimated)
+    found = []
+    for part in range(int(fold.max()) + 1):
+        points = model.steps(part, result.values, residual)
+        runs = rollouts.residuals(points, np.tile(result.x0, (len(points), 1, 1)))[:, fold != part]
+        cost = [
+            float(np.square(run).sum()) + model.prior_cost(p) for run, p in zip(runs, points, strict=True)
+        ]
+        found.append(points[int(np.argmin(cost))])
+    return np.array(found)
 
 
 def _inverse(hessian: np.ndarray) -> np.ndarray:

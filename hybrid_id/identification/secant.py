@@ -177,16 +177,17 @@ def _steps(
     return np.array(found)
 
 
-def shaken(result: FitResult, batch: Batch, *, seed: int = 0) -> FitResult:
+def shaken(result: FitResult, batch: Batch, *, seed: int = 0, tries: int = TRIES) -> FitResult:
     """A fit shaken out of the ripples of its cost: points around it, as far as it is uncertain, and fits from the best.
 
     Args:
         result: where the fit has ended.
         batch: its records.
         seed: of the points.
+        tries: shakes at most.
     """
     generator, share, failures, here = np.random.default_rng(seed), SHAKE, 0, None
-    for _ in range(TRIES):
+    for _ in range(tries):
         if here is not result:
             cost = Cost(result.system, batch, result.engine)
             free, shifts, here = cost.rollouts.free, cost.shifts_of(result.x0), result
