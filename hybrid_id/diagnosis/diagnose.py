@@ -337,18 +337,15 @@ def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
 def _changes(answer: Answer, system: System) -> str:
     """Which physical change explains the new values, in a sentence.
 
-    Beside effects, or where something unknown remains, only what is no friction, which these change themselves.
+    Beside effects, or where something unknown remains, only a load: these change friction, and what scales everything,
+    themselves.
     """
     fit = answer.found.chosen.result
     if fit.left_early or not (answer.wrong_values or answer.verdict == "parameters_only"):
         return ""
     change = find_change(system, fit)
     several = change.together or (change.name,)
-    return "" if answer.verdict != "parameters_only" and _VAGUE.issuperset(several) else change.words
-
-
-_VAGUE = frozenset({"none", "several", "friction"})
-"""Changes that say little beside an effect."""
+    return change.words if answer.verdict == "parameters_only" or "load" in several else ""
 
 
 def report(

@@ -287,10 +287,16 @@ def _contains(model: Model, step: Step) -> bool:
 
 
 def indistinguishable(model: Model, step: Step) -> list[Model]:
-    """Candidates of a step whose errors are those of one of them, as far as its records say; itself among them."""
+    """Candidates of a step whose errors are those of one of them, as far as its records say; itself among them.
+
+    Where it leaves structure, the errors have reasons of their own: what does the greater part of what the best does
+    counts, if it is not much less probable.
+    """
     least = min(e.error for e in step.candidates if e.finished or e is model)
-    closed = least + CRITERIA.left_open * max(step.before.error - least, 0.0)
-    near = 1.0 / (1.0 - CRITERIA.distinct_fall)
+    open_ = CRITERIA.left_open if model.right else 1.0 - CRITERIA.much
+    closed = least + open_ * max(step.before.error - least, 0.0)
+    near = 1.0 / (1.0 - CRITERIA.distinct_fall) if model.right else math.inf
+    unlikely = -0.5 * CRITERIA.distinct_z**2
     return [
         e
         for e in step.candidates
@@ -298,7 +304,7 @@ def indistinguishable(model: Model, step: Step) -> list[Model]:
         and e.error < closed
         and not _contains(e, step)
         and max(e.error / model.error, model.error / e.error) < near
-        and model.ahead_of(e) < CRITERIA.distinct_z
+        and (model.ahead_of(e) < CRITERIA.distinct_z if model.right else log_odds(model, e) > unlikely)
     ]
 
 
