@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 import torch
 from gapcase import small_case
+from hypothesis import given
+from hypothesis import strategies as st
 from joblib import parallel_config
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
@@ -16,9 +18,12 @@ import hybrid_id.diagnosis.fits as module
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, predicted, released
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, bounded, engine, predicted, released
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.rollouts import Rollouts
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
@@ -52,6 +57,44 @@ def test_predictions_are_those_of_explicit_fits_without_each_record() -> None:
         assert np.square(found[k]).mean() == pytest.approx(np.square(own.residual[0]).mean(), rel=0.02)
     # what a record tells of the parameters itself makes it look better than the others predict it
     assert np.square(np.concatenate(found)).mean() > np.square(np.concatenate(base.residual)).mean()
+
+
+def test_windows_are_predicted_as_by_explicit_fits_without_their_record() -> None:
+    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    batch = Fits(dataset, horizon=Horizon("windows", 0.25)).batch(nominal)
+    base = fit(nominal, batch, pooled=True, engine=engine(), warm=False)[0]
+    found, names = predicted(base, batch), np.array(batch.names)
+    for name in dict.fromkeys(batch.names):
+        own, others = (torch.as_tensor(np.flatnonzero(rows)) for rows in (names == name, names != name))
+        again = fit(base.system, batch.take(others), pooled=True, engine=engine(), warm=False)[0]
+        rest = Rollouts(base.system, batch.take(own), engine(), base.system.estimated)
+        expected = rest.residuals(again.values[None], base.x0[None, own.numpy()])[0]
+        assert np.square(np.concatenate([found[k] for k in own.tolist()])).mean() == pytest.approx(
+            np.square(expected).mean(),
+            rel=0.1,  # a few steps are taken
+        )
+
+
+def test_a_refit_that_has_not_moved_is_shaken(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In the ripples of a cost a fit may rest where all records have led it, and predict what it has seen."""
+    dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
+    batch = Fits(dataset).batch(nominal)
+    base = secant_fit(nominal, batch, engine=engine(), iterations=FULL)
+    honest = np.square(np.concatenate(predicted(base, batch))).mean()
+    monkeypatch.setattr(
+        module, "secant_fit", lambda *args, iterations, **more: secant_fit(*args, iterations=0, **more)
+    )
+    shaken = np.square(np.concatenate(predicted(base, batch))).mean()
+    seen = np.square(np.concatenate(base.residual)).mean()
+    assert shaken - seen > 0.5 * (honest - seen) > 0.0
+
+
+@given(st.floats(0.1, 100.0), st.floats(0.1, 10.0))
+def test_a_lost_free_run_errs_by_as_much_as_records_move(size: float, reach: float) -> None:
+    errors = [size * np.sin(np.arange(50.0))[:, None], np.full((20, 1), 0.01)]
+    lost, small = bounded(errors, np.array([reach]))
+    assert np.sqrt(np.square(lost).mean()) == pytest.approx(min(np.sqrt(np.square(errors[0]).mean()), reach))
+    assert np.array_equal(small, errors[1])
 
 
 def test_a_record_does_not_enter_the_values_that_predict_it() -> None:

@@ -101,6 +101,15 @@ def test_shares_and_the_remainder_add_up_to_the_gap(falls: list[float], structur
     assert shares == sorted(shares, reverse=True)
 
 
+def test_the_effect_that_explains_more_alone_has_the_larger_share_in_whatever_order_they_were_found() -> None:
+    base, play, friction = model(100.0), model(40.0, SPRING), model(25.0, DRAG)
+    both = model(5.0, SPRING, DRAG)
+    found = grade(NONE, search((base, play, friction), (play, both)), 0.0)
+    assert [(c.name, c.where) for c in found.candidates if c.selected] == [DRAG, SPRING]
+    assert share_of(found, DRAG).share == pytest.approx(75.0 / 95.0)
+    assert share_of(found, SPRING).share == pytest.approx(20.0 / 95.0)
+
+
 def test_an_effect_that_explains_all_alone_has_its_share_alone() -> None:
     base, spring, bias = model(100.0), model(1.0, SPRING), model(50.0, BIAS)
     found = grade(NONE, search((base, spring, bias)), 0.0)
@@ -128,6 +137,27 @@ def test_two_that_explain_alike_are_asserted_as_one_of_both() -> None:
     three = grade(NONE, search((base, spring, weight, model(1.005, BIAS, seed=3))), 0.0)
     assert share_of(three, SPRING).probability < CRITERIA.least_probability
     assert not doubtful(found) and not doubtful(three)  # together they are probable
+
+
+def test_where_structure_is_left_what_is_not_much_less_probable_is_indistinguishable() -> None:
+    """Two laws that differ by a third of their error, each better on half of the records; one that does little."""
+    rng = np.random.default_rng(0)
+
+    def leaving(error: float, ratios: Sequence[float], name: Name) -> Any:
+        one = model(error, name)
+        blocks = one.validation.blocks * np.repeat(ratios, 40) * rng.uniform(0.95, 1.05, BLOCKS)
+        return replace(one, validation=replace(one.validation, blocks=blocks), coloured=0.9)
+
+    base = replace(model(100.0), coloured=0.9)
+    spring, weight = leaving(20.0, [1, 2, 1, 2, 1, 2], SPRING), leaving(26.0, [2, 1, 2, 1, 2, 1], WEIGHT)
+    poor = leaving(70.0, [1] * 6, BIAS)
+    told = search((base, spring, weight, poor))
+    assert share_of(grade(NONE, told, 0.5), SPRING).tied_with == ("@".join(WEIGHT),)
+    sure = leaving(26.0, [1] * 6, WEIGHT)
+    assert (
+        share_of(grade(NONE, search((base, leaving(10.0, [1] * 6, SPRING), sure)), 0.5), SPRING).tied_with
+        == ()
+    )
 
 
 def candidate(

@@ -97,6 +97,15 @@ def test_waves_of_different_periods_are_different_models() -> None:
     assert best_of_each([worse, four, three], key=effects_of) == [three]
 
 
+def test_of_fits_with_one_end_the_finished_one_is_kept() -> None:
+    """What was fitted to the end may end a little above where it began: only then it has been judged."""
+    coarse, done, other = (Fitted((("cogging", "joint1/motor"),), error) for error in (1.0, 1.001, 2.0))
+    coarse.finished = other.finished = False
+    found: Any = [coarse, done, other]
+    assert best_of_each(found, 2, key=effects_of) == [done, other]
+    assert best_of_each(found, 1, key=effects_of) == [done]
+
+
 def test_beside_an_effect_nothing_is_fitted_to_the_end_that_cannot_be_accepted() -> None:
     def one(error: float, *names: str) -> Any:
         return Fitted(tuple(names), error, right=False)

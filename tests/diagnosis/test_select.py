@@ -31,6 +31,8 @@ def test_a_first_effect_is_accepted_where_it_is_sure_and_no_formula_explains_it(
     other = np.random.default_rng(1).standard_normal((8000, 1))
     assert not accepted(model(other, PLAY), model(NOISE))
     assert chance(base, base) == 1.0
+    begun = Model((PLAY,), model(NOISE).result, model(NOISE).validation, finished=False)
+    assert not accepted(begun, base)  # it has seen the records that would judge it
 
 
 def test_a_second_effect_is_accepted_at_a_small_fall_only_where_it_completes_the_explanation() -> None:

@@ -7,6 +7,7 @@ import pytest
 from drives import make_record, multisine, rigid_drive
 
 from hybrid_id.components import REGISTRY
+from hybrid_id.errors import InputError
 from hybrid_id.identification.confirm import confirmed
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
@@ -71,6 +72,25 @@ def test_an_optimum_is_confirmed_as_it_is(batch: Batch, start: System, lacking: 
     assert confirmed(sound, batch) is sound  # it leaves noise: not simulated again
     (ended,) = fit(lacking, batch, pooled=True)
     assert confirmed(ended, batch).cost <= ended.cost
+
+
+def test_a_restart_that_would_be_unphysical_begins_nearer(
+    batch: Batch, lacking: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start, brief = lacking.with_values({"F_c": 0.02, "P_m2": 0.03}), Options(max_iterations=3)
+    (stopped,) = fit(start, batch, pooled=True, warm=False, options=brief)
+    whole = System.with_values
+
+    def refusing(self: System, values: dict[str, float]) -> System:
+        if abs(values["F_c"] - stopped.system.parameter("F_c").spec.value) > limit:
+            raise InputError("unphysical")
+        return whole(self, values)
+
+    limit = 1e-4
+    monkeypatch.setattr(System, "with_values", refusing)
+    assert confirmed(stopped, batch).cost <= stopped.cost
+    limit = -1.0
+    assert confirmed(stopped, batch) is stopped  # no restart is possible
 
 
 def test_a_fit_that_was_stopped_is_not_called_converged(batch: Batch, start: System) -> None:
