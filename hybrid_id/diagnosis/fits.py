@@ -292,8 +292,9 @@ def rms(errors: np.ndarray) -> np.ndarray:
 def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     """Weighted errors of each row, ``(T, n_y)``, predicted by fits of the other records alone.
 
-    Every fit starts where that of all records has ended, with the first states that it has found: these are
-    the left-out record's own. A single record has no others: its blocks are left out one sixth at a time.
+    Every fit starts from that of all records, over windows from its linearised estimate without the part, with the
+    first states that it has found: these are the left-out record's own. A single record has no others: its blocks are
+    left out one sixth at a time.
     """
     fold = folds(batch)
     if fold is None:
