@@ -50,11 +50,19 @@ def test_agreement_with_what_is_expected(experiment, verdict, effects, said) -> 
     assert cases.agreement(case, {"verdict": verdict, "effects": effects}) == said
 
 
-def test_a_case_of_the_wrong_load_wants_no_effect(experiment) -> None:
+def test_a_case_of_the_wrong_load_wants_the_load_and_no_effect(experiment) -> None:
     cases = experiment["cases"]
-    case = cases.CASES["xl330_load_plus_30"]
-    assert cases.agreement(case, {"verdict": "parameters_only", "effects": []}) == "right"
-    assert cases.agreement(case, {"verdict": "effects", "effects": [effect("cogging", 0.6)]}) == "wrong"
+    case, load = cases.CASES["xl330_load_plus_30"], "The load is 23 % (20-26 %) lighter"
+    assert cases.agreement(case, {"changes": load, "effects": []}) == "right"
+    assert (
+        cases.agreement(case, {"changes": load, "effects": [effect("cogging", 0.6)]})
+        == "right, beside others"
+    )
+    assert (
+        cases.agreement(case, {"changes": load.replace("lighter", "heavier"), "effects": []})
+        == "nothing named"
+    )
+    assert cases.agreement(case, {"changes": "", "effects": [effect("cogging", 0.6)]}) == "nothing named"
 
 
 def test_the_twin_moves_at_the_speed_that_its_friction_allows(experiment) -> None:

@@ -40,15 +40,17 @@ class Case:
 def agreement(case: Case, answer: Mapping[str, Any]) -> str:
     """How an answer (``Diagnosis.as_dict()``) meets what is expected.
 
-    ``right``, ``right name, wrong size``, ``indistinguishable`` (the first name is not the right one, but is said to be
+    ``right``, ``right, beside others`` (the change of values that was made is named, and effects that were not),
+    ``right name, wrong size``, ``indistinguishable`` (the first name is not the right one, but is said to be
     indistinguishable from it), ``nothing named``, ``wrong below 0.5``, ``wrong``, or ``-`` where nothing definite is
     expected.
     """
+    named = [effect for effect in answer["effects"] if effect.get("selected")]
     if case.changes:
-        return "right" if re.search(case.changes, answer["changes"], re.IGNORECASE) else "nothing named"
+        said = re.search(case.changes, answer["changes"], re.IGNORECASE)
+        return "nothing named" if said is None else "right, beside others" if named else "right"
     if not case.expected:
         return "-"
-    named = [effect for effect in answer["effects"] if effect.get("selected")]
     if not named:
         return "right" if answer["verdict"] in case.expected else "nothing named"
     first = named[0]
