@@ -58,11 +58,9 @@ def test_a_case_of_the_wrong_load_wants_the_load_and_no_effect(experiment) -> No
         cases.agreement(case, {"changes": load, "effects": [effect("cogging", 0.6)]})
         == "right, beside others"
     )
-    assert (
-        cases.agreement(case, {"changes": load.replace("lighter", "heavier"), "effects": []})
-        == "nothing named"
-    )
-    assert cases.agreement(case, {"changes": "", "effects": [effect("cogging", 0.6)]}) == "nothing named"
+    heavier = {"verdict": "parameters_only", "changes": load.replace("lighter", "heavier"), "effects": []}
+    assert cases.agreement(case, heavier) == "nothing named"
+    assert cases.agreement(case, {"changes": "", "effects": [effect("cogging", 0.6)]}) == "wrong"
 
 
 def test_the_twin_moves_at_the_speed_that_its_friction_allows(experiment) -> None:

@@ -46,10 +46,9 @@ def agreement(case: Case, answer: Mapping[str, Any]) -> str:
     expected.
     """
     named = [effect for effect in answer["effects"] if effect.get("selected")]
-    if case.changes:
-        said = re.search(case.changes, answer["changes"], re.IGNORECASE)
-        return "nothing named" if said is None else "right, beside others" if named else "right"
-    if not case.expected:
+    if case.changes and re.search(case.changes, answer["changes"], re.IGNORECASE):
+        return "right, beside others" if named else "right"
+    if not (case.expected or case.changes):
         return "-"
     if not named:
         return "right" if answer["verdict"] in case.expected else "nothing named"

@@ -31,9 +31,9 @@ class Criteria:
             misses.
         lost: normalised RMSE of the best effect's free runs from which these have lost the records, so that a shorter
             horizon is taken, and
+        lost_refit: that of the re-fitted nominal model.
         by_chance: ratio of the mean square on records left out to that of the fit itself, for the best effect, from
             which free runs over whole records have followed them by chance, so that shorter ones are taken.
-        lost_refit: that of the re-fitted nominal model.
         wrong_values: ratio of nominal to re-fitted RMS error from which the parameter values were wrong.
         vague: smallest relative standard error of any combination of parameters from which the records are too short to
             identify an effect.
@@ -52,8 +52,8 @@ class Criteria:
     coloured: float = 0.3
     negligible: float = 0.1
     lost: float = 0.1
-    by_chance: float = 4.0
     lost_refit: float = 0.5
+    by_chance: float = 4.0
     wrong_values: float = 1.1
     vague: float = 0.1
     least_probability: float = 0.5

@@ -268,8 +268,8 @@ def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
     nothing of the model, and would drown all other records.
     """
     system, share = result.system, fits.signal_share
-    train = fits.records(system)
-    reach = (train.std(train.y) * train.weight.amax(1)).amax(0).clamp_min(1.0).numpy()
+    train = batch if fits.whole else fits.records(system)
+    reach = train.motion().amax(0).clamp_min(1.0).numpy()
     if not fits.dataset.validation:
         return bounded(predicted(result, batch), reach)
     whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
@@ -281,12 +281,11 @@ def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
 
 def bounded(errors: Sequence[np.ndarray], reach: np.ndarray) -> list[np.ndarray]:
     """Weighted errors of free runs, ``(T, n_y)`` each, scaled down to an RMS of at most ``reach`` ``(n_y,)``."""
-    return [row * np.minimum(1.0, reach / np.maximum(rms(row), 1e-300)) for row in errors]
-
-
-def rms(errors: np.ndarray) -> np.ndarray:
-    """Root of the mean square over time, ``(n_y,)``."""
-    return np.sqrt(np.square(errors).mean(0))
+    sizes = [np.sqrt(np.square(row).mean(0)) for row in errors]
+    return [
+        row * np.minimum(1.0, reach / np.maximum(size, 1e-300))
+        for row, size in zip(errors, sizes, strict=True)
+    ]
 
 
 def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
@@ -301,24 +300,21 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
         return leave_one_out(result, batch, AGAIN)
     if len(set(batch.names)) == batch.rows:
         return _predicted_records(result, batch, fold)
-    parts = np.unique(fold)
-    inside = [np.flatnonzero(fold != k) for k in parts]
-    system, free = result.system, result.system.estimated
-    sets = torch.repeat_interleave(torch.arange(len(parts)), torch.tensor([len(rows) for rows in inside]))
+    inside = [np.flatnonzero(fold != k) for k in range(fold.max() + 1)]
+    system, free, parts = result.system, result.system.estimated, len(inside)
+    sets = torch.repeat_interleave(torch.arange(parts), torch.tensor([len(rows) for rows in inside]))
     some = batch.take(torch.as_tensor(np.concatenate(inside)))
     some = replace(some, x=some.x.clone())
     some.x[:, 0] = torch.as_tensor(result.x0[np.concatenate(inside)])
-    theta = system.theta().detach()[:, None].repeat(1, len(parts))
-    theta[free] = torch.as_tensor(started_without(result, batch, np.searchsorted(parts, fold)).T)
+    theta = system.theta().detach()[:, None].repeat(1, parts)
+    theta[free] = torch.as_tensor(started_without(result, batch, fold).T)
     options, bounds = Options(max_iterations=2 * AGAIN, tolerance=0.5), make_bounds(system, free)
     nodes = simulate(system, result.engine, some, theta[:, sets]).x
     again = minimise(system, result.engine, some, sets, theta, free, bounds, options, nodes=nodes)
     points = again.theta[free].T.numpy()
-    runs = Rollouts(system, batch, result.engine, free).residuals(
-        points, np.tile(result.x0, (len(parts), 1, 1))
-    )
-    number, kept = np.searchsorted(parts, fold), (batch.weight > 0).any(2).numpy()
-    return [runs[number[row], row, kept[row]] for row in range(batch.rows)]
+    runs = Rollouts(system, batch, result.engine, free).residuals(points, np.tile(result.x0, (parts, 1, 1)))
+    kept = (batch.weight > 0).any(2).numpy()
+    return [runs[fold[row], row, kept[row]] for row in range(batch.rows)]
 
 
 def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> list[np.ndarray]:

@@ -179,10 +179,9 @@ def _ladder(fits: Fits, found: Selection) -> tuple[list[Model], list[Step]]:
     models, names, last = [chosen], list(order), list[Name]()
     known = [e for s in found.steps for e in (s.before, *s.candidates) if e.finished]
     while len(names) > 1:
-        rests = {name: tuple(sorted(set(names) - {name})) for name in names}
-        simpler = [e for e in known if e.effects in rests.values()]
-        found_last = rests[names[-1]]
-        if not any(e.effects == found_last for e in simpler):
+        rests = [tuple(sorted(set(names) - {name})) for name in names]
+        simpler = [e for e in known if e.effects in rests]
+        if not any(e.effects == rests[-1] for e in simpler):
             again = refitted_without(fits, base, models[0], names[-1])
             simpler += [] if again is None else [again]
         if not simpler:

@@ -258,13 +258,16 @@ def best_of_each(
         key: what counts as one set; by default every shape does.
         order: by which they are ranked.
     """
+    ends: dict[object, list[int]] = {}
     best: list[Model] = []
     for one in sorted(found, key=order):
-        known = [k for k, e in enumerate(best) if key(e) == key(one)]
-        same = [k for k in known if abs(one.result.cost - best[k].result.cost) <= SAME * best[k].result.cost]
-        if same:
-            best[same[0]] = one if one.finished and not best[same[0]].finished else best[same[0]]
+        known = ends.setdefault(key(one), [])
+        same = (k for k in known if abs(one.result.cost - best[k].result.cost) <= SAME * best[k].result.cost)
+        twin = next(same, None)
+        if twin is not None:
+            best[twin] = one if one.finished and not best[twin].finished else best[twin]
         elif len(known) < each:
+            known.append(len(best))
             best.append(one)
     return best
 

@@ -54,7 +54,7 @@ def choose_horizon(
         batch: whole records, prepared for it.
         whole: fits of the records as a whole, one or one a record; fitted here where there is none.
         followed: normalised RMSE beyond noise up to which they do; 0 to compare horizons in any case.
-        pieces: whether whole records are not to be taken.
+        pieces: whether whole records are not to be taken while any shorter horizon is followed.
         options: settings of these fits.
     """
     options = options or Options()
@@ -107,7 +107,7 @@ def astray(fits: Sequence[FitResult], batch: Batch) -> float:
 
 def _relative(square: np.ndarray, batch: Batch, row: int) -> np.ndarray:
     """Error beyond noise as a share of what a record's outputs move; mean squares of weighted residuals (..., n_y)."""
-    scale = (batch.std(batch.y)[row] * batch.weight[row].amax(0)).cpu().numpy()
+    scale = batch.motion()[row].cpu().numpy()
     return np.sqrt(np.maximum(square - 1.0, 0.0) / np.maximum(np.square(scale), 1.0))
 
 

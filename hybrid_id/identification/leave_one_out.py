@@ -54,12 +54,7 @@ def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[
     rollouts = Rollouts(result.system, batch, result.engine, free)
     points = np.tile(result.values, (PARTS, 1))
     left = np.tile(residual, (PARTS, 1, 1))
-    others = np.array([parts != i for i in range(PARTS)])
-
-    def cost(run: np.ndarray, part: int, point: np.ndarray) -> float:
-        return float(np.square(run[others[part]]).sum()) + model.prior_cost(point)
-
-    costs = np.array([cost(left[i], i, points[i]) for i in range(PARTS)])
+    costs = np.array([model.cost(i, points[i], left[i]) for i in range(PARTS)])
     active = set(range(PARTS))
     for _ in range(iterations):
         tried = np.repeat(points, len(SHARES), 0)
@@ -68,7 +63,7 @@ def leave_one_out(result: FitResult, batch: Batch, iterations: int = 1) -> list[
         runs = rollouts.residuals(tried, np.tile(result.x0, (len(tried), 1, 1)))[:, kept]
         for i in sorted(active):
             lanes = range(i * len(SHARES), (i + 1) * len(SHARES))
-            found = [cost(runs[k], i, tried[k]) for k in lanes]
+            found = [model.cost(i, tried[k], runs[k]) for k in lanes]
             best = int(np.argmin(found))
             # first states are held, which costs the whole step a little: it is taken all the same
             best = 0 if found[0] <= (1.0 + SETTLED) * min(found[best], costs[i]) else best
@@ -128,9 +123,10 @@ class Linearised:
         points[:, self.inside] += np.outer(SHARES, self.inverses[part] @ slope / self.size)
         return np.clip(points, self.low, self.high)
 
-    def prior_cost(self, point: np.ndarray) -> float:
-        """Twice the cost of the priors at a point ``(n_f,)``."""
-        return float(self.precision @ np.square(point[self.inside] - self.mean))
+    def cost(self, part: int, point: np.ndarray, left: np.ndarray) -> float:
+        """Twice the cost of all other parts at a point, with the priors; arguments as in :meth:`steps`."""
+        prior = float(self.precision @ np.square(point[self.inside] - self.mean))
+        return float(np.square(left[self.parts != part]).sum()) + prior
 
 
 def started_without(result: FitResult, batch: Batch, fold: np.ndarray) -> np.ndarray:
@@ -151,10 +147,8 @@ def started_without(result: FitResult, batch: Batch, fold: np.ndarray) -> np.nda
     found = []
     for part in range(int(fold.max()) + 1):
         points = model.steps(part, result.values, residual)
-        runs = rollouts.residuals(points, np.tile(result.x0, (len(points), 1, 1)))[:, fold != part]
-        cost = [
-            float(np.square(run).sum()) + model.prior_cost(p) for run, p in zip(runs, points, strict=True)
-        ]
+        runs = rollouts.residuals(points, np.tile(result.x0, (len(points), 1, 1)))[:, model.kept]
+        cost = [model.cost(part, p, run) for p, run in zip(points, runs, strict=True)]
         found.append(points[int(np.argmin(cost))])
     return np.array(found)
 

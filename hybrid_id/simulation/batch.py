@@ -50,6 +50,10 @@ class Batch:
         mean = (own * values).sum(1) / count
         return ((own * (values - mean[:, None])).square().sum(1) / (count - 1.0)).sqrt()
 
+    def motion(self) -> Tensor:
+        """How much each row's outputs move, weighted: their standard deviation, ``(R, n_y)``."""
+        return self.std(self.y) * self.weight.amax(1)
+
     def take(self, rows: Tensor) -> Batch:
         """The batch of some rows (indices may repeat); itself where they are all of them in order."""
         if len(rows) == self.rows and bool((rows == torch.arange(self.rows, device=rows.device)).all()):
