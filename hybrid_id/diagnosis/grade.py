@@ -258,7 +258,7 @@ def _weights(step: Step) -> np.ndarray:
     best = step.candidates[0]
     judged = [e is best or (e.finished and not _contains(e, step)) for e in step.candidates]
     logs = np.array(
-        [log_odds(best, e) if has else -np.inf for e, has in zip(step.candidates, judged, strict=True)]
+        [log_odds(best, e, step.before) if has else -np.inf for e, has in zip(step.candidates, judged, strict=True)]
     )
     odds = np.exp(logs - logs.max())
     return odds / odds.sum()
@@ -288,7 +288,7 @@ def _contains(model: Model, step: Step) -> bool:
 def indistinguishable(model: Model, step: Step) -> list[Model]:
     """Candidates of a step whose errors are those of one of them, as far as its records say; itself among them.
 
-    Where it leaves structure, the errors have reasons of their own: what does the greater part of what the best does
+    None for what does not explain what the best does. Where it leaves structure, the errors have reasons of their own: what does the greater part of what the best does
     counts, if it is not much less probable.
     """
     least = min(e.error for e in step.candidates if e.finished or e is model)
@@ -296,6 +296,8 @@ def indistinguishable(model: Model, step: Step) -> list[Model]:
     closed = least + open_ * max(step.before.error - least, 0.0)
     near = 1.0 / (1.0 - CRITERIA.distinct_fall) if model.right else math.inf
     unlikely = -0.5 * CRITERIA.distinct_z**2
+    if not model.finished or model.error >= closed:
+        return []
     return [
         e
         for e in step.candidates
@@ -303,7 +305,7 @@ def indistinguishable(model: Model, step: Step) -> list[Model]:
         and e.error < closed
         and not _contains(e, step)
         and max(e.error / model.error, model.error / e.error) < near
-        and (model.ahead_of(e) < CRITERIA.distinct_z if model.right else log_odds(model, e) > unlikely)
+        and (model.ahead_of(e) < CRITERIA.distinct_z if model.right else log_odds(model, e, step.before) > unlikely)
     ]
 
 

@@ -21,10 +21,13 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.gear import Views
 from hybrid_id.systems.joint import Joint
 
-PERIODS = range(1, 49)
-"""Periods a turn of the rotor that a motor's poles and slots may have."""
-GEAR_PERIODS = (0.25, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
-"""Periods a turn of the rotor that errors of a gear may have: a shaft behind it turns once in several turns of its."""
+PERIODS = range(13, 49)
+"""Periods a turn of the rotor that a motor's poles and slots may have; fewer are looked for between whole numbers, too,
+for the gear ratio may be another one and what ripples may sit elsewhere."""
+GEAR_PERIODS = (0.25, 4.0)
+"""Fewest and most periods a turn of the rotor of a gear's error: a shaft behind it turns once in several of its."""
+FINEST = 1000
+"""Periods between two whole numbers, and all others, that are looked at, at most."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
 SPOTS = 24
@@ -66,8 +69,26 @@ def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     """
     opened = left.opened(joint, "motor")
     phase = left.batch.x[..., opened.row]
-    found = _strongest(opened, [_waves(n * phase) for n in PERIODS])
-    return [(float(PERIODS[i]), *size) for i, size in found]
+    periods = [*_between(1.0, float(PERIODS[0]), phase), *map(float, PERIODS)]
+    found = _strongest(opened, [_waves(n * phase) for n in periods])
+    return [(periods[i], *size) for i, size in _peaks(found)]
+
+
+def _between(low: float, high: float, angle: Tensor) -> list[float]:
+    """Periods a turn from ``low`` to below ``high``, so close that half a wave over an angle's range tells them."""
+    step = max(math.pi / max(float(angle.max() - angle.min()), 1e-3), (high - low) / FINEST)
+    return np.arange(low, high, min(step, high - low)).tolist()
+
+
+def _peaks(found: Sequence[tuple[int, tuple[float, ...]]]) -> list[tuple[int, tuple[float, ...]]]:
+    """Shapes by number, best first, without those beside a better one: its neighbours are its own slopes."""
+    kept: list[tuple[int, tuple[float, ...]]] = []
+    seen: set[int] = set()
+    for i, size in found:
+        if not seen & {i - 1, i, i + 1}:
+            kept.append((i, size))
+        seen.add(i)
+    return kept
 
 
 def second_wave(
@@ -84,14 +105,17 @@ def second_wave(
     def start(part: Component, left: Left, joint: int, place: str) -> list[dict[str, float | Bounded]]:
         if part.specs[symbols[0]].estimate:
             return []
-        own = part.specs["n"].value
+        spec = part.specs["n"]
+        own, near = spec.value, spec.upper - spec.lower if spec.estimate else 0.0
         first = max(math.hypot(*(part.specs[symbol[:-1]].value for symbol in symbols)), 1e-12)
-        others = [(n, size) for n, *size in waves(left, joint, place) if n != own]
-        overtone = [other for other in others[1:] if other[0] == 2.0 * own]
+        others = [(n, size) for n, *size in waves(left, joint, place) if abs(n - own) > near]
+        overtone = min(others, key=lambda other: abs(other[0] - 2.0 * own), default=(2.0 * own, []))
+        strongest = [one for one in others[:1] if one is not overtone]
         return [
             {"n_2": n} | {s: Bounded(min(max(x, -most * first), most * first), -most * first, most * first)
                           for s, x in zip(symbols, size, strict=True)}
-            for n, size in others[:1] + overtone
+            for n, size in (*strongest, (2.0 * own, overtone[1]))
+            if size
         ]  # fmt: skip
 
     return start
@@ -110,7 +134,7 @@ def friction_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]
     # half a wave over the range is told from its neighbours, and a slope over the range is a quarter of one
     steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
     found = _strongest(opened, [rub[..., None] * _waves(n * angle) for n in steps])
-    return [(float(steps[i]), *size) for i, size in found[:2]]
+    return [(float(steps[i]), *size) for i, size in _peaks(found)[:2]]
 
 
 def friction_spots(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
@@ -149,8 +173,8 @@ def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     key, inertia = part.inertia
     pull = float(inertia.link(views[key], part.gear_ratio).detach()) / part.gear_ratio
     stiffness = None if part.rigid else _stiffness(part, left.batch.x, views)
-    at_rotor, at_link = [], []
-    for n in GEAR_PERIODS:
+    at_rotor, at_link, periods = [], [], _between(*GEAR_PERIODS, q)
+    for n in periods:
         error = _waves(n * q[..., 0])
         slope = n * torch.stack([-error[..., 1], error[..., 0]], -1)
         if stiffness is None:
@@ -160,7 +184,7 @@ def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
             at_link.append(k[..., None] * error + d[..., None] * slope * v)
             at_rotor.append(-at_link[-1] / part.gear_ratio - pull * slope * a)
     beside = None if part.rigid else (left.opened(joint, "load"), at_link)
-    return [(GEAR_PERIODS[i], *size) for i, size in _strongest(opened, at_rotor, beside)]
+    return [(periods[i], *size) for i, size in _peaks(_strongest(opened, at_rotor, beside))]
 
 
 def _stiffness(part: Joint, x: Tensor, views: Views) -> tuple[Tensor, Tensor]:

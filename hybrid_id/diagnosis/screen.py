@@ -272,18 +272,22 @@ def best_of_each(
     return best
 
 
-def log_odds(best: Model, one: Model) -> float:
+def log_odds(best: Model, one: Model, before: Model) -> float:
     """Of a candidate against the one that leads: how it predicts, and half a logarithm of the sample a parameter.
 
     The second is what a needless parameter costs a marginal likelihood (G. Schwarz, Annals of Statistics 6, 1978).
-    Where the best is right, it leads by what is more than chance already.
+    Only of what explains the greater part of what the best does: of the rest, parameters are not needless. Where the best
+    is right, it leads by what is more than chance already. What errs more in all is no better for being so on most
+    records.
     """
     surplus = best.ahead_of(one)
+    if one.error > best.error:
+        surplus = max(surplus, 0.0)
     if best.right:
         return -0.5 * max(surplus, 0.0) ** 2
     further = len(one.result.names) - len(best.result.names)
     cost = 0.5 * further * math.log(max(best.validation.effective, 1.0))
-    return -0.5 * surplus * abs(surplus) - cost
+    return -0.5 * surplus * abs(surplus) - (cost if _does_much(best, one, before) else max(cost, 0.0))
 
 
 def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
@@ -299,7 +303,7 @@ def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
     if best.right:
         first = min(equals, key=lambda e: len(e.result.names), default=best)
     else:
-        first = max(equals, key=lambda e: log_odds(best, e), default=best)
+        first = max(equals, key=lambda e: log_odds(best, e, before), default=best)
     twins = [e for e in equals if _joints(e) == _joints(first) and first.ahead_of(e) < CRITERIA.distinct_z]
     first = min(twins, key=_unusual, default=first)
     return [first, *(e for e in ranked if e is not first)]
@@ -315,8 +319,12 @@ def _equals(best: Model, one: Model, before: Model) -> bool:
         closed = best.error + CRITERIA.left_open * max(before.error - best.error, 0.0)
         near = one.error < best.error / (1.0 - CRITERIA.least_fall)
         return near and (one.error <= closed or best.ahead_of(one) < CRITERIA.distinct_z)
-    much = before.error - one.error >= CRITERIA.much * (before.error - best.error)
-    return much and best.ahead_of(one) < CRITERIA.distinct_z
+    return _does_much(best, one, before) and best.ahead_of(one) < CRITERIA.distinct_z
+
+
+def _does_much(best: Model, one: Model, before: Model) -> bool:
+    """Whether a candidate explains the greater part of what the best does."""
+    return before.error - one.error >= CRITERIA.much * (before.error - best.error)
 
 
 def _joints(one: Model) -> list[tuple[str, str]]:

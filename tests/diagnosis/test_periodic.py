@@ -15,12 +15,13 @@ from hybrid_id import load_model, save_model
 from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
 from hybrid_id.components.base import Component
 from hybrid_id.diagnosis.catalogue import CATALOGUE, effect
+from hybrid_id.diagnosis.effects.transmission import WAVES
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import _parameters
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.periodic import (
-    GEAR_PERIODS,
     Left,
+    _peaks,
     friction_spots,
     friction_waves,
     gear_waves,
@@ -31,6 +32,10 @@ from hybrid_id.diagnosis.validation import validation
 from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study.replays import batch_of
+
+
+NEAR = 0.1
+"""Periods a turn that records of a few turns of the rotor tell apart."""
 
 
 @cache
@@ -45,24 +50,36 @@ def left_by(law: type[Component], **values: float) -> Left:
 def test_periods_of_cogging() -> None:
     fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
     n, first, second = rotor_waves(fit, 1, "motor")[0]
-    assert n == 1.0
+    assert n == pytest.approx(1.0, abs=NEAR)
     assert (first, second) == pytest.approx((0.004, -0.003), rel=0.5)
+
+
+def test_periods_between_whole_numbers() -> None:
+    """A gear ratio that is not the nominal one, or a ripple that sits elsewhere than on the rotor."""
+    fit = left_by(Cogging, T_c=0.004, T_s=-0.003, n=2.23)
+    assert rotor_waves(fit, 1, "motor")[0][0] == pytest.approx(2.23, abs=NEAR)
+
+
+def test_a_better_neighbour_stands_for_those_beside_it() -> None:
+    found = [(3, (1.0,)), (4, (2.0,)), (2, (3.0,)), (9, (4.0,)), (5, (5.0,)), (7, (6.0,))]
+    assert [i for i, _ in _peaks(found)] == [3, 9, 7]
 
 
 def test_error_of_a_gear() -> None:
     fit = left_by(KinematicError, E_c=2e-3, E_s=-3e-3, n=0.5)
     found = gear_waves(fit, 1, "transmission")
-    assert found[0][0] == 0.5
+    assert found[0][0] == pytest.approx(0.5, abs=NEAR)
     assert found[0][1] > 0 > found[0][2]
 
 
-def test_fits_begin_with_every_period_of_a_gear() -> None:
+def test_fits_begin_with_several_periods_of_a_gear() -> None:
     """Whole runs have lost the phase, so that the strongest wave there need not be the right one."""
     left = left_by(KinematicError, E_c=2e-3, E_s=-3e-3, n=0.5)
     system = left.result.system
     found = effect("kinematic_error").models(system, scales(system, left.batch)[0], left)
-    begun = [one.parameter("n").spec.value for one in found["joint1/transmission"]]
-    assert set(begun) == set(GEAR_PERIODS)
+    begun = [one.parameter("n").spec for one in found["joint1/transmission"]]
+    assert any(spec.lower <= 0.5 <= spec.upper for spec in begun)
+    assert len({spec.value for spec in begun}) == 2 + WAVES
 
 
 def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
@@ -76,11 +93,13 @@ def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
     dataset = Dataset("wavy gear", *channels, tuple(records), 0.005)
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
     n, *size = gear_waves(Left(secant_fit(today, batch, engine=engine(), iterations=4), batch), 1, "")[0]
-    assert n == 1.0
+    assert n == pytest.approx(1.0, abs=NEAR)
     assert np.linalg.norm(np.subtract(size, (1e-3, -5e-4))) < 0.4 * np.linalg.norm((1e-3, -5e-4))
     known = today.with_component("joint1/transmission", KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0))
     others = gear_waves(Left(secant_fit(known, batch, engine=engine(), iterations=4), batch), 1, "")
-    assert next(one for one in others if one[0] != 1.0) == pytest.approx((2.0, 3e-4, 2e-4), rel=0.3)
+    n, *size = next(one for one in others if abs(one[0] - 1.0) > NEAR)
+    assert n == pytest.approx(2.0, abs=NEAR)
+    assert np.linalg.norm(np.subtract(size, (3e-4, 2e-4))) < 0.4 * np.linalg.norm((3e-4, 2e-4))
 
 
 def test_waves_of_friction() -> None:
@@ -124,7 +143,7 @@ def test_a_second_wave_is_of_another_period() -> None:
     odd = left.result.system.with_component("joint1/motor", Cogging(T_c=0.004, T_s=0.0, n=3.0))
     periods = [s.components["joint1/motor/cogging"].specs["n_2"].value for s in
                CATALOGUE["cogging"].freer(odd, "joint1/motor", left)]  # fmt: skip
-    assert periods == [2.0, 6.0]
+    assert periods == pytest.approx([2.0, 6.0], abs=NEAR)
     # what is free already is not freed again
     assert not CATALOGUE["cogging"].freer(freer, "joint1/motor", left)
     # a law with nothing left open

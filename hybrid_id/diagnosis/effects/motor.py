@@ -1,5 +1,7 @@
 """Effects in the motor."""
 
+import math
+
 from hybrid_id.diagnosis.catalogue import Effect, free, has, register
 from hybrid_id.diagnosis.periodic import rotor_waves, second_wave
 
@@ -19,14 +21,14 @@ def _lag(system, s, place):
 def _cogging(system, s, place, waves=((1.0, 1e-6, 0.0),)):
     if has(system, f"joint{s.joint}/motor", "cogging"):
         return []
-    limit = 3.0 * s.torque
+    limit, near = 3.0 * s.torque, math.pi / s.turns
     return [
         (
             "cogging",
             {
                 "T_c": free(share * c, -limit, limit, "N m"),
                 "T_s": free(share * d, -limit, limit, "N m"),
-                "n": n,
+                "n": free(n, n - near, n + near),
             },
         )
         for n, c, d in waves[:2]

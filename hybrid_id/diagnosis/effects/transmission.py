@@ -13,6 +13,8 @@ GAPS = (0.0007, 0.0015, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
 """Play as a share of the link's range: every size has a valley of its own."""
 WORST_GEAR = 0.03
 """Largest error of a gear [rad at the link]: harmonic drives have 1e-3 and less, the moulded gears of toys 0.02."""
+WAVES = 6
+"""Periods of a gear's error that fits begin with."""
 
 
 def _series(s):
@@ -66,14 +68,18 @@ def _kinematic(system, s, place, found=()):
     if has(system, f"joint{s.joint}/transmission", "kinematic_error"):
         return []
     small = 0.02 * min(0.01 * s.angle, 0.5 / s.ratio)
-    limit = min(0.1 * s.angle, 0.9 / s.ratio, WORST_GEAR)
+    limit, near = min(0.1 * s.angle, 0.9 / s.ratio, WORST_GEAR), math.pi / s.turns
     return [
         (
             "kinematic_error",
-            {"E_c": free(c, -limit, limit, "rad"), "E_s": free(d, -limit, limit, "rad"), "n": n},
+            {
+                "E_c": free(c, -limit, limit, "rad"),
+                "E_s": free(d, -limit, limit, "rad"),
+                "n": free(n, n - near, n + near),
+            },
         )
         # a linear estimate from whole runs tells little of the period, and the fits from all of them soon tell it
-        for n, c, d in (*((n, small, small) for n in (1.0, 2.0)), *found)
+        for n, c, d in (*((n, small, small) for n in (1.0, 2.0)), *found[:WAVES])
     ]
 
 
