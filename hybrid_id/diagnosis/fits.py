@@ -229,7 +229,8 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | Non
     if fits.kept is None:
         return _fit(fits, task, iterations, halting)
     records = (fits.dataset.train, fits.dataset.validation, fits.dataset.outputs)
-    made_from = (records, fits.horizon, fits.signal_share, task, iterations, halting, engine())
+    asked = (fits.horizon, fits.signal_share, task, iterations, halting, engine())
+    made_from = (records, *asked, CRITERIA.white, CRITERIA.coloured)
     return fits.kept.of(made_from, task.effects, task.system, lambda: _fit(fits, task, iterations, halting))
 
 

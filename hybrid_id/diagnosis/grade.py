@@ -258,7 +258,10 @@ def _weights(step: Step) -> np.ndarray:
     best = step.candidates[0]
     judged = [e is best or (e.finished and not _contains(e, step)) for e in step.candidates]
     logs = np.array(
-        [log_odds(best, e, step.before) if has else -np.inf for e, has in zip(step.candidates, judged, strict=True)]
+        [
+            log_odds(best, e, step.before) if has else -np.inf
+            for e, has in zip(step.candidates, judged, strict=True)
+        ]
     )
     odds = np.exp(logs - logs.max())
     return odds / odds.sum()
@@ -288,8 +291,8 @@ def _contains(model: Model, step: Step) -> bool:
 def indistinguishable(model: Model, step: Step) -> list[Model]:
     """Candidates of a step whose errors are those of one of them, as far as its records say; itself among them.
 
-    None for what does not explain what the best does. Where it leaves structure, the errors have reasons of their own: what does the greater part of what the best does
-    counts, if it is not much less probable.
+    None for what does not explain what the best does. Where it leaves structure, the errors have reasons of their own:
+    what does the greater part of what the best does counts, if it is not much less probable.
     """
     least = min(e.error for e in step.candidates if e.finished or e is model)
     open_ = CRITERIA.left_open if model.right else 1.0 - CRITERIA.much
@@ -305,7 +308,11 @@ def indistinguishable(model: Model, step: Step) -> list[Model]:
         and e.error < closed
         and not _contains(e, step)
         and max(e.error / model.error, model.error / e.error) < near
-        and (model.ahead_of(e) < CRITERIA.distinct_z if model.right else log_odds(model, e, step.before) > unlikely)
+        and (
+            model.ahead_of(e) < CRITERIA.distinct_z
+            if model.right
+            else log_odds(model, e, step.before) > unlikely
+        )
     ]
 
 

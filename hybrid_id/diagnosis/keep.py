@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.validation import Validation
 from hybrid_id.identification.result import FitResult
@@ -51,7 +50,7 @@ class Kept:
             fit: makes it; None where the model cannot be fitted.
         """
         digest = hashlib.sha256()
-        _digest(digest, (self.program, CRITERIA, made_from))
+        _digest(digest, (self.program, made_from))
         path = self.folder / f"{digest.hexdigest()[:32]}.npz"
         if path.exists():
             with np.load(path) as arrays:

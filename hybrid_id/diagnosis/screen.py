@@ -276,9 +276,9 @@ def log_odds(best: Model, one: Model, before: Model) -> float:
     """Of a candidate against the one that leads: how it predicts, and half a logarithm of the sample a parameter.
 
     The second is what a needless parameter costs a marginal likelihood (G. Schwarz, Annals of Statistics 6, 1978).
-    Only of what explains the greater part of what the best does: of the rest, parameters are not needless. Where the best
-    is right, it leads by what is more than chance already. What errs more in all is no better for being so on most
-    records.
+    Only of what explains the greater part of what the best does: of the rest, parameters are not needless. Where the
+    best is right, it leads by what is more than chance already. What errs more in all is no better for being so on
+    most records.
     """
     surplus = best.ahead_of(one)
     if one.error > best.error:

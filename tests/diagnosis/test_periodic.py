@@ -33,7 +33,6 @@ from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study.replays import batch_of
 
-
 NEAR = 0.1
 """Periods a turn that records of a few turns of the rotor tell apart."""
 
