@@ -49,7 +49,8 @@ def on_page_markdown(markdown, page, **_):
     """Point at the pages of the site, and leave links to files of the repository as their names."""
     markdown = markdown.replace("](../CONTRIBUTING.md", "](contributing.md")
     markdown = re.sub(r"\]\(docs/(\w+\.md)", r"](\1", markdown)
-    return re.sub(r"\[([^\]]+)\]\(\.\./[^)]*\)", r"\1", markdown)
+    out = re.escape("../" * (1 + page.file.src_uri.count("/")))
+    return re.sub(rf"\[([^\]]+)\]\({out}[^)]*\)", r"\1", markdown)
 
 
 def notebook(path: Path) -> str:

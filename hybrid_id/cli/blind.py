@@ -20,7 +20,7 @@ from hybrid_id.cli.blind_run import (
     run_methods,
     seed_of,
 )
-from hybrid_id.cli.blind_score import AppendOption, check_append, gathered, score, write_scores
+from hybrid_id.cli.blind_score import AppendOption, PublishOption, gathered, published_in, score, write_scores
 from hybrid_id.cli.blind_ties import run_ties, ties
 from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
@@ -229,6 +229,7 @@ def reproduce(
     method: MethodsOption = None,
     train_records: RecordsOption = None,
     command: CommandOption = None,
+    publish: PublishOption = None,
     append: AppendOption = None,
     jobs: ProcessesOption = 1,
     backend: BackendOption = Backend.joblib,
@@ -240,7 +241,7 @@ def reproduce(
     The same command goes on after Ctrl-C.
     """
     check_backend(backend, scheduler)
-    check_append(append)
+    folder = published_in(publish, append)
     from hybrid_id.blind.seal import refuse_others
 
     made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
@@ -255,7 +256,7 @@ def reproduce(
         if Method.diagnose in (method or [Method.diagnose]):
             run_ties(made, runs, archive, jobs, scheduler)
     content = gathered([runs], [archive])
-    text = write_scores(runs, content, append)
+    text = write_scores(runs, content, folder)
     if as_json:
         stdout().print(text, markup=False, soft_wrap=True)
     else:

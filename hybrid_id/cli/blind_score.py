@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.console import show
+from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.options import JsonOption
 from hybrid_id.errors import InputError
 from hybrid_id.reporting.provenance import short
@@ -41,16 +41,24 @@ ArchivesOption = Annotated[
         "--answers", help="Archive of the answers, as it was sealed; one a part.", show_default=False
     ),
 ]
-AppendOption = Annotated[
+PublishOption = Annotated[
     Path | None,
-    typer.Option("--append", help="File that gets the scoreboard as one more section.", show_default=False),
+    typer.Option(
+        "--publish",
+        metavar="FOLDER",
+        help="Folder of published scoreboards: gets this one as a file, and a line in its README.md.",
+        show_default=False,
+    ),
 ]
+AppendOption = Annotated[Path | None, typer.Option("--append", hidden=True)]
+"""Former name of ``--publish``, which took a page and added the scoreboard at its end."""
 
 
 def score(
     runs: PartsArgument,
     answers: ArchivesOption,
     partial: Annotated[bool, typer.Option("--partial", help="Score an unfinished run.")] = False,
+    publish: PublishOption = None,
     append: AppendOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -59,9 +67,9 @@ def score(
     All contenders in the folder are scored side by side. Cases that were made and run in parts are scored together.
     Writes scores.json, scoreboard.md, report.html and pictures into the (first) folder.
     """
-    check_append(append)
+    folder = published_in(publish, append)
     content = gathered(runs, answers, partial=partial)
-    text = write_scores(runs[0], content, append)
+    text = write_scores(runs[0], content, folder)
     if as_json:
         stdout().print(text, markup=False, soft_wrap=True)
         return
@@ -71,10 +79,20 @@ def score(
     show(f"results are in {runs[0]}: {SCORES}, {BOARD}, {PAGE}, pictures")
 
 
-def check_append(append: Path | None) -> None:
-    """Refuse a name for the file of scoreboards that leaves none for the folder of its pictures."""
-    if append is not None and (not append.suffix or append.is_dir()):
-        raise InputError(f"--append {append} is no name of a file of text; give one that ends in .md")
+def published_in(publish: Path | None, append: Path | None) -> Path | None:
+    """Folder of published scoreboards; for the page that ``--append`` names it is the folder ``boards`` beside it."""
+    if append is not None:
+        if publish is not None:
+            raise InputError("--publish and --append contradict each other; give --publish alone")
+        if not append.suffix or append.is_dir():
+            raise InputError(f"--append {append} is no name of a file of text; give one that ends in .md")
+        publish = append.parent / "boards"
+        remark(
+            f"--append is deprecated, for each scoreboard is a file of its own now; give --publish {publish}"
+        )
+    if publish is not None and publish.exists() and not publish.is_dir():
+        raise InputError(f"--publish {publish} is a file; give a folder")
+    return publish
 
 
 def gathered(runs: Sequence[Path], archives: Sequence[Path], *, partial: bool = False) -> dict[str, Any]:
@@ -192,12 +210,12 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
     return [judge(name, sheets[name], one) for name, one in said.items()]
 
 
-def write_scores(runs: Path, content: dict[str, Any], append: Path | None) -> str:
-    """Write all files under temporary names first, `scores.json` last; returns it as text."""
+def write_scores(runs: Path, content: dict[str, Any], folder: Path | None) -> str:
+    """Write all files under temporary names first, `scores.json` last, and publish; returns `scores.json` as text."""
     from hybrid_id.reporting.blind_figures import confusion_figure, reliability_figure
     from hybrid_id.reporting.html.blind_page import blind_page
     from hybrid_id.reporting.results import as_json
-    from hybrid_id.reporting.scoreboard import append_section, markdown
+    from hybrid_id.reporting.scoreboard import INDEX, markdown, publish
     from hybrid_id.reporting.style import save
 
     methods, text = content["methods"], as_json("blind score", content)
@@ -215,8 +233,9 @@ def write_scores(runs: Path, content: dict[str, Any], append: Path | None) -> st
         (new / SCORES).write_text(text + "\n", encoding="utf-8")
         for name in (*(f"{name}.png" for name in figures), PAGE, BOARD, SCORES):
             (new / name).replace(runs / name)
-    if append is not None:
-        append_section(append, content, {name: figure.image for name, figure in figures.items()})
+    if folder is not None:
+        file = publish(folder, content, {name: figure.image for name, figure in figures.items()})
+        remark(f"published as {file}, listed in {folder / INDEX}")
     return text
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -42,6 +41,10 @@ ROWS = {
     "slowest": "time per case, most [s]",
     "broken": "broken cases",
 }
+INDEX = "README.md"
+"""List of the scoreboards in the folder where they are published."""
+INDEX_HEADS = ("date", "commit", "seed", "cases scored", "methods", "exactly right (first method)")
+"""Heads of that list."""
 _PLAIN = ("shrink_error", "share_error", "seconds", "slowest")
 """Scores in points or seconds."""
 TIES_RESOLVED = 0.7
@@ -120,7 +123,7 @@ def group_rows(groups: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def markdown(content: Scores) -> str:
-    """A section for a file of scoreboards.
+    """The scoreboard as a file of its own.
 
     Args:
         content: what is kept in ``scores.json``.
@@ -129,7 +132,7 @@ def markdown(content: Scores) -> str:
     hashes = ", ".join(one[:16] for one in about["sha256"])
     others = {m: c for m, c in about.get("commits", {}).items() if c != about["commit"]}
     parts = [
-        f"## {about['date']}, commit {short(about['commit'])}, seed {about['seed']}",
+        f"# {about['date']}, commit {short(about['commit'])}, seed {about['seed']}",
         f"{about['scored']} of {about['cases']} cases scored"
         + (f", {lost} more could not be made" if (lost := about["asked"] - about["cases"]) else "")
         + f"; made at commit {short(about['made_at'])}, hash of the answers {hashes}. "
@@ -172,28 +175,57 @@ def ties_line(told: Mapping[str, Any]) -> str:
     )
 
 
-def append_section(path: Path, content: Mapping[str, Any], pictures: Mapping[str, np.ndarray]) -> None:
-    """Add a scoreboard at the end of a file, its pictures in a folder of the file's name; what stands there stays.
+def publish(folder: Path, content: Scores, pictures: Mapping[str, np.ndarray]) -> Path:
+    """Write a scoreboard as a file of its own with its pictures beside it, and list it in the folder's README.md.
 
-    A board that the file has already is not added again.
+    A scoreboard that the folder has is not written again: remarks that stand in its file stay.
 
     Args:
-        path: file of the scoreboards.
+        folder: of published scoreboards; made where it is not there.
         content: what is kept in ``scores.json``.
         pictures: by name, (H, W, 3) uint8.
+
+    Returns:
+        The file.
     """
-    about, folder, section = content["about"], path.with_suffix(""), markdown(content)
+    about, text = content["about"], markdown(content)
     # one commit may take several sets of cases, and with several programs
-    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:8]
-    shown = {name: f"{short(about['commit'])}-{about['scored']}-{digest}-{name}.png" for name in pictures}
-    links = (f"![{name.capitalize()}]({quote(folder.name)}/{file})\n" for name, file in shown.items())
+    digest = hashlib.sha256(text.encode()).hexdigest()[:8]
+    name = f"{about['date']}-{short(about['commit'])}-{about['scored']}-{digest}"
+    file, index = folder / f"{name}.md", folder / INDEX
     try:
-        before = path.read_text(encoding="utf-8") if path.exists() else ""
-        if section in before:
-            return
         folder.mkdir(parents=True, exist_ok=True)
-        for name, file in shown.items():
-            save(pictures[name], folder / file)
-        write_whole(path, before + ("\n" if before else "") + "\n".join([section, *links]))
+        if not file.exists():
+            for picture, image in pictures.items():
+                save(image, folder / f"{name}-{picture}.png")
+            links = (f"![{one.capitalize()}]({quote(f'{name}-{one}.png')})\n" for one in pictures)
+            write_whole(file, "\n".join([text, *links]))
+        before = index.read_text(encoding="utf-8") if index.exists() else ""
+        if f"({quote(file.name)})" not in before:
+            write_whole(index, _listed(before, _index_row(content, file)))
     except OSError as error:
-        raise InputError(f"{path} cannot be written ({error.strerror}); give another file") from None
+        raise InputError(f"{folder} cannot be written ({error.strerror}); give another folder") from None
+    return file
+
+
+def _index_row(content: Scores, file: Path) -> list[str]:
+    """The line of the list that stands for a scoreboard."""
+    about, methods = content["about"], content["methods"]
+    whole = next(iter(methods.values()))["scores"]["all"].get("whole")
+    cases = f"{about['scored']} of {about['cases']}"
+    return [
+        f"[{about['date']}]({quote(file.name)})", short(about["commit"]), str(about["seed"]), cases,
+        ", ".join(methods), value("whole", whole),
+    ]  # fmt: skip
+
+
+def _listed(before: str, row: Sequence[str]) -> str:
+    """A page with one more line in its list of scoreboards, which is begun where there is none; the rest stays."""
+    head = table(INDEX_HEADS, [])
+    if head not in before:
+        before = f"{before.rstrip() or '# Published scoreboards'}\n\n{head}\n"
+    start, rest = before.split(head, 1)
+    lines = rest.splitlines()[1:]
+    rows = next((k for k, line in enumerate(lines) if not line.startswith("|")), len(lines))
+    lines.insert(rows, f"| {' | '.join(row)} |")
+    return "\n".join([start + head, *lines]) + "\n"

@@ -72,9 +72,11 @@ def test_run_is_scored_and_published(home: Path) -> None:
     before = (runs / "sparse" / "c001" / "diagnosis.json").stat().st_mtime_ns
     assert "2 of 3 cases are kept from before" in call("run", cases, "--out", runs, "--method", "sparse")
     assert (runs / "sparse" / "c001" / "diagnosis.json").stat().st_mtime_ns == before
-    board = home / "blind.md"
-    board.write_text("# Earlier\n")
-    told = call("score", runs, "--answers", archive, "--append", board)
+    boards = home / "boards"
+    boards.mkdir()
+    index = boards / "README.md"
+    index.write_text("# Earlier\n")
+    told = call("score", runs, "--answers", archive, "--publish", boards)
     assert (
         "reproduce --out blind --seed 5 --cases 3 --system one_link --method sparse --method stribeck" in told
     )
@@ -86,17 +88,31 @@ def test_run_is_scored_and_published(home: Path) -> None:
     assert {"confusion.png", "reliability.png", "report.html", "scoreboard.md"} <= {
         p.name for p in runs.iterdir()
     }
-    call("score", runs, "--answers", archive, "--append", board)
-    assert board.read_text().count(", seed 5\n") == 1, "the same board is there already"
-    first = {path.name: path.read_bytes() for path in (home / "blind").iterdir()}
+    (board,) = boards.glob("2*.md")
+    with board.open("a") as file:
+        file.write("\nA remark.\n")
+    with index.open("a") as file:
+        file.write("\nMore words.\n")
+    first = {path.name: path.read_bytes() for path in boards.iterdir()}
+    assert "published as" in call("score", runs, "--answers", archive, "--publish", boards)
+    assert {path.name: path.read_bytes() for path in boards.iterdir()} == first, (
+        "the same board is there already"
+    )
     call("run", cases, "--out", home / "others", "--method", "sparse")
-    call("score", home / "others", "--answers", archive, "--append", board)
-    assert all((home / "blind" / name).read_bytes() == picture for name, picture in first.items())
-    call("score", runs, "--answers", archive, "--append", home / "NOTES", fails=r"ends in \.md")
-    text = board.read_text()
-    assert text.startswith("# Earlier\n\n## ") and text.count(", seed 5\n") == 2
-    links = set(re.findall(r"!\[\w+\]\((.*?)\)", text))
-    assert len(links) == 4 and all((home / link).stat().st_size > 1000 for link in links)
+    call("score", home / "others", "--answers", archive, "--publish", boards)
+    assert all((boards / name).read_bytes() == one for name, one in first.items() if name != index.name)
+    assert len(list(boards.iterdir())) == 7, "two boards with two pictures each, and their list"
+    for file in boards.glob("2*.md"):
+        text = file.read_text()
+        assert text.startswith("# 2") and text.count(", seed 5\n") == 1
+        links = set(re.findall(r"!\[\w+\]\((.*?)\)", text))
+        assert len(links) == 2 and all((boards / link).stat().st_size > 1000 for link in links)
+    text = index.read_text()
+    assert text.startswith("# Earlier\n\n| date |") and text.endswith(" |\n\nMore words.\n")
+    assert text.count("| 5 | 3 of 3 | sparse, stribeck | 33 % (6 to 79; 3) |\n") == 1
+    assert text.count("| 5 | 3 of 3 | sparse | 33 % (6 to 79; 3) |\n") == 1
+    listed = re.findall(r"\[2[\d-]+\]\((.*?)\)", text)
+    assert listed[0] == board.name and set(listed) == {file.name for file in boards.glob("2*.md")}
     page = (runs / "report.html").read_text()
     assert (
         "sparse meets 2 of 5 targets, 2 of these with an interval that reaches beyond the target (7 more"
@@ -107,6 +123,29 @@ def test_run_is_scored_and_published(home: Path) -> None:
         and "Over all cases: the right effect first 0" in page
     )
     look_at(runs / "report.html", home, figures=2)
+
+
+def test_former_option_publishes_beside_the_page_that_it_names(home: Path) -> None:
+    runs, archive, page = home / "runs", home / "sealed" / "a.tar", home / "blind.md"
+    page.write_text("# Earlier\n")
+    call("run", home / "cases", "--out", runs, "--method", "sparse")
+    wish = ("score", runs, "--answers", archive)
+    said = call(*wish, "--append", page)
+    assert "--append is deprecated" in said and f"give --publish {home / 'boards'}" in said
+    assert page.read_text() == "# Earlier\n"
+    (board,) = (home / "boards").glob("2*.md")
+    assert (
+        "3 of 3 cases scored" in board.read_text()
+        and board.name in (home / "boards" / "README.md").read_text()
+    )
+    (home / "boards" / "README.md").unlink()  # as after a kill between the two files
+    assert "deprecated" not in call(*wish, "--publish", home / "boards")
+    assert board.name in (home / "boards" / "README.md").read_text()
+    call(*wish, "--append", home / "NOTES", fails=r"ends in \.md")
+    call(*wish, "--append", page, "--publish", home / "boards", fails="contradict")
+    call(*wish, "--publish", page, fails="is a file; give a folder")
+    call("reproduce", "--out", home / "again", "--publish", page, fails="is a file; give a folder")
+    assert "--append" not in call("score", "--help")
 
 
 def test_answers_within_reach_and_other_answers_are_refused(home: Path) -> None:

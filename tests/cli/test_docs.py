@@ -8,6 +8,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import pytest
+from typer.main import get_command
+
+from hybrid_id.cli.blind import blind
+from hybrid_id.reporting.scoreboard import INDEX, ROWS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 ELSEWHERE = {"effects.md"}  # tests/diagnosis/test_effects_guide.py runs it
@@ -64,3 +68,38 @@ def test_site_builds_without_a_warning(tmp_path: Path) -> None:
         pytest.fail(str(error))
     assert "tau_m = P_m1 (U - P_m2 v)" in (tmp_path / "site/equations/index.html").read_text(encoding="utf-8")
     assert "with_component" in (tmp_path / "site/concepts/index.html").read_text(encoding="utf-8")
+
+
+def test_the_blind_check_is_short_and_says_what_each_row_means() -> None:
+    text = (DOCS / "blind.md").read_text(encoding="utf-8")
+    assert len(re.findall(r"\S*\w\S*", text)) <= 900
+    missing = [words for words in ROWS.values() if words not in text]
+    assert not missing, f"docs/blind.md does not explain {missing}"
+
+
+def test_each_published_scoreboard_is_listed_once_and_prints_what_makes_it_again() -> None:
+    boards = DOCS / "boards"
+    reproduce = get_command(blind).commands["reproduce"]  # type: ignore[attr-defined]
+    names = re.findall(r"^\| \[.*?\]\((.*?)\)", (boards / INDEX).read_text(encoding="utf-8"), re.MULTILINE)
+    assert sorted(names) == sorted(file.name for file in boards.glob("2*.md"))
+    for name in names:
+        text = (boards / name).read_text(encoding="utf-8")
+        commit, seed = re.findall(r"^# [\d-]+, commit ([\w-]+), seed (\d+)$", text, re.MULTILINE)[0]
+        (command,) = re.findall(r"^    hybrid-id blind reproduce (.*)$", text, re.MULTILINE)
+        given = reproduce.make_context("reproduce", shlex.split(command)).params
+        assert commit in name and given["seed"] == seed
+
+
+@pytest.mark.parametrize(
+    "page", [DOCS / "blind.md", *sorted((DOCS / "boards").glob("*.md"))], ids=lambda p: p.name
+)
+def test_links_of_the_blind_check_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8"))
+    assert not [link for link in links if not (page.parent / link).exists()]
+
+
+def test_a_change_takes_two_lines_of_the_changelog() -> None:
+    text = (DOCS.parent / "CHANGELOG.md").read_text(encoding="utf-8")
+    changes = re.findall(r"^- .*(?:\n  .*)*", text, re.MULTILINE)
+    long = [c for c in changes if c.count("\n") > 1 or max(map(len, c.split("\n"))) > 130]
+    assert changes and not long, f"more than two lines of 130 characters: {long}"
