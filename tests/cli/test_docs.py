@@ -14,7 +14,7 @@ from hybrid_id.cli.blind import blind
 from hybrid_id.reporting.scoreboard import INDEX, ROWS
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
-ELSEWHERE = {"effects.md"}  # tests/diagnosis/test_effects_guide.py runs it
+ELSEWHERE = {"effects.md", "tour.md"}  # tests/diagnosis/test_effects_guide.py and test_readme.py run them
 FENCE = re.compile(r"^```(python|sh)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 PAGES = {page.name: FENCE.findall(page.read_text(encoding="utf-8")) for page in sorted(DOCS.glob("*.md"))}
 

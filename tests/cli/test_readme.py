@@ -1,4 +1,4 @@
-"""The commands of the README's tour run as they are written there."""
+"""The examples of the README and the commands of docs/tour.md run as they are written there."""
 
 import re
 import shlex
@@ -14,38 +14,94 @@ from hybrid_id.records.schema import DatasetFile
 from hybrid_id.records.yaml_file import validate
 from hybrid_id.systems.model_file import ModelFile, build_model, values_of
 
-README = Path(__file__).resolve().parents[2] / "README.md"
-BLOCKS = re.findall(r"^```sh\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-COMMANDS = [line for block in BLOCKS for line in block.splitlines() if line.startswith("hybrid-id ")]
-YAML = re.findall(r"^```yaml\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-PYTHON = re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+HOME = Path(__file__).resolve().parents[2]
+README = (HOME / "README.md").read_text(encoding="utf-8")
+TOUR = (HOME / "docs/tour.md").read_text(encoding="utf-8")
+NUMBER = r"\d+(?:\.\d+)?"
 
 
-def test_example_files_are_sound() -> None:
-    dataset, model = (yaml.safe_load(text) for text in YAML)
-    validate(DatasetFile, dataset, "README.md")
-    assert "F_c" in values_of(build_model(validate(ModelFile, model, "README.md")))
+def blocks(page: str, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
 
 
-@pytest.mark.parametrize("ending", ["", "identify", "train"])
-def test_tour_names_the_commands(ending: str) -> None:
-    assert any(ending in command for command in COMMANDS)
+def commands(page: str) -> list[str]:
+    lines = [line for block in blocks(page, "sh") for line in block.splitlines()]
+    return [line for line in lines if line.startswith("hybrid-id ")]
 
 
-def test_tour_runs_as_written(
-    run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.fixture
+def workplace(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     dataset = Dataset.load(drive)
     short = tuple(record.between(0.0, 0.3) for record in dataset.records[1:])  # more take a minute
     replace(dataset, records=short).save(tmp_path / "my_robot")
     shutil.copy(drive / "model.yaml", tmp_path / "my_robot")
     shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / "model_priors.yaml")
     monkeypatch.chdir(tmp_path)
-    for command in COMMANDS:
+    return tmp_path
+
+
+def test_example_files_are_sound() -> None:
+    dataset, model = (yaml.safe_load(text) for text in blocks(TOUR, "yaml"))
+    validate(DatasetFile, dataset, "tour.md")
+    assert "F_c" in values_of(build_model(validate(ModelFile, model, "tour.md")))
+
+
+@pytest.mark.parametrize("ending", ["", "identify", "train"])
+def test_tour_names_the_commands(ending: str) -> None:
+    assert any(ending in command for command in commands(TOUR))
+
+
+def test_tour_runs_as_written(run, workplace: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in commands(TOUR):
         outcome = run(*shlex.split(command)[1:])
         assert outcome.code == 0, (command, outcome.err)
-    assert {path.name for path in (tmp_path / "runs").iterdir()} == {"my_robot", "replay", "compare", "train"}
-    assert (tmp_path / "multisine.csv").exists()
-    (block,) = PYTHON
-    exec(compile(block, "README.md", "exec"), {})
+    assert {path.name for path in (workplace / "runs").iterdir()} == {
+        "my_robot",
+        "replay",
+        "compare",
+        "train",
+    }
+    assert (workplace / "multisine.csv").exists()
+    (block,) = blocks(TOUR, "python")
+    exec(compile(block, "tour.md", "exec"), {})
     assert "selected set" in capsys.readouterr().out
+
+
+def test_readme_commands_run_as_written(run, workplace: Path) -> None:
+    assert "make demo " in README and "make test " in README and len(commands(README)) == 3
+    for command in commands(README):
+        outcome = run(*shlex.split(command)[1:])
+        assert outcome.code == 0, (command, outcome.err)
+    assert (workplace / "robot.xml").exists()
+
+
+def test_readme_example_prints_what_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    (block,) = blocks(README, "python")
+    exec(compile(block, "README.md", "exec"), {})
+    printed = capsys.readouterr().out.splitlines()
+    shown = [line for line in blocks(README, "text")[-1].splitlines() if line != "..."]
+    words = [re.sub(NUMBER, "#", line).rstrip() for line in printed]
+    for line in shown:
+        real = printed[words.index(re.sub(NUMBER, "#", line).rstrip())]
+        for told, found in zip(re.findall(NUMBER, line), re.findall(NUMBER, real), strict=True):
+            assert float(told) == pytest.approx(float(found), rel=0.05, abs=0.01), (line, real)
+
+
+def test_readme_is_short_and_its_links_lead_somewhere() -> None:
+    assert len(README.split()) <= 550
+    links = re.findall(r"\]\(([^)#:]+)\)", README)
+    assert links and not [link for link in links if not (HOME / link).exists()]
+
+
+def test_readme_results_stand_in_the_results_page() -> None:
+    results = [
+        set(re.findall(NUMBER, line))
+        for line in (HOME / "docs/results.md").read_text(encoding="utf-8").splitlines()
+        if line.startswith("| ")
+    ]
+    rows = [line for line in README.splitlines() if line.startswith("| ")][2:]
+    assert len(rows) == 5
+    for row in rows:
+        assert any(set(re.findall(NUMBER, row)) <= figures for figures in results), (
+            f"docs/results.md has no row with the figures of '{row}': take them from there"
+        )
