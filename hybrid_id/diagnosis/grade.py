@@ -14,7 +14,7 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.model import Model, Name, added_effect
-from hybrid_id.diagnosis.screen import Step, log_odds, needed_fall
+from hybrid_id.diagnosis.screen import Step, log_odds, needed_fall, odds_at
 from hybrid_id.diagnosis.select import Selection, accepted_ones, chance, refitted_without
 from hybrid_id.diagnosis.validation import DRAWS, Validation, mean_square
 
@@ -236,7 +236,7 @@ def _candidates(found: Selection) -> list[Candidate]:
     for step in found.steps:
         if step.best is None:
             continue
-        weights, present = _weights(step), _present(step)
+        weights, present = _weights(step), _present(step, step.best)
         for model, weight in zip(step.candidates, weights, strict=True):
             name = added_effect(model, step.before)
             one = Candidate(
@@ -254,30 +254,30 @@ def _candidates(found: Selection) -> list[Candidate]:
 
 
 def _weights(step: Step) -> np.ndarray:
-    """Share of each candidate among them, from how surely the best predicts better."""
-    best = step.candidates[0]
-    judged = [e is best or (e.finished and not _contains(e, step)) for e in step.candidates]
-    logs = np.array(
-        [
-            log_odds(best, e, step.before) if has else -np.inf
-            for e, has in zip(step.candidates, judged, strict=True)
-        ]
-    )
+    """Share of each candidate among them: how surely the best predicts better, and how surely it explains anything."""
+    best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
+    sure = max(_present(step, best), 1e-300)
+    for k, one in enumerate(step.candidates):
+        if one is best:
+            logs[k] = 0.0
+        elif one.finished and one.error < step.before.error and not _contains(one, step):
+            explains = min(max(_present(step, one), 1e-300) / sure, 1.0)
+            logs[k] = log_odds(best, one, step.before) + math.log(explains)
     odds = np.exp(logs - logs.max())
     return odds / odds.sum()
 
 
-def _present(step: Step) -> float:
-    """Probability that any effect beyond the model before is at work.
+def _present(step: Step, one: Model) -> float:
+    """Probability that an effect of a candidate is at work, or one beside it, and not none beyond the model before.
 
     The p-value of the whole search as a bound of the Bayes factor against chance, ``-e p ln p`` at even odds
     (T. Sellke, M. J. Bayarri and J. O. Berger, The American Statistician 55, 2001), times how far the fall is
     what an effect needs.
     """
-    if step.best is None or not step.best.finished:
+    if not one.finished:
         return 0.0
-    fall = step.best.validation.fall(step.before.validation) / needed_fall(step.best, step.before)
-    p = chance(step.best, step.before, step.candidates)
+    fall = one.validation.fall(step.before.validation) / needed_fall(one, step.before)
+    p = chance(one, step.before, step.candidates)
     against = -np.e * p * np.log(p) if p < np.exp(-1.0) else 1.0
     return float(1.0 / (1.0 + against) / (1.0 + np.exp(-8.0 * (fall - 1.0))))
 
@@ -298,7 +298,7 @@ def indistinguishable(model: Model, step: Step) -> list[Model]:
     open_ = CRITERIA.left_open if model.right else 1.0 - CRITERIA.much
     closed = least + open_ * max(step.before.error - least, 0.0)
     near = 1.0 / (1.0 - CRITERIA.distinct_fall) if model.right else math.inf
-    unlikely = -0.5 * CRITERIA.distinct_z**2
+    unlikely = odds_at(CRITERIA.distinct_z)
     if not model.finished or model.error >= closed:
         return []
     return [

@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from scipy.stats import norm
+
 from hybrid_id.diagnosis.candidates import from_nominal, special_cases, tasks
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
@@ -273,7 +275,7 @@ def best_of_each(
 
 
 def log_odds(best: Model, one: Model, before: Model) -> float:
-    """Of a candidate against the one that leads: how it predicts, and half a logarithm of the sample a parameter.
+    """Of a candidate against the leading one: that it predicts better, and half a logarithm of the sample a parameter.
 
     The second is what a needless parameter costs a marginal likelihood (G. Schwarz, Annals of Statistics 6, 1978).
     Only of what explains the greater part of what the best does: of the rest, parameters are not needless. Where the
@@ -281,13 +283,18 @@ def log_odds(best: Model, one: Model, before: Model) -> float:
     most records.
     """
     surplus = best.ahead_of(one)
-    if one.error > best.error:
+    if best.right or one.error > best.error:
         surplus = max(surplus, 0.0)
     if best.right:
-        return -0.5 * max(surplus, 0.0) ** 2
+        return odds_at(surplus)
     further = len(one.result.names) - len(best.result.names)
     cost = 0.5 * further * math.log(max(best.validation.effective, 1.0))
-    return -0.5 * surplus * abs(surplus) - (cost if _does_much(best, one, before) else max(cost, 0.0))
+    return odds_at(surplus) - (cost if _does_much(best, one, before) else max(cost, 0.0))
+
+
+def odds_at(surplus: float) -> float:
+    """Logarithm of the odds that a difference which is seen so many standard errors above zero is below it."""
+    return float(norm.logsf(surplus) - norm.logcdf(surplus))
 
 
 def simplest_first(ranked: list[Model], before: Model) -> list[Model]:

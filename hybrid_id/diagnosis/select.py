@@ -17,7 +17,16 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FINER, FULL, Fits, Task
 from hybrid_id.diagnosis.model import Model, Name, added_effect
 from hybrid_id.diagnosis.periodic import Left
-from hybrid_id.diagnosis.screen import FINALISTS, HOPELESS, Progress, Step, needed_fall, promising, screen
+from hybrid_id.diagnosis.screen import (
+    FINALISTS,
+    HOPELESS,
+    Progress,
+    Step,
+    needed_fall,
+    promising,
+    screen,
+    simplest_first,
+)
 from hybrid_id.diagnosis.validation import mean_square, p_values
 from hybrid_id.systems.chain import System
 
@@ -186,10 +195,14 @@ def _swaps(fits: Fits, base: Model, chosen: Model, steps: Sequence[Step]) -> lis
         ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)
         alone = refitted_without(fits, base, chosen, name) if ends else None
         if alone is not None:
-            # of equals the one that was found first leads
-            first = ends[0] if ends[0].validation.fall(chosen.validation) > CRITERIA.least_fall else chosen
-            others = (e for e in sorted((*ends, chosen), key=lambda e: e.error) if e is not first)
-            found.append(Step(alone, (first, *others), swap=True))
+            ranked = sorted((*ends, chosen), key=lambda e: e.error)
+            if ranked[0].right:
+                # of equals the one that was found first leads
+                better = ranked[0].validation.fall(chosen.validation) > CRITERIA.least_fall
+                first = ranked[0] if better else chosen
+            else:
+                first = simplest_first(ranked, alone)[0]
+            found.append(Step(alone, (first, *(e for e in ranked if e is not first)), swap=True))
     return found
 
 
