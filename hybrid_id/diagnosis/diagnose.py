@@ -157,7 +157,8 @@ def search(
     """Stages measure, screen, fit and select: the re-fitted model and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
-    leave no structure. Otherwise the records choose the horizon, and all is done over that.
+    leave no structure. Otherwise the records choose the horizon, and all is done over that. Where the best effect still
+    leaves some and each record's own values of the nominal model leave none, records differ and no effect is missing.
 
     Args:
         fits: holds the records.
@@ -174,6 +175,8 @@ def search(
             if fits.astray(base) <= CRITERIA.lost_refit:
                 first = screen(fits, base, system, progress=progress)
                 best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
+                if not best.right and _differ(fits, base, system):
+                    return fits, Selection(base, (first,), base, needless=True)
             if fits.astray(best) > CRITERIA.lost or _adds_up(fits, best, system):
                 batch, how = fits.records(best.system), best.result.engine
                 chance = best.error > CRITERIA.by_chance * best.trained
@@ -190,6 +193,12 @@ def search(
         if not steps:
             raise
         return fits, interrupted(base, steps)
+
+
+def _differ(fits: Fits, base: Model, system: System) -> bool:
+    """Whether the records differ from each other and nothing is missing: each one's own values leave noise alone."""
+    own = per_record(fits, base, system)
+    return own is not None and own.explained
 
 
 def _helping(step: Step) -> frozenset[Name]:

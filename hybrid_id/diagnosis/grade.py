@@ -247,6 +247,8 @@ def _candidates(found: Selection) -> list[Candidate]:
                 best[name] = one
     # what the selected ones have made needless is no more probable than that these are wrong
     least = min((c.probability for c in best.values() if c.selected), default=0.0)
+    if found.needless:
+        return [replace(c, probability=CRITERIA.false_alarms * c.probability) for c in best.values()]
     return [
         c if c.selected or not chosen else replace(c, probability=min(c.probability, 1.0 - least))
         for c in best.values()

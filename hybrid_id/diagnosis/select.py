@@ -45,12 +45,14 @@ class Selection:
         steps: the selection steps; the first says what each effect explains alone.
         chosen: the model that the search ends with; ``base`` where no effect is accepted.
         interrupted: whether the search was stopped before its end.
+        needless: whether parameters that differ from record to record explain all that any effect does, and more.
     """
 
     base: Model
     steps: tuple[Step, ...]
     chosen: Model
     interrupted: bool = False
+    needless: bool = False
 
     @property
     def fitted(self) -> dict[str, Model]:
