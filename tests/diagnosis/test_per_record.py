@@ -11,6 +11,8 @@ from gapcase import NOISE, RATIO, SAMPLES, STEP, small_case
 
 import hybrid_id.diagnosis.diagnose as module
 from hybrid_id.components import REGISTRY
+from hybrid_id.diagnosis import candidates, catalogue
+from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.model import Model
@@ -87,6 +89,17 @@ def test_diagnosis_names_no_effect_but_the_drift(drift, monkeypatch) -> None:
     assert found.as_dict()["no_gap"]
     still = module.diagnose(*small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3)))
     assert still.verdict == "outside_catalogue" and not still.varying
+
+
+def test_no_effect_is_named_where_the_search_finds_one_in_the_drift(drift, monkeypatch) -> None:
+    """A wave of any period finds a part of what differs from record to record, and leaves structure."""
+    few = {name: CATALOGUE[name] for name in ("cogging", "kinematic_error", "position_dependent_friction")}
+    for place in (candidates, catalogue):
+        monkeypatch.setattr(place, "CATALOGUE", few)
+    found = module.diagnose(*drift)
+    assert found.verdict == "parameters_only" and found.varying
+    assert not any(one.selected for one in found.effects)
+    assert all(one.probability <= CRITERIA.false_alarms for one in found.effects)
 
 
 def test_a_record_that_does_not_see_a_parameter_says_nothing_of_it() -> None:
