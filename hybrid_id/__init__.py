@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from hybrid_id.simulation.rollout import simulate as simulate
     from hybrid_id.simulation.step import Engine as Engine
     from hybrid_id.study import Study as Study
-    from hybrid_id.study import assess as assess
+    from hybrid_id.study import analyse_fits as analyse_fits
+    from hybrid_id.study import check_identifiability as check_identifiability
     from hybrid_id.study import compare as compare
     from hybrid_id.study import identify as identify
-    from hybrid_id.study import preflight as preflight
     from hybrid_id.study import replay as replay
     from hybrid_id.systems.arms import one_link as one_link
     from hybrid_id.systems.arms import one_link_flexible as one_link_flexible
@@ -70,7 +70,7 @@ _MODULES = {
     "hybrid_id.simulation.prepare": "make_batch",
     "hybrid_id.simulation.rollout": "simulate",
     "hybrid_id.simulation.step": "Engine",
-    "hybrid_id.study": "Study assess compare identify preflight replay",
+    "hybrid_id.study": "Study analyse_fits compare identify check_identifiability replay",
     "hybrid_id.systems.arms": "one_link one_link_flexible two_link",
     "hybrid_id.systems.chain": "System",
     "hybrid_id.systems.model_file": "load_model save_model",

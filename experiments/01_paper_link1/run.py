@@ -6,7 +6,7 @@ import torch
 from score import CLAIMS, Campaign
 
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
-from hybrid_id.study import identify, preflight
+from hybrid_id.study import check_identifiability, identify
 from hybrid_id.systems.model_file import ModelFile, build_model
 from hybrid_id.twin.campaign import make_campaigns
 from hybrid_id.twin.model import model_description
@@ -25,9 +25,8 @@ for seed, (dataset, truths) in enumerate(make_campaigns(config, range(options.se
         description = model_description(config, seed, priors=name.startswith("with "))
         system = build_model(ModelFile.model_validate(description))
         if seed == 0:
-            print(
-                f"\n{name}: what the records can tell, before any fit\n{preflight(dataset, system).summary()}"
-            )
+            found = check_identifiability(dataset, system).summary()
+            print(f"\n{name}: what the records identify, before any fit\n{found}")
         campaign.add(seed, identify(dataset, system, seed=seed), truths, dataset)
         print(f"seed {seed}, {name}: done", flush=True)
 result = {name: campaign.report(name) for name, campaign in campaigns.items()}

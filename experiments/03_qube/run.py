@@ -8,7 +8,7 @@ import torch
 from arm import HERE, build, delayed, identify_windows, load
 from report import horizon_table, parameter_table, pictures, remarks, say_whole, spread_table
 
-from hybrid_id import identify, load_model, preflight
+from hybrid_id import check_identifiability, identify, load_model
 from hybrid_id.records.yaml_file import read_yaml
 
 parser = argparse.ArgumentParser(description=__doc__)
@@ -22,7 +22,7 @@ if not list(folder.glob("qube_*.csv.gz")):
 torch.set_num_threads(1)
 
 dataset, window, ladder = load(folder), config["window"], {}
-print(f"before any fit\n{preflight(dataset, load_model(HERE / 'model.yaml')).summary()}")
+print(f"before any fit\n{check_identifiability(dataset, load_model(HERE / 'model.yaml')).summary()}")
 models = {name: build(rung, config["hold"]) for name, rung in config["ladder"].items()}
 for name in ("with the pendulum", "with cable and bias"):
     say_whole(name, identify(dataset, models[name]))

@@ -36,14 +36,14 @@ def check(
         use_threads(threads)
         from hybrid_id.records.encoders import check_encoders
         from hybrid_id.records.finding import worst_first
-        from hybrid_id.study import check_start_values, preflight
+        from hybrid_id.study import check_identifiability, check_start_values
         from hybrid_id.systems.model_file import load_model
 
         system = load_model(path)
         odd = check_encoders(data, system.gear_ratio)
         contradicted = any(finding.severity == "error" for finding in odd)
         if not contradicted:  # else what the model would do means nothing, and takes its time
-            told = preflight(data, system)
+            told = check_identifiability(data, system)
             odd += check_start_values(data, system)
         findings = worst_first([*odd, *findings])
     if as_json:

@@ -50,7 +50,7 @@ def demo(
     from hybrid_id.reporting.plots import truth_figure
     from hybrid_id.reporting.style import save
     from hybrid_id.reporting.tables import count, identifiability_table, truth_table
-    from hybrid_id.study import preflight
+    from hybrid_id.study import check_identifiability
     from hybrid_id.systems.model_file import load_model
     from hybrid_id.twin.campaign import write_campaign
     from hybrid_id.twin.demo import DEMO
@@ -66,7 +66,7 @@ def demo(
         warnings = [finding.message for finding in remarks(dataset)]
         show(*(f"   {words}" for words in warnings or ["nothing to remark on their quality"]))
         show("", "2. What these records can tell, before any fit:")
-        show(identifiability_table(preflight(dataset, load_model(folder / DATA / "model.yaml"))))
+        show(identifiability_table(check_identifiability(dataset, load_model(folder / DATA / "model.yaml"))))
         show("", "3. So the data sheet's motor constants go in as priors. One parameter set a record:")
         changes = {"model": str(folder / DATA / "model_priors.yaml"), "identification.seed": seed}
         config = study_config(folder / DATA, changes)

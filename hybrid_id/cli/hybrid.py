@@ -197,7 +197,7 @@ def _write(
                 writer.add_image(f"figures/{name}", picture.image, dataformats="HWC")
     if config.output.report:
         from hybrid_id.reporting.html.made import how_made
-        from hybrid_id.study import assess
+        from hybrid_id.study import analyse_fits
 
         words = (folder / "config.yaml").read_text(encoding="utf-8")
         share, physics = config.preprocessing.signal_share, study.result.physics
@@ -208,7 +208,7 @@ def _write(
             pictures,
             reach=reach_of(config),
             level=config.statistics.level,
-            alone=assess(fitted, physics.system, [physics], pooled=True, signal_share=share),
+            alone=analyse_fits(fitted, physics.system, [physics], pooled=True, signal_share=share),
             residuals=residuals,
         )
         page = how_made(page, "train", words)

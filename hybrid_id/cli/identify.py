@@ -125,7 +125,7 @@ def run(
     """Fit and assess as the config says; the progress knows whether the user has stopped that."""
     from hybrid_id.cli.progress import FitProgress
     from hybrid_id.identification.horizons import Horizon
-    from hybrid_id.study import assess
+    from hybrid_id.study import analyse_fits
     from hybrid_id.study import identify as identify_all
 
     wish = config.identification
@@ -136,7 +136,7 @@ def run(
             progress.say(f"fitting {len(dataset.train)} records in {jobs} processes")
             sets, horizon = _fit_in_processes(dataset, system, config, jobs, progress)
             progress.say("statistics")
-            study = assess(
+            study = analyse_fits(
                 dataset, system, sets, pooled=False, seed=wish.seed, signal_share=share, horizon=horizon
             )
         else:

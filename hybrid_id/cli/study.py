@@ -11,7 +11,7 @@ from hybrid_id.config import StudyConfig
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.reporting.html.twin import Drawn
+    from hybrid_id.reporting.html.interactive import Drawn
     from hybrid_id.study import Replay, Study
 
 MAX_TITLE = 50  # characters that leave room for the legend
@@ -91,8 +91,8 @@ def study_figures(
     dataset: "Dataset", study: "Study", reach: float, runs: "Sequence[Replay]"
 ) -> "dict[str, Drawn]":
     """Every picture of a study by the name of its file, with its interactive twin; ``runs`` replay all records."""
+    from hybrid_id.reporting.html.interactive import Drawn, twin
     from hybrid_id.reporting.html.live import cross_validation_plot, parameter_plot, record_plot
-    from hybrid_id.reporting.html.twin import Drawn, twin
     from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure
     from hybrid_id.reporting.record_plots import fit_figure
     from hybrid_id.reporting.style import pixels

@@ -96,7 +96,7 @@ def train(
                 f"{', '.join(others)} of 'identification' {'is' if len(others) == 1 else 'are'} not used"
             )
         from hybrid_id.cli.study import show_study, write_study
-        from hybrid_id.study import assess
+        from hybrid_id.study import analyse_fits
 
         wish = config.identification
         with live_folder(home, config, force=force, resume=resume):
@@ -104,7 +104,9 @@ def train(
             interrupted = any(result.status == "interrupted" for result in sets)
             leave_without_checkpoint(home, interrupted=interrupted)
             share = config.preprocessing.signal_share
-            study = assess(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
+            study = analyse_fits(
+                dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share
+            )
             with added_results(home) as folder:
                 text = write_study(folder, home, "train", config, dataset, study)
             show_study(study, config, home, text, as_json=as_json)

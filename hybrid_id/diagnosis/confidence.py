@@ -9,7 +9,7 @@ import numpy as np
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.identification.secant import secant_fit
-from hybrid_id.study import Study, assess, preflight
+from hybrid_id.study import Study, analyse_fits, check_identifiability
 
 
 def as_identified(fits: Fits, model: Model, *, seed: int = 0) -> Study:
@@ -27,7 +27,7 @@ def as_identified(fits: Fits, model: Model, *, seed: int = 0) -> Study:
     found, system, dataset, share = model.result, model.system, fits.dataset, fits.signal_share
     batch = fits.batch(system)
     there = secant_fit(system, batch, engine=found.engine, iterations=0, x0=found.x0)
-    seen = preflight(dataset, system, signal_share=share)
+    seen = check_identifiability(dataset, system, signal_share=share)
     unseen = [one.relative for one in seen.directions if not np.isfinite(one.relative_std)]
     there = replace(
         there,
@@ -35,7 +35,7 @@ def as_identified(fits: Fits, model: Model, *, seed: int = 0) -> Study:
         iterations=found.iterations,
         jacobian=tuple(_without(part, there.values, unseen) for part in there.jacobian),
     )
-    return assess(dataset, system, [there], pooled=True, batch=batch, seed=seed, signal_share=share)
+    return analyse_fits(dataset, system, [there], pooled=True, batch=batch, seed=seed, signal_share=share)
 
 
 def _without(jacobian: np.ndarray, values: np.ndarray, unseen: list[np.ndarray]) -> np.ndarray:

@@ -39,12 +39,12 @@ from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
 from hybrid_id.identification.horizon_choice import choose_horizon
 from hybrid_id.identification.horizons import Horizon, window_errors
+from hybrid_id.records.confounders import confounded_signals
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.facts import inseparable
 from hybrid_id.records.reach import beyond
 from hybrid_id.records.skew import Skew, find_skews
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.study.identifiable import preflight
+from hybrid_id.study.identifiable import check_identifiability
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
@@ -236,7 +236,7 @@ def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
         found = replace(found, chosen=rest or found.base)
     nothing = not found.chosen.effects and not graded.unknown and not varying
-    told = preflight(fits.dataset, system) if nothing else None
+    told = check_identifiability(fits.dataset, system) if nothing else None
     vague = float(min(told.combination_std, default=np.inf)) if told is not None else 0.0
     found = _final(fits, found)
     wrong = _wrong_values(fits, system, found.base)
@@ -370,7 +370,9 @@ def report(
     found, graded, fits = answer.found, answer.grade, answer.fits
     left_open = graded.unknown or graded.remainder >= CRITERIA.left_open
     named_joint = bool(found.chosen.effects) and len(system.joints) > 1
-    told = preflight(dataset, system) if implausible_parameters(system, found.base.system) else None
+    told = (
+        check_identifiability(dataset, system) if implausible_parameters(system, found.base.system) else None
+    )
     return Diagnosis(
         case=dataset.name,
         verdict=answer.verdict,
@@ -393,7 +395,7 @@ def report(
         rejected=answer.rejected,
         varying=answer.varying,
         not_identifiable=not_identifiable(dataset, found.chosen.system),
-        confounded=tuple(inseparable(dataset.records)),
+        confounded=tuple(confounded_signals(dataset.records)),
         extrapolation=tuple(beyond(dataset)),
         disturbances=tuple(disturbances(fits, found.chosen)) if left_open else (),
         disturbances_before=tuple(disturbances(fits, found.base)) if named_joint else (),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.study.identifiable import preflight
+from hybrid_id.study.identifiable import check_identifiability
 from hybrid_id.systems.chain import System
 
 
@@ -19,7 +19,7 @@ def not_identifiable(dataset: Dataset, system: System) -> tuple[str, ...]:
         dataset: its train records tell.
         system: the fitted model.
     """
-    words = [one.text for one in preflight(dataset, system).directions]
+    words = [one.text for one in check_identifiability(dataset, system).directions]
     held = [
         i
         for i in system.table
@@ -27,7 +27,7 @@ def not_identifiable(dataset: Dataset, system: System) -> tuple[str, ...]:
     ]
     if held:
         freed = system.with_specs({i.name: replace(i.spec, estimate=True) for i in held})
-        for one in preflight(dataset, freed).directions:
+        for one in check_identifiability(dataset, freed).directions:
             told = [f"{i.name} at {i.spec.value:.4g} {i.spec.unit}" for i in held if _names(one.text, i.name)]
             if told:
                 words.append(f"{one.text}; only the claim of {' and '.join(told)} sets it")

@@ -237,9 +237,9 @@ class _Document:
         for name, tag in ((f"q_a{n}", f"{kind}pos"), (f"v_a{n}", f"{kind}vel")):
             ET.SubElement(self.sensors, tag, {"name": name} | at_link)
         offsets = [
-            key for key, part in joint.readings.sensors if any(spec.value for spec in part.specs.values())
+            key for key, part in joint.sensing.sensors if any(spec.value for spec in part.specs.values())
         ]
-        late = [] if joint.readings.late is None else [joint.readings.late[0]]
+        late = [] if joint.sensing.late is None else [joint.sensing.late[0]]
         self.notes += [
             left_out(key, "the exported sensors read true angles, in time") for key in [*offsets, *late]
         ]

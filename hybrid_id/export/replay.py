@@ -119,7 +119,7 @@ def mujoco_replay(
 def _read(system: System, name: str, true: np.ndarray) -> np.ndarray:
     """What an encoder reads of true angles, in time."""
     views = system.views([value.detach().reshape(1) for value in system.theta()])
-    readings = system.joints[int(name[-1]) - 1].readings
+    readings = system.joints[int(name[-1]) - 1].sensing
     return readings.read(name[:-1], torch.tensor(true), 0.0, (), views).numpy()
 
 

@@ -24,12 +24,12 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification import least_squares
 from hybrid_id.identification.checkpoint import fingerprint, read_state, write_state
 from hybrid_id.identification.costate import free_run
+from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import Progress, make_bounds
 from hybrid_id.identification.horizons import measured_windows
 from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.identification.quasi_newton import State, advance, begin, prolonged
 from hybrid_id.identification.result import FitResult, make_result
-from hybrid_id.identification.unknowns import Problem
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.systems.chain import System

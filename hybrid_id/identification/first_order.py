@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from hybrid_id.identification.unknowns import Problem
+from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.simulation.rollout import rollout
 
 DECAY, DECAY_SQUARE, TINY = 0.9, 0.999, 1e-8

@@ -22,14 +22,14 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Writer
 from hybrid_id.identification.checkpoint import fingerprint, read_checkpoint
 from hybrid_id.identification.costate import free_run
+from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import fit, make_bounds
-from hybrid_id.identification.hybrid_course import Progress, Trainer
-from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, excess, typical
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.network_data import with_scales
 from hybrid_id.identification.quasi_newton import State, prolonged
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.unknowns import Problem
+from hybrid_id.identification.schedule import Course, Found, HybridOptions, Stage, excess, typical
+from hybrid_id.identification.training_loop import Progress, Trainer
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine
@@ -43,7 +43,7 @@ class Rung:
     Attributes:
         price: of the networks' output.
         system: the trained system.
-        train, validation: loss per measurement; that of validation records is :func:`.hybrid_plan.typical`.
+        train, validation: loss per measurement; that of validation records is :func:`.schedule.typical`.
         iterations: gradients up to here.
         status: how the training ended.
         errors: standard errors of the estimated parameters, ``(n_f,)``; with networks, their weights are unknown too.

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.damped_step import Bounds, bend, damped_step
+from hybrid_id.identification.lm_step import Bounds, geodesic_acceleration, lm_step
 from hybrid_id.identification.objective import Evaluation, Loss, evaluate
 from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import Batch
@@ -159,9 +159,7 @@ def minimise(
         rows = (local[sets] >= 0).nonzero().flatten()
         group, part = local[sets[rows]], best.take(rows)
         noise = (2.0 * cost[running] / data[running]).clamp_min(PERFECT)
-        step = damped_step(
-            part, group, theta[index][:, running].T, damping[running], noise, spread[rows], bounds
-        )
+        step = lm_step(part, group, theta[index][:, running].T, damping[running], noise, spread[rows], bounds)
         blur = _worst(part.defect, group, noise)
         honest = (damping[running] < 1.0) & ~closing[running] & ~again[running]
         nearest[running] = torch.where(honest, step.size, nearest[running])
@@ -194,7 +192,7 @@ def minimise(
         accepted = torch.isfinite(new_cost) & ((gained >= -1e-9 * cost[running]) | shut)
         redo = ~accepted & torch.isfinite(new_cost) & ~bending & ~shut
         if bool(redo.any()):
-            values, bent_x[rows] = bend(step, part, new, bounds, options.loss)
+            values, bent_x[rows] = geodesic_acceleration(step, part, new, bounds, options.loss)
             bent[:, running] = trial
             bent[index[:, None], running] = values.T
         again[running] = redo

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.identification.box import solve_box
-from hybrid_id.identification.unknowns import Problem
+from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.simulation.rollout import rollout
 
 DAMPING, LARGEST_DAMPING = 1e-3, 1e4

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybrid_id.identification.damped_step import Bounds
+from hybrid_id.identification.lm_step import Bounds
 from hybrid_id.systems.chain import System
 
 

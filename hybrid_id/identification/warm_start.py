@@ -8,9 +8,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from hybrid_id.identification.damped_step import Bounds
 from hybrid_id.identification.horizons import measured_windows
 from hybrid_id.identification.least_squares import Options, minimise
+from hybrid_id.identification.lm_step import Bounds
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.stability import with_substeps

@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from hybrid_id.records.confounders import confounded_signals
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.facts import inseparable
 from hybrid_id.records.finding import Finding, Severity, worst_first
 from hybrid_id.records.measures import (
     DRIVES,
@@ -51,7 +51,7 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
     findings = [*_roles(dataset), *_repeats(dataset), *check_steps(dataset), *_dead_inputs(dataset)]
     findings += [
         Finding("warning", "together", f"these records cannot tell {words}; vary one without the other")
-        for words in inseparable(dataset.records)
+        for words in confounded_signals(dataset.records)
     ]
     findings += [Finding("info", "resampled", report.message, report.record) for report in dataset.resampling]
     for channel in dataset.outputs:

@@ -10,7 +10,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from hybrid_id.reporting.html.twin import Drawn, drawn
+from hybrid_id.reporting.html.interactive import Drawn, drawn
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure
 from hybrid_id.study.ablation_result import Ablation, Scores
 

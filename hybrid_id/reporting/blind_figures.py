@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from hybrid_id.reporting.html.twin import Drawn, drawn
+from hybrid_id.reporting.html.interactive import Drawn, drawn
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure
 
 

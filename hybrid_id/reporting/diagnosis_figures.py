@@ -22,8 +22,8 @@ from hybrid_id.reporting.diagnosis_words import (
     side_words,
     words_of,
 )
+from hybrid_id.reporting.html.interactive import Drawn, drawn
 from hybrid_id.reporting.html.live import record_plot
-from hybrid_id.reporting.html.twin import Drawn, drawn
 from hybrid_id.reporting.record_plots import comparison_figure
 from hybrid_id.reporting.style import (
     COLOURS,

@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.html.twin import Drawn, drawn
+from hybrid_id.reporting.html.interactive import Drawn, drawn
 from hybrid_id.reporting.parameter_tables import bound_cells, judged_cells
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol
 from hybrid_id.reporting.tables import open_table

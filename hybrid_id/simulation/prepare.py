@@ -241,7 +241,7 @@ def _smooth_once(values: bytes, steps: bytes, std: float) -> tuple[np.ndarray, n
 
 def _encoder_offset(joint: Joint, channel: str) -> tuple[float, bool]:
     """What the sensors of a channel read at the model's zero [rad], and whether a fit may move it."""
-    sensors = [part for _, part in joint.readings.sensors if part.channel == channel]
+    sensors = [part for _, part in joint.sensing.sensors if part.channel == channel]
     zero = torch.zeros((), dtype=torch.float64, device="cpu")  # without dimensions it goes with every device
     with torch.no_grad():
         offset = sum(part.read(part.view(), zero).item() for part in sensors)

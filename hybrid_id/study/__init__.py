@@ -1,24 +1,24 @@
 """The main job: from records and a model to parameter sets with their statistics, and models side by side."""
 
 from hybrid_id.study.comparison import Comparison, Replay, compare, replay
-from hybrid_id.study.identifiable import preflight
+from hybrid_id.study.identifiable import check_identifiability
 from hybrid_id.study.plausibility import check_fit, check_priors, check_start_values
 from hybrid_id.study.profiles import profiles
 from hybrid_id.study.result import Combinations, Study
-from hybrid_id.study.run import assess, identify
+from hybrid_id.study.run import analyse_fits, identify
 
 __all__ = [
     "Combinations",
     "Comparison",
     "Replay",
     "Study",
-    "assess",
+    "analyse_fits",
     "check_fit",
+    "check_identifiability",
     "check_priors",
     "check_start_values",
     "compare",
     "identify",
-    "preflight",
     "profiles",
     "replay",
 ]

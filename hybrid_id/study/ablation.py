@@ -9,8 +9,8 @@ import torch
 
 from hybrid_id.identification.horizons import measured_windows
 from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hybrid
-from hybrid_id.identification.hybrid_plan import HybridOptions
 from hybrid_id.identification.network_data import with_memory
+from hybrid_id.identification.schedule import HybridOptions
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
 from hybrid_id.simulation.rollout import simulate

@@ -13,7 +13,7 @@ import numpy as np
 from hybrid_id.errors import InputError, close_match, listed
 from hybrid_id.identification.adjoint import Writer
 from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_each, train_hybrid
-from hybrid_id.identification.hybrid_course import Progress
+from hybrid_id.identification.training_loop import Progress
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE

@@ -43,7 +43,9 @@ def told_by(result: FitResult, *, inflation: float = 1.0) -> Identifiability:
     )
 
 
-def preflight(dataset: Dataset, system: System, *, signal_share: float = SIGNAL_SHARE) -> Identifiability:
+def check_identifiability(
+    dataset: Dataset, system: System, *, signal_share: float = SIGNAL_SHARE
+) -> Identifiability:
     """What the train records can tell about the model's parameters, before any fit, at its start values.
 
     The sensitivities are those of a free run linearised along the measured motion.

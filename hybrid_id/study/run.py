@@ -91,7 +91,7 @@ def identify(
     if horizon is None:
         horizon = choose_horizon(model, engine, batch, sets, options=options)
         sets = sets if horizon.kind == "whole" else fitted(horizon)
-    return assess(
+    return analyse_fits(
         dataset,
         system,
         sets,
@@ -103,7 +103,7 @@ def identify(
     )
 
 
-def assess(
+def analyse_fits(
     dataset: Dataset,
     system: System,
     sets: Sequence[FitResult],

@@ -15,7 +15,7 @@ from hybrid_id.systems.balance import SpeedBalance
 from hybrid_id.systems.drive import Drive, only
 from hybrid_id.systems.gear import Gear
 from hybrid_id.systems.networks import LINK_PLACES, Networks
-from hybrid_id.systems.readings import Readings
+from hybrid_id.systems.sensor_dynamics import SensorDynamics
 from hybrid_id.systems.terms import sum_if_any, sum_of
 
 Views = Mapping[str, SimpleNamespace]
@@ -75,8 +75,8 @@ class Joint:
         self.state_names += self.drive.state_names
         self.networks = self.drive.networks = Networks(self, parts, first_row + len(self.state_names))
         self.state_names += self.networks.state_names
-        self.readings = Readings(number, parts, first_row, first_row + len(self.state_names))
-        self.state_names += self.readings.state_names
+        self.sensing = SensorDynamics(number, parts, first_row, first_row + len(self.state_names))
+        self.state_names += self.sensing.state_names
         self.channels = [c for _, part in (self.drive.input, *self.logged) for c in part.channels]
         dry = [self._is_dry(place) for place in self.frictions]
         self.dry = [any(dry)] if self.rigid else dry
@@ -210,7 +210,7 @@ class Joint:
             pairs = law.relaxations(p[key], [x[row] for row in rows], v, level)
             found += [(row, *pair) for row, pair in zip(rows, pairs, strict=True)]
         found += self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
-        return found + self.readings.relaxations(x, p)
+        return found + self.sensing.relaxations(x, p)
 
     def _load(
         self, x: Sequence[Tensor], angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views
@@ -244,4 +244,4 @@ class Joint:
                 f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau with the "
                 "joint's number."
             )
-        return self.readings.read(channel, value, seen, x, p)
+        return self.sensing.read(channel, value, seen, x, p)

@@ -16,15 +16,15 @@ from drives import make_records, multisine, rigid_drive
 from hybrid_id.components import Cogging, ElectricalLag, ResidualNetwork
 from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
+from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.first_order import clipped
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_physics, train_hybrid
-from hybrid_id.identification.hybrid_course import Trainer
 from hybrid_id.identification.network_data import networks_of, with_memory, with_price, with_scales
 from hybrid_id.identification.network_metric import linearise_with_weights
 from hybrid_id.identification.network_projection import projection
 from hybrid_id.identification.objective import Loss
-from hybrid_id.identification.unknowns import Problem
+from hybrid_id.identification.training_loop import Trainer
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import Batch, make_batch
 from hybrid_id.simulation.rollout import simulate

@@ -25,7 +25,7 @@ from hybrid_id.reporting.diagnosis_words import (
 )
 from hybrid_id.reporting.events import write_diagnosis_events
 from hybrid_id.reporting.html.diagnosis_page import diagnosis_page
-from hybrid_id.reporting.html.twin import Drawn
+from hybrid_id.reporting.html.interactive import Drawn
 from hybrid_id.reporting.parameter_tables import bound_cells
 from hybrid_id.systems import System
 

@@ -23,7 +23,16 @@ from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, s
 from hybrid_id.reporting.tables import comparison_table, identifiability_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.statistics.residuals import whiteness
-from hybrid_id.study import Comparison, Study, assess, check_fit, check_priors, compare, identify, replay
+from hybrid_id.study import (
+    Comparison,
+    Study,
+    analyse_fits,
+    check_fit,
+    check_priors,
+    compare,
+    identify,
+    replay,
+)
 
 TRUTH = {"J": 2e-5, "P_m1": 0.019, "P_m2": 0.0254, "F_c": 0.01, "F_v": 5e-5}
 
@@ -252,7 +261,7 @@ def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -
 
 def test_a_fit_that_was_stopped_claims_no_interval(dataset: Dataset, study: Study) -> None:
     stopped = [replace(study.sets[0], status="interrupted"), *study.sets[1:]]
-    told = assess(dataset, study.system, stopped, pooled=False)
+    told = analyse_fits(dataset, study.system, stopped, pooled=False)
     assert np.isinf(told.standard_errors(0)).all()
     assert np.isinf(told.combinations.std_error[0]).all()
     assert np.isfinite(told.combinations.std_error[1]).any()

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from hybrid_id.reporting.html.interactive import INK, drawn, twin
 from hybrid_id.reporting.html.live import as_script
-from hybrid_id.reporting.html.twin import INK, drawn, twin
 from hybrid_id.reporting.style import COLOURS, journal, new_figure, symbol
 
 

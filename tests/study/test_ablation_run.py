@@ -10,7 +10,7 @@ import pytest
 from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.hybrid_plan import HybridOptions
+from hybrid_id.identification.schedule import HybridOptions
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine

@@ -14,8 +14,8 @@ from hybrid_id.reporting.ablation import (
     parameters_table,
     splits_table,
 )
+from hybrid_id.reporting.html.interactive import Drawn
 from hybrid_id.reporting.html.page import Page
-from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.tables import count, records_table
 from hybrid_id.study.ablation_result import Ablation
 from hybrid_id.study.ablation_verdict import verdict

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hybrid_id.reporting.html.interactive import Drawn
 from hybrid_id.reporting.html.made import how_made
 from hybrid_id.reporting.html.page import Page
-from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.provenance import short
 from hybrid_id.reporting.scoreboard import (
     Scores,

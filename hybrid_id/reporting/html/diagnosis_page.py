@@ -29,8 +29,8 @@ from hybrid_id.reporting.diagnosis_words import (
     where_line,
     words_of,
 )
+from hybrid_id.reporting.html.interactive import Drawn
 from hybrid_id.reporting.html.page import Page, Section
-from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.parameter_tables import GRADES, combinations_table
 from hybrid_id.reporting.residual_words import residual_blocks
 from hybrid_id.reporting.tables import count, findings_list, records_table

@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.html.interactive import Drawn
 from hybrid_id.reporting.html.page import Page
-from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.hybrid import drift_table, error_table, ladder_table, role_table
 from hybrid_id.reporting.parameter_tables import GRADES
 from hybrid_id.reporting.residual_words import Residuals, residual_blocks

@@ -15,8 +15,8 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id import __version__
+from hybrid_id.reporting.html.interactive import Drawn
 from hybrid_id.reporting.html.live import Plot, as_script, library
-from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.style import DPI
 
 _TEMPLATES = Environment(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from hybrid_id.reporting.html.interactive import Drawn, drawn
 from hybrid_id.reporting.html.page import Page, Section
-from hybrid_id.reporting.html.twin import Drawn, drawn
 from hybrid_id.reporting.paper_figures import (
     friction_figure,
     preprocessing_figure,

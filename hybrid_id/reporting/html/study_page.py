@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.finding import Finding
+from hybrid_id.reporting.html.interactive import Drawn
 from hybrid_id.reporting.html.page import Page
-from hybrid_id.reporting.html.twin import Drawn
 from hybrid_id.reporting.parameter_tables import study_table
 from hybrid_id.reporting.residual_words import Residuals, residual_blocks, sound
 from hybrid_id.reporting.tables import (

@@ -14,7 +14,7 @@ from hybrid_id.components.sensor.late_reading import LateReading
 Views = Mapping[str, SimpleNamespace]
 
 
-class Readings:
+class SensorDynamics:
     """Sensors of a joint.
 
     Args:

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from hybrid_id.records.confounders import confounded_signals, taken_under
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.facts import facts, inseparable
 from hybrid_id.records.quality import check_dataset
 from hybrid_id.records.record import Record
 
@@ -22,33 +22,33 @@ def series(heat: list[float], gains: list[float]) -> list[Record]:
 
 
 def test_gain_that_rises_with_temperature_is_said() -> None:
-    words = list(inseparable(series([20.0, 21.0, 29.5, 31.0, 40.0], [100, 100, 400, 400, 800])))
+    words = list(confounded_signals(series([20.0, 21.0, 29.5, 31.0, 40.0], [100, 100, 400, 400, 800])))
     assert len(words) == 1
     assert "gain" in words[0] and "heat" in words[0] and "rise together (correlation 0.9" in words[0]
 
 
 def test_one_that_falls_goes_the_opposite_way() -> None:
-    (words,) = inseparable(series([40.0, 30.0, 20.0, 10.0], [1, 2, 3, 4]))
+    (words,) = confounded_signals(series([40.0, 30.0, 20.0, 10.0], [1, 2, 3, 4]))
     assert "go opposite ways" in words and "-1.00" in words
 
 
 def test_facts_that_are_varied_apart_are_not_said() -> None:
-    assert not list(inseparable(series([20.0, 40.0, 20.0, 40.0], [1, 1, 2, 2])))
+    assert not list(confounded_signals(series([20.0, 40.0, 20.0, 40.0], [1, 1, 2, 2])))
 
 
 def test_too_few_records_say_nothing() -> None:
-    assert not list(inseparable(series([1.0, 2.0, 3.0], [1, 2, 3])))
+    assert not list(confounded_signals(series([1.0, 2.0, 3.0], [1, 2, 3])))
 
 
 def test_what_is_the_same_everywhere_or_has_two_names_is_one_fact_or_none() -> None:
     records = [record(k, {"kp": float(k), "mass": 0.5}, gain1=np.full(50, float(k))) for k in range(4)]
-    assert set(facts(records)) == {"kp"}
+    assert set(taken_under(records)) == {"kp"}
 
 
 def test_a_steady_channel_is_a_fact_and_a_moving_one_is_not() -> None:
     wave = np.sin(np.arange(50.0))
     records = [record(k, {}, load1=np.full(50, 1.0 + k) + 1e-3 * wave, other1=k + 3 * wave) for k in range(4)]
-    assert set(facts(records)) == {"load1"}
+    assert set(taken_under(records)) == {"load1"}
 
 
 def test_the_check_of_a_dataset_says_so() -> None:

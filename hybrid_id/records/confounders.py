@@ -17,7 +17,7 @@ STEADY = 0.1
 """Largest share of a channel's variance that lies within the records where it says what each was taken under."""
 
 
-def facts(records: Sequence[Record]) -> dict[str, np.ndarray]:
+def taken_under(records: Sequence[Record]) -> dict[str, np.ndarray]:
     """What records were taken under, by name, one number a record, ``(R,)``; only what differs between them.
 
     Numbers of the records' meta (payload, controller gain, temperature), and the means of input channels that hardly
@@ -42,11 +42,11 @@ def facts(records: Sequence[Record]) -> dict[str, np.ndarray]:
     return kept
 
 
-def inseparable(records: Sequence[Record]) -> Iterator[str]:
+def confounded_signals(records: Sequence[Record]) -> Iterator[str]:
     """Pairs of facts that change together over the records, each in a sentence without its full stop."""
     if len(records) < FEWEST:
         return
-    for (one, first), (other, second) in combinations(facts(records).items(), 2):
+    for (one, first), (other, second) in combinations(taken_under(records).items(), 2):
         correlation = float(np.corrcoef(first, second)[0, 1])
         if abs(correlation) >= TOGETHER:
             way = "rise together" if correlation > 0 else "go opposite ways"

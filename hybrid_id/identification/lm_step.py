@@ -81,7 +81,7 @@ class DampedStep:
         return _moved(part, rows * self.first, rows * self.shift[self.group])
 
 
-def damped_step(
+def lm_step(
     part: Evaluation,
     group: Tensor,
     values: Tensor,
@@ -126,7 +126,7 @@ def damped_step(
     )  # fmt: skip
 
 
-def bend(
+def geodesic_acceleration(
     step: DampedStep, part: Evaluation, refused: Evaluation, bounds: Bounds, loss: Loss
 ) -> tuple[Tensor, Tensor]:
     """A refused step bent by the curvature that its own trial shows: new parameters ``(G, n_f)`` and nodes.

@@ -9,7 +9,7 @@ from drives import make_record, make_records, multisine, rigid_drive
 
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.study import assess, identify, replay
+from hybrid_id.study import analyse_fits, identify, replay
 from hybrid_id.systems import System
 
 CHANNELS = ((Channel("u1", "V"),), (Channel("q_m1", "rad", 0.02),))
@@ -32,7 +32,7 @@ def test_a_set_that_diverged_is_no_estimate() -> None:
     lost = replace(
         whole.sets[1], status="diverged", jacobian=[np.full_like(j, np.nan) for j in whole.sets[1].jacobian]
     )
-    study = assess(data, system, (whole.sets[0], lost, whole.sets[2]), pooled=False, signal_share=0.0)
+    study = analyse_fits(data, system, (whole.sets[0], lost, whole.sets[2]), pooled=False, signal_share=0.0)
     assert np.isnan(study.covariances[1].std_error).all()
     kept = np.array([whole.sets[k].values for k in (0, 2)])
     assert study.variation is not None
@@ -70,5 +70,5 @@ def test_cross_validation_is_a_replay_of_every_set_on_every_record(monkeypatch: 
     expected = [[one.fit["q_m1"] for one in replay(data, s.system, engine=s.engine)[:3]] for s in study.sets]
     np.testing.assert_allclose(study.cross_validation.fits[..., 0], expected, atol=1e-6)
     monkeypatch.setattr("hybrid_id.study.replays.LANES", 1)  # set by set, as where memory is short
-    again = assess(data, study.sets[0].system, study.sets, pooled=False, signal_share=0.0)
+    again = analyse_fits(data, study.sets[0].system, study.sets, pooled=False, signal_share=0.0)
     np.testing.assert_allclose(again.cross_validation.fits, study.cross_validation.fits, atol=1e-6)

@@ -13,13 +13,13 @@ from hybrid_id.identification import first_order, quasi_newton
 from hybrid_id.identification.adjoint import Snapshot, Writer
 from hybrid_id.identification.checkpoint import write_checkpoint
 from hybrid_id.identification.costate import free_run
+from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.first_order import Descent
 from hybrid_id.identification.horizons import measured_windows
-from hybrid_id.identification.hybrid_plan import Course, Found, HybridOptions, Stage, excess, typical
 from hybrid_id.identification.network_data import output_shares, with_memory, with_price
 from hybrid_id.identification.network_projection import projection
 from hybrid_id.identification.quasi_newton import State
-from hybrid_id.identification.unknowns import Problem
+from hybrid_id.identification.schedule import Course, Found, HybridOptions, Stage, excess, typical
 from hybrid_id.simulation.prepare import Batch
 
 GAIN, STALE = 1e-3, 8
