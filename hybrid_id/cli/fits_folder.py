@@ -8,7 +8,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hybrid_id import __version__
-from hybrid_id.cli.folder import FITS, make_parents, refuse_foreign, refuse_taken, remove_empty, sole_writer
+from hybrid_id.cli.folder import (
+    DIAGNOSIS,
+    FITS,
+    make_parents,
+    refuse_foreign,
+    refuse_taken,
+    remove_empty,
+    sole_writer,
+)
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -45,6 +53,8 @@ def kept_fits(home: Path, *, force: bool, resume: bool, reads: Iterable[Path] = 
                 f"{home} holds an unfinished diagnosis; --resume goes on with it, or give another folder, or --force "
                 "to replace what is in it"
             )
+        if resume and not force and (home / DIAGNOSIS).exists():
+            raise InputError(f"{home} holds a complete diagnosis; there is nothing to resume")
         refuse_taken(home, force=force, reads=reads)
     made = [home, *make_parents(home)]
     fits.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,7 @@
 """Arguments and options that several commands share."""
 
+import math
+from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -74,11 +76,17 @@ def check_backend(backend: Backend, scheduler: str | None) -> None:
 
 
 def as_window(text: str) -> str | float:
-    """A window's length as a number; other words as they are."""
-    try:
-        return float(text)
-    except ValueError:
+    """A window's length as a number, or its word.
+
+    Raises:
+        InputError: it is neither.
+    """
+    with suppress(ValueError):
+        if 0.0 < (seconds := float(text)) < math.inf:
+            return seconds
+    if text in ("whole", "strokes", "auto"):
         return text
+    raise InputError(f"--window takes a number of seconds above 0, whole, strokes or auto; found {text}")
 
 
 def use_threads(count: int) -> None:

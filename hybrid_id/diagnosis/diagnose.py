@@ -14,7 +14,7 @@ import numpy as np
 from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
-from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine
+from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, released
 from hybrid_id.diagnosis.grade import (
     Grade,
     behind_play,
@@ -37,6 +37,7 @@ from hybrid_id.diagnosis.select import MAX_EFFECTS, Selection, interrupted, refi
 from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import make_bounds
 from hybrid_id.identification.horizon_choice import choose_horizon
 from hybrid_id.identification.horizons import Horizon, window_errors
 from hybrid_id.records.confounders import confounded_signals
@@ -238,7 +239,7 @@ def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     nothing = not found.chosen.effects and not graded.unknown and not varying
     told = check_identifiability(fits.dataset, system) if nothing else None
     vague = float(min(told.combination_std, default=np.inf)) if told is not None else 0.0
-    found = _final(fits, found)
+    found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
     return Answer(fits, found, graded, before, after, structural, varying, tuple(rejected), wrong, vague)
 
@@ -259,6 +260,18 @@ def _final(fits: Fits, found: Selection) -> Selection:
     ends = everything.run([Task(e.effects, e.system) for e in models], FULL)
     ends = [end or e for end, e in zip(ends, models, strict=True)]
     return replace(found, base=ends[0], chosen=ends[-1])
+
+
+def _unheld(found: Selection, nominal: System) -> Selection:
+    """The models without the priors that held their parameters during the search, which nobody has given."""
+
+    def free(model: Model) -> Model:
+        system = released(model.system, nominal)
+        precision = make_bounds(system, system.estimated).prior_precision.numpy()
+        return replace(model, result=replace(model.result, system=system, prior_precision=precision))
+
+    base = free(found.base)
+    return replace(found, base=base, chosen=base if found.chosen is found.base else free(found.chosen))
 
 
 def _wrong_values(fits: Fits, system: System, base: Model) -> bool:

@@ -42,7 +42,9 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     except IsADirectoryError:
         raise InputError(f"{path} is a folder; name the file in it") from None
     except UnicodeDecodeError:
-        raise InputError(f"{path} is not a text file in UTF-8; save it as UTF-8") from None
+        raise InputError(
+            f"{path} is not a text file in UTF-8; save it as UTF-8, or give the folder, if this is a record"
+        ) from None
     except (OSError, RecursionError, ValueError) as error:
         raise InputError(f"{path} cannot be read ({error}); correct it or give another file") from None
     except yaml.YAMLError as error:

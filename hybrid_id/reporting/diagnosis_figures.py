@@ -182,7 +182,10 @@ def location_figure(diagnosis: Diagnosis) -> Figure:
 
 
 def candidates_figure(diagnosis: Diagnosis) -> Figure:
-    """Errors on records left out of the candidates of the first step, and the probability of each."""
+    """Errors on records left out of the candidates of the first step, and the probability of each.
+
+    What was not promising enough to be fitted to the end has the errors of its fit itself, and a hollow mark.
+    """
     first = diagnosis.search.steps[0]
     shown = first.candidates[:CANDIDATES]
     rated = {(c.name, c.where): c for c in diagnosis.effects}
@@ -195,13 +198,14 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
             names.append(f"{words_of(name[0])} {place_words(name[1])}, {joint_words(name[1])}")
             one = rated[name]
             colour = MODELS["corrected"] if one.selected else GREY
-            ratio = (candidate.error / first.before.error) ** 0.5
+            ratio = max(1.0 - candidate.fall(first.before), 0.0) ** 0.5
             left.plot([min(ratio, 1.0), 1.0], [row, row], color=GREY, lw=0.8, zorder=0)
-            left.plot(ratio, row, "o", ms=4.5, color=colour)
+            face = colour if candidate.finished else "white"
+            left.plot(ratio, row, "o", ms=4.5, color=colour, markerfacecolor=face)
             right.barh(row, one.probability, 0.6, color=colour)
         left.axvline(1.0, color="black", lw=0.6)
         left.set_yticks(range(len(shown)), names)
-        left.set_xlabel("RMS error on records left out / that of the re-fitted model")
+        left.set_xlabel("RMS error on records left out (hollow: of the fit) / re-fitted model's")
         right.set(xlim=(0, 1), xlabel="probability")
         right.tick_params(axis="y", length=0)
         left.invert_yaxis()

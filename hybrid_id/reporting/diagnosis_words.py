@@ -191,7 +191,10 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
     """NRMSE of each output on the test records, nominal to corrected, and the shrink; then what contradicts that."""
     nominal, refit, gap = diagnosis.nominal, diagnosis.refit, diagnosis.shrink
     if nominal is None or refit is None or gap is None:
-        return [f"no test record moves; models were compared over {diagnosis.horizon}."]
+        return [
+            "no test record moves, so nothing measures the gain: give one the role test; models were compared over "
+            f"{diagnosis.horizon}."
+        ]
     last = diagnosis.with_effect if "corrected" in diagnosis.fitted or diagnosis.varying else None
     records = count(len(nominal.by_record), "test record")
     outputs = "; ".join(

@@ -121,7 +121,7 @@ def diagnosis_page(
     effects.add(effects_table(diagnosis, shown), *map(_sentence, (*values, *remarks)))
     others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
     if others:
-        effects.add(_sentence(f"tried as well, each place below {percent(UNLIKELY)}: {', '.join(others)}."))
+        effects.add(_sentence(f"also tried, probability below {UNLIKELY:g}: {', '.join(others)}."))
     if diagnosis.ties:
         effects.add(Text(_TIED, style="yellow"))
     picture(effects, "candidates")
