@@ -26,7 +26,7 @@ PERIODS = range(13, 49)
 for the gear ratio may be another one and what ripples may sit elsewhere."""
 GEAR_PERIODS = (0.25, 4.0)
 """Fewest and most periods a turn of the rotor of a gear's error: a shaft behind it turns once in several of its."""
-FINEST = 1000
+FINEST = 1200
 """Periods between two whole numbers, and all others, that are looked at, at most."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
