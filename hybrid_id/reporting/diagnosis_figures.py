@@ -205,7 +205,7 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
             right.barh(row, one.probability, 0.6, color=colour)
         left.axvline(1.0, color="black", lw=0.6)
         left.set_yticks(range(len(shown)), names)
-        left.set_xlabel("RMS error on records left out (hollow: of the fit) / re-fitted model's")
+        left.set_xlabel("RMS error on records left out (hollow: of the fit)\nrelative to the re-fitted model")
         right.set(xlim=(0, 1), xlabel="probability")
         right.tick_params(axis="y", length=0)
         left.invert_yaxis()
