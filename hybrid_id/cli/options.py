@@ -1,7 +1,5 @@
 """Arguments and options that several commands share."""
 
-import math
-from contextlib import suppress
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -81,12 +79,10 @@ def as_window(text: str) -> str | float:
     Raises:
         InputError: it is neither.
     """
-    with suppress(ValueError):
-        if 0.0 < (seconds := float(text)) < math.inf:
-            return seconds
-    if text in ("whole", "strokes", "auto"):
-        return text
-    raise InputError(f"--window takes a number of seconds above 0, whole, strokes or auto; found {text}")
+    from hybrid_id.identification.horizons import Horizon
+
+    horizon = Horizon.of(text)
+    return horizon.seconds if horizon is not None and horizon.kind == "windows" else text
 
 
 def use_threads(count: int) -> None:

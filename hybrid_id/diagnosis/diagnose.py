@@ -176,9 +176,12 @@ def search(
             if fits.astray(base) <= CRITERIA.lost_refit:
                 first = screen(fits, base, system, progress=progress)
                 best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
-                if not best.right and _differ(fits, base, system):
-                    return fits, Selection(base, (first,), base, needless=True)
-            if fits.astray(best) > CRITERIA.lost or _adds_up(fits, best, system):
+                if not best.right and (own := _own_values(fits, base, system)) is not None:
+                    return fits, Selection(base, (first,), base, own=own)
+            # what a model lacks adds up along its free runs where no record's own values explain the structure left
+            if fits.astray(best) > CRITERIA.lost or not (
+                best.right or (best is not base and _own_values(fits, best, system) is not None)
+            ):
                 batch, how = fits.records(best.system), best.result.engine
                 chance = best.error > CRITERIA.by_chance * best.trained
                 chosen = choose_horizon(best.system, how, batch, [best.result], followed=0.0, pieces=chance)
@@ -196,24 +199,16 @@ def search(
         return fits, interrupted(base, steps)
 
 
-def _differ(fits: Fits, base: Model, system: System) -> bool:
-    """Whether the records differ from each other and nothing is missing: each one's own values leave noise alone."""
-    own = per_record(fits, base, system)
-    return own is not None and own.explained
+def _own_values(fits: Fits, model: Model, system: System) -> PerRecord | None:
+    """Each record's own values of a model, where they leave noise alone: the records differ, and nothing is missing."""
+    own = per_record(fits, model, system)
+    return own if own is not None and own.explained else None
 
 
 def _helping(step: Step) -> frozenset[Name]:
     """The effects that explain anything of what their train records show."""
     least = (1.0 - CRITERIA.least_fall) * step.before.trained
     return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained < least)
-
-
-def _adds_up(fits: Fits, best: Model, system: System) -> bool:
-    """Whether what a model lacks adds up along its free runs: no record's own values explain the structure left."""
-    if best.right:
-        return False
-    own = per_record(fits, best, system)
-    return own is None or not own.explained
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
@@ -223,7 +218,7 @@ def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         chosen = found.chosen
         after = before if chosen is found.base else tuple(locate(fits, chosen))
         structural = structural_share(chosen, after)
-        own = per_record(fits, chosen, system) if structural > CRITERIA.coloured else None
+        own = (found.own or per_record(fits, chosen, system)) if structural > CRITERIA.coloured else None
         if own is not None:
             structural = 0.0 if own.explained else structural_share(chosen, after, own.coloured)
             found = _for_all_records(found, own)

@@ -15,7 +15,7 @@ from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.model import Model, Name, added_effect
 from hybrid_id.diagnosis.screen import Step, log_odds, needed_fall, odds_at
-from hybrid_id.diagnosis.select import Selection, accepted_ones, chance, refitted_without
+from hybrid_id.diagnosis.select import Selection, accepted_ones, chances, refitted_without
 from hybrid_id.diagnosis.validation import DRAWS, Validation, mean_square
 
 Interval = tuple[float, float]
@@ -236,18 +236,17 @@ def _candidates(found: Selection) -> list[Candidate]:
     for step in found.steps:
         if step.best is None:
             continue
-        weights, present = _weights(step), _present(step, step.best)
-        for model, weight in zip(step.candidates, weights, strict=True):
+        for model, probability in zip(step.candidates, _probabilities(step), strict=True):
             name = added_effect(model, step.before)
             one = Candidate(
-                name[0], name[1], float(present * weight), name in chosen, _ties(model, step, name),
+                name[0], name[1], float(probability), name in chosen, _ties(model, step, name),
                 _parameters(found.chosen if name in chosen else model, name),
             )  # fmt: skip
             if name not in best or step.swap or one.probability > best[name].probability:
                 best[name] = one
     # what the selected ones have made needless is no more probable than that these are wrong
     least = min((c.probability for c in best.values() if c.selected), default=0.0)
-    if found.needless:
+    if found.own is not None:
         return [replace(c, probability=CRITERIA.false_alarms * c.probability) for c in best.values()]
     return [
         c if c.selected or not chosen else replace(c, probability=min(c.probability, 1.0 - least))
@@ -255,31 +254,29 @@ def _candidates(found: Selection) -> list[Candidate]:
     ]
 
 
-def _weights(step: Step) -> np.ndarray:
-    """Share of each candidate among them: how surely the best predicts better, and how surely it explains anything."""
+def _probabilities(step: Step) -> np.ndarray:
+    """Probability of each candidate: how surely the best predicts better, and how surely each explains anything."""
     best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
-    sure = max(_present(step, best), 1e-300)
+    present = {one: _present(one, step.before, p) for one, p in chances(step).items()}
+    sure = present.get(best, 0.0)
     for k, one in enumerate(step.candidates):
         if one is best:
             logs[k] = 0.0
         elif one.finished and one.error < step.before.error and not _contains(one, step):
-            explains = min(max(_present(step, one), 1e-300) / sure, 1.0)
+            explains = min(max(present[one], 1e-300) / max(sure, 1e-300), 1.0)
             logs[k] = log_odds(best, one, step.before) + math.log(explains)
     odds = np.exp(logs - logs.max())
-    return odds / odds.sum()
+    return sure * odds / odds.sum()
 
 
-def _present(step: Step, one: Model) -> float:
-    """Probability that an effect of a candidate is at work, or one beside it, and not none beyond the model before.
+def _present(one: Model, before: Model, p: float) -> float:
+    """Probability that the effect of a finished candidate or one beside it is at work, and not none beyond ``before``.
 
     The p-value of the whole search as a bound of the Bayes factor against chance, ``-e p ln p`` at even odds
     (T. Sellke, M. J. Bayarri and J. O. Berger, The American Statistician 55, 2001), times how far the fall is
     what an effect needs.
     """
-    if not one.finished:
-        return 0.0
-    fall = one.validation.fall(step.before.validation) / needed_fall(one, step.before)
-    p = chance(one, step.before, step.candidates)
+    fall = one.validation.fall(before.validation) / needed_fall(one, before)
     against = -np.e * p * np.log(p) if p < np.exp(-1.0) else 1.0
     return float(1.0 / (1.0 + against) / (1.0 + np.exp(-8.0 * (fall - 1.0))))
 

@@ -27,7 +27,7 @@ for the gear ratio may be another one and what ripples may sit elsewhere."""
 GEAR_PERIODS = (0.25, 4.0)
 """Fewest and most periods a turn of the rotor of a gear's error: a shaft behind it turns once in several of its."""
 FINEST = 1200
-"""Periods between two whole numbers, and all others, that are looked at, at most."""
+"""Periods over such a range, or below the whole ones of a motor, that are looked at, at most."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
 SPOTS = 24
@@ -77,7 +77,7 @@ def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
 def _between(low: float, high: float, angle: Tensor) -> list[float]:
     """Periods a turn from ``low`` to below ``high``, so close that half a wave over an angle's range tells them."""
     step = max(math.pi / max(float(angle.max() - angle.min()), 1e-3), (high - low) / FINEST)
-    return np.arange(low, high, min(step, high - low)).tolist()
+    return np.arange(low, high, step).tolist()
 
 
 def _peaks(found: Sequence[tuple[int, tuple[float, ...]]]) -> list[tuple[int, tuple[float, ...]]]:
@@ -109,13 +109,14 @@ def second_wave(
         own, near = spec.value, spec.upper - spec.lower if spec.estimate else 0.0
         first = max(math.hypot(*(part.specs[symbol[:-1]].value for symbol in symbols)), 1e-12)
         others = [(n, size) for n, *size in waves(left, joint, place) if abs(n - own) > near]
-        overtone = min(others, key=lambda other: abs(other[0] - 2.0 * own), default=(2.0 * own, []))
-        strongest = [one for one in others[:1] if one is not overtone]
+        if not others:
+            return []
+        overtone = min(others, key=lambda other: abs(other[0] - 2.0 * own))
+        begun = [*(one for one in others[:1] if one is not overtone), (2.0 * own, overtone[1])]
         return [
             {"n_2": n} | {s: Bounded(min(max(x, -most * first), most * first), -most * first, most * first)
                           for s, x in zip(symbols, size, strict=True)}
-            for n, size in (*strongest, (2.0 * own, overtone[1]))
-            if size
+            for n, size in begun
         ]  # fmt: skip
 
     return start

@@ -16,6 +16,7 @@ from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FINER, FULL, Fits, Task
 from hybrid_id.diagnosis.model import Model, Name, added_effect
+from hybrid_id.diagnosis.per_record import PerRecord
 from hybrid_id.diagnosis.periodic import Left
 from hybrid_id.diagnosis.screen import (
     FINALISTS,
@@ -45,14 +46,14 @@ class Selection:
         steps: the selection steps; the first says what each effect explains alone.
         chosen: the model that the search ends with; ``base`` where no effect is accepted.
         interrupted: whether the search was stopped before its end.
-        needless: whether parameters that differ from record to record explain all that any effect does, and more.
+        own: each record's own values of the nominal model, where they explain all that any effect does, and more.
     """
 
     base: Model
     steps: tuple[Step, ...]
     chosen: Model
     interrupted: bool = False
-    needless: bool = False
+    own: PerRecord | None = None
 
     @property
     def fitted(self) -> dict[str, Model]:
@@ -156,13 +157,19 @@ def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> b
 
 def accepted_ones(step: Step) -> list[Model]:
     """The candidates of a step that are accepted, in its order: one draw of chance serves them all."""
-    ends, before = [e for e in step.candidates if e.finished], step.before
-    chances = p_values([e.validation for e in ends], before.validation)
+    before = step.before
     return [
         e
-        for e, p in zip(ends, chances, strict=True)
+        for e, p in chances(step).items()
         if p <= CRITERIA.false_alarms and e.validation.fall(before.validation) >= needed_fall(e, before)
     ]
+
+
+def chances(step: Step) -> dict[Model, float]:
+    """Of each finished candidate, the probability that the best of all would predict so much better by chance."""
+    ends = [e for e in step.candidates if e.finished]
+    found = p_values([e.validation for e in ends], step.before.validation)
+    return dict(zip(ends, found.tolist(), strict=True))
 
 
 def chance(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> float:

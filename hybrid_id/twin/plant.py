@@ -44,7 +44,7 @@ class Plant:
         return dict(zip(self._twin.simulated.rows, self._x, strict=True))
 
     def measure(self) -> dict[str, np.ndarray]:
-        """SensorDynamics of the encoders by name (q_m1, ...), (B,) each [rad]; every call draws new noise."""
+        """Readings of the encoders by name (q_m1, ...), (B,) each [rad]; every call draws new noise."""
         states = self.states
         return {
             name: np.array(
