@@ -42,7 +42,7 @@ def job(kind: str, size: int, device: str) -> Callable[[], torch.Tensor]:
     from hybrid_id.identification.costate import gradient
     from hybrid_id.identification.fit import fit
     from hybrid_id.identification.least_squares import Options
-    from hybrid_id.identification.network_data import with_scales
+    from hybrid_id.identification.networks import with_scales
     from hybrid_id.simulation.rollout import simulate
     from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
     from hybrid_id.simulation.step import Engine

@@ -38,7 +38,7 @@ def epoch(way: str, samples: int) -> dict[str, float]:
 
     from hybrid_id import Record, make_batch, one_link
     from hybrid_id.components import ResidualNetwork
-    from hybrid_id.identification.network_data import with_scales
+    from hybrid_id.identification.networks import with_scales
     from hybrid_id.simulation.rollout import simulate
     from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
     from hybrid_id.simulation.step import Engine

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.compiled_dry import tangents
+from hybrid_id.simulation.compiled import linearise
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.step import Engine
@@ -50,11 +50,11 @@ def tangent_seconds(system: System, engine: Engine, rows: int = 6) -> float:
     batch = make_batch(system, [record(system)]).take(torch.zeros(rows, dtype=torch.long))
     theta = system.theta().detach()[:, None] * torch.linspace(0.98, 1.02, rows, dtype=torch.float64)
     arguments = rollout(system, engine, batch, theta), batch.u, batch.dt, theta, range(len(system.table))
-    tangents(system, engine, *arguments)  # compiles
+    linearise(system, engine, *arguments)  # compiles
     found = []
     for _ in range(2 * REPEATS):
         begun = time.process_time()
-        tangents(system, engine, *arguments)
+        linearise(system, engine, *arguments)
         found.append(time.process_time() - begun)
     return min(found) / (rows * SAMPLES)
 

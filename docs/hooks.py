@@ -9,7 +9,7 @@ from pathlib import Path
 from mkdocs.structure.files import File
 
 import hybrid_id
-from hybrid_id.components.base import PLACES, REGISTRY
+from hybrid_id.components import PLACES, REGISTRY, Component
 
 CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
 STAGES = {
@@ -80,9 +80,11 @@ def equations() -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def sheet(part: type) -> str:
-    """A docstring as Markdown: double backticks become single, roles become names, arguments a list."""
+def sheet(part: type[Component]) -> str:
+    """A law's docstring as Markdown, what a diagnosis says of it, and its parameters."""
     text = plain(inspect.getdoc(part) or "")
+    if part.effect is not None:
+        text += f"\n\nA diagnosis calls it `{part.effect.name}`: {part.effect.about}."
     rows = [
         f"| `{name}` | {spec.unit} | {spec.doc} | {spec.bounded().value:g} | {'yes' if spec.estimate else 'no'} |"
         for name, spec in part.declared.items()

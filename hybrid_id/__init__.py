@@ -10,18 +10,18 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
-    from hybrid_id.components import AsymmetricStribeck as AsymmetricStribeck
-    from hybrid_id.components import Backlash as Backlash
-    from hybrid_id.components import Component as Component
-    from hybrid_id.components import Coulomb as Coulomb
-    from hybrid_id.components import Dahl as Dahl
-    from hybrid_id.components import DCMotor as DCMotor
-    from hybrid_id.components import LinearSpring as LinearSpring
-    from hybrid_id.components import LoadDependent as LoadDependent
-    from hybrid_id.components import LuGre as LuGre
-    from hybrid_id.components import Rigid as Rigid
-    from hybrid_id.components import Stribeck as Stribeck
-    from hybrid_id.components import Viscous as Viscous
+    from hybrid_id.components.base import Component as Component
+    from hybrid_id.components.friction.asymmetric_stribeck import AsymmetricStribeck as AsymmetricStribeck
+    from hybrid_id.components.friction.coulomb import Coulomb as Coulomb
+    from hybrid_id.components.friction.dahl import Dahl as Dahl
+    from hybrid_id.components.friction.load_dependent import LoadDependent as LoadDependent
+    from hybrid_id.components.friction.lugre import LuGre as LuGre
+    from hybrid_id.components.friction.stribeck import Stribeck as Stribeck
+    from hybrid_id.components.friction.viscous import Viscous as Viscous
+    from hybrid_id.components.motor.dc_motor import DCMotor as DCMotor
+    from hybrid_id.components.transmission.backlash import Backlash as Backlash
+    from hybrid_id.components.transmission.linear_spring import LinearSpring as LinearSpring
+    from hybrid_id.components.transmission.rigid import Rigid as Rigid
     from hybrid_id.diagnosis.diagnose import diagnose as diagnose
     from hybrid_id.diagnosis.result import Diagnosis as Diagnosis
     from hybrid_id.errors import InputError as InputError
@@ -43,19 +43,27 @@ if TYPE_CHECKING:
     from hybrid_id.study import compare as compare
     from hybrid_id.study import identify as identify
     from hybrid_id.study import replay as replay
-    from hybrid_id.systems.arms import one_link as one_link
-    from hybrid_id.systems.arms import one_link_flexible as one_link_flexible
-    from hybrid_id.systems.arms import two_link as two_link
+    from hybrid_id.systems.builders import one_link as one_link
+    from hybrid_id.systems.builders import one_link_flexible as one_link_flexible
+    from hybrid_id.systems.builders import two_link as two_link
     from hybrid_id.systems.chain import System as System
     from hybrid_id.systems.model_file import load_model as load_model
     from hybrid_id.systems.model_file import save_model as save_model
 
 # The same names once more, by the module that defines them; a test keeps the two lists equal.
 _MODULES = {
-    "hybrid_id.components": (
-        "AsymmetricStribeck Backlash Component Coulomb Dahl DCMotor LinearSpring LoadDependent LuGre Rigid Stribeck "
-        "Viscous"
-    ),
+    "hybrid_id.components.base": "Component",
+    "hybrid_id.components.friction.asymmetric_stribeck": "AsymmetricStribeck",
+    "hybrid_id.components.friction.coulomb": "Coulomb",
+    "hybrid_id.components.friction.dahl": "Dahl",
+    "hybrid_id.components.friction.load_dependent": "LoadDependent",
+    "hybrid_id.components.friction.lugre": "LuGre",
+    "hybrid_id.components.friction.stribeck": "Stribeck",
+    "hybrid_id.components.friction.viscous": "Viscous",
+    "hybrid_id.components.motor.dc_motor": "DCMotor",
+    "hybrid_id.components.transmission.backlash": "Backlash",
+    "hybrid_id.components.transmission.linear_spring": "LinearSpring",
+    "hybrid_id.components.transmission.rigid": "Rigid",
     "hybrid_id.errors": "InputError",
     "hybrid_id.diagnosis.diagnose": "diagnose",
     "hybrid_id.diagnosis.result": "Diagnosis",
@@ -71,7 +79,7 @@ _MODULES = {
     "hybrid_id.simulation.rollout": "simulate",
     "hybrid_id.simulation.step": "Engine",
     "hybrid_id.study": "Study analyse_fits compare identify check_identifiability replay",
-    "hybrid_id.systems.arms": "one_link one_link_flexible two_link",
+    "hybrid_id.systems.builders": "one_link one_link_flexible two_link",
     "hybrid_id.systems.chain": "System",
     "hybrid_id.systems.model_file": "load_model save_model",
 }

@@ -90,6 +90,9 @@ class Bounded:
                 f"[{self.lower:g}, {self.upper:g}]; move it inside, or widen the bounds where physics allows it."
             )
 
+    def __deepcopy__(self, _: object) -> Bounded:
+        return self  # it never changes, and searches copy models by the thousand
+
     def at(self, value: float) -> Bounded:
         """The same parameter with another value."""
         return replace(self, value=float(value))

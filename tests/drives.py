@@ -13,6 +13,7 @@ from torch import Tensor
 
 from hybrid_id.components.base import Component
 from hybrid_id.records.record import Record
+from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import Simulation, rollout, simulate
 from hybrid_id.simulation.step import Engine
@@ -112,7 +113,10 @@ def make_records(
     drawn from seed k unless told otherwise.
     """
     batch = batch_of(system, {"u1": np.stack(voltages)}, outputs=outputs, step=step, rows=len(voltages))
-    found = simulate(system, engine or Engine(substeps=4), batch)
+    engine = replace(
+        engine or Engine(substeps=4), compiled=compiler() is not None
+    )  # data, however it is made
+    found = simulate(system, engine, batch)
     assert set(found.status) == {"ok"}
     records = []
     for k, (seed, voltage) in enumerate(zip(seeds or range(len(voltages)), voltages, strict=True)):

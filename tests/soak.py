@@ -22,7 +22,7 @@ import yaml
 sys.path.insert(0, str(Path(__file__).parent))
 from drives import make_records, multisine, rigid_drive
 
-from hybrid_id.cli.blind import make_sealed
+from hybrid_id.cli.blind_runs import make_sealed
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems.model_file import save_model
 

@@ -106,7 +106,7 @@ JOBS: dict[str, tuple[System, Job]] = {
 def interpreted(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """No C code, which serves the CPU alone."""
     for module in [m for name, m in sys.modules.items() if name.startswith("hybrid_id")]:
-        for name in ("serves", "walks"):
+        for name in ("supports_compiled",):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, lambda *_: False)
     yield

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 FOLDER = Path(__file__).parents[1] / "experiments" / "16_real_records"
-MODULES = ("cases", "machines", "emps", "table")
+MODULES = ("cases", "real_machines", "emps", "table")
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_a_case_of_the_wrong_load_wants_the_load_and_no_effect(experiment) -> No
 
 
 def test_the_twin_moves_at_the_speed_that_its_friction_allows(experiment) -> None:
-    axis = experiment["machines"].CONFIG["emps"] | {"limit": 60.0, "offset": 0.0}
+    axis = experiment["real_machines"].CONFIG["emps"] | {"limit": 60.0, "offset": 0.0}
     goal = np.linspace(0.0, 10.0, 4000)  # faster than the limit of the force allows, so that it is reached
     for sign in (1.0, -1.0):
         force, position = experiment["emps"].simulate(axis, sign * goal, np.zeros(goal.size))
@@ -113,7 +113,7 @@ def test_every_case_can_be_built(experiment, shared) -> None:
 
 
 def test_the_publisher_s_arm_scores_as_published(experiment, shared) -> None:
-    machines = experiment["machines"]
+    machines = experiment["real_machines"]
     arm = machines.dfki(shared / "data", "A.0")
     q_1, q_2 = machines.window_errors(arm.system, arm.dataset.records, 0.5).values()
     assert q_1 == pytest.approx(0.053, abs=0.004) and q_2 == pytest.approx(0.184, abs=0.012)  # rad

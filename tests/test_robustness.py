@@ -19,7 +19,7 @@ import torch
 from scipy.io import savemat
 
 from hybrid_id.cli import folder as folders
-from hybrid_id.cli.training_folder import live_folder
+from hybrid_id.cli.folder import live_folder
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
 from hybrid_id.identification.checkpoint import read_checkpoint

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import soak
 
-from hybrid_id.blind import campaign as plans
-from hybrid_id.blind import levels
+from hybrid_id.machines import experiments as plans
+from hybrid_id.machines import grading
 
 
 @pytest.mark.parametrize("name", soak.JOBS)
@@ -14,7 +14,7 @@ def test_killed_and_run_again_ends_the_same(name: str, monkeypatch: pytest.Monke
     monkeypatch.setattr(soak, "REPEATS", 1)
     monkeypatch.setattr(soak, "SAMPLES", 150)
     monkeypatch.setattr(plans, "LENGTHS", (700, 900))
-    monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+    monkeypatch.setattr(grading, "FACTORS", np.geomspace(0.2, 8.0, 5))
     kills = 0
     for seed in (
         0,

@@ -27,7 +27,7 @@ def test_wheel_holds_every_file_of_the_package(wheel: Path) -> None:
 def test_unpacked_wheel_finds_its_data(wheel: Path, tmp_path: Path) -> None:
     zipfile.ZipFile(wheel).extractall(tmp_path / "site")
     code = (
-        "from hybrid_id.reporting.html.page import Page; "
+        "from hybrid_id.reporting.page import Page; "
         "from hybrid_id.reproduction.plan import config_folder, read_plan; "
         "Page('title').html(); read_plan(quick=True); print(config_folder())"
     )

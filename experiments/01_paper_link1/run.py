@@ -5,11 +5,10 @@ import argparse
 import torch
 from score import CLAIMS, Campaign
 
+from hybrid_id.machines.twin.campaign import make_campaigns, model_description
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
 from hybrid_id.study import check_identifiability, identify
 from hybrid_id.systems.model_file import ModelFile, build_model
-from hybrid_id.twin.campaign import make_campaigns
-from hybrid_id.twin.model import model_description
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--config", default="configs/twin_link1.yaml")

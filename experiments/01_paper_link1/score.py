@@ -2,10 +2,10 @@
 
 import numpy as np
 
+from hybrid_id.machines.twin.campaign import replay
+from hybrid_id.records.derivatives import smooth_derivatives
 from hybrid_id.records.record import Record
-from hybrid_id.records.smoothing import smooth_derivatives
 from hybrid_id.statistics.fit import fit_percent
-from hybrid_id.twin.campaign import replay
 
 PAPER = {
     "J": 16.345, "P_m1": 6.436, "P_m2": 6.888, "f_11": 3.590, "f_12": 7.742, "f_13": 8.402, "f_14": 11.688,

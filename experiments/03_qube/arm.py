@@ -12,19 +12,17 @@ import torch
 
 from hybrid_id import Dataset, Engine, Record, System, fit, load_model, make_batch, simulate
 from hybrid_id.components import Stribeck
-from hybrid_id.identification.horizons import measured_windows
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.windows import measured_windows
 from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.statistics.cross_validation import cross_validation
-from hybrid_id.statistics.jackknife import autocorrelation_robust
-from hybrid_id.statistics.selection import select
-from hybrid_id.statistics.trust import trust_grades
-from hybrid_id.statistics.uncertainty import covariance
+from hybrid_id.statistics.cross_validation import cross_validation, select
+from hybrid_id.statistics.reliability import reliability_grades
+from hybrid_id.statistics.uncertainty import autocorrelation_robust, covariance
 from hybrid_id.statistics.variation import mean_interval, variation
 from hybrid_id.study import Study
-from hybrid_id.study.identifiable import told_by
+from hybrid_id.study.checks import identifiability_of
 from hybrid_id.study.replays import engine_error
 
 HERE = Path(__file__).parent
@@ -134,15 +132,17 @@ def _study(
     }
     ways["between records"] = mean_interval(values).std_error
     matrix = cross_validation(np.zeros((len(sets), batch.rows, 1)))
-    study = Study(system, tuple(sets), False, variation(values, names), plain, robust, told_by(sets[0]),
+    study = Study(system, tuple(sets), False, variation(values, names), plain, robust, identifiability_of(sets[0]),
                   (), matrix, None, {}, engine_steps)  # type: ignore[arg-type]  # fmt: skip
     fits = Fits(study, batch).held_out(seconds)[0][..., None]
     matrix = cross_validation(fits, set_names=batch.names, record_names=batch.names, signal_names=("q_m1",))
     selection = select(matrix)
     chosen = sets[selection.index]
     ratio = np.median(robust[selection.index].std_error / plain[selection.index].std_error)
-    told = told_by(chosen, inflation=max(float(ratio), 1.0))
-    trust = trust_grades(
+    told = identifiability_of(chosen, inflation=max(float(ratio), 1.0))
+    reliability = reliability_grades(
         names, values.mean(0), ways, not_identifiable=told.not_claimable, at_bound=chosen.at_bound
     )
-    return replace(study, identifiability=told, trust=trust, cross_validation=matrix, selection=selection)
+    return replace(
+        study, identifiability=told, reliability=reliability, cross_validation=matrix, selection=selection
+    )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from arm import Fits
 
-from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure
+from hybrid_id.reporting.study_figures import cross_validation_figure, parameter_figure, residual_figure
 from hybrid_id.reporting.style import save
 from hybrid_id.statistics.residuals import whiteness
 from hybrid_id.study import Study
@@ -33,7 +33,7 @@ def _told(fits: Fits, name: str) -> tuple[str, np.ndarray]:
 def parameter_table(fits: Fits) -> str:
     """Every set's values of what is told, mean, std/mean and trust grade."""
     rows = []
-    for name, trust in zip(fits.study.names, fits.study.trust, strict=True):
+    for name, trust in zip(fits.study.names, fits.study.reliability, strict=True):
         label, values = _told(fits, name)
         mean, std = values.mean(), values.std(ddof=1)
         rows.append([label, *(f"{v:.4g}" for v in values), f"{mean:.4g}", f"{100 * std / abs(mean):.1f} %",
@@ -100,7 +100,6 @@ def say_whole(title: str, study: Study) -> None:
 def pictures(fits: Fits, folder: Path, sample_time: float) -> None:
     """Parameters over the records, cross-validation, residuals."""
     folder.mkdir(parents=True, exist_ok=True)
-    white = whiteness(fits.study.selected.residual)
     save(parameter_figure(fits.study), folder / "parameters.png")
     save(cross_validation_figure(fits.study), folder / "cross_validation.png")
-    save(residual_figure(fits.study, white, sample_time), folder / "residuals.png")
+    save(residual_figure(fits.study, sample_time), folder / "residuals.png")

@@ -9,14 +9,13 @@ from compare import Comparison
 
 from hybrid_id.identification.adjoint import train
 from hybrid_id.identification.fit import fit
+from hybrid_id.machines.twin.campaign import make_campaign, model_description
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
 from hybrid_id.reporting.tensorboard import TrainingLog
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.model_file import ModelFile, build_model
-from hybrid_id.twin.campaign import make_campaign
-from hybrid_id.twin.model import model_description
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("--config", default=Path(__file__).with_name("config.yaml"))

@@ -14,8 +14,7 @@ from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import Batch, make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
-from hybrid_id.study.hybrid import HybridStudy
-from hybrid_id.study.network_role import network_roles
+from hybrid_id.study.hybrid import HybridStudy, network_roles
 from hybrid_id.systems.chain import System
 
 

@@ -8,12 +8,11 @@ import sys
 
 import numpy as np
 
-from hybrid_id.records.smoothing import smooth_derivatives
-from hybrid_id.records.spectral import differentiate
+from hybrid_id.machines.twin.campaign import make_campaigns, replay
+from hybrid_id.records.derivatives import differentiate, smooth_derivatives
 from hybrid_id.reproduction.comparison import PRINTED
 from hybrid_id.reproduction.plan import read_plan, twin_settings
 from hybrid_id.statistics.fit import fit_percent
-from hybrid_id.twin.campaign import make_campaigns, replay
 
 WHOSE = ("own run's", "mean machine's", "another run's", "another run's, in band")
 

@@ -6,10 +6,10 @@ from pathlib import Path
 import yaml
 
 from hybrid_id import __version__
-from hybrid_id.blind.judge import judge
-from hybrid_id.blind.score import figures
-from hybrid_id.contenders.keep import is_done, key_of, load, save
-from hybrid_id.contenders.run import Settings, read_case, take
+from hybrid_id.baselines.keep import is_done, key_of, load, save
+from hybrid_id.baselines.run import Settings, read_case, run_case
+from hybrid_id.machines.judge import judge
+from hybrid_id.machines.score import figures
 from hybrid_id.reporting.provenance import commit
 from hybrid_id.reporting.scoreboard import ROWS, value
 
@@ -26,7 +26,7 @@ for answer in sorted((folder / "answers").glob("*.yaml")):
     records, asked = read_case(folder / case), Settings("diagnose")
     key = key_of(records, asked, __version__, commit())
     if not is_done(load(out, case), key):
-        save(out, take(asked, records), key=key)
+        save(out, run_case(asked, records), key=key)
     said = load(out, case) or {}
     one, gap, oracle = judge(case, truth, said), said["gap"], truth["oracle"]
     judged.append(one)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hybrid_id.cli.blind import make_sealed
+from hybrid_id.cli.blind_runs import make_sealed
 from hybrid_id.records.dataset import Dataset
 
 SEED = 16

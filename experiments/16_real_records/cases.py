@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from machines import CONFIG, Machine, changed, dfki, emps_twin, pendulum, qube, with_tests, xl330
+from real_machines import CONFIG, Machine, changed, dfki, emps_twin, pendulum, qube, with_tests, xl330
 
 from hybrid_id import Record
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 from cases import CASES, agreement
-from machines import CONFIG, Machine, window_errors
+from real_machines import CONFIG, Machine, window_errors
 from table import table
 
 from hybrid_id import diagnose

@@ -11,9 +11,9 @@ import torch
 import yaml
 
 from hybrid_id import Dataset, diagnose, load_model
-from hybrid_id.blind.judge import Judged, judge
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.keep import Kept
+from hybrid_id.machines.judge import Judged, judge
 
 OUT = Path("runs/criteria")
 FACTORS = (0.5, 2.0)

@@ -1,18 +1,15 @@
 """`ablate`: physics only against hybrid on the same records and seeds."""
 
 import shutil
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import typer
 
-from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import EVENTS, refuse_foreign, required, sole_writer
-from hybrid_id.cli.hybrid import check_network, engine_of, options_of
-from hybrid_id.cli.inputs import check_windows, checked_records, load_system
+from hybrid_id.cli.console import counting, remark, show
+from hybrid_id.cli.folder import EVENTS, added_results, make_folder, refuse_foreign, required, sole_writer
+from hybrid_id.cli.inputs import check_windows, checked_records, load_system, refuse_arm
 from hybrid_id.cli.options import (
     Backend,
     BackendOption,
@@ -23,17 +20,18 @@ from hybrid_id.cli.options import (
     SchedulerOption,
     SourceArgument,
     check_backend,
+    config_of,
     use_threads,
 )
-from hybrid_id.cli.progress import counting
-from hybrid_id.config import Ablation, Hybrid, StudyConfig, study_config
+from hybrid_id.cli.results import files_in, write_last, write_report
+from hybrid_id.cli.train import check_network
+from hybrid_id.config import Ablation, Hybrid, StudyConfig
 from hybrid_id.errors import InputError
 from hybrid_id.reporting.provenance import program
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.study.ablation import Task
-    from hybrid_id.study.ablation_cell import CellResult
+    from hybrid_id.study.ablation import CellResult, Task
     from hybrid_id.study.ablation_plan import Cell, Factors
     from hybrid_id.study.ablation_result import Ablation as Outcome
     from hybrid_id.systems.chain import System
@@ -57,11 +55,7 @@ def ablate(
     the cells that are done, with their settings.
     """
     check_backend(backend, scheduler)
-    changes = {
-        "model": None if model is None else str(model),
-        "output.folder": None if out is None else str(out),
-    }
-    config = study_config(source, changes)
+    config = config_of(source, model, out)
     if config.identification.device != "cpu":
         raise InputError(
             f"key 'identification.device' is '{config.identification.device}', but cells are computed on the cpu; "
@@ -71,32 +65,29 @@ def ablate(
     refuse_foreign(home, CELLS, "*/cell.json")
     dataset = checked_records(config)
     use_threads(1)
-    task, cells = planned(config, dataset, load_system(config, dataset))
-    try:
-        (home / CELLS).mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{home} cannot be made ({error.strerror}); give another folder") from None
+    system = load_system(config, dataset)
+    refuse_arm(system, config.model, "ablate")
+    task, cells = planned(config, dataset, system)
+    make_folder(home / CELLS)
     with sole_writer(home):
         results = _run(task, cells, home, jobs, scheduler, events=config.output.tensorboard)
         outcome = _gather(config, results)
         text = _write(home, config, dataset, outcome)
     if as_json:
-        stdout().print(text, markup=False, soft_wrap=True)
+        show(text)
     else:
         from hybrid_id.reporting.ablation import ablation_tables
 
         show(ablation_tables(outcome))
-        wish = config.output
-        kinds = {"report.html": wish.report, EVENTS: wish.tensorboard, "pictures": wish.figures}
-        names = [RESULT, CELLS, *(name for name, wanted in kinds.items() if wanted), "config.yaml"]
-        show(f"results are in {home}: {', '.join(names)}")
+        show(files_in(home, config, RESULT, CELLS, *([EVENTS] if config.output.tensorboard else [])))
     if broken := [r for r in results if r.status != "done"]:
         remark(f"{len(broken)} of {len(results)} cells broke; the same command tries them again")
         raise typer.Exit(1)
 
 
 def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple[Task, list[Cell]]":
-    """What all cells share, and the cells; every arm is built once, so that faults are told before any training."""
+    """What all cells share, and the cells; every arm is built once, so that faults show before any training."""
+    from hybrid_id.config.settings import hybrid_options, ode_engine
     from hybrid_id.study.ablation import Task
     from hybrid_id.study.ablation_plan import plan, records_beyond
 
@@ -111,7 +102,7 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
         )
     first = how.networks[0] if how.networks else Hybrid().networks[0]
     task = Task(
-        dataset, system, engine_of(config), options_of(config, how.model_copy(update={"prices": prices})),
+        dataset, system, ode_engine(config), hybrid_options(config, how.model_copy(update={"prices": prices})),
         tuple(first.inputs), wish.memory, first.lipschitz, wish.validation, wish.test, tuple(wish.out_of_range),
         wish.horizon, config.preprocessing.signal_share,
     )  # fmt: skip
@@ -128,7 +119,7 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
 
 
 def _check_arms(task: "Task", config: StudyConfig, cells: "Sequence[Cell]") -> None:
-    """Build every arm once; what the model refuses is told with the key that asks for it."""
+    """Build every arm once; a refusal of the model names the key that asks for it."""
     from hybrid_id.study.ablation_plan import without_parts
 
     wish, first = config.ablation or Ablation(), "hybrid.networks[0]"
@@ -164,8 +155,8 @@ def _run(
 
     TensorBoard shows what these cells came to: runs of an earlier plan go, and come back with it from the kept cells.
     """
-    from hybrid_id.reporting.ablation_events import write_cell_events
-    from hybrid_id.study.ablation_run import CELL, key_of, load_cell, run_cells, save_cell
+    from hybrid_id.reporting.tensorboard import write_cell_events
+    from hybrid_id.study.ablation import CELL, key_of, load_cell, run_cells, save_cell
 
     keys = {cell: key_of(task, cell, program()) for cell in cells}
     found = {cell: kept for cell in cells if (kept := load_cell(home / CELLS, cell, keys[cell])) is not None}
@@ -223,28 +214,14 @@ def _in_short(result: "CellResult") -> str:
 
 def _write(home: Path, config: StudyConfig, dataset: "Dataset", outcome: "Outcome") -> str:
     """Pictures, page and `ablation.json` into the folder, under a temporary name first; returns the last as text."""
-    from hybrid_id.reporting.ablation import ablation_result
-    from hybrid_id.reporting.ablation_figures import ablation_pictures
-    from hybrid_id.reporting.html.ablation_page import ablation_page
+    from hybrid_id.reporting.ablation import PICTURES, ablation_page, ablation_pictures, ablation_result
     from hybrid_id.reporting.results import as_json
-    from hybrid_id.reporting.style import save
 
     text = as_json("ablate", {"dataset": dataset.name} | ablation_result(outcome))
-    with tempfile.TemporaryDirectory(dir=home, prefix=".") as temporary:
-        new, pictures = Path(temporary), ablation_pictures(outcome)
-        config.save(new / "config.yaml", home=home)
-        for name, picture in pictures.items() if config.output.figures else ():
-            save(picture.image, new / f"{name}.png")
-        if config.output.report:
-            from hybrid_id.reporting.html.made import how_made
-
-            words = (new / "config.yaml").read_text(encoding="utf-8")
-            how_made(ablation_page(dataset, outcome, pictures), "ablate", words).write(new / "report.html")
-        for name in ("errors.png", "change.png", "prices.png", "report.html"):
-            if not (new / name).exists():  # an earlier run's, which this one has left out
-                (home / name).unlink(missing_ok=True)
-        for file in new.iterdir():
-            file.replace(home / file.name)
-        (new / RESULT).write_text(text + "\n", encoding="utf-8")
-        (new / RESULT).replace(home / RESULT)
+    with added_results(home, RESULT, [*(f"{name}.png" for name in PICTURES), "report.html"]) as folder:
+        write_report(
+            folder, home, config, "ablate", figures=lambda: ablation_pictures(outcome),
+            page=lambda pictures: ablation_page(dataset, outcome, pictures),
+        )  # fmt: skip
+        write_last(folder / RESULT, text)
     return text

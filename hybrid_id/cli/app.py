@@ -13,15 +13,14 @@ from hybrid_id import __version__
 from hybrid_id.cli.ablate import ablate
 from hybrid_id.cli.blind import blind
 from hybrid_id.cli.check import check
-from hybrid_id.cli.components import components
 from hybrid_id.cli.console import printable
 from hybrid_id.cli.demo import demo
 from hybrid_id.cli.diagnose import diagnose
 from hybrid_id.cli.doctor import doctor
-from hybrid_id.cli.effects import effects
 from hybrid_id.cli.excite import excite
 from hybrid_id.cli.export import export
 from hybrid_id.cli.identify import identify
+from hybrid_id.cli.lists import components, effects
 from hybrid_id.cli.replay import compare, simulate
 from hybrid_id.cli.reproduce import reproduce
 from hybrid_id.cli.train import train

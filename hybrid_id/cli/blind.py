@@ -1,29 +1,15 @@
-"""`blind`: cases whose unmodelled effect is withheld, those who take them, and the scoreboard."""
+"""`blind`: cases whose unmodelled effect is withheld, the methods that diagnose them, and the benchmark report."""
 
-import datetime
-import json
 import sys
 from contextlib import nullcontext, redirect_stdout
+from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from hybrid_id import __version__
-from hybrid_id.cli.blind_run import (
-    BROKEN,
-    CommandOption,
-    Method,
-    MethodsOption,
-    RecordsOption,
-    run,
-    run_methods,
-    seed_of,
-)
-from hybrid_id.cli.blind_score import AppendOption, PublishOption, gathered, published_in, score, write_scores
-from hybrid_id.cli.blind_ties import run_ties, ties
-from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.console import remark, show
+from hybrid_id.cli import blind_runs as work
+from hybrid_id.cli.console import show
 from hybrid_id.cli.options import (
     Backend,
     BackendOption,
@@ -32,12 +18,10 @@ from hybrid_id.cli.options import (
     SchedulerOption,
     check_backend,
 )
-from hybrid_id.cli.progress import counting
-from hybrid_id.errors import InputError, MachineError
-from hybrid_id.reporting.provenance import commit
+from hybrid_id.errors import InputError
 
-BEGUN = ".begun.json"
-"""File in a folder of cases that is not complete: what it is to become."""
+BROKEN = 3
+"""Exit code where a case has broken off, all others being done."""
 
 blind = typer.Typer(
     help="Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses."
@@ -47,6 +31,17 @@ blind = typer.Typer(
 @blind.callback()
 def _blind() -> None:
     """Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses."""
+
+
+class Method(StrEnum):
+    """Who diagnoses the cases."""
+
+    diagnose = "diagnose"
+    bic = "bic"
+    sparse = "sparse"
+    network = "network"
+    stribeck = "stribeck"
+    external = "external"
 
 
 CountOption = Annotated[int, typer.Option("--cases", help="Number of cases.", min=1)]
@@ -77,19 +72,57 @@ RealismOption = Annotated[
 EngineOption = Annotated[
     str | None, typer.Option(help="in_house, or mujoco where it is installed.", show_default="drawn")
 ]
-
-
-def _options(
-    system: str | None,
-    family: str | None,
-    effect: str | None,
-    level: str | None,
-    engine: str | None,
-    realism: str,
-) -> dict[str, str | None]:
-    """Options of the generator as the manifest tells them; clean cases tell as much as before there were others."""
-    options = {"system": system, "family": family, "effect": effect, "level": level, "engine": engine}
-    return options if realism == "clean" else options | {"realism": realism}
+CasesArgument = Annotated[
+    Path, typer.Argument(metavar="CASES", help="Folder that 'blind make' has made.", show_default=False)
+]
+MethodsOption = Annotated[
+    list[Method] | None,
+    typer.Option(
+        "--method",
+        help="diagnose, or a baseline: bic, sparse, network, stribeck; or external. May be repeated.",
+        show_default="diagnose",
+    ),
+]
+RecordsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--train-records", help="So many train records of each case at most.", min=1, show_default="all"
+    ),
+]
+CommandOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Program of an external baseline, with {case} for its folder and {answer} for the JSON file to write.",
+        show_default=False,
+    ),
+]
+PartsArgument = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="RUNS...",
+        help="Folder that 'blind run' has filled, or those of all parts.",
+        show_default=False,
+    ),
+]
+ArchivesOption = Annotated[
+    list[Path],
+    typer.Option(
+        "--answers",
+        help="Archive of the answers (ground truth), as it was sealed; one a part.",
+        show_default=False,
+    ),
+]
+PublishOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--publish",
+        metavar="FOLDER",
+        help="Folder of published benchmark reports: gets this one as a file, and a line in its README.md.",
+        show_default=False,
+    ),
+]
+AppendOption = Annotated[Path | None, typer.Option("--append", hidden=True)]
+"""Former name of ``--publish``, which took a page and added the report at its end."""
 
 
 @blind.command()
@@ -99,7 +132,7 @@ def make(
         Path | None,
         typer.Option(
             "--answers",
-            help="Archive for the answers.",
+            help="Archive for the answers (ground truth).",
             show_default="sealed/NAME.answers.tar beside the folder",
         ),
     ] = None,
@@ -119,99 +152,15 @@ def make(
 ) -> None:
     """Make records of machines in which something is at work that their model lacks.
 
-    Each case is a folder with records and today's simulator, ready for every command that takes a dataset. Its answers
+    Each case is a folder with records and the nominal model, ready for every command that takes a dataset. Its answers
     go into an archive apart, whose hash stands in manifest.json beside the cases. The physics is another one than that
     of the models.
     """
     if open_answers and answers is not None:
         raise InputError("--answers and --open-answers contradict each other; give one of them")
-    options = _options(system, family, effect, level, engine, realism)
+    options = work.generator_options(system, family, effect, level, engine, realism)
     archive = None if open_answers else answers or out.parent / "sealed" / f"{out.name}.answers.tar"
-    make_sealed(out, archive, cases, seed_of(seed), options, jobs, first)
-
-
-def make_sealed(
-    out: Path,
-    archive: Path | None,
-    cases: int,
-    seed: int,
-    options: dict[str, str | None],
-    jobs: int,
-    first: int = 1,
-) -> None:
-    """Make cases, move their answers into the archive, and say how it went."""
-    from hybrid_id.blind.seal import ANSWERS, is_half_sealed, seal, was_sealed
-    from hybrid_id.cli.folder import make_parents, refuse_taken, remove_empty, sole_writer, visible
-    from hybrid_id.contenders.keep import write_json
-    from hybrid_id.contenders.run import read_case
-    from hybrid_id.reporting.tables import count
-
-    about: dict[str, Any] = {
-        "program": f"hybrid_id {__version__}",
-        "commit": commit(),
-        "seed": seed,
-        "first": first,
-        "asked": cases,
-        "options": options,
-    }
-    begun = out / BEGUN
-    if not begun.exists():
-        if visible(out) or not out.is_dir():
-            refuse_taken(out)
-    elif json.loads(begun.read_text(encoding="utf-8")) != about:
-        raise InputError(f"{out} holds unfinished cases of another seed, number, kind or commit; remove it")
-    place, home = None if archive is None else archive.resolve().parent, out.resolve()
-    if place is not None and (place.is_relative_to(home) or place == home.parent):
-        raise InputError(
-            f"{archive} is in the folder of the cases or beside it, where 'blind run' could read it; give another"
-        )
-    if archive is not None and begun.exists() and was_sealed(out, archive):  # killed before its last step
-        begun.unlink()
-        return show(f"the cases in {out} were sealed already, their answers in {archive}")
-    if archive is not None and archive.exists() and not (begun.exists() and is_half_sealed(out, archive)):
-        raise InputError(f"{archive} exists already; give the name of a new file as --answers")
-    if archive is not None:
-        remove_empty(make_parents(archive))  # a trial, before anything is made
-    out.mkdir(parents=True, exist_ok=True)
-    with sole_writer(out):
-        write_json(begun, about)
-        made = _make(out, cases, seed, options, jobs, first)
-        if len(made) < cases:
-            remark(f"{cases - len(made)} of {cases} cases were left out: their effect did not show as wanted")
-        about["made"] = datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
-        digests = {path.name: read_case(path).digest for path in made}
-        sealed = seal(out, archive, about | {"digests": digests})["answers"]["sha256"]
-        begun.unlink()
-    show(f"{count(len(made), 'case')} in {out}, their answers in {archive or out / ANSWERS}")
-    show(f"hash of the answers: {sealed}")
-
-
-def _make(
-    out: Path, cases: int, seed: int, options: dict[str, str | None], jobs: int, first: int
-) -> list[Path]:
-    """Make cases in a folder that remembers what it is to hold until they are sealed."""
-    from hybrid_id.blind.make import make_cases
-    from hybrid_id.cli.folder import remove_empty
-    from hybrid_id.study.fan_out import whole_pool
-
-    try:
-        advice = f"the same command goes on with the cases in {out}, better with fewer --jobs"
-        with counting("cases") as bar, whole_pool(advice):
-            task = bar.add_task("cases", total=cases)
-            made = make_cases(
-                cases, seed, out, first=first, jobs=jobs, done=lambda: bar.advance(task), **options
-            )
-        if not made:
-            raise InputError(f"no case of {cases} could be made; give another seed, level or effect")
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"stopped; the same command goes on with the cases in {out}") from None
-    except MachineError:
-        raise
-    except InputError:
-        (out / BEGUN).unlink()
-        remove_empty([out])
-        raise
-    return made
+    work.make_sealed(out, archive, cases, work.seed_of(seed), options, jobs, first)
 
 
 @blind.command()
@@ -236,38 +185,105 @@ def reproduce(
     scheduler: SchedulerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Make, run and score in one command: a published scoreboard again from its seed.
+    """Make, run and score in one command: a published benchmark report again from its seed.
 
     The same command goes on after Ctrl-C.
     """
     check_backend(backend, scheduler)
-    folder = published_in(publish, append)
-    from hybrid_id.blind.seal import refuse_others
-
+    folder, methods = work.published_in(publish, append), method or [Method.diagnose]
     made, archive, runs = out / "cases" / "made", out / "sealed" / "made.answers.tar", out / "runs" / "made"
-    options = _options(system, family, effect, level, engine, realism)
+    options = work.generator_options(system, family, effect, level, engine, realism)
     with redirect_stdout(sys.stderr) if as_json else nullcontext():
-        if archive.exists() and not (made / BEGUN).exists():
-            refuse_others(made, asked=cases, seed=seed_of(seed), options=options, first=first)
-        else:
-            make_sealed(made, archive, cases, seed_of(seed), options, jobs, first)
+        work.make_sealed(made, archive, cases, work.seed_of(seed), options, jobs, first, once=True)
         runs.parent.mkdir(parents=True, exist_ok=True)
-        broken = run_methods(made, runs, method or [Method.diagnose], train_records, jobs, scheduler, command)
-        if Method.diagnose in (method or [Method.diagnose]):
-            run_ties(made, runs, archive, jobs, scheduler)
-    content = gathered([runs], [archive])
-    text = write_scores(runs, content, folder)
-    if as_json:
-        stdout().print(text, markup=False, soft_wrap=True)
-    else:
-        from hybrid_id.reporting.scoreboard import markdown
-
-        show(markdown(content))
-        show(f"results are in {runs}")
+        broken = work.run_methods(made, runs, methods, train_records, jobs, scheduler, command)
+        if Method.diagnose in methods:
+            work.run_ties(made, runs, archive, jobs, scheduler)
+    _scored([runs], [archive], folder, as_json=as_json, where=f"results are in {runs}")
     if broken:
         raise typer.Exit(BROKEN)
 
 
-blind.command()(run)
-blind.command()(score)
-blind.command()(ties)
+@blind.command()
+def run(
+    cases: CasesArgument,
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the diagnoses.", show_default=False)],
+    method: MethodsOption = None,
+    train_records: RecordsOption = None,
+    command: CommandOption = None,
+    jobs: ProcessesOption = 1,
+    backend: BackendOption = Backend.joblib,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Diagnose every case of a folder; fails where the answers could be read.
+
+    Each diagnosis is kept as soon as it is there: after Ctrl-C the same command goes on. A case that breaks is kept
+    with its reason and tried again by the next run.
+    """
+    check_backend(backend, scheduler)
+    methods = method or [Method.diagnose]
+    broken = work.run_methods(cases, out, methods, train_records, jobs, scheduler, command)
+    show(f"diagnoses are in {out}; 'hybrid-id blind score {out} --answers ARCHIVE' scores them")
+    if broken:
+        raise typer.Exit(BROKEN)
+
+
+@blind.command()
+def score(
+    runs: PartsArgument,
+    answers: ArchivesOption,
+    partial: Annotated[bool, typer.Option("--partial", help="Score an unfinished run.")] = False,
+    publish: PublishOption = None,
+    append: AppendOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Score diagnoses; refuses answers that are not those that were sealed before the run.
+
+    All methods in the folder are scored side by side. Cases that were made and run in parts are scored together.
+    Writes scores.json, scoreboard.md, report.html and pictures into the (first) folder.
+    """
+    folder = work.published_in(publish, append)
+    files = f"{work.SCORES}, {work.BOARD}, {work.PAGE}, pictures"
+    where = f"results are in {runs[0]}: {files}"
+    _scored(runs, answers, folder, as_json=as_json, where=where, partial=partial)
+
+
+def _scored(
+    runs: list[Path], answers: list[Path], folder: Path | None, *, as_json: bool, where: str, partial: bool = False
+) -> None:  # fmt: skip
+    """Score, write and print."""
+    content = work.gathered(runs, answers, [m.value for m in Method], partial=partial)
+    text = work.write_scores(runs[0], content, folder)
+    if as_json:
+        return show(text)
+    from hybrid_id.reporting.scoreboard import markdown
+
+    show(markdown(content))
+    show(where)
+
+
+@blind.command()
+def ties(
+    cases: CasesArgument,
+    runs: Annotated[
+        Path, typer.Argument(metavar="RUNS", help="Folder that 'blind run' has filled.", show_default=False)
+    ],
+    answers: Annotated[
+        Path,
+        typer.Option(
+            "--answers", help="Archive of the answers (ground truth), as it was sealed.", show_default=False
+        ),
+    ],
+    jobs: ProcessesOption = 1,
+    backend: BackendOption = Backend.joblib,
+    scheduler: SchedulerOption = None,
+) -> None:
+    """Run the experiment that 'diagnose' proposes in each case with a tie, and see whether it resolves the tie.
+
+    The machine is the same one as in the case, made again from its answers. Writes ties.json, which 'blind score' shows
+    in its report.
+    """
+    from hybrid_id.reporting.scoreboard import ties_line
+
+    check_backend(backend, scheduler)
+    show(ties_line(work.run_ties(cases, runs, answers, jobs, scheduler)))

@@ -1,39 +1,173 @@
-"""Where the commands print: results to stdout, the course of things to stderr."""
+"""What the commands print: results to stdout; remarks, progress and the time that is left to stderr."""
 
+import signal
 import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from types import FrameType
+from typing import Any
 
 from rich.console import Console, RenderableType
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 WIDTH = 120  # where the output goes into a file or a pipe
+STAGES = {"windows": "short windows", "records": "whole records"}
 
 
-def out() -> Console:
-    """Console for results."""
-    return _console(stderr=False)
-
-
-def err() -> Console:
-    """Console for progress and remarks, so that stdout can be piped."""
-    return _console(stderr=True)
-
-
-def _console(*, stderr: bool) -> Console:
+def console(*, stderr: bool = False) -> Console:
+    """Console for results, or for what is said beside them, so that stdout can be piped."""
     stream = sys.stderr if stderr else sys.stdout
     return Console(stderr=stderr, highlight=False, emoji=False, width=None if stream.isatty() else WIDTH)
 
 
 def show(*parts: RenderableType) -> None:
     """Print results; words in brackets are words and no markup."""
-    console = out()
+    out = console()
     for part in parts:
-        console.print(part, markup=False, soft_wrap=isinstance(part, str))
+        out.print(part, markup=False, soft_wrap=isinstance(part, str))
 
 
 def remark(sentence: str) -> None:
     """Say something beside the result."""
-    err().print(sentence, markup=False, soft_wrap=True, style="dim")
+    console(stderr=True).print(sentence, markup=False, soft_wrap=True, style="dim")
+
+
+def show_json(command: str, result: Mapping[str, Any]) -> None:
+    """Print a result as JSON and nothing else."""
+    from hybrid_id.reporting.results import as_json
+
+    show(as_json(command, result))
 
 
 def printable(words: str) -> str:
     """Words on one line: what a file or a program says may hold escape sequences, which a terminal obeys."""
     return "".join(c if c.isprintable() else "?" for c in words)
+
+
+def bar(*columns: Any) -> Progress:
+    """A bar on stderr, unless that goes into a file or a pipe."""
+    err = console(stderr=True)
+    return Progress(*columns, console=err, disable=not err.is_terminal)
+
+
+def counting(noun: str) -> Progress:
+    """Bar for pieces of work that are done one by one, with the time that is left."""
+    return bar(
+        TextColumn(noun), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
+    )
+
+
+class FitProgress:
+    """Bar on stderr while a fit runs; an instance is what `identify` takes as `progress`.
+
+    The first Ctrl-C asks the fit to end with the values that it has; the second one ends the command.
+
+    Args:
+        n_sets: parameter sets that are fitted.
+        max_iterations: of a stage.
+        polite: whether the first Ctrl-C is taken here; not where the fit itself takes it.
+
+    Attributes:
+        stopped: whether the user asked the fit to end.
+        cut: whether he did so before the fit had ended by itself.
+        flag: file that is made then, for other processes to see.
+    """
+
+    def __init__(self, n_sets: int, max_iterations: int, *, polite: bool = True) -> None:
+        self._polite = polite
+        self.n_sets, self.max_iterations, self.stopped = n_sets, max_iterations, False
+        self.cut = False
+        self._bar = bar(
+            TextColumn("{task.description}"),
+            BarColumn(24),
+            TextColumn("{task.fields[left]}"),
+            TimeElapsedColumn(),
+        )
+        self._task = self._bar.add_task("start", total=n_sets, left="")
+        self._last = (0, 0.0)
+        self._before: Any = None
+        self.flag: Path | None = None
+
+    def __enter__(self) -> "FitProgress":
+        self._bar.start()
+        if self._polite and threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._interrupt)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._restore()
+        self._bar.stop()
+
+    def __call__(self, stage: str, iteration: int, cost: Any, running: Any) -> bool:
+        """Show one iteration; whether the fit shall end."""
+        now, going = time.monotonic(), len(running)
+        self.n_sets = max(self.n_sets, going)  # several start points are sets too
+        before, then = self._last
+        seconds = (now - then) / (iteration - before) if 0 < before < iteration else 0.0
+        self._last = (iteration, now)
+        left = f"at most {seconds * (self.max_iterations - iteration):.0f} s left" if seconds else ""
+        words = f"{STAGES.get(stage, stage)}, iteration {iteration}, {going} of {self.n_sets} sets to go"
+        self._bar.update(
+            self._task, description=words, left=left, total=self.n_sets, completed=self.n_sets - going
+        )
+        self.cut |= self.stopped
+        return self.stopped
+
+    def say(self, words: str) -> None:
+        """Show what is being done after the fit."""
+        self._bar.update(self._task, description=words, left="", total=None)
+
+    def watch(self, flag: Path | None) -> None:
+        """Take the file that ends the fits of other processes; None when they have ended."""
+        self.flag = flag
+        self.say("statistics" if flag is None else "fitting in several processes")
+
+    def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
+        self.stopped = True
+        self._restore()
+        if self.flag is not None:
+            self.flag.touch()
+            self.cut = True
+        remark(
+            "stopping after this iteration with the values so far; press Ctrl-C again to leave without results"
+        )
+
+    def _restore(self) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+            self._before = None
+
+
+class SearchProgress:
+    """Bar on stderr while the catalogue is searched; an instance is what `diagnose` takes as `progress`."""
+
+    def __init__(self) -> None:
+        self._bar = bar(
+            TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn(), TimeRemainingColumn()
+        )
+        self._task = self._bar.add_task("nominal model", total=None)
+        self._stage = ""
+
+    def __enter__(self) -> "SearchProgress":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Show how many fits of a stage are done."""
+        if stage != self._stage:
+            self._stage = stage
+            self._bar.reset(self._task, total=total)
+        words = f"{stage}, fit {done} of at most {total}" if total > 1 else stage
+        self._bar.update(self._task, description=words, completed=done)

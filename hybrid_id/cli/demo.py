@@ -1,6 +1,5 @@
 """`demo`: the main job on records whose truth is known."""
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -44,16 +43,16 @@ def demo(
             print_all(*parts)  # type: ignore[arg-type]
 
     from hybrid_id.cli.identify import leave_earlier, run
-    from hybrid_id.cli.study import reach_of, show_study, write_study
+    from hybrid_id.cli.results import show_study, write_study
+    from hybrid_id.machines.twin.campaign import write_campaign
+    from hybrid_id.machines.twin.demo import DEMO
     from hybrid_id.records.quality import remarks
     from hybrid_id.records.yaml_file import read_yaml
-    from hybrid_id.reporting.plots import truth_figure
+    from hybrid_id.reporting.study_figures import truth_figure
     from hybrid_id.reporting.style import save
     from hybrid_id.reporting.tables import count, identifiability_table, truth_table
     from hybrid_id.study import check_identifiability
     from hybrid_id.systems.model_file import load_model
-    from hybrid_id.twin.campaign import write_campaign
-    from hybrid_id.twin.demo import DEMO
 
     with results_folder(out, force=force) as folder:
         dataset, truths = write_campaign(
@@ -65,7 +64,7 @@ def demo(
         )
         warnings = [finding.message for finding in remarks(dataset)]
         show(*(f"   {words}" for words in warnings or ["nothing to remark on their quality"]))
-        show("", "2. What these records can tell, before any fit:")
+        show("", "2. What these records identify, before any fit:")
         show(identifiability_table(check_identifiability(dataset, load_model(folder / DATA / "model.yaml"))))
         show("", "3. So the data sheet's motor constants go in as priors. One parameter set a record:")
         changes = {"model": str(folder / DATA / "model_priors.yaml"), "identification.seed": seed}
@@ -80,24 +79,21 @@ def demo(
         truth = dict(zip((record.name for record in dataset.records), truths, strict=True))[
             study.selected.records[0]
         ]
-        save(truth_figure(study, truth, reach_of(config)), folder / "truth.png")
+        save(truth_figure(study, truth, config.statistics.level), folder / "truth.png")
     show_study(study, config, out, text, as_json=as_json)
     show("", f"4. The truth of {study.selected.records[0]} beside its estimates:")
-    show(truth_table(study, truth, reach_of(config), config.statistics.level))
-    show("", *_conclusion(study, truth, reach_of(config), out))
+    show(truth_table(study, truth, config.statistics.level))
+    show("", *_conclusion(study, truth, config.statistics.level, out))
     if progress.stopped:
         last = "the sets are those of the last iteration, and claim no interval"
         remark(f"stopped by Ctrl-C: {last if progress.cut else 'the sets are complete'}")
         raise typer.Exit(130)
 
 
-def _conclusion(study: "Study", truth: dict[str, float], reach: float, out: Path) -> list[str]:
-    errors = reach * study.standard_errors(study.selection.index)
-    claims = [
-        abs(value - truth[name]) <= error
-        for name, value, error in zip(study.names, study.selected.values, errors, strict=True)
-        if math.isfinite(error)
-    ]
+def _conclusion(study: "Study", truth: dict[str, float], level: float, out: Path) -> list[str]:
+    from hybrid_id.study.truth import against_truth
+
+    claims = [one.inside for one in against_truth(study, truth, level) if one.inside is not None]
     fit, test = study.selection.mean[study.selection.index], list(study.test_nrmse.values())
     held = f", {100 * (1 - test[0]):.2f} % on the record that was held back" if test else ""
     return [

@@ -2,16 +2,13 @@
 
 import os
 import platform
-import tempfile
-import time
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 import typer
 
 from hybrid_id import __version__
-from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.console import show
+from hybrid_id.cli.console import show, show_json
 from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
 from hybrid_id.errors import InputError
 
@@ -29,31 +26,27 @@ NEEDED = (
 )
 OPTIONAL = {"mujoco": "blind", "dask": "dask"}
 """Packages beyond those, and the extra of hybrid-id that brings each."""
-REACH = 4.0
-"""Standard errors within which the self-test's estimates have to be: its records are drawn once and for all."""
-FIT = 97.0
-"""Fit [%] that the identified model has to reach on the record that was held back."""
 
 
 def doctor(as_json: JsonOption = False, threads: ThreadsOption = 1) -> None:
-    """Tell versions, device, threads and compiler, and identify a small drive whose truth is known.
+    """Show versions, device, threads and compiler, and identify a small drive whose truth is known.
 
     Ends with exit code 1 when the self-test misses that truth. Its records are the same on every machine.
     """
     use_threads(threads)
-    told = {"machine": machine(), "packages": packages(), "self_test": _tried()}
+    state = {"machine": machine(), "packages": packages(), "self_test": _tried()}
     if as_json:
-        from hybrid_id.reporting.results import as_json as to_json
-
-        stdout().print(to_json("doctor", told), markup=False, soft_wrap=True)
+        show_json("doctor", state)
     else:
-        _say(told)
-    if not told["self_test"]["passed"]:
+        _say(state)
+    if not state["self_test"]["passed"]:
         raise typer.Exit(1)
 
 
 def _tried() -> dict[str, Any]:
     """The self-test, or what kept it from its end: a package that is missing, say."""
+    from hybrid_id.study.self_test import self_test
+
     try:
         return self_test()
     except (ImportError, InputError, RuntimeError) as error:
@@ -64,7 +57,7 @@ def machine() -> dict[str, Any]:
     """What the machine offers."""
     import torch
 
-    from hybrid_id.simulation.c_code import compiler
+    from hybrid_id.study.self_test import compiler
 
     gpu = torch.cuda.get_device_name(0) if torch.cuda.is_available() else None
     return {
@@ -89,57 +82,23 @@ def packages() -> dict[str, str | None]:
     return found
 
 
-def self_test() -> dict[str, Any]:
-    """Identify a small simulated drive, pooled over two records, and hold the estimates against its truth."""
-    from hybrid_id.study import identify
-    from hybrid_id.systems.model_file import load_model
-    from hybrid_id.twin.campaign import write_campaign
-    from hybrid_id.twin.demo import DEMO
-
-    runs = [DEMO["excitation"]["experiments"][k] | {"tones": 6} for k in (1, 3, 5)]
-    settings = DEMO | {"duration": 2.0, "excitation": DEMO["excitation"] | {"starts": 2, "experiments": runs}}
-    settings["disturbances"] = DEMO["disturbances"] | {"friction_drift": 0.0}
-    start = time.perf_counter()
-    with tempfile.TemporaryDirectory() as folder:
-        dataset, truths = write_campaign(folder, settings, 0)
-        study = identify(dataset, load_model(f"{folder}/model_priors.yaml"), pooled=True)
-    values = dict(zip(study.names, study.selected.values, strict=True))
-    errors = dict(zip(study.names, study.standard_errors(study.selection.index), strict=True))
-    parameters = {
-        name: {"truth": truths[0][name], "estimate": value, "standard_error": errors[name]}
-        for name, value in values.items()
-    }
-    off = [
-        n
-        for n, row in parameters.items()
-        if abs(row["estimate"] - row["truth"]) > REACH * row["standard_error"]
-    ]
-    fit = 100.0 * (1.0 - next(iter(study.test_nrmse.values())))
-    return {
-        "passed": not off and fit >= FIT,
-        "off": off,
-        "fit_percent": fit,
-        "seconds": time.perf_counter() - start,
-        "parameters": parameters,
-    }
-
-
-def _say(told: dict[str, Any]) -> None:
+def _say(state: dict[str, Any]) -> None:
     """The same for a reader."""
     from hybrid_id.reporting.tables import open_table
+    from hybrid_id.study.self_test import FIT, REACH
 
     table = open_table("what", "here")
     words = {"gpu": "none", "compiler": "none: the compiled engine is not available"}
-    for name, value in told["machine"].items():
+    for name, value in state["machine"].items():
         table.add_row(name, str(value if value is not None else words.get(name, "unknown")))
-    for name, found in told["packages"].items():
+    for name, found in state["packages"].items():
         missing = (
             f"not installed; pip install 'hybrid-id[{OPTIONAL[name]}]' brings it"
             if name in OPTIONAL
             else "MISSING"
         )
         table.add_row(name, found or missing)
-    test = told["self_test"]
+    test = state["self_test"]
     if "error" in test:
         show(table, f"self-test FAILED: {test['error']}")
         return

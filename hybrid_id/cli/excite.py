@@ -5,8 +5,8 @@ from typing import Annotated
 
 import typer
 
-from hybrid_id.cli.console import out, show
-from hybrid_id.cli.file import result_file
+from hybrid_id.cli.console import show
+from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import JsonOption
 
 MAX_SAMPLES = 1_000_000
@@ -41,8 +41,7 @@ def excite(
     import numpy as np
 
     from hybrid_id.errors import InputError
-    from hybrid_id.records.crest import usual_crest_factors
-    from hybrid_id.records.excitation import design_multisine
+    from hybrid_id.records.excitation import design_multisine, usual_crest_factors
     from hybrid_id.reporting.results import as_json as as_json_text
 
     if not 0 <= rest < np.inf:
@@ -83,22 +82,21 @@ def excite(
         rows = zip(sample_time * np.arange(len(signal)), signal, strict=True)
         table.write_text("t,u1\n" + "".join(f"{t:.9g},{u:.9g}\n" for t, u in rows), encoding="utf-8")
         if picture:
-            from hybrid_id.reporting.record_plots import excitation_figure
+            from hybrid_id.reporting.study_figures import excitation_figure
             from hybrid_id.reporting.style import save
 
             save(excitation_figure(design), picture)
         usual = usual_crest_factors(design, seed)
-        told = {
+        described = {
             "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
             "sample_time": sample_time, "rest": sample_time * quiet, "band": band, "duration": duration,
             "amplitude": amplitude, "tones": tones, "starts": starts, "seed": seed, "file": str(file),
             "plot": plot and str(plot),
         }  # fmt: skip
-        text = as_json_text("excite", told)
+        text = as_json_text("excite", described)
         words.write_text(text + "\n", encoding="utf-8")
     if as_json:
-        out().print(text, markup=False, soft_wrap=True)
-        return
+        return show(text)
     gain = usual["random"] / design.crest_factor
     show(
         f"{design.message}.",

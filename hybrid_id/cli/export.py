@@ -1,28 +1,26 @@
 """`export`: what was found, in the formats of others."""
 
-import math
+from collections.abc import Sequence
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.file import refuse_file, result_file
-from hybrid_id.cli.folder import RESULT
-from hybrid_id.cli.inputs import load_records
+from hybrid_id.cli.folder import RESULT, refuse_file, result_file
+from hybrid_id.cli.inputs import load_records, read_model
 from hybrid_id.cli.options import JsonOption, use_threads
+from hybrid_id.cli.results import write_last
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
+    from hybrid_id.export.replay import Agreement
     from hybrid_id.systems.chain import System
 
 SAMPLE_TIME, WIDTH = 0.002, 0.5
 """Defaults of the torch program: its step [s], and the speed over which it smooths dry friction [rad/s]."""
-
-STRANGE = 0.5
-"""Normalised RMSE of our own replay above which the records may be of another robot."""
 
 
 class Format(StrEnum):
@@ -89,49 +87,56 @@ def export(
             )
         refuse_file(beside, force=force)
     use_threads(1)
-    from hybrid_id.systems.model_file import load_model
+    from hybrid_id.reporting.results import as_json as to_json
 
     file = model / "model.yaml" if model.is_dir() else model
-    system = load_model(file)
+    system = read_model(file)
+    rows: list[Agreement] = []
     if to is Format.ranges:
-        text = _ranges(system, model)
-        content, told = text.encode(), {}
+        described, content = _ranges(system, model), b""
+    elif to is Format.mjcf:
+        content, described, rows = _mjcf(system, check, out)
     else:
-        content, told = (
-            _mjcf(system, check)
-            if to is Format.mjcf
-            else _program(system, sample_time or SAMPLE_TIME, width or WIDTH)
-        )
-        text = _as_json({"model": str(file), "format": to.value, "file": out.name} | told)
-    with result_file(out, force=force) as temporary:
-        temporary.write_bytes(content)
-    if to is not Format.ranges:
-        with result_file(beside, force=force) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        content, described = _program(system, sample_time or SAMPLE_TIME, width or WIDTH)
+    about: dict[str, Any] = {"model": str(model if to is Format.ranges else file), "format": to.value}
+    about |= {} if to is Format.ranges else {"file": out.name}
+    text = to_json("export", about | described)
+    with ExitStack() as files:
+        main = files.enter_context(result_file(out, force=force))
+        if to is Format.ranges:
+            write_last(main, text)
+        else:
+            main.write_bytes(content)
+            write_last(files.enter_context(result_file(beside, force=force)), text)
     if as_json:
-        stdout().print(text.rstrip(), markup=False, soft_wrap=True)
-        return
-    for note in told.get("left_out", []):
+        return show(text)
+    for note in described.get("left_out", []):
         remark(f"{note}.")
-    _say(to, told, out, beside)
+    if to is Format.ranges:
+        return show(f"a range for each parameter is in {out}")
+    if to is Format.torch:
+        words = f"{described['difference']:.1e} of the largest state"
+        show(f"{out}, read back, differs from the model's own step by {words}")
+    elif rows:
+        _show_agreement(rows)
+    else:
+        show("give --check DATASET to see how closely MuJoCo replays your records")
+    left_out = f"what it leaves out in {beside}" if described["left_out"] else "nothing is left out"
+    show(f"the model is in {out}, {left_out}")
 
 
-def _as_json(result: dict[str, Any]) -> str:
-    from hybrid_id.reporting.results import as_json
-
-    return as_json("export", result) + "\n"
-
-
-def _mjcf(system: "System", check: Path | None) -> tuple[bytes, dict[str, Any]]:
+def _mjcf(system: "System", check: Path | None, out: Path) -> "tuple[bytes, dict[str, Any], list[Agreement]]":
     from hybrid_id.export.mjcf import to_mjcf
+    from hybrid_id.export.replay import agreement
 
     exported = to_mjcf(system)
-    told: dict[str, Any] = {"left_out": list(exported.notes), "check": None}
-    if check is not None:
-        from hybrid_id.export.replay import agreement
-
-        told["check"] = [vars(row) for row in agreement(system, exported, load_records(check))]
-    return exported.text.encode(), told
+    if exported.home is not None and out.parent.resolve() != exported.home:
+        remark(
+            f"meshes and includes are named as seen from {exported.home}: MuJoCo finds them where {out.name} lies there"
+        )
+    rows = [] if check is None else agreement(system, exported, load_records(check))
+    checked = None if check is None else [vars(row) for row in rows]
+    return exported.text.encode(), {"left_out": list(exported.notes), "check": checked}, rows
 
 
 def _program(system: "System", sample_time: float, width: float) -> tuple[bytes, dict[str, Any]]:
@@ -145,69 +150,41 @@ def _program(system: "System", sample_time: float, width: float) -> tuple[bytes,
         )
     if any(joint.drive.encoders or joint.gear.errors for joint in system.joints):
         left_out.append("what encoders read (offset, dead time, error of a gear): the states are true angles")
-    return program.content, {
-        "interface": program.interface,
-        "difference": program.difference,
-        "left_out": left_out,
-    }
+    about = {"interface": program.interface, "difference": program.difference, "left_out": left_out}
+    return program.content, about
 
 
-def _ranges(system: "System", model: Path) -> str:
+def _ranges(system: "System", model: Path) -> dict[str, Any]:
     from hybrid_id.export.ranges import read_result, to_ranges
 
     file = (model if model.is_dir() else model.parent) / RESULT
     if not file.is_file():
         remark(
-            "there is no result of an identification beside this model: only its priors tell how far it may be off"
+            "there is no result of an identification beside this model: only its priors say how far it may be off"
         )
     found = to_ranges(system, read_result(file) if file.is_file() else None)
     if lost := [name for name, one in found["parameters"].items() if one["from"] == "unknown"]:
-        remark(f"nothing tells how far {', '.join(lost)} may be off: their ranges are one value; give priors")
-    return _as_json({"model": str(model), "format": "ranges"} | found)
+        remark(f"nothing says how far {', '.join(lost)} may be off: their ranges are one value; give priors")
+    return found
 
 
-def _say(to: Format, told: dict[str, Any], out: Path, beside: Path) -> None:
-    """What was written and how well it agrees, for a reader."""
-    if to is Format.ranges:
-        show(f"a range for each parameter is in {out}")
-        return
-    if to is Format.torch:
-        show(
-            f"{out}, read back, differs from the model's own step by {told['difference']:.1e} of the largest state"
-        )
-    elif told["check"]:
-        from hybrid_id.reporting.tables import open_table
-        from hybrid_id.statistics.fit import known_mean
+def _show_agreement(rows: "Sequence[Agreement]") -> None:
+    """How closely MuJoCo replays the records, and whether they may be of another robot."""
+    from hybrid_id.export.replay import summarise
+    from hybrid_id.reporting.tables import table
 
-        table = open_table(
-            "record", "role", "output", "MuJoCo - ours>", "measured - ours>", "measured - MuJoCo>"
-        )
-        for row in told["check"]:
-            cells = (f"{row[name]:.5f}" for name in ("apart", "here", "there"))
-            table.add_row(row["record"], row["role"], row["output"], *cells)
-        # a record that stands still has no spread to hold an error against
-        known = (row["apart"] for row in told["check"] if not math.isnan(row["apart"]))
-        worst, judges = max(known, default=math.nan), _judges(told["check"])
-        show("normalised RMSE, over the same records:", table)
-        show(f"MuJoCo replays these records within {worst:.2g} of ours (normalised RMSE)", judges)
-        missed = known_mean(row["here"] for row in told["check"])
-        if missed > STRANGE:
-            remark(
-                f"this model misses these records by {missed:.2g} of their spread; are they of the same robot?"
-            )
-    elif to is Format.mjcf:
-        show("give --check DATASET to see how closely MuJoCo replays your records")
-    show(
-        f"the model is in {out}, "
-        + (f"what it leaves out in {beside}" if told["left_out"] else "nothing is left out")
+    heads = ("record", "role", "output", "MuJoCo - ours>", "measured - ours>", "measured - MuJoCo>")
+    cells = (
+        (r.record, r.role, r.output, *(f"{value:.5f}" for value in (r.apart, r.here, r.there))) for r in rows
     )
-
-
-def _judges(rows: list[dict[str, Any]]) -> str:
-    """The gap to what was measured, over the test records where there are any."""
-    test = [row for row in rows if row["role"] == "test"]
-    from hybrid_id.statistics.fit import known_mean
-
-    means = (known_mean(row[name] for row in test or rows) for name in ("there", "here"))
-    what = "test records" if test else "records"
-    return "measured against MuJoCo {:.3g}, against ours {:.3g} (mean over the {})".format(*means, what)
+    found = summarise(rows)
+    show("normalised RMSE, over the same records:", table(heads, cells))
+    show(
+        f"MuJoCo replays these records within {found.worst:.2g} of ours (normalised RMSE)",
+        f"measured against MuJoCo {found.there:.3g}, against ours {found.here:.3g} (mean over the "
+        f"{f'{found.role} records'.strip()})",
+    )
+    if found.strange is not None:
+        remark(
+            f"this model misses these records by {found.strange:.2g} of their spread; are they of the same robot?"
+        )

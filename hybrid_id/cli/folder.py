@@ -1,15 +1,21 @@
-"""The folder of results: complete under its name, or not there at all."""
+"""Folders and files of results: complete under their names, or not there at all; filled bit by bit, or resumed."""
 
 import fcntl
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+from hybrid_id import __version__
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.diagnosis.keep import Kept
 
 RESULT = "result.json"
 DIAGNOSIS = "diagnosis.json"
@@ -17,6 +23,8 @@ CHECKPOINT = "checkpoint.pt"
 EVENTS = "tensorboard"
 FITS = "fits"
 """Folder of the fits that an unfinished diagnosis keeps."""
+ABOUT = "about.json"
+"""Says in that folder who has made it."""
 BEGUN = ".begun"
 """Marks a training that is not complete; says whether it has put earlier results aside."""
 RESULTS = (RESULT, DIAGNOSIS)
@@ -77,7 +85,7 @@ def refuse_foreign(path: Path, parts: str, pattern: str) -> None:
     Args:
         path: folder of the results.
         parts: name of the folder of parts in it.
-        pattern: files in that folder that tell who has written them.
+        pattern: files in that folder that say who has written them.
     """
     if not (path / parts).is_dir():
         refuse_taken(path)
@@ -92,7 +100,7 @@ def visible(path: Path) -> list[Path]:
 
 def _holds_ours(path: Path) -> bool:
     """Whether a folder holds results, or a training that has begun."""
-    ours = (*(path / name for name in RESULTS), path / FITS / "about.json")
+    ours = (*(path / name for name in RESULTS), path / FITS / ABOUT)
     return (path / BEGUN).exists() or any(_is_ours(file) for file in ours)
 
 
@@ -143,11 +151,6 @@ def go_on(path: Path) -> str:
     return f"'hybrid-id train {path / 'config.yaml'} --out {path} --resume' goes on"
 
 
-def page_and_pictures(config: StudyConfig) -> tuple[str, str]:
-    """The page and the pictures, as far as the config asks for them, for a list of what was written."""
-    return "report.html, " if config.output.report else "", "pictures, " if config.output.figures else ""
-
-
 @contextmanager
 def sole_writer(path: Path) -> Iterator[None]:
     """Let no other run write into a folder that is filled bit by bit; a lock that a killed run leaves is none."""
@@ -176,8 +179,215 @@ def make_parents(path: Path) -> list[Path]:
         raise InputError(f"{path} cannot be made ({why}); give another place") from None
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder that a run fills bit by bit.
+
+    Raises:
+        InputError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path} cannot be made ({error.strerror}); give another folder") from None
+
+
 def remove_empty(folders: list[Path]) -> None:
     """Remove folders that are empty, innermost first."""
     for folder in folders:
         with suppress(OSError):
             folder.rmdir()
+
+
+@contextmanager
+def result_file(path: Path, *, force: bool) -> Iterator[Path]:
+    """Yield a temporary file that takes the name `path` when it is written."""
+    refuse_file(path, force=force)
+    make_parents(path)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
+    os.close(handle)
+    try:
+        yield Path(temporary)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    finally:
+        Path(temporary).unlink(missing_ok=True)
+
+
+def refuse_file(path: Path, *, force: bool) -> None:
+    """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays."""
+    if path.is_dir() or (path.exists() and not force):
+        what = (
+            "is a folder; give the name of a file"
+            if path.is_dir()
+            else "exists; give another name, or --force"
+        )
+        raise InputError(f"{path} {what}")
+    if path.name in (*RESULTS, "model.yaml") and path.exists():
+        raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")
+
+
+@contextmanager
+def kept_fits(home: Path, *, force: bool, resume: bool, reads: Iterable[Path] = ()) -> Iterator["Kept"]:
+    """Yield where the fits of a search are kept, in the folder of its results.
+
+    The folder of fits goes with the earlier results when new ones take their place. It stays where a run is stopped,
+    unless nothing has been fitted.
+
+    Args:
+        home: folder of the results.
+        force: whether results of an earlier run may be replaced.
+        resume: whether to go on with fits that an earlier run has kept.
+        reads: files and folders that the command reads.
+
+    Raises:
+        InputError: the results cannot go there, or --resume is missing.
+    """
+    from hybrid_id.diagnosis.keep import Kept
+    from hybrid_id.reporting.provenance import program
+
+    fits = home / FITS
+    if resume and fits.is_dir():
+        refuse_foreign(home, FITS, ABOUT)
+    else:
+        if (fits / ABOUT).exists() and not force:
+            raise InputError(
+                f"{home} holds an unfinished diagnosis; --resume goes on with it, or give another folder, or --force "
+                "to replace what is in it"
+            )
+        if resume and not force and (home / DIAGNOSIS).exists():
+            raise InputError(f"{home} holds a complete diagnosis; there is nothing to resume")
+        refuse_taken(home, force=force, reads=reads)
+    made = [home, *make_parents(home)]
+    fits.mkdir(parents=True, exist_ok=True)
+    with sole_writer(fits):
+        if not resume:
+            for file in fits.glob("*.npz"):
+                file.unlink()
+        (fits / ABOUT).write_text(
+            json.dumps({"program": f"hybrid_id {__version__}"}) + "\n", encoding="utf-8"
+        )
+        kept = Kept(fits, program())
+        try:
+            yield kept
+        except InputError:
+            shutil.rmtree(fits)  # the same command would end alike
+            raise
+        except KeyboardInterrupt:
+            if not kept.count:
+                raise
+            raise KeyboardInterrupt(
+                f"stopped; {kept.count} fits are kept in {fits}, and the same command with --resume goes on"
+            ) from None
+        finally:
+            if not kept.count:
+                shutil.rmtree(fits, ignore_errors=True)
+                remove_empty(made)
+
+
+def keep_after(home: Path, folder: Path) -> None:
+    """Move the fits to results that are not complete, so that --resume goes on with them."""
+    (home / FITS).rename(folder / FITS)
+
+
+@contextmanager
+def resumable(path: Path) -> Iterator[None]:
+    """Let Ctrl-C say how a training goes on whose checkpoint is in the folder."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if (path / CHECKPOINT).exists():
+            raise KeyboardInterrupt(f"stopped; {go_on(path)} from its last checkpoint") from None
+        raise
+
+
+def stopped(path: Path) -> str:
+    """What to say of a training that Ctrl-C has ended with results."""
+    return f"stopped by Ctrl-C; {go_on(path)} from here"
+
+
+def leave_without_checkpoint(path: Path, *, interrupted: bool) -> None:
+    """End a training that Ctrl-C has stopped before anything was kept, before it shows what nobody could go on from."""
+    if interrupted and not (path / CHECKPOINT).exists():
+        raise KeyboardInterrupt("stopped before the first checkpoint; no results were written")
+
+
+def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> None:
+    """Raise InputError where a training can neither begin nor go on, before anything is computed."""
+    if resume and not (path / CHECKPOINT).exists():
+        raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
+    # what was killed before its first checkpoint has nothing to lose
+    refuse_taken(path, force=force or resume or only_begun(path), reads=[] if resume else config.reads)
+
+
+@contextmanager
+def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -> Iterator[None]:
+    """Make the folder itself for a long run, so that others can look on; `result.json` comes in last.
+
+    What an earlier run left is put aside as `path.old` (unless this one resumes it), comes back when the new run fails
+    before its first checkpoint, and goes when it is complete. A new run saves its settings first; those that the
+    checkpoint of a resumed one belongs to stay until this one is known to fit it.
+    """
+    refuse_training(path, config, force=force, resume=resume)
+    made = make_parents(path)
+    aside = path.with_name(f"{path.name}.old")
+    replaced = path.exists() and any(path.iterdir()) and not resume
+    if replaced:
+        with sole_writer(path):  # nobody's folder is put aside under his hands
+            pass
+    ours = (path / BEGUN).exists() and (path / BEGUN).read_text() == ASIDE and aside.exists()
+    if only_begun(path) and not resume:  # what it had put aside stays there
+        shutil.rmtree(path)
+    elif replaced:
+        if aside.exists():
+            raise InputError(f"{aside} is in the way, the place for the results that are replaced; remove it")
+        path.replace(aside)
+        ours = True
+    path.mkdir(exist_ok=True)
+    with sole_writer(path), _until_complete(path, aside if ours else None, made):
+        if not resume:
+            (path / BEGUN).write_text(ASIDE if ours else "")
+            config.save(path / "config.yaml")
+        yield
+
+
+@contextmanager
+def _until_complete(path: Path, aside: Path | None, made: list[Path]) -> Iterator[None]:
+    """Bring back what was put aside when a run ends before its first checkpoint, remove it when one is complete."""
+    try:
+        yield
+    except BaseException:
+        if not (path / CHECKPOINT).exists():
+            shutil.rmtree(path)
+            if aside:
+                aside.replace(path)
+            remove_empty(made)
+        raise
+    (path / BEGUN).unlink(missing_ok=True)
+    if aside:
+        shutil.rmtree(aside)
+
+
+@contextmanager
+def added_results(
+    path: Path, last: str = RESULT, stale: Iterable[str] = ("*.png", "models/*")
+) -> Iterator[Path]:
+    """Yield an empty folder whose files go into the folder `path` when all are written.
+
+    Args:
+        path: the folder, which is there.
+        last: file that comes in last and says that all others are complete.
+        stale: patterns of what an earlier end may have left.
+    """
+    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
+        new = Path(temporary) / "new"
+        new.mkdir()
+        yield new
+        (path / last).unlink(missing_ok=True)
+        for old in (file for pattern in stale for file in path.glob(pattern)):
+            old.unlink()
+        (new / last).replace(Path(temporary) / last)
+        for file in (p for p in new.rglob("*") if p.is_file()):  # a move needs no room
+            place = path / file.relative_to(new)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+        (Path(temporary) / last).replace(path / last)

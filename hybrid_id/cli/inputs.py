@@ -10,7 +10,7 @@ from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.records.finding import Finding
+    from hybrid_id.records.quality import Finding
     from hybrid_id.records.record import Record
     from hybrid_id.systems.chain import System
 
@@ -80,15 +80,41 @@ def checked_records(config: StudyConfig) -> "Dataset":
     return dataset
 
 
+def read_model(path: Path) -> "System":
+    """A model file's system; where its robot's description knows no rotors, that is said with what stands in."""
+    from hybrid_id.systems.builders import without_rotor
+    from hybrid_id.systems.model_file import load_model
+
+    system = load_model(path)
+    if (bare := without_rotor(system)) and system.tree is not None:
+        remark(
+            f"{Path(system.tree.source).name} gives no armature for {', '.join(bare)}: these rotors are taken at a "
+            "tenth of the largest inertia that a joint carries, and missing damping as one that stops a joint in 0.3 s"
+        )
+    return system
+
+
+MOST_JOINTS = 2
+"""Joints of an arm up to which a training or a diagnosis ends within minutes."""
+
+
+def refuse_arm(system: "System", model: Path, command: str) -> None:
+    """Refuse an arm of more joints than a command can do; it would seem to run for ever."""
+    if system.tree is not None and len(system.joints) > MOST_JOINTS:
+        raise InputError(
+            f"{model}: '{command}' takes {MOST_JOINTS} joints at most so far, this arm has {len(system.joints)}; "
+            "check, identify, simulate, compare and export take all of them."
+        )
+
+
 def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
     """The model of a study, started at what an earlier stage has found where the study names one.
 
     Records whose encoders contradict its gear ratio end the command.
     """
-    from hybrid_id.records.encoders import check_encoders
-    from hybrid_id.systems.model_file import load_model
+    from hybrid_id.records.quality import check_encoders
 
-    system, stage = load_model(config.model), config.previous
+    system, stage = read_model(config.model), config.previous
     odd = check_encoders(dataset, system.gear_ratio)
     refuse_errors(odd)
     for finding in odd:
@@ -98,13 +124,22 @@ def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
         remark(f"the prior of {', '.join(idle)} has no effect, for 'estimate' is false")
     if stage is None:
         return system
-    from hybrid_id.systems.stage import carry_over
+    from hybrid_id.systems.builders import carry_over
+    from hybrid_id.systems.model_file import load_model
 
     previous = load_model(stage.model)
     try:
         return carry_over(system, previous, stage.hold)
     except InputError as error:
         raise InputError(f"previous ({stage.model}): {error}") from None
+
+
+def one_joint(dataset: "Dataset", system: "System", name: str) -> "tuple[Dataset, System]":
+    """One joint of a robot by itself, and the records that bring the motion of the others."""
+    from hybrid_id.systems.by_joint import alone, joint_number, with_others_measured
+
+    joint = joint_number(system, name)
+    return with_others_measured(dataset, system, joint), alone(system, joint)
 
 
 def remark_uneven(records: "Iterable[Record]") -> None:
@@ -125,9 +160,7 @@ def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") ->
         key: of the windows: `training.windows`, `hybrid.windows`, or `ablation.horizon`.
         records: out of which they are cut.
     """
-    import numpy as np
-
-    from hybrid_id.identification.horizons import window_samples
+    from hybrid_id.study.training import too_long
 
     if not records:
         return
@@ -138,13 +171,10 @@ def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") ->
     }
     windows, default = wish[key]
     remark_uneven(records)
-    step = float(np.median(np.concatenate([np.diff(record.time) for record in records])))
-    samples = max(record.n_samples for record in records)
-    long = [f"{s:g} s" for s, _ in windows if window_samples(samples, step, s) is None]
+    lengths, why = too_long(records, [seconds for seconds, _ in windows])
+    long = [f"{seconds:g} s" for seconds in lengths]
     if not long:
         return
-    size = f"{samples * step:.3g} s ({samples} samples)"
-    why = f"the longest record has {size}; four windows must fit, of 25 samples or more"
     if len(long) == len(windows) and windows != default:
         with config.at(key):
             raise InputError(

@@ -2,10 +2,11 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
+from hybrid_id.config import StudyConfig, study_config
 from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError
 
@@ -53,6 +54,19 @@ ThreadsOption = Annotated[
 ]
 
 
+PooledOption = Annotated[
+    bool | None,
+    typer.Option("--pooled/--per-record", help="One parameter set over all records, or one a record."),
+]
+JointOption = Annotated[
+    str | None,
+    typer.Option(help="Take this joint of a robot by itself, the others moving as they were measured."),
+]
+ResumeOption = Annotated[
+    bool, typer.Option("--resume", help="Go on with the unfinished run in the folder of results.")
+]
+
+
 class Backend(StrEnum):
     """Where pieces of work are done."""
 
@@ -73,16 +87,33 @@ def check_backend(backend: Backend, scheduler: str | None) -> None:
         raise InputError("--backend dask and --scheduler ADDRESS belong together; give both, or neither")
 
 
-def as_window(text: str) -> str | float:
-    """A window's length as a number, or its word.
+def config_of(
+    source: Path, model: Path | None, out: Path | None, window: str | None = None, **changes: Any
+) -> StudyConfig:
+    """The config that a command works by, with the options that replace values of the study file.
+
+    Args:
+        source: Study file, dataset folder or dataset file.
+        model: Model file.
+        out: Folder for the results.
+        window: Length of the free runs, or its word.
+        changes: Further values of the study file, `identification__starts`; None changes nothing.
 
     Raises:
-        InputError: it is neither.
+        InputError: a fault in the study or in an option.
     """
-    from hybrid_id.identification.horizons import Horizon
+    named = {name.replace("__", "."): value for name, value in changes.items()}
+    named |= {
+        "model": None if model is None else str(model),
+        "output.folder": None if out is None else str(out),
+    }
+    if window is not None:
+        from hybrid_id.study import Horizon
 
-    horizon = Horizon.of(text)
-    return horizon.seconds if horizon is not None and horizon.kind == "windows" else text
+        horizon = Horizon.of(window)
+        seconds = horizon.seconds if horizon is not None and horizon.kind == "windows" else window
+        named["identification.window"] = seconds
+    return study_config(source, named)
 
 
 def use_threads(count: int) -> None:

@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import out as stdout
 from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
-from hybrid_id.cli.inputs import load_records
+from hybrid_id.cli.inputs import load_records, read_model
 from hybrid_id.cli.options import (
     DatasetArgument,
     ForceOption,
@@ -18,6 +17,7 @@ from hybrid_id.cli.options import (
     WindowOption,
     use_threads,
 )
+from hybrid_id.cli.results import write_last
 from hybrid_id.config import beside
 from hybrid_id.errors import InputError
 
@@ -87,15 +87,14 @@ def _replay(
             f"{path}: record 'comparison' is named as the table that simulate writes; give it another name"
         )
     use_threads(threads)
-    from hybrid_id.identification.horizons import Horizon
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.results import comparison_result, horizon_result
+    from hybrid_id.study import Horizon
     from hybrid_id.study import compare as side_by_side
-    from hybrid_id.systems.model_file import load_model
 
     labels, horizon = _labels(models), Horizon.of(window)
     comparison = side_by_side(
-        dataset, {labels[model]: load_model(model) for model in models}, horizon=horizon
+        dataset, {labels[model]: read_model(model) for model in models}, horizon=horizon
     )
     files = {label: str(model) for model, label in labels.items()}
     result = to_json(
@@ -109,10 +108,9 @@ def _replay(
     )
     with results_folder(out, force=force) as folder:
         _write(folder, command, dataset, comparison)
-        (folder / RESULT).write_text(result + "\n", encoding="utf-8")
+        write_last(folder / RESULT, result)
     if as_json:
-        stdout().print(result, markup=False, soft_wrap=True)
-        return
+        return show(result)
     from hybrid_id.reporting.tables import comparison_table
 
     if comparison.horizon.kind != "whole":
@@ -121,7 +119,7 @@ def _replay(
 
 
 def _labels(models: list[Path]) -> dict[Path, str]:
-    """The end of each path that tells it from the others: `model.yaml`, or `old/model.yaml` and `new/model.yaml`."""
+    """The end of each path that no other one has: `model.yaml`, or `old/model.yaml` and `new/model.yaml`."""
     for depth in range(1, 1 + max(len(model.parts) for model in models)):
         labels = {model: "/".join(model.parts[-depth:]) for model in models}
         if len(set(labels.values())) == len(models):
@@ -130,8 +128,8 @@ def _labels(models: list[Path]) -> dict[Path, str]:
 
 
 def _write(folder: Path, command: str, dataset: "Dataset", comparison: "Comparison") -> None:
-    from hybrid_id.reporting.record_plots import comparison_figure
     from hybrid_id.reporting.results import write_comparison, write_replay
+    from hybrid_id.reporting.study_figures import comparison_figure
     from hybrid_id.reporting.style import save
 
     write_comparison(folder / "comparison.csv", comparison)

@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from hybrid_id.cli.console import out as stdout
-from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import RESULT, refuse_foreign, sole_writer
+from hybrid_id.cli.console import FitProgress, remark, show
+from hybrid_id.cli.folder import RESULT, make_folder, refuse_foreign, sole_writer
 from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
-from hybrid_id.errors import InputError
+from hybrid_id.cli.results import write_last
+from hybrid_id.config import Identification
 from hybrid_id.reporting.provenance import program
 
 PARTS = "parts"
@@ -35,17 +35,12 @@ def reproduce(
     """
     parts = out / PARTS
     refuse_foreign(out, PARTS, "*.json")
-    try:
-        parts.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{parts} cannot be made ({error.strerror}); give another folder") from None
+    make_folder(parts)
     use_threads(threads)
-    from hybrid_id.cli.progress import FitProgress
-    from hybrid_id.identification.least_squares import Options
     from hybrid_id.reproduction.run import reproduce as walk
 
     try:
-        with sole_writer(parts), FitProgress(1, Options().max_iterations, polite=False) as progress:
+        with sole_writer(parts), FitProgress(1, Identification().max_iterations, polite=False) as progress:
             result = walk(
                 parts,
                 quick=quick,
@@ -57,27 +52,24 @@ def reproduce(
     except KeyboardInterrupt:
         remark(f"stopped; what is done is kept in {parts}, and the same command goes on from there")
         raise typer.Exit(130) from None
-    from hybrid_id.reporting.html.made import how_made
-    from hybrid_id.reporting.html.paper_page import QUICK, paper_figures, paper_page
-    from hybrid_id.reporting.paper_tables import claims_table
+    from hybrid_id.reporting.page import how_made
+    from hybrid_id.reporting.paper import QUICK, claims_table, paper_figures, paper_page
     from hybrid_id.reporting.results import as_json as to_json
     from hybrid_id.reporting.style import save
-    from hybrid_id.reproduction.claims import claims
 
-    found = claims(result.stages, result.truths, result.tracking)
+    found = result.claims
     figures = paper_figures(result)
     for name, figure in figures.items():
         save(figure.image, parts / f"{name}.png")
     page = parts / "report.html"
     made = {"stages": "configs/reproduce.yaml of the package", "quick": quick}
-    how_made(paper_page(result, found, figures, quick=quick), "reproduce", facts=made).write(page)
+    how_made(paper_page(result, figures, quick=quick), "reproduce", facts=made).write(page)
     page.replace(out / "report.html")
     text = to_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
-    (parts / RESULT).write_text(text + "\n", encoding="utf-8")
+    write_last(parts / RESULT, text)
     (parts / RESULT).replace(out / RESULT)
     if as_json:
-        stdout().print(text, markup=False, soft_wrap=True)
-        return
+        return show(text)
     show(claims_table(found))
     if quick:
         show(QUICK)

@@ -1,41 +1,50 @@
-"""`train`: the objective of `identify`, minimised by the adjoint method."""
+"""`train`: parameters by the adjoint method, and with a `hybrid` section residual networks beside the physics."""
 
-import copy
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from hybrid_id.cli.console import remark
-from hybrid_id.cli.folder import CHECKPOINT, EVENTS, required
-from hybrid_id.cli.inputs import check_windows, checked_records, load_system
+from hybrid_id.cli.console import FitProgress, console, remark, show
+from hybrid_id.cli.folder import (
+    CHECKPOINT,
+    EVENTS,
+    RESULT,
+    added_results,
+    leave_without_checkpoint,
+    live_folder,
+    refuse_training,
+    required,
+    resumable,
+    stopped,
+)
+from hybrid_id.cli.inputs import check_windows, checked_records, load_system, refuse_arm
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
     JsonOption,
     ModelOption,
     OutOption,
+    PooledOption,
+    ResumeOption,
     SeedOption,
     SourceArgument,
     ThreadsOption,
+    config_of,
     use_device,
     use_threads,
 )
-from hybrid_id.cli.training_folder import (
-    added_results,
-    leave_without_checkpoint,
-    live_folder,
-    refuse_training,
-    resumable,
-    stopped,
-)
-from hybrid_id.config import Identification, StudyConfig, study_config
+from hybrid_id.cli.results import files_in, show_study, write_last, write_report, write_study
+from hybrid_id.config import Hybrid, Identification, StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
-    from hybrid_id.identification.result import FitResult
     from hybrid_id.records.dataset import Dataset
+    from hybrid_id.reporting.interactive import Drawn
+    from hybrid_id.reporting.page import Page
+    from hybrid_id.study.hybrid import HybridStudy
     from hybrid_id.systems.chain import System
 
 
@@ -43,13 +52,8 @@ def train(
     source: SourceArgument,
     model: ModelOption = None,
     out: OutOption = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Go on with the unfinished training in the folder of results.")
-    ] = False,
-    pooled: Annotated[
-        bool | None,
-        typer.Option("--pooled/--per-record", help="One parameter set over all records, or one a record."),
-    ] = None,
+    resume: ResumeOption = False,
+    pooled: PooledOption = None,
     seed: SeedOption = None,
     device: DeviceOption = None,
     force: ForceOption = False,
@@ -61,104 +65,176 @@ def train(
     With a `hybrid` section in the study file, residual networks train beside the physics (configs/study_hybrid.yaml).
     While it runs, `tensorboard --logdir DIR` shows its course. Ctrl-C ends it with what it has; --resume goes on.
     """
-    config = study_config(
-        source,
-        {
-            "model": None if model is None else str(model),
-            "output.folder": None if out is None else str(out),
-            "identification.pooled": pooled,
-            "identification.seed": seed,
-            "identification.device": device,
-        },
-    )
+    config = config_of(
+        source, model, out, identification__pooled=pooled, identification__seed=seed,
+        identification__device=device,
+    )  # fmt: skip
     home = required(config.output.folder)
     with resumable(home):
         refuse_training(home, config, force=force, resume=resume)
         dataset = checked_records(config)
         use_threads(threads)
         system = load_system(config, dataset)
+        refuse_arm(system, config.model, "train")
         use_device(config.identification.device)
         if config.hybrid is not None:
             if pooled is False:
                 raise InputError(
                     "--per-record has no meaning with networks, which all records share; leave it out"
                 )
-            from hybrid_id.cli.hybrid import train_with_networks
+            from hybrid_id.study.hybrid import split
 
-            return train_with_networks(
-                config, dataset, system, home, resume=resume, force=force, as_json=as_json
-            )
-        check_windows(config, "training.windows", dataset.train)
-        said, plain = config.identification, Identification()
-        if others := [k for k in ("starts", "friction", "substeps") if getattr(said, k) != getattr(plain, k)]:
-            remark(
-                f"'train' has one start and a smooth friction of its own ('training.width', 'training.fine'), so that "
-                f"{', '.join(others)} of 'identification' {'is' if len(others) == 1 else 'are'} not used"
-            )
-        from hybrid_id.cli.study import show_study, write_study
-        from hybrid_id.study import analyse_fits
-
-        wish = config.identification
-        with live_folder(home, config, force=force, resume=resume):
-            sets = _run(dataset, system, config, home, resume=resume)
-            interrupted = any(result.status == "interrupted" for result in sets)
-            leave_without_checkpoint(home, interrupted=interrupted)
-            share = config.preprocessing.signal_share
-            study = analyse_fits(
-                dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share
-            )
-            with added_results(home) as folder:
-                text = write_study(folder, home, "train", config, dataset, study)
-            show_study(study, config, home, text, as_json=as_json)
-            if any(system.dry):
+            system = with_networks(system, config)
+            with config.at("hybrid.validation"):
+                trained, _ = split(dataset, config.hybrid.validation)
+            check_windows(config, "hybrid.windows", trained)
+        else:
+            check_windows(config, "training.windows", dataset.train)
+            said, plain = config.identification, Identification()
+            idle = [k for k in ("starts", "friction", "substeps") if getattr(said, k) != getattr(plain, k)]
+            if idle:
                 remark(
-                    f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; "
-                    "'identify' takes it as it is, so small differences between their estimates are the smoothing's"
+                    "'train' has one start and a smooth friction of its own ('training.width', 'training.fine'), so "
+                    f"that {', '.join(idle)} of 'identification' {'is' if len(idle) == 1 else 'are'} not used"
                 )
-            if interrupted:  # what this one replaces is kept
-                remark(stopped(home))
+        with live_folder(home, config, force=force, resume=resume):
+            run = _hybrid if config.hybrid is not None else _physics
+            if run(dataset, system, config, home, resume=resume, as_json=as_json):
+                remark(stopped(home))  # what this one replaces is kept
                 raise typer.Exit(130)
 
 
-def _run(
-    dataset: "Dataset", system: "System", config: StudyConfig, folder: Path, *, resume: bool
-) -> "list[FitResult]":
-    """Train as the config says, with checkpoints and TensorBoard events in the folder."""
-    from hybrid_id.cli.hybrid import engine_of
-    from hybrid_id.cli.progress import FitProgress
-    from hybrid_id.identification.adjoint import TrainOptions
-    from hybrid_id.identification.adjoint import train as train_all
-    from hybrid_id.identification.objective import Loss
+def _physics(
+    dataset: "Dataset", system: "System", config: StudyConfig, home: Path, *, resume: bool, as_json: bool
+) -> bool:
+    """Train, write the folder of results and print them; whether Ctrl-C has stopped it."""
+    from hybrid_id.config.settings import ode_engine, train_options
     from hybrid_id.reporting.tensorboard import TrainingLog
-    from hybrid_id.simulation.prepare import make_batch
+    from hybrid_id.study import analyse_fits
+    from hybrid_id.study.training import train as train_all
 
-    wish, how = config.identification, config.training
-    noise = {channel.name: channel.noise_std for channel in dataset.outputs}
-    train_batch, test_batch = (
-        make_batch(system, records, noise_std=noise, signal_share=config.preprocessing.signal_share).to(
-            wish.device
-        )
-        if records
-        else None
-        for records in (dataset.train, dataset.test)
-    )
-    engine = engine_of(config)
-    options = TrainOptions(
-        windows=tuple(how.windows),
-        max_iterations=how.max_iterations,
-        tolerance=how.tolerance,
-        loss=Loss(wish.loss, wish.threshold),
-        validate_every=how.validate_every,
-    )
-    if train_batch is None:
-        raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'")
-    saved = folder / CHECKPOINT
+    wish, share, saved = config.identification, config.preprocessing.signal_share, home / CHECKPOINT
     n_sets = 1 if wish.pooled else len(dataset.train)
     with (
-        TrainingLog(folder / EVENTS) if config.output.tensorboard else nullcontext() as log,
-        FitProgress(n_sets, how.max_iterations, polite=False) as progress,
+        TrainingLog(home / EVENTS) if config.output.tensorboard else nullcontext() as log,
+        FitProgress(n_sets, config.training.max_iterations, polite=False) as progress,
     ):
-        return train_all(
-            copy.deepcopy(system).to(wish.device), train_batch, pooled=wish.pooled, engine=engine, options=options,
-            validation=test_batch, writer=log, checkpoint=saved, resume=saved if resume else None, progress=progress,
+        sets = train_all(
+            dataset, system, pooled=wish.pooled, engine=ode_engine(config), options=train_options(config),
+            device=wish.device, signal_share=share, writer=log, checkpoint=saved, resume=saved if resume else None,
+            progress=progress,
         )  # fmt: skip
+    interrupted = any(result.status == "interrupted" for result in sets)
+    leave_without_checkpoint(home, interrupted=interrupted)
+    study = analyse_fits(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
+    with added_results(home) as folder:
+        text = write_study(folder, home, "train", config, dataset, study)
+    show_study(study, config, home, text, as_json=as_json)
+    if any(system.dry):
+        remark(
+            f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; 'identify' takes "
+            "it as it is, so small differences between their estimates are the smoothing's"
+        )
+    return interrupted
+
+
+def _hybrid(
+    dataset: "Dataset", system: "System", config: StudyConfig, home: Path, *, resume: bool, as_json: bool
+) -> bool:
+    """Train physics with networks, write the folder of results and print them; whether Ctrl-C has stopped it."""
+    from hybrid_id.reporting.hybrid import hybrid_page, hybrid_pictures, hybrid_result, hybrid_tables
+    from hybrid_id.reporting.residuals import residual_result
+    from hybrid_id.reporting.results import as_json as to_json
+    from hybrid_id.reporting.tensorboard import write_images
+    from hybrid_id.study.hybrid import hybrid_residuals, physics_alone
+    from hybrid_id.systems.model_file import save_model
+
+    share, reach, level = config.preprocessing.signal_share, config.statistics.reach, config.statistics.level
+    study = _trained(dataset, system, config, home, resume=resume)
+    leave_without_checkpoint(home, interrupted=study.result.interrupted)
+    residuals = hybrid_residuals(dataset, study, signal_share=share)
+    content = hybrid_result(study) | {"residual_tests": residual_result(residuals)}
+    text = to_json("train", {"dataset": dataset.name} | content)
+
+    def page(pictures: "dict[str, Drawn]") -> "Page":
+        alone = physics_alone(dataset, study, signal_share=share)
+        return hybrid_page(
+            dataset, study, pictures, reach=reach, level=level, alone=alone, residuals=residuals
+        )
+
+    with added_results(home) as folder:
+        save_model(study.result.system, folder / "model.yaml", home)
+        save_model(study.result.physics.system, folder / "physics.yaml", home)
+        write_report(
+            folder,
+            home,
+            config,
+            "train",
+            figures=lambda: hybrid_pictures(study),
+            page=page,
+            events=lambda place, images: write_images(place / "figures", images),
+        )
+        write_last(folder / RESULT, text)
+    if as_json:
+        show(text)
+    else:
+        show(hybrid_tables(study, dataset, reach, level))
+        show(files_in(home, config, RESULT, "model.yaml", "physics.yaml"))
+    return study.result.interrupted
+
+
+def _trained(
+    dataset: "Dataset", system: "System", config: StudyConfig, folder: Path, *, resume: bool
+) -> "HybridStudy":
+    """Train as the config says, with checkpoints and TensorBoard events in the folder."""
+    from hybrid_id.config.settings import hybrid_options, ode_engine
+    from hybrid_id.reporting.tensorboard import TrainingLog
+    from hybrid_id.study.hybrid import hybridise
+
+    wish = config.hybrid or Hybrid()
+    err, saved = console(stderr=True), folder / CHECKPOINT
+    with (
+        TrainingLog(folder / EVENTS) if config.output.tensorboard else nullcontext() as log,
+        err.status("physics alone") if err.is_terminal else nullcontext() as line,
+    ):
+
+        def progress(stage: str, count: int, loss: float) -> bool:
+            if line is not None:
+                line.update(
+                    f"{stage}: gradient {count}, error {(2.0 * loss) ** 0.5:.4g} (1 = as the noise says)"
+                )
+            return False
+
+        return hybridise(
+            dataset, system, engine=ode_engine(config), options=hybrid_options(config, wish),
+            validation=wish.validation, device=config.identification.device,
+            signal_share=config.preprocessing.signal_share, writer=log, checkpoint=saved,
+            resume=saved if resume else None, progress=progress,
+        )  # fmt: skip
+
+
+def with_networks(system: "System", config: StudyConfig) -> "System":
+    """The model with the networks that the config asks for."""
+    from hybrid_id.components import ResidualNetwork
+
+    wish = config.hybrid or Hybrid()
+    for k, network in enumerate([] if system.networks else wish.networks):
+        key = f"hybrid.networks[{k}]"
+        check_network(system, config, (f"{key}.place", network.place), (f"{key}.inputs", network.inputs))
+        settings = network.model_dump(exclude={"place"})
+        part = ResidualNetwork(**settings, seed=config.identification.seed)
+        system = system.with_component(network.place, part)
+    return system
+
+
+def check_network(
+    system: "System", config: StudyConfig, place: tuple[str, str], inputs: tuple[str, Sequence[str]]
+) -> None:
+    """Refuse a place where the system can have no network, and inputs unknown there; each comes with its key."""
+    from hybrid_id.components import ResidualNetwork
+
+    (place_key, where), (inputs_key, names) = place, inputs
+    with config.at(place_key):
+        system.with_component(where, ResidualNetwork(inputs=["speed"]))  # which is known everywhere
+    with config.at(inputs_key):
+        system.with_component(where, ResidualNetwork(inputs=names))

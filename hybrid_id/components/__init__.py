@@ -1,123 +1,24 @@
-"""Everything that acts in a drive chain: one law, one class, one file. Importing this package fills the registry."""
+"""Everything that acts in a drive chain: one law, one class, one file.
 
-from hybrid_id.components.base import PLACES, REGISTRY, Component
-from hybrid_id.components.friction import (
-    AsymmetricFriction,
-    AsymmetricStribeck,
-    AsymmetricStribeckEq8,
-    AsymmetricTanh,
-    Coulomb,
-    Dahl,
-    EffortDependent,
-    LoadDependent,
-    LuGre,
-    MaxwellSlip,
-    PositionDependent,
-    QuadraticDrag,
-    Stribeck,
-    TightSpot,
-    Viscous,
-)
-from hybrid_id.components.input import (
-    CurrentCommand,
-    Deadband,
-    Delay,
-    DutySupply,
-    PositionLoop,
-    Saturation,
-    SoftSaturation,
-    SupplySag,
-    TorqueCommand,
-    Voltage,
-)
-from hybrid_id.components.load import (
-    ArmGravity,
-    ConstantTorque,
-    Gravity,
-    JointCoupling,
-    LinkInertia,
-    LoggedLoad,
-    OneLink,
-    Spring,
-    TwoInertias,
-)
-from hybrid_id.components.motor import (
-    Cogging,
-    CurrentMotor,
-    DCMotor,
-    ElectricalLag,
-    FreeRotor,
-    RotorBias,
-    ThermalDerating,
-    TorqueMotor,
-)
-from hybrid_id.components.residual import ResidualNetwork
-from hybrid_id.components.sensor import LateReading, LinkEncoder, MotorEncoder
-from hybrid_id.components.transmission import (
-    Backlash,
-    BacklashFlexibility,
-    HardeningSpring,
-    JointFlexibility,
-    KinematicError,
-    LinearSpring,
-    Rigid,
-)
+A module in a folder here is found by itself and its classes are registered: no list names them. Every law's class can
+be imported from here by its name.
+"""
 
-__all__ = [
-    "PLACES",
-    "REGISTRY",
-    "ArmGravity",
-    "AsymmetricFriction",
-    "AsymmetricStribeck",
-    "AsymmetricStribeckEq8",
-    "AsymmetricTanh",
-    "Backlash",
-    "BacklashFlexibility",
-    "Cogging",
-    "Component",
-    "ConstantTorque",
-    "Coulomb",
-    "CurrentCommand",
-    "CurrentMotor",
-    "DCMotor",
-    "Dahl",
-    "Deadband",
-    "Delay",
-    "DutySupply",
-    "EffortDependent",
-    "ElectricalLag",
-    "FreeRotor",
-    "Gravity",
-    "HardeningSpring",
-    "JointCoupling",
-    "JointFlexibility",
-    "KinematicError",
-    "LateReading",
-    "LinearSpring",
-    "LinkEncoder",
-    "LinkInertia",
-    "LoadDependent",
-    "LoggedLoad",
-    "LuGre",
-    "MaxwellSlip",
-    "MotorEncoder",
-    "OneLink",
-    "PositionDependent",
-    "PositionLoop",
-    "QuadraticDrag",
-    "ResidualNetwork",
-    "Rigid",
-    "RotorBias",
-    "Saturation",
-    "SoftSaturation",
-    "Spring",
-    "Stribeck",
-    "SupplySag",
-    "ThermalDerating",
-    "TightSpot",
-    "TorqueCommand",
-    "TorqueMotor",
-    "TwoInertias",
-    "Viscous",
-    "Voltage",
-]
+from importlib import import_module
+from pkgutil import walk_packages
+from typing import Any
+
+from hybrid_id.components.base import CATALOGUE, PLACES, REGISTRY, Component, Effect
+
+__all__ = ["CATALOGUE", "PLACES", "REGISTRY", "Component", "Effect"]
+
+for _module in walk_packages(__path__, f"{__name__}."):
+    import_module(_module.name)
+
+
+def __getattr__(name: str) -> Any:
+    """A law's class (PEP 562)."""
+    for law in REGISTRY.values():
+        if law.__name__ == name and law.__module__.startswith(__name__):
+            return law
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,13 +2,17 @@
 
 A component reads its parameters from a *view* ``p`` (``p.F_c``, each shaped ``(1,)`` or ``(B,)``), never from its own
 attributes, so that values shared by all lanes and values that differ from lane to lane run through the same equations.
+
+A law's class holds all that is particular to it: its equations; as ``effect`` and ``starts`` what a diagnosis has to
+know to suspect it; as ``mjcf`` what it becomes in MuJoCo. Subclassing registers it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 import torch
 from torch import Tensor, nn
@@ -16,8 +20,64 @@ from torch import Tensor, nn
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded, Parameter
 
+if TYPE_CHECKING:
+    from hybrid_id.components.site import Searches, Site
+
 PLACES = ("input", "motor", "motor_friction", "transmission", "link_friction", "load", "sensor")
 REGISTRY: dict[str, type[Component]] = {}
+"""Every law by its kind."""
+CATALOGUE: dict[str, Effect] = {}
+"""Every effect that a diagnosis can name."""
+
+Values = Mapping[str, float | Bounded]
+"""Parameter values by symbol: a number takes the bounds of its declaration."""
+Counterpart = tuple[Mapping[str, Sequence[float]], str]
+"""Attributes of an MJCF element, and the rest of a sentence on what of the law they leave out; empty for nothing."""
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What a diagnosis says of one effect, which one law models or several do.
+
+    Attributes:
+        name: how a diagnosis calls it.
+        about: what it is; after a semicolon how large it usually is.
+        source: where it is described: authors, title, where it appeared, year.
+        mistaken_for: effects that records easily confuse with it, each with the excitation that tells the two apart.
+            Either of the two may state a pair.
+        smoothness: of its torque or voltage: ``smooth``, or where it jumps or kinks.
+        contains: effects that are special cases of it at the same place: it is no rival of theirs.
+        over_angle: whether it is a torque over an angle: free runs then halt at one detent or the next.
+        shape: fixed parameters that belong to the answer (the periods of a wave), each with the estimated one that it
+            goes with.
+        where_held: whether it is also looked for where its law is there with its parameters held.
+    """
+
+    name: str
+    about: str
+    source: str
+    mistaken_for: Mapping[str, str] = field(default_factory=dict)
+    smoothness: str = "smooth"
+    contains: tuple[str, ...] = ()
+    over_angle: bool = False
+    shape: Mapping[str, str] = field(default_factory=dict)
+    where_held: bool = False
+
+    @property
+    def laws(self) -> list[type[Component]]:
+        """The laws that model it."""
+        return [law for law in REGISTRY.values() if law.effect is not None and law.effect.name == self.name]
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Their names in model files."""
+        return tuple(law.kind for law in self.laws)
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Where it may act, most usual first: where all of its laws may sit."""
+        first, *others = self.laws
+        return tuple(place for place in first.places if all(place in law.places for law in others))
 
 
 class Component(nn.Module):
@@ -40,6 +100,10 @@ class Component(nn.Module):
     """Whether its place holds exactly one component (a new one replaces the old one)."""
     states: tuple[str, ...] = ()
     declared: ClassVar[dict[str, Parameter]] = {}
+    effect: ClassVar[Effect | None] = None
+    """What a diagnosis calls it; None for what is part of every model and never suspected."""
+    splits_inertia: ClassVar[bool] = False
+    """Whether it needs the split of inertia between rotor and link, which is then estimated with it."""
 
     def __init_subclass__(cls, **kwargs: object) -> None:
         super().__init_subclass__(**kwargs)
@@ -49,6 +113,8 @@ class Component(nn.Module):
         cls.declared = {**cls.declared, **own}
         if cls.kind:
             REGISTRY[cls.kind] = cls
+            if cls.effect is not None:
+                CATALOGUE[cls.effect.name] = cls.effect
 
     def __init__(self, **values: float | Bounded) -> None:
         super().__init__()
@@ -80,6 +146,26 @@ class Component(nn.Module):
             raise InputError(f"{cls.kind} has neither options nor weights; remove them.")
         return cls(**values)
 
+    def options(self) -> dict[str, Any]:
+        """What a model file says of it beside its parameters."""
+        return {}
+
+    @staticmethod
+    def starts(site: Site) -> Sequence[Values]:
+        """Start values of its fit where a diagnosis suspects it; none where it cannot act.
+
+        Zero torque should be inside the bounds or on one, so that the model without it is a special case.
+        """
+        return ()
+
+    def further(self, searches: Searches) -> Sequence[Values]:
+        """Start values of what is held while it is looked for, and freed once it is chosen, where that pays."""
+        return ()
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """What it becomes in MuJoCo: attributes of its place's element, and what they leave out of it."""
+        return {}, "is left out, MuJoCo has no counterpart"
+
     def extra_repr(self) -> str:
         """Parameters in the printed module."""
         return ", ".join(f"{name}={getattr(self, name).item():g} {s.unit}" for name, s in self.specs.items())
@@ -100,12 +186,34 @@ class Input(Component):
     """Unit of its command."""
     channels: ClassVar[tuple[str, ...]] = ()
     """Channels that it reads, without the joint's number."""
+    at_joint: ClassVar[bool] = False
+    """Whether it reads the link's motion and commands a torque at the joint, not the rotor's and at the motor."""
 
     def command(
         self, p: SimpleNamespace, channels: Mapping[str, Tensor], angle: Tensor, speed: Tensor
     ) -> Tensor:
         """Effective command, ``(B,)``, in the unit that the motor takes."""
         raise NotImplementedError
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Nothing: MuJoCo's ctrl is the command at the motor, which a controller makes of the channels."""
+        return {}, "stays with the controller"
+
+
+class CommandMap(Component):
+    """Place ``input``: changes the effective command on its way to the motor."""
+
+    places = ("input",)
+    stage: ClassVar[int] = 1
+    """Where along the way: what a driver does to small commands (0), its limits (1), the supply behind them (2)."""
+
+    def map(self, p: SimpleNamespace, command: Tensor, speed: Tensor) -> Tensor:
+        """What becomes of the command, ``(B,)``, in its own unit, at a rotor speed [rad/s]."""
+        raise NotImplementedError
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Attributes of MuJoCo's actuators."""
+        return {}, "is left out, MuJoCo's actuators have no such map"
 
 
 class Motor(Component):
@@ -126,6 +234,47 @@ class Motor(Component):
             f"A {self.kind} has no current output; measure torque or use a dc_motor or current_motor."
         )
 
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Attributes of an actuator, a ``dcmotor`` where they name its ``motorconst``."""
+        return {}, "is left out, MuJoCo has no such motor"
+
+
+class RotorTorque(Component):
+    """Place ``motor``: a torque on the rotor beside the motor's own, there with the motor switched off too."""
+
+    places = ("motor",)
+
+    def torque(self, p: SimpleNamespace, angle: Tensor, speed: Tensor) -> Tensor:
+        """Torque that drives the rotor [N m], ``(B,)``, at its angle [rad] and speed [rad/s]."""
+        raise NotImplementedError
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Attributes of MuJoCo's ``dcmotor``."""
+        return {}, "is left out, MuJoCo's motor has no such torque"
+
+
+class Winding(Component):
+    """Place ``motor``: what the winding remembers, current or heat; it changes the motor's torque.
+
+    Each state relaxes, ``dz/dt = drive - rate z``, and is stepped exactly.
+    """
+
+    places = ("motor",)
+
+    def torque(self, p: SimpleNamespace, torque: Tensor, states: Sequence[Tensor]) -> Tensor:
+        """Torque [N m], ``(B,)``, that becomes of the one without this component."""
+        raise NotImplementedError
+
+    def relaxations(
+        self, p: SimpleNamespace, torque: Tensor, states: Sequence[Tensor]
+    ) -> list[tuple[Tensor, Tensor]]:
+        """Drive and rate [1/s] of each state, ``(B,)`` each; ``torque`` is the one without this component."""
+        raise NotImplementedError
+
+    def mjcf(self, p: SimpleNamespace, resistance: float, constant: float) -> Counterpart:
+        """Attributes of MuJoCo's ``dcmotor`` of that resistance [ohm] and torque constant [N m/A]."""
+        return {}, "is left out, MuJoCo's winding knows inductance and heat"
+
 
 class Friction(Component):
     """Places ``motor_friction`` and ``link_friction``: speed to a torque that has the sign of the speed.
@@ -135,6 +284,10 @@ class Friction(Component):
     """
 
     places = ("motor_friction", "link_friction")
+    has_level: ClassVar[bool] = False
+    """Whether it is a level of dry friction by itself, to which the laws of falls, waves and bristles add."""
+    by_direction: ClassVar[bool] = False
+    """Whether that level is a whole curve for each direction, beside which no other is looked for."""
 
     def smooth(self, p: SimpleNamespace, speed: Tensor) -> Tensor | None:
         """Torque that is smooth in ``speed`` [N m], ``(B,)``."""
@@ -161,6 +314,10 @@ class Friction(Component):
     def effort_factor(self, p: SimpleNamespace) -> Tensor | None:
         """Dry friction per unit of the motor's torque [1]."""
         return None
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Nothing: the export samples a law's smooth torque and dry level, and says itself what else it leaves out."""
+        return {}, ""
 
 
 class Transmission(Component):
@@ -210,6 +367,10 @@ class LoadTorque(Component):
         """Torque at the link [N m] that the drive must overcome, ``(B,)``."""
         raise NotImplementedError
 
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """``bias``: a torque [N m]; or ``stiffness`` [N m/rad] and ``rest`` [rad] of a spring."""
+        return {}, "is left out, MuJoCo has no such load"
+
 
 class LoggedTorque(Component):
     """Place ``load``: a torque at the link that opposes the motor, from logged channels."""
@@ -223,6 +384,29 @@ class LoggedTorque(Component):
         raise NotImplementedError
 
 
+class Coupling(Component):
+    """Place ``load`` of either joint: acts on both links of an arm with two joints.
+
+    Angles and speeds are those of the links, each joint's relative to the link before it.
+    """
+
+    places = ("load",)
+
+    def inertia(self, p: SimpleNamespace, angle: Tensor) -> tuple[Tensor, Tensor] | None:
+        """What the coupling adds to M_11 and M_12 [kg m^2] at the second joint's ``angle``, ``(B,)`` each.
+
+        It has to be affine in the cosine of that angle: the mass matrix is checked at 0 and 180 degrees, and between
+        them the determinant is then no smaller than at the worse of the two.
+        """
+        return None
+
+    def torques(
+        self, p: SimpleNamespace, angles: tuple[Tensor, Tensor], speeds: tuple[Tensor, Tensor]
+    ) -> tuple[Tensor, Tensor]:
+        """Torques at the two links [N m] that the drives must overcome, ``(B,)`` each."""
+        raise NotImplementedError
+
+
 class Sensor(Component):
     """Place ``sensor``: the true quantity to the measured output."""
 
@@ -233,3 +417,8 @@ class Sensor(Component):
     def read(self, p: SimpleNamespace, value: Tensor) -> Tensor:
         """Measured output from the true quantity of its channel, ``(B,)``."""
         return value
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Nothing: a sensor that does something is left out."""
+        acts = any(spec.value for spec in self.specs.values())
+        return {}, "is left out, the exported sensors read true angles, in time" if acts else ""

@@ -8,7 +8,9 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Friction
+from hybrid_id.components.base import Counterpart, Effect, Friction
+from hybrid_id.components.site import Site, free
+from hybrid_id.parameters import Bounded
 
 
 class Bristle(Friction):
@@ -18,6 +20,19 @@ class Bristle(Friction):
     """
 
     states = ("bristle",)
+    effect = Effect(
+        "presliding_friction",
+        "contacts that give like a spring before they slide; usually within a degree of the rotor",
+        "C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, A new model for control of systems with friction, "
+        "IEEE Trans. Automatic Control 40(3), 1995",
+        {
+            "backlash": "small reversals from rest of growing size: a bristle resists at once and springs back, play "
+            "does neither",
+            "joint_flexibility": "the same sweep from small amplitudes to large ones: a bristle gives way at "
+            "breakaway, the spring of a gear stays",
+        },
+        smoothness="kinks at reversals",
+    )
 
     def relaxations(
         self, p: SimpleNamespace, states: Sequence[Tensor], speed: Tensor, level: Tensor
@@ -31,6 +46,18 @@ class Bristle(Friction):
     def torque(self, p: SimpleNamespace, states: Sequence[Tensor], speed: Tensor, level: Tensor) -> Tensor:
         """Friction torque [N m], ``(B,)``."""
         raise NotImplementedError
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """``bristle``: stiffness [N m/rad] and damping [N m s/rad] of MuJoCo's LuGre friction."""
+        return {}, "has a bristle that is left out, its friction is dry there"
+
+
+def stiffnesses(site: Site) -> list[Bounded]:
+    """Start values of a bristle's stiffness [N m/rad]; none where no dry friction tells its level."""
+    if not any(law.has_level for law in site.frictions):
+        return []
+    sizes = (site.dry * site.gearing**2 / (share * site.turns) for share in (0.001, 0.01))
+    return [free(size, 0.02 * size, 50.0 * size) for size in sizes]
 
 
 def relax(state: Tensor, drive: Tensor, rate: Tensor, step: Tensor) -> Tensor:

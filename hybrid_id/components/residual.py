@@ -11,7 +11,7 @@ from typing import Any, cast
 import torch
 from torch import Tensor, nn
 
-from hybrid_id.components.base import Component
+from hybrid_id.components.base import Component, Counterpart
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded, Parameter
 
@@ -174,6 +174,10 @@ class ResidualNetwork(Component):
     def _weight(self, p: SimpleNamespace, name: str) -> Tensor:
         own = getattr(p, name, None)
         return self.get_parameter(name) if own is None else own
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Nothing: a network goes into a program."""
+        return {}, "is left out, MuJoCo has no networks: --to torch exports it"
 
     def options(self) -> dict[str, Any]:
         """Options of a new network of the same structure and scales; those of a model file."""

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybrid_id.components.input import Voltage
+from hybrid_id.components.input.voltage import Voltage
 from hybrid_id.control.reference import Reference
 from hybrid_id.errors import InputError
 from hybrid_id.systems.chain import System

@@ -5,19 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 
-import hybrid_id.diagnosis.effects  # noqa: F401  (fills the catalogue)
-from hybrid_id.diagnosis.catalogue import CATALOGUE, part_of, rotor_share
+from hybrid_id.components.base import Component
+from hybrid_id.diagnosis.catalogue import CATALOGUE, part_of, rotor_share, with_effect
 from hybrid_id.diagnosis.fits import Fits, Task
 from hybrid_id.diagnosis.model import Model, Name, added_effect
 from hybrid_id.diagnosis.periodic import Left
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.scales import scales
 from hybrid_id.errors import InputError
-from hybrid_id.identification.horizons import hidden_links
+from hybrid_id.identification.windows import hidden_links
 from hybrid_id.systems.chain import System
-
-SPRINGS = ("backlash", "joint_flexibility", "hardening_flexibility")
-"""Effects of which a gear has one."""
 
 
 def tasks(fits: Fits, before: Model, among: frozenset[Name] | None = None) -> list[Task]:
@@ -33,7 +30,7 @@ def tasks(fits: Fits, before: Model, among: frozenset[Name] | None = None) -> li
     found = []
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
-            for where, starts in effect.models(before.system, size, left).items():
+            for where, starts in with_effect(effect, before.system, size, left).items():
                 name = effect.name, where
                 if name in before.effects or (among is not None and name not in among):
                     continue
@@ -80,7 +77,7 @@ def special_cases(fits: Fits, before: Model, richer: Model) -> list[Task]:
     return [
         Task(tuple(sorted((*others, (special, where)))), start)
         for special in CATALOGUE[name].contains
-        for start in CATALOGUE[special].models(rest, size).get(where, [])
+        for start in with_effect(CATALOGUE[special], rest, size).get(where, [])
     ]
 
 
@@ -96,11 +93,18 @@ def swapped(rest: System, effects: tuple[Name, ...], rivals: Sequence[Model], be
     found = []
     for rival in rivals:
         name = added_effect(rival, before)
-        sprung = name[0] in SPRINGS and any(o in SPRINGS and where == name[1] for o, where in effects)
-        start = None if name in effects or sprung else _with(rest, rival.system, name)
+        # a gear has one spring: of effects whose laws replace each other only one is there
+        taken = {kind for other, where in effects if where == name[1] for kind in _families(other)}
+        excluded = name in effects or taken & _families(name[0])
+        start = None if excluded else _with(rest, rival.system, name)
         if start is not None:
             found.append(Task(tuple(sorted((*effects, name))), start))
     return found
+
+
+def _families(effect: str) -> set[type[Component]]:
+    """The base classes of an effect's laws of which a place holds one, or the laws themselves."""
+    return {law.family() for law in CATALOGUE[effect].laws}
 
 
 def _with(system: System, other: System, name: Name) -> System | None:
@@ -111,7 +115,7 @@ def _with(system: System, other: System, name: Name) -> System | None:
         if part is not None:
             with suppress(InputError):
                 found = system.with_component(name[1], part)
-                if share is None or kind not in effect.splits:
+                if share is None or not part.splits_inertia:
                     return found
                 return found.with_specs({share.name: share.spec})
     return None
@@ -134,9 +138,7 @@ def without(system: System, base: System, name: Name) -> System | None:
 def _joined(system: System, base: System, joint: str) -> System:
     """The system with the rotor's share of a joint as it was, where no effect is left that identifies it."""
     share = rotor_share(system, joint)
-    telling = {
-        f"{joint}/{place}/{kind}" for e in CATALOGUE.values() for place in e.places for kind in e.splits
-    }
-    if share is None or any(key in telling and key not in base.components for key in system.components):
+    new = [c for k, c in system.components.items() if k.startswith(f"{joint}/") and k not in base.components]
+    if share is None or any(isinstance(part, Component) and part.splits_inertia for part in new):
         return system
     return system.with_specs({share.name: base.parameter(share.name).spec})

@@ -10,13 +10,18 @@ sizes that leaves nothing sure is named; where none does, several parameters hav
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
-from hybrid_id.components import ArmGravity, CurrentMotor, DCMotor, Gravity, JointCoupling, TorqueMotor
 from hybrid_id.components.base import Component, Friction, Inertia
+from hybrid_id.components.load.arm_gravity import ArmGravity
+from hybrid_id.components.load.gravity import Gravity
+from hybrid_id.components.load.two_link import JointCoupling
+from hybrid_id.components.motor.current_motor import CurrentMotor
+from hybrid_id.components.motor.dc_motor import DCMotor
+from hybrid_id.components.motor.torque_motor import TorqueMotor
 from hybrid_id.diagnosis.plausibility import named, torque_power
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
@@ -122,59 +127,79 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
     total = float(moved @ moved)
     if chi2.sf(total, len(moved)) >= LEFT:
         return _nothing()
-    solutions = [_solve(one, whitener @ axes.T, moved) for one in _hypotheses(nominal, infos)]
-    solutions = sorted((s for s in solutions if _makes_sense(s)), key=lambda s: (len(s.sizes), s.left))
-    passing = [s for s in solutions if s.probability >= LEFT]
-    others = sorted(solutions, key=lambda s: s.left)
+    whitened = whitener @ axes.T
+    hypotheses = list(_hypotheses(nominal, infos))
+    solutions = [s for s in (_solve(one, whitened, moved) for one in hypotheses) if _makes_sense(s)]
+    solutions.sort(key=lambda s: s.left)
+    passing = sorted((s for s in solutions if s.probability >= LEFT), key=lambda s: len(s.sizes))
     chosen = passing[0] if passing else None
-
-    def explained(solution: _Solution) -> float:
-        return 1.0 - solution.left / total
-
     rejected = tuple(
-        RejectedChange(s.hypothesis.name, s.hypothesis.joint, explained(s), s.probability)
-        for s in others
+        RejectedChange(s.hypothesis.name, s.hypothesis.joint, 1.0 - s.left / total, s.probability)
+        for s in solutions
         if s is not chosen
     )
     if chosen is not None:
-        one = chosen.hypothesis
-        lead = one.lead
-        low, high = (np.expm1(chosen.sizes[lead] + way * SURE * chosen.errors[lead]) for way in (-1.0, 1.0))
-        touched = tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row))
-        also = dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name)
-        words = _words(nominal, chosen, names)
-        if also:
-            named_so = ", ".join(name.replace("_", " ") for name in also)
-            words += f"; indistinguishable in these records from a change of {named_so}"
-        return ParameterChange(
-            name=one.name,
-            joint=one.joint,
-            size=float(np.expm1(chosen.sizes[lead])),
-            interval=(float(low), float(high)),
-            parameters=touched,
-            explained=explained(chosen),
-            words=words,
-            indistinguishable_from=tuple(also),
-            rejected=rejected,
-        )
-    # where no torque is known, changes that differ by the scale of all torques are told apart by none
-    blind = _scale_unseen(infos, axes)
-    parts = [] if blind else _together(list(_hypotheses(nominal, infos)), whitener @ axes.T, moved)
-    alone = _moved_alone(infos, axes, change, spread)
-    within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
-    listed = ", ".join(
-        f"{named(infos[k])} {100 * np.expm1(own):+.0f} %" for k, own in alone.items() if k not in within
-    )
-    words = "; ".join(_words(nominal, one, names) for one in parts)
-    words = words[:1] + words[1:].replace("; The", "; the").replace("; Friction", "; friction")
-    if words:
-        words += f"; beside that {listed}" if listed else ""
+        one = _single(nominal, names, passing, total)
     else:
-        words = f"Several parameters moved{': ' + listed if listed else ' together'}"
-    touched = tuple(names[k] for k in sorted(within | set(alone))) or names
-    together = tuple(one.hypothesis.name for one in parts)
-    most = explained(others[0]) if others else 0.0
-    return ParameterChange("several", 0, 0.0, (0.0, 0.0), touched, most, words, (), rejected, together)
+        # where no torque is known, changes that differ by the scale of all torques are told apart by none
+        parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
+        alone = _moved_alone(infos, axes, change, spread)
+        one = _several(nominal, names, parts, alone, max((r.explained for r in rejected), default=0.0))
+    return replace(one, rejected=rejected)
+
+
+def _single(
+    nominal: System, names: tuple[str, ...], passing: list[_Solution], total: float
+) -> ParameterChange:
+    """The first of the changes that leave nothing sure; the others are indistinguishable from it."""
+    chosen = passing[0]
+    one, size, error = chosen.hypothesis, *(x[chosen.hypothesis.lead] for x in (chosen.sizes, chosen.errors))
+    others = tuple(dict.fromkeys(s.hypothesis.name for s in passing if s.hypothesis.name != one.name))
+    words = _capital(_words(nominal, chosen, names))
+    if others:
+        listed = ", ".join(name.replace("_", " ") for name in others)
+        words += f"; indistinguishable in these records from a change of {listed}"
+    return ParameterChange(
+        name=one.name,
+        joint=one.joint,
+        size=float(np.expm1(size)),
+        interval=(float(np.expm1(size - SURE * error)), float(np.expm1(size + SURE * error))),
+        parameters=tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row)),
+        explained=1.0 - chosen.left / total,
+        words=words,
+        indistinguishable_from=others,
+    )
+
+
+def _several(
+    nominal: System, names: tuple[str, ...], parts: list[_Solution], alone: dict[int, float], explained: float
+) -> ParameterChange:
+    """Changes that act at once, and the parameters that moved beside them."""
+    within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
+    beside = ", ".join(
+        f"{named(nominal.parameter(names[k]))} {100 * np.expm1(own):+.0f} %"
+        for k, own in alone.items()
+        if k not in within
+    )
+    if parts:
+        words = "; ".join(_words(nominal, one, names) for one in parts)
+        words += f"; beside that {beside}" if beside else ""
+    else:
+        words = f"several parameters moved{f': {beside}' if beside else ' together'}"
+    return ParameterChange(
+        name="several",
+        joint=0,
+        size=0.0,
+        interval=(0.0, 0.0),
+        parameters=tuple(names[k] for k in sorted(within | set(alone))) or names,
+        explained=explained,
+        words=_capital(words),
+        together=tuple(one.hypothesis.name for one in parts),
+    )
+
+
+def _capital(words: str) -> str:
+    return words[:1].upper() + words[1:]
 
 
 def _nothing() -> ParameterChange:
@@ -383,25 +408,25 @@ def _sensor_scale(system: System, info: ParameterInfo) -> float:
 
 
 _WORDS = {
-    "load": ("The load{joint} is {size} {heavier}", "heavier", "lighter"),
-    "friction": ("Friction{joint} is {size} {heavier} (temperature, grease or wear)", "higher", "lower"),
-    "supply": ("The supply, or a gain on the command{joint}, is {size} {heavier}", "higher", "lower"),
+    "load": ("the load{joint} is {size} {heavier}", "heavier", "lighter"),
+    "friction": ("friction{joint} is {size} {heavier} (temperature, grease or wear)", "higher", "lower"),
+    "supply": ("the supply, or a gain on the command{joint}, is {size} {heavier}", "higher", "lower"),
     "torque_gain": (
-        "The torque per command{joint} is {size} {heavier} (winding resistance, or a gain behind the command)",
+        "the torque per command{joint} is {size} {heavier} (winding resistance, or a gain behind the command)",
         "higher",
         "lower",
     ),
     "motor_constant": (
-        "The motor's torque and back-EMF constants{joint} are {size} {heavier} (magnets)",
+        "the motor's torque and back-EMF constants{joint} are {size} {heavier} (magnets)",
         "higher",
         "lower",
     ),
-    "sensor_scale": ("The angle{joint} is read {size} too {heavier}", "large", "small"),
+    "sensor_scale": ("the angle{joint} is read {size} too {heavier}", "large", "small"),
 }
 
 
 def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
-    """A change as a sentence, with what each parameter did where they did not move as one."""
+    """A change as a clause, with what each parameter did where they did not move as one."""
     one, lead = solution.hypothesis, solution.hypothesis.lead
     text, more, less = _WORDS[one.name]
     ends = [
@@ -415,14 +440,14 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
     interval = f"{abs(size):.0f} % ({min(ends):.0f}-{max(ends):.0f} %)"
     if one.name == "load" and not any(_is_weight(system, system.parameter(name)) for name in moved):
         text, more, less = (
-            "The inertia that the motor{joint} moves is {size} {heavier}, as of another load",
+            "the inertia that the motor{joint} moves is {size} {heavier}, as of another load",
             "larger",
             "smaller",
         )
     words = text.format(joint=joint, size=interval, heavier=more if size > 0 else less)
     each = [named(system.parameter(name)) for name in moved]
     if one.name == "friction" and np.ptp(np.sign(solution.sizes)):
-        words = f"Friction{joint} has changed (temperature, grease or wear)"
+        words = f"friction{joint} has changed (temperature, grease or wear)"
     if one.columns.shape[1] > 1:
         changes = [f"{name} {100 * np.expm1(s):+.0f} %" for name, s in zip(each, solution.sizes, strict=True)]
         return f"{words}: {', '.join(changes)}"

@@ -8,7 +8,7 @@ import numpy as np
 
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.model import Model
-from hybrid_id.identification.secant import secant_fit
+from hybrid_id.identification.finite_differences import finite_difference_fit
 from hybrid_id.study import Study, analyse_fits, check_identifiability
 
 
@@ -26,7 +26,7 @@ def as_identified(fits: Fits, model: Model, *, seed: int = 0) -> Study:
     """
     found, system, dataset, share = model.result, model.system, fits.dataset, fits.signal_share
     batch = fits.batch(system)
-    there = secant_fit(system, batch, engine=found.engine, iterations=0, x0=found.x0)
+    there = finite_difference_fit(system, batch, engine=found.engine, iterations=0, x0=found.x0)
     seen = check_identifiability(dataset, system, signal_share=share)
     unseen = [one.relative for one in seen.directions if not np.isfinite(one.relative_std)]
     there = replace(

@@ -13,7 +13,7 @@ from hybrid_id.diagnosis.maps import Reversals, TorqueMap, after_reversals, torq
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.study import Comparison, Study, replay
-from hybrid_id.study.residual_tests import ResidualTest, residual_tests
+from hybrid_id.study.checks import ResidualTest, residual_tests
 from hybrid_id.systems.chain import System
 
 JOINTS = 3

@@ -38,14 +38,12 @@ from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import make_bounds
-from hybrid_id.identification.horizon_choice import choose_horizon
-from hybrid_id.identification.horizons import Horizon, window_errors
-from hybrid_id.records.confounders import confounded_signals
+from hybrid_id.identification.horizons import Horizon, choose_horizon, window_errors
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.reach import beyond
+from hybrid_id.records.quality import beyond, confounded_signals
 from hybrid_id.records.skew import Skew, find_skews
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.study.identifiable import check_identifiability
+from hybrid_id.study.checks import check_identifiability
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 

@@ -19,15 +19,20 @@ from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.plausibility import NUISANCE
 from hybrid_id.diagnosis.validation import coloured, validation
 from hybrid_id.errors import InputError, MachineError
-from hybrid_id.identification.confirm import confirmed
+from hybrid_id.identification.finite_differences import (
+    WORST,
+    Rollouts,
+    Slopes,
+    finite_difference_fit,
+    slopes_at,
+)
 from hybrid_id.identification.fit import fit, make_bounds
-from hybrid_id.identification.horizon_choice import astray
-from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs, hidden_links, windows
-from hybrid_id.identification.least_squares import Options, minimise
+from hybrid_id.identification.horizons import WHOLE, Horizon, astray, free_runs, windows
+from hybrid_id.identification.least_squares import LeastSquares, Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out, started_without
+from hybrid_id.identification.restarts import confirmed, perturbed_restarts
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.rollouts import WORST, Rollouts, Slopes
-from hybrid_id.identification.secant import secant_fit, shaken, slopes_at
+from hybrid_id.identification.windows import hidden_links
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
@@ -245,13 +250,13 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
         if not fits.whole:
             result = _within(task, batch, iterations)
         elif hidden or iterations <= COARSE:
-            result = secant_fit(
+            result = finite_difference_fit(
                 task.system, batch, engine=engine(), iterations=iterations, near=task.near, x0=task.x0
             )
         else:
             result = _nearest(task, batch, iterations, halting)
         if hidden and task.shake and full:
-            result = shaken(result, batch)
+            result = perturbed_restarts(result, batch)
         found = validation(_unseen(fits, result, batch) if full else result.residual, batch.step)
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
@@ -311,7 +316,8 @@ def predicted(result: FitResult, batch: Batch) -> list[np.ndarray]:
     theta[free] = torch.as_tensor(started_without(result, batch, fold).T)
     options, bounds = Options(max_iterations=2 * AGAIN, tolerance=0.5), make_bounds(system, free)
     nodes = simulate(system, result.engine, some, theta[:, sets]).x
-    again = minimise(system, result.engine, some, sets, theta, free, bounds, options, nodes=nodes)
+    problem = LeastSquares(system, result.engine, some, sets, free, bounds)
+    again = minimise(problem, theta, options, nodes=nodes)
     points = again.theta[free].T.numpy()
     runs = Rollouts(system, batch, result.engine, free).residuals(points, np.tile(result.x0, (parts, 1, 1)))
     kept = (batch.weight > 0).any(2).numpy()
@@ -322,13 +328,13 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
     """The same of whole records, by finite steps, which see through stick and slip and play.
 
     In the ripples of a cost that leaves structure such a fit may not move at all, and would predict what it has seen:
-    then it is shaken.
+    then it is perturbed_restarts.
     """
     rippled = coloured(result.residual) > CRITERIA.coloured
     found: list[np.ndarray] = [np.empty(0)] * batch.rows
     for k in np.unique(fold):
         inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
-        again = secant_fit(
+        again = finite_difference_fit(
             result.system,
             batch.take(inside),
             engine=result.engine,
@@ -336,7 +342,7 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
             x0=result.x0[inside.numpy()],
         )
         if rippled and again.cost > (1.0 - STUCK) * again.history[0]:
-            again = shaken(again, batch.take(inside), tries=SHAKES)
+            again = perturbed_restarts(again, batch.take(inside), tries=SHAKES)
         rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
         errors = rest.residuals(again.values[None], result.x0[None, outside.numpy()])[0]
         for row, error in zip(outside.tolist(), errors, strict=True):
@@ -372,10 +378,10 @@ def _both_ways(
     with suppress(InputError, RuntimeError):
         exact = fit(system, batch, pooled=True, engine=engine(), options=options, warm=last)[0]
         # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
-        there = secant_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
+        there = finite_difference_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
         ends.append(replace(there, status=exact.status, iterations=exact.iterations))
     if last or not ends or ends[0].cost > cost:
-        ends.append(secant_fit(system, batch, engine=engine(), iterations=iterations, x0=x0))
+        ends.append(finite_difference_fit(system, batch, engine=engine(), iterations=iterations, x0=x0))
     return ends
 
 

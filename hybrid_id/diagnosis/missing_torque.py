@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from hybrid_id.components import ConstantTorque
+from hybrid_id.components.load.constant_torque import ConstantTorque
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import linearise

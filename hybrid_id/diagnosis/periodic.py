@@ -6,7 +6,7 @@ A sine that starts with the wrong period, or a spot at the wrong angle, is in an
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,10 +16,8 @@ from torch import Tensor
 from hybrid_id.components.base import Component
 from hybrid_id.diagnosis.response import Response, respond
 from hybrid_id.identification.result import FitResult
-from hybrid_id.parameters import Bounded
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.systems.gear import Views
-from hybrid_id.systems.joint import Joint
+from hybrid_id.systems.joint import Joint, Views
 
 PERIODS = range(13, 49)
 """Periods a turn of the rotor that a motor's poles and slots may have; fewer are looked for between whole numbers, too,
@@ -89,37 +87,6 @@ def _peaks(found: Sequence[tuple[int, tuple[float, ...]]]) -> list[tuple[int, tu
             kept.append((i, size))
         seen.add(i)
     return kept
-
-
-def second_wave(
-    waves: Callable[[Left, int, str], list[tuple[float, ...]]], symbols: tuple[str, str], most: float
-) -> Callable[[Component, Left, int, str], list[dict[str, float | Bounded]]]:
-    """A further wave beside one that a component has: the strongest of another period, and the first one's overtone.
-
-    Args:
-        waves: looks for waves, best first.
-        symbols: of its cosine and sine.
-        most: largest amplitude, over the first wave's.
-    """
-
-    def start(part: Component, left: Left, joint: int, place: str) -> list[dict[str, float | Bounded]]:
-        if part.specs[symbols[0]].estimate:
-            return []
-        spec = part.specs["n"]
-        own, near = spec.value, spec.upper - spec.lower if spec.estimate else 0.0
-        first = max(math.hypot(*(part.specs[symbol[:-1]].value for symbol in symbols)), 1e-12)
-        others = [(n, size) for n, *size in waves(left, joint, place) if abs(n - own) > near]
-        if not others:
-            return []
-        overtone = min(others, key=lambda other: abs(other[0] - 2.0 * own))
-        begun = [*(one for one in others[:1] if one is not overtone), (2.0 * own, overtone[1])]
-        return [
-            {"n_2": n} | {s: Bounded(min(max(x, -most * first), most * first), -most * first, most * first)
-                          for s, x in zip(symbols, size, strict=True)}
-            for n, size in begun
-        ]  # fmt: skip
-
-    return start
 
 
 def friction_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybrid_id.components import ConstantTorque, RotorBias
+from hybrid_id.components.load.constant_torque import ConstantTorque
+from hybrid_id.components.motor.rotor_bias import RotorBias
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import Linearisation, condense, linearise
 from hybrid_id.simulation.step import Engine

@@ -2,54 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import cast
 
 import torch
 
 from hybrid_id.components.base import Component
+from hybrid_id.components.site import Scales
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
-
-
-@dataclass(frozen=True)
-class Scales:
-    """Sizes of one joint's signals over all records, and of its fitted model.
-
-    Attributes:
-        joint: number, from 1.
-        ratio: gear ratio.
-        sample_time: [s].
-        duration: of the longest record [s].
-        command: largest command [its unit].
-        command_rms: its RMS while it is not zero.
-        speed: 95th percentile of the rotor's speed [rad/s].
-        turns: range of the rotor's angle [rad].
-        angle: range of the link's angle [rad].
-        middle: its middle [rad].
-        torque: RMS of the motor's torque [N m], at the motor.
-        dry: level of dry friction at the motor [N m]; a tenth of ``torque`` where the model has none.
-        inertia: everything that moves, at the motor [kg m^2].
-        rotor: part of it on the rotor's side of the gear.
-        shows_torque: whether the motor's current or torque is measured, or the motor switched off at times.
-    """
-
-    joint: int
-    ratio: float
-    sample_time: float
-    duration: float
-    command: float
-    command_rms: float
-    speed: float
-    turns: float
-    angle: float
-    middle: float
-    torque: float
-    dry: float
-    inertia: float
-    rotor: float
-    shows_torque: bool = False
 
 
 def scales(system: System, batch: Batch) -> list[Scales]:

@@ -14,7 +14,8 @@ from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task, released
 from hybrid_id.diagnosis.model import Model, Name
-from hybrid_id.identification.horizons import Horizon, hidden_links
+from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.windows import hidden_links
 from hybrid_id.systems.chain import System
 
 PROMISING, STARTS, FINALISTS = 12, 4, 4

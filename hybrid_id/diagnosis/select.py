@@ -12,7 +12,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from hybrid_id.diagnosis.candidates import swapped, without
-from hybrid_id.diagnosis.catalogue import CATALOGUE
+from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle, with_further
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FINER, FULL, Fits, Task
 from hybrid_id.diagnosis.model import Model, Name, added_effect
@@ -220,11 +220,14 @@ def _freed(fits: Fits, chosen: Model) -> Model:
 
     Before another effect may explain what the first one's simplest form has left.
     """
-    laws = [(CATALOGUE[name], where) for name, where in chosen.effects if CATALOGUE[name].further is not None]
-    if not laws:
+    if not over_angle(chosen.effects):  # only their laws leave anything open, further waves
         return chosen
     left = Left(chosen.result, fits.records(chosen.system))
-    starts = [start for law, where in laws for start in law.freer(chosen.system, where, left)]
+    starts = [
+        start
+        for name, where in chosen.effects
+        for start in with_further(CATALOGUE[name], chosen.system, where, left)
+    ]
     for one in fits.run([Task(chosen.effects, start) for start in starts], FULL):
         enough = one is not None and one.validation.fall(chosen.validation) >= CRITERIA.least_fall
         if one is not None and enough and chance(one, chosen) <= CRITERIA.false_alarms:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.study.identifiable import check_identifiability
+from hybrid_id.study.checks import check_identifiability
 from hybrid_id.systems.chain import System
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import xml.etree.ElementTree as ET
 from dataclasses import dataclass
 from typing import Any
 
-from hybrid_id.components import ArmGravity, Gravity, JointCoupling
+from hybrid_id.components.load.arm_gravity import ArmGravity
+from hybrid_id.components.load.gravity import Gravity
+from hybrid_id.components.load.two_link import JointCoupling
 from hybrid_id.errors import InputError
-from hybrid_id.export.actuators import number, numbers
 from hybrid_id.systems.chain import System, Views
 
 G = 9.81
@@ -120,16 +120,3 @@ def _two(system: System, p: Views, sides: list[tuple[float, float]]) -> list[Lin
         Link(rotor, *_body(rest, pull)),
         Link(rotor_2, mass, arm, inertia, extra, length, weightless and gravity is not None),
     ]
-
-
-def fill(body: ET.Element, link: Link) -> None:
-    """Mass and shape of a link's body; the shape is for the eye and touches nothing."""
-    if link.weightless:
-        body.set("gravcomp", "1")
-    centre = f"{number(link.arm)} 0 0"
-    ET.SubElement(
-        body, "inertial", pos=centre, mass=number(link.mass), diaginertia=numbers([link.inertia] * 3)
-    )
-    seen = 0.3 if abs(link.arm) < 0.01 else 2.0 * max(min(link.arm, 1.0), -1.0)
-    shape = {"type": "capsule", "fromto": f"0 0 0 {number(seen)} 0 0", "size": "0.02"}
-    ET.SubElement(body, "geom", shape | {"contype": "0", "conaffinity": "0"})

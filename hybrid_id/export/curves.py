@@ -10,9 +10,8 @@ import numpy as np
 import torch
 from scipy.optimize import least_squares, lsq_linear, nnls
 
-from hybrid_id.components import Backlash
 from hybrid_id.components.bristle import Bristle
-from hybrid_id.components.friction import Dahl, LuGre
+from hybrid_id.components.transmission.backlash import Backlash
 from hybrid_id.systems.joint import Joint
 
 Views = Mapping[str, SimpleNamespace]
@@ -27,6 +26,17 @@ WORTH_SAYING = 0.01
 """Share of a law's largest torque from which on its curve is said to differ."""
 SUPPLY = 24.0
 """Voltage [V] whose no-load speed bounds the speeds, and whose stall torque bounds the deflections, that are fitted."""
+
+
+def noted(key: str, words: str) -> str:
+    """The sentence about a component that the export does not carry as it is."""
+    where, kind = key.rsplit("/", 1)
+    return f"{where}: {kind} {words}"
+
+
+def left_out(key: str, why: str) -> str:
+    """The sentence about a component that the export does not carry."""
+    return noted(key, f"is left out, {why}")
 
 
 @dataclass(frozen=True)
@@ -103,21 +113,16 @@ def resistance(joint: Joint, place: str, p: Views, top_speed: float) -> Resistan
         notes.append(
             f"{where}: what grows with speed in one direction alone does so up to {top_speed:.3g} rad/s only"
         )
-    for key, law in laws:
-        kind = key.split("/")[2]
-        terms = law.load_factor(p[key]), law.effort_factor(p[key]), law.dry_over(p[key], zero)
-        if any(term is not None for term in terms):
-            notes.append(f"{where}: {kind} is left out, MuJoCo's dry friction knows neither load nor angle")
     bristle = None
     for key, law in laws:
-        if isinstance(law, Dahl):
-            bristle = float(p[key].sigma), 0.0
-        elif isinstance(law, LuGre):
-            bristle = float(p[key].sigma_0), float(p[key].sigma_1)
-        elif isinstance(law, Bristle):
-            notes.append(
-                f"{where}: the bristle of {key.split('/')[2]} is left out, its friction is dry there"
-            )
+        terms = law.load_factor(p[key]), law.effort_factor(p[key]), law.dry_over(p[key], zero)
+        if any(term is not None for term in terms):
+            notes.append(left_out(key, "MuJoCo's dry friction knows neither load nor angle"))
+        own, missing = law.mjcf(p[key])
+        if "bristle" in own:
+            bristle = float(own["bristle"][0]), float(own["bristle"][1])
+        if missing:
+            notes.append(noted(key, missing))
     a, b, c = (float(f) / top_speed**n for n, f in enumerate(found) if n)
     coulomb = level + float(found[0])
     edges = coulomb, coulomb + fall, stribeck * top_speed

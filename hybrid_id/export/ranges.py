@@ -60,6 +60,7 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
         name, spec = info.name, info.spec
         claimed = _claimed(spec, half_widths.get(name), known.get("profiles", {}).get(name))
         spread = [s[name] for s in sets if name in s]
+        grade = known.get("reliability", known.get("trust", {})).get(name, {}).get("grade")
         low, high, source = _range(spec, claimed, spread, float(ndtri(0.5 + level / 2)), name in values)
         ranges[name] = {
             "nominal": spec.value,
@@ -67,7 +68,8 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
             "upper": min(high, spec.upper),
             "unit": spec.unit,
             "from": source,
-            "trust": known.get("trust", {}).get(name, {}).get("grade"),
+            "reliability": grade,
+            "trust": grade,  # the former name, for one release
             "component": info.component,
         }
     return {"level": level, "parameters": ranges}

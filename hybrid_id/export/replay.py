@@ -2,24 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
 
-from hybrid_id.components import DCMotor, PositionLoop
+from hybrid_id.components.input.position_loop import PositionLoop
+from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.errors import InputError
-from hybrid_id.export.mjcf import Mjcf
+from hybrid_id.export.drives import Mjcf
+from hybrid_id.export.own_file import mujoco_model
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.statistics.fit import nrmse
-from hybrid_id.study.comparison import replay
+from hybrid_id.statistics.fit import known_mean, nrmse
+from hybrid_id.study.replays import replay
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
+STRANGE = 0.5
+"""Normalised RMSE of the package's own replay above which records may be of another robot."""
+READ = ("q_m", "v_m", "q_a", "v_a")
+"""Outputs that MuJoCo has."""
 BROKEN = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 """MuJoCo's warnings that a position, speed or acceleration is no number or without bound: it then begins anew."""
 
@@ -43,6 +50,34 @@ class Agreement:
     apart: float
     here: float
     there: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What the replay of several records comes to, as normalised RMSE; an output that stands still has none.
+
+    Attributes:
+        worst: largest difference between MuJoCo and the package's own replay.
+        role: of the records that judge: test where there are any, else all.
+        there, here: MuJoCo, and the package's own replay, against what was measured: means over those records.
+        strange: mean of the package's own replay over all records where it is so large that they may be of another
+            robot; None otherwise.
+    """
+
+    worst: float
+    role: str
+    there: float
+    here: float
+    strange: float | None
+
+
+def summarise(rows: Sequence[Agreement]) -> Summary:
+    """The agreement of all records and outputs in a few figures."""
+    test = [row for row in rows if row.role == "test"]
+    there, here = (known_mean(getattr(row, name) for row in test or rows) for name in ("there", "here"))
+    missed = known_mean(row.here for row in rows)
+    worst = max((row.apart for row in rows if not math.isnan(row.apart)), default=math.nan)
+    return Summary(worst, "test" if test else "", there, here, missed if missed > STRANGE else None)
 
 
 def agreement(system: System, exported: Mjcf, dataset: Dataset) -> list[Agreement]:
@@ -76,36 +111,38 @@ def mujoco_replay(
         import mujoco
     except ImportError:
         raise InputError("MuJoCo is not installed; pip install 'hybrid-id[blind]' brings it") from None
-    model = mujoco.MjModel.from_xml_string(exported.text)  # type: ignore[attr-defined]
+    model = mujoco_model(exported)
     data = mujoco.MjData(model)  # type: ignore[attr-defined]
     start = make_batch(system, [record], noise_std=noise_std).x[0, 0].tolist()
     for joint in system.joints:
-        row, r = joint.positions[0], joint.gear_ratio
-        state = {f"joint{joint.number}": [v / r for v in start[row : row + 2]]}
+        row, r, name = joint.positions[0], joint.gear_ratio, exported.joints[joint.number - 1]
+        state = {name: [v / r for v in start[row : row + 2]]}
         if not joint.rigid:
-            rotor, link = state[f"joint{joint.number}"], start[joint.positions[1] : joint.positions[1] + 2]
+            rotor, link = state[name], start[joint.positions[1] : joint.positions[1] + 2]
             state[f"gear{joint.number}"] = [b - a for a, b in zip(rotor, link, strict=True)]
-        for name, (angle, speed) in state.items():
-            data.joint(name).qpos[:], data.joint(name).qvel[:] = angle, speed
-    commands = [_Command(system, joint, record, model.opt.timestep) for joint in system.joints]
-    for command, joint in zip(commands, system.joints, strict=True):
+        for hinge, (angle, speed) in state.items():
+            data.joint(hinge).qpos[:], data.joint(hinge).qvel[:] = angle, speed
+    commands = [
+        _Command(system, joint, name, record, model.opt.timestep)
+        for joint, name in zip(system.joints, exported.joints, strict=True)
+    ]
+    motors = [model.actuator(name).id for name in exported.motors]
+    for command, motor in zip(commands, motors, strict=True):
         if command.delays:
-            model.actuator_delay[model.actuator(f"motor{joint.number}").id] = 0.0
+            model.actuator_delay[motor] = 0.0
         else:
-            _fill_delay(mujoco, model, data, joint, command(0, data))
-    limited = model.actuator_ctrllimited[: len(commands)].copy()
-    found: dict[str, list[float]] = {n: [] for n in record.outputs if n[:-1] in ("q_m", "v_m", "q_a", "v_a")}
+            _fill_delay(mujoco, model, data, motor, command(0, data))
+    limited = model.actuator_ctrllimited[motors].copy()
+    found: dict[str, list[float]] = {n: [] for n in record.outputs if _channel(n)[0] in READ}
     ticks = np.rint((record.time - record.time[0]) / model.opt.timestep).astype(int)
     for k in range(record.n_samples):
         for name, values in found.items():
-            values.append(_output(system, data, name))
+            values.append(_output(system, exported, data, name))
         for tick in range(ticks[k + 1] - ticks[k] if k + 1 < record.n_samples else 0):
             if tick == 0:
-                model.actuator_ctrllimited[: len(commands)] = limited * [
-                    command.on[k] == 1.0 for command in commands
-                ]
+                model.actuator_ctrllimited[motors] = limited * [command.on[k] == 1.0 for command in commands]
             if tick == 0 or any(command.follows(k) for command in commands):
-                data.ctrl[: len(commands)] = [command(k, data) for command in commands]
+                data.ctrl[motors] = [command(k, data) for command in commands]
             mujoco.mj_step(model, data)  # type: ignore[attr-defined]
     kinds = mujoco.mjtWarning  # type: ignore[attr-defined]
     if any(data.warning[int(getattr(kinds, name))].number for name in BROKEN):
@@ -119,24 +156,30 @@ def mujoco_replay(
 def _read(system: System, name: str, true: np.ndarray) -> np.ndarray:
     """What an encoder reads of true angles, in time."""
     views = system.views([value.detach().reshape(1) for value in system.theta()])
-    readings = system.joints[int(name[-1]) - 1].sensing
-    return readings.read(name[:-1], torch.tensor(true), 0.0, (), views).numpy()
+    channel, number = _channel(name)
+    return system.joints[number].sensing.read(channel, torch.tensor(true), 0.0, (), views).numpy()
 
 
-def _fill_delay(mujoco: Any, model: Any, data: Any, joint: Joint, first: float) -> None:
+def _channel(name: str) -> tuple[str, int]:
+    """Channel and joint, from 0, of an output's name."""
+    channel = name.rstrip("0123456789")
+    return channel, int(name[len(channel) :] or 0) - 1
+
+
+def _fill_delay(mujoco: Any, model: Any, data: Any, motor: int, first: float) -> None:
     """What a delay holds at the start: the first command, as the package takes it."""
-    motor = model.actuator(f"motor{joint.number}").id
     if (samples := int(model.actuator_history[motor, 0])) > 0:
         times = model.opt.timestep * np.arange(-samples, 0)
         mujoco.mj_initCtrlHistory(model, data, motor, times, np.full(samples, first))
 
 
-def _output(system: System, data: Any, name: str) -> float:
+def _output(system: System, exported: Mjcf, data: Any, name: str) -> float:
     """A measured angle or speed: the sensors' values lag a step behind the state."""
-    joint = system.joints[int(name[-1]) - 1]
-    field = "qvel" if name.startswith("v") else "qpos"
-    rotor = getattr(data.joint(f"joint{joint.number}"), field)[0]
-    if name[2] == "m":
+    channel, number = _channel(name)
+    joint = system.joints[number]
+    field = "qvel" if channel[0] == "v" else "qpos"
+    rotor = getattr(data.joint(exported.joints[number]), field)[0]
+    if channel[2] == "m":
         return joint.gear_ratio * rotor
     return rotor if joint.rigid else rotor + getattr(data.joint(f"gear{joint.number}"), field)[0]
 
@@ -149,9 +192,9 @@ class _Command:
         delays: whether the command is held back here: a switch acts at once, and MuJoCo would delay it as well.
     """
 
-    def __init__(self, system: System, joint: Joint, record: Record, tick: float) -> None:
+    def __init__(self, system: System, joint: Joint, name: str, record: Record, tick: float) -> None:
         key, self._source = joint.drive.input
-        self._joint, self._view = joint, system.components[key].view()  # type: ignore[operator]
+        self._name, self._joint, self._view = name, joint, system.components[key].view()  # type: ignore[operator]
         self.on = record.inputs.get(f"enable{joint.number}", np.ones(record.n_samples))
         key, motor = joint.drive.motor
         self._induced = motor.specs["P_m2"].value if isinstance(motor, DCMotor) else 0.0
@@ -178,14 +221,14 @@ class _Command:
 
     def __call__(self, sample: int, data: Any) -> float:
         """The command at a sample."""
-        speed = self._joint.gear_ratio * data.joint(f"joint{self._joint.number}").qvel[0]
+        speed = self._joint.gear_ratio * data.joint(self._name).qvel[0]
         on = float(self.on[sample])
         return on * self._given(sample, data) + (1.0 - on) * self._induced * speed
 
     def _given(self, sample: int, data: Any) -> float:
         if self._held is not None:  # whose delay is the actuator's
             return float(self._held[self._arrived(data) if self.delays else sample])
-        turned = self._joint.gear_ratio * data.joint(f"joint{self._joint.number}").qpos[0]
+        turned = self._joint.gear_ratio * data.joint(self._name).qpos[0]
         angle = torch.tensor([turned], dtype=torch.float64)
         for encoder, view in self._encoders:  # the loop closes over what its encoder reads
             angle = encoder.read(view, angle)

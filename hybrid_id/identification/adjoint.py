@@ -5,7 +5,7 @@ within their uncertainty. All records train side by side, each its own parameter
 converged. A stage of short windows from measured states, where the problem is nearly convex, comes first.
 
 The gradient comes from the adjoint alone, so that it decides where the training ends. How long the steps are is the
-metric's part (see :mod:`hybrid_id.identification.quasi_newton`): in the Gauss-Newton metric, parameters of which the
+metric's part (see :mod:`hybrid_id.identification.optimizers`): in the Gauss-Newton metric, parameters of which the
 data say a million times more than of others take equal steps, and 15-30 gradients do what takes Adam a thousand.
 """
 
@@ -26,10 +26,11 @@ from hybrid_id.identification.checkpoint import fingerprint, read_state, write_s
 from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import Progress, make_bounds
-from hybrid_id.identification.horizons import measured_windows
+from hybrid_id.identification.least_squares import free_parameters
 from hybrid_id.identification.objective import Loss, evaluate
-from hybrid_id.identification.quasi_newton import State, advance, begin, prolonged
+from hybrid_id.identification.optimizers import State, advance, begin, prolonged
 from hybrid_id.identification.result import FitResult, make_result
+from hybrid_id.identification.windows import measured_windows
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.systems.chain import System
@@ -46,7 +47,7 @@ class TrainOptions:
         window_tolerance: the same in the stages of windows, which only prepare the last one.
         refresh: accepted steps after which the metric is taken anew.
         loss: loss of the weighted residuals.
-        validate_every: gradients between two looks at the validation records.
+        validate_every: gradients between two evaluations of the validation records.
     """
 
     windows: tuple[tuple[float, int], ...] = ((0.2, 4),)
@@ -136,9 +137,7 @@ def train(
         InputError: nothing to estimate, weights with several sets, or a checkpoint of another training.
     """
     options, engine, system = options or TrainOptions(), engine or OdeEngine(), copy.deepcopy(system)
-    free = system.estimated
-    if not free:
-        raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
+    free = free_parameters(system)
     extra, device = extra_parameters(system), batch.x.device
     rows = torch.arange(batch.rows, device=device)
     sets, count = (torch.zeros_like(rows), 1) if pooled else (rows, batch.rows)
@@ -147,7 +146,7 @@ def train(
     names = ("pooled",) if pooled and batch.rows > 1 else batch.names
     bounds = make_bounds(system, free, device)
     base = system.theta().detach().to(device)[:, None].repeat(1, count)
-    whole = Problem(system, engine, batch, sets, base, free, bounds, extra, options.loss)
+    whole = Problem(system, engine, batch, sets, free, bounds, base, extra, options.loss)
     identity = ["adjoint", fingerprint(system, [batch], pooled, engine, options.windows, options.loss)]
     state = read_state(resume, identity, device) if resume else None
     state = None if state is None else prolonged(state, options.max_iterations)
@@ -241,7 +240,4 @@ def _results(problem: Problem, state: State, interrupted: bool, finished: bool) 
     status = ["interrupted" if interrupted and s in left else s for s in state.status]
     outcome = least_squares.Outcome(theta, cost, state.steps, status, at, state.history)
     settings = least_squares.Options(loss=problem.loss)
-    return [
-        make_result(problem.system, batch, sets, outcome, g, free, problem.bounds, engine, settings)
-        for g in range(theta.shape[1])
-    ]
+    return [make_result(replace(problem, engine=engine), outcome, g, settings) for g in range(theta.shape[1])]

@@ -13,12 +13,11 @@ import torch
 
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
-from hybrid_id.identification.first_order import Descent
-from hybrid_id.identification.quasi_newton import State
+from hybrid_id.identification.optimizers import State, Training
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
 
-Course = TypeVar("Course")
+Content = TypeVar("Content")
 
 
 def fingerprint(system: System, batches: Sequence[Batch], *settings: object) -> str:
@@ -51,8 +50,8 @@ def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]
 
 
 def read_checkpoint(
-    path: Path, identity: list[str], make: Callable[[dict[str, Any]], Course], device: torch.device
-) -> Course:
+    path: Path, identity: list[str], make: Callable[[dict[str, Any]], Content], device: torch.device
+) -> Content:
     """Read the checkpoint of a training of these records, model and settings.
 
     Args:
@@ -65,7 +64,7 @@ def read_checkpoint(
         raise InputError(f"There is no checkpoint {path}; start without resuming.")
     try:
         content = torch.load(path, weights_only=True, map_location=device)
-        found, course = content["identity"], make(dict(content["state"]))
+        found, made = content["identity"], make(dict(content["state"]))
     except Exception as error:
         raise InputError(
             f"{path} is no checkpoint of a training ({type(error).__name__}); start without resuming."
@@ -75,10 +74,10 @@ def read_checkpoint(
             f"{path} belongs to other records, another model or other settings; resume with those (config.yaml beside "
             "it holds them), or start anew."
         )
-    return course
+    return made
 
 
-def as_content(state: State | Descent) -> dict[str, Any]:
+def as_content(state: Training) -> dict[str, Any]:
     """The fields of an optimiser's state."""
     return {f.name: getattr(state, f.name) for f in fields(state)}
 

@@ -94,13 +94,13 @@ def free_run(
     theta: Tensor,
     tolerance: float = 1e-9,
     *,
-    walk: bool = False,
+    roll_out: bool = False,
 ) -> tuple[Tensor, Linearisation, Tensor]:
     """Free run from ``guess[:, 0]`` by Newton's method over all samples (see :mod:`hybrid_id.simulation.lifted`).
 
     Returns:
         States ``(R, T, n_x)``, the linearisation there by the engine's own gradient, and for each row whether its
-        defects closed; a row that did not close has diverged, or its guess was too far off. With ``walk`` such rows
+        defects closed; a row that did not close has diverged, or its guess was too far off. With ``roll_out`` such rows
         are simulated sample by sample (slow), and have closed where they are finite.
     """
     x, tolerance = guess.clone(), max(tolerance, 64.0 * torch.finfo(guess.dtype).eps)
@@ -118,7 +118,7 @@ def free_run(
         opened = opened[(size > tolerance) & torch.isfinite(size)]
         if opened.numel() == 0:
             break
-    if walk and not bool(closed.all()):
+    if roll_out and not bool(closed.all()):
         rows = (~closed).nonzero().flatten()
         with torch.no_grad():
             x[rows] = rollout(system, cheap, batch.take(rows), theta[:, rows])

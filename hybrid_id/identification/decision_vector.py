@@ -7,19 +7,16 @@ parameter that an early step drives there creeps back over a hundred gradients (
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import torch
 from torch import Tensor, nn
 
 from hybrid_id.identification.costate import Gradient, gradient
-from hybrid_id.identification.least_squares import Bounds
-from hybrid_id.identification.network_metric import linearise_with_weights
+from hybrid_id.identification.least_squares import LeastSquares
+from hybrid_id.identification.networks import Projection, linearise_with_weights
 from hybrid_id.identification.objective import Loss, assess, evaluate
 from hybrid_id.simulation.lifted import condense
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.solvers import OdeEngine
-from hybrid_id.systems.chain import System
 
 REACH = 0.5
 """A direction that the data leave open is held in the metric (not in the objective) to this share of a parameter."""
@@ -27,49 +24,28 @@ FIRST_WEIGHT_STEP = 0.01
 """RMS change of a network's weights in the first step."""
 
 
-class Penalty(Protocol):
-    """A price of the weights alone, as they are in the system."""
-
-    def value(self) -> tuple[Tensor, Tensor]:
-        """The price and its gradient, ``(n_w,)``."""
-        ...
-
-    def curvature(self) -> Tensor:
-        """Its Gauss-Newton matrix, ``(n_w, n_w)``."""
-        ...
-
-
 @dataclass(frozen=True)
-class Problem:
-    """Output error of every set as a function of its vector q of unknowns, ``(G, N)``.
+class Problem(LeastSquares):
+    """Output error of every set as a function of its decision vector q, ``(G, N)``.
 
     q holds the free parameters in units of their size, the first states of the set's rows relative to the measured
     ones in units of their prior standard deviation, and (one set only) the weights beyond the table.
 
     Attributes:
-        system, engine: what is simulated, and how it is integrated and differentiated.
-        batch: rows of data.
-        sets: set of each row, ``(R,)``.
+        engine: how the system is integrated and differentiated.
         base: all parameters of each set in table order, ``(n_p, G)``; the free ones are replaced.
-        free: indices of the free parameters.
-        bounds: their box and priors.
         extra: weights beyond the table.
         loss: loss of the weighted residuals.
         hold: whether the free parameters stay where they are, while weights and first states move.
         penalty: price of the weights beside the output error; None for none.
     """
 
-    system: System
     engine: OdeEngine
-    batch: Batch
-    sets: Tensor
     base: Tensor
-    free: list[int]
-    bounds: Bounds
     extra: list[nn.Parameter]
     loss: Loss
     hold: bool = False
-    penalty: Penalty | None = None
+    penalty: Projection | None = None
 
     def to(self, dtype: torch.dtype) -> Problem:
         """The same in another precision; the system and its weights change theirs in place."""
@@ -166,7 +142,7 @@ class Problem:
         """Cost ``(G,)`` with priors, its gradient ``(G, N)``, and the simulation of the rows.
 
         Args:
-            q: unknowns.
+            q: decision vector.
             nodes: states near the free run, ``(R, T, n_x)``.
         """
         self.set_weights(q)
@@ -205,7 +181,7 @@ class Problem:
         With networks, whose weights all sets share, in the weights too, ``(1, N, N)``.
 
         Args:
-            q: unknowns.
+            q: decision vector.
             nodes: the free run there.
             cost: the cost there.
         """

@@ -7,15 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from hybrid_id.errors import InputError
-from hybrid_id.identification.horizons import hidden_links
-from hybrid_id.identification.least_squares import Bounds, Options, minimise
+from hybrid_id.identification.least_squares import Bounds, LeastSquares, Options, free_parameters, minimise
 from hybrid_id.identification.result import FitResult, make_result
-from hybrid_id.identification.start_points import start_points
-from hybrid_id.identification.warm_start import grow, warm_start
+from hybrid_id.identification.windows import hidden_links, measured_windows
 from hybrid_id.simulation.memory import keep_freed_memory
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import rollout, simulate
@@ -23,7 +21,113 @@ from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
+WINDOW = 0.4
+"""Length [s] of the windows of the warm start; one in four is used."""
+FIRST = 0.5
+"""Length [s] of the first horizon, over which all rows share one set of parameters."""
+GROWTH = 2.0
+LAST = 4.0
+Report = Callable[[int, Tensor, Tensor], bool | None] | None
 Progress = Callable[[str, int, Tensor, Tensor], bool | None]
+
+
+def start_points(
+    system: System,
+    free: Sequence[int],
+    bounds: Bounds,
+    numbers: Sequence[int],
+    starts: int,
+    spread: float,
+    seed: int,
+    given: Tensor | None = None,
+) -> Tensor:
+    """Start values of all parameters, ``(n_p, starts * G)``: the given point, then points spread around it.
+
+    Args:
+        system: model with start values.
+        free: indices of the parameters to move.
+        bounds: their box and scales.
+        numbers: of the sets, G of them; each draws points of its own, whatever other sets are beside it.
+        starts: number of points.
+        spread: half-width of the factors, 0.5 for +-50 %.
+        seed: of the draws.
+        given: the first point, ``(n_p, G)``; the system's values by default.
+    """
+    base = system.theta().detach()[:, None].expand(-1, len(numbers)) if given is None else given
+    generators = [np.random.default_rng([seed, number]) for number in numbers]
+    points = [base.clone()]
+    limits = [limit.to(base.device)[:, None] for limit in (bounds.lower, bounds.upper)]
+    reach = 10.0 * bounds.scale.to(base.device)[:, None]
+    for _ in range(starts - 1):
+        point = base.clone()
+        drawn = np.stack([generator.uniform(-1.0, 1.0, len(free)) for generator in generators], 1)
+        part = torch.tensor(drawn, device=base.device)
+        here = point[list(free)]
+        # no factor moves a zero: such a parameter is drawn from the range that its steps are measured by
+        moved = torch.where(here == 0, part * reach, here * (1.0 + spread * part))
+        point[list(free)] = torch.maximum(torch.minimum(moved, limits[1]), limits[0])
+        points.append(point)
+    return torch.cat(points, 1)
+
+
+def warm_start(problem: LeastSquares, theta: Tensor, options: Options, report: Report = None) -> Tensor:
+    """Parameters of each set after a fit of short windows from measured states, ``(n_p, G)``."""
+    found_windows = measured_windows(problem.system, problem.batch, WINDOW, every=4)
+    if found_windows is None:
+        return theta
+    windows, row = found_windows
+    coarse = replace(options, max_iterations=15, tolerance=0.3, loss=options.loss.stages[0])
+    part = replace(problem, batch=windows, sets=problem.sets[row])
+    found = minimise(part, theta, coarse, report)
+    usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
+    return torch.where(usable, found.theta, theta)
+
+
+def grow(problem: LeastSquares, theta: Tensor, options: Options, report: Report = None) -> Tensor:
+    """Parameters of each set after fits of the first 0.5, 1, 2 and 4 s of the records, ``(n_p, G)``.
+
+    Windows cannot begin in mid-motion where nobody knows the state; from rest everybody does. Over the shortest
+    horizon all rows share their parameters, so that every start point ends in the same valley; then each set goes its
+    own way, and starts at the last horizon once more from the values of the set that fits best.
+
+    Args:
+        problem: the objective over whole records.
+        theta: start points of all parameters, ``(n_p, S)``; any number of them.
+        options: settings of the fit.
+        report: called after each iteration.
+    """
+    coarse = replace(options, max_iterations=30, tolerance=0.3, loss=options.loss.stages[0])
+    system, batch, sets = problem.system, problem.batch, problem.sets
+    count = int(sets.max()) + 1
+    step = batch.step
+    samples = batch.dt.shape[1]
+
+    def run(seconds: float, start: Tensor, shared: bool) -> tuple[Tensor, Tensor]:
+        part, row = batch.windows(min(samples, round(seconds / step)), samples, batch.x0_std)
+        group = sets[row]
+        if shared:
+            part = part.take(torch.arange(part.rows, device=row.device).repeat(start.shape[1]))
+            group = torch.arange(start.shape[1], device=row.device).repeat_interleave(len(row))
+        fine = with_substeps(system, problem.engine, part, start[:, group])
+        nodes = rollout(system, fine, part, start[:, group])
+        here = replace(problem, engine=fine, batch=part, sets=group)
+        found = minimise(here, start, coarse, report, nodes)
+        usable = torch.isfinite(found.theta).all(0) & torch.isfinite(found.cost)
+        size = torch.zeros_like(found.cost).index_add(0, group, (part.weight > 0).sum((1, 2)).to(found.cost))
+        cost = torch.where(usable, found.cost / size, torch.full_like(found.cost, torch.inf))
+        return torch.where(usable, found.theta, start), cost
+
+    theta, cost = run(FIRST, theta, shared=True)
+    theta = theta[:, cost.argmin()][:, None].expand(-1, count).clone()
+    seconds = FIRST * GROWTH
+    theta, cost = run(seconds, theta, shared=False)
+    while seconds < LAST and round(seconds / step) < samples:
+        seconds *= GROWTH
+        theta, cost = run(seconds, theta, shared=False)
+    if count > 1:
+        again, lower = run(seconds, theta[:, cost.argmin()][:, None].expand(-1, count).clone(), shared=False)
+        theta = torch.where(lower < cost, again, theta)
+    return theta
 
 
 def fit(
@@ -69,9 +173,7 @@ def fit(
     """
     keep_freed_memory()
     options, engine = options or Options(), engine or Engine()
-    free = system.estimated
-    if not free:
-        raise InputError("The model has no parameter to estimate; set 'estimate: true' for at least one.")
+    free = free_parameters(system)
     device = batch.x.device
     rows = torch.arange(batch.rows, device=device)
     records = list(dict.fromkeys(batch.names))
@@ -92,14 +194,12 @@ def fit(
         quick = engine if engine.friction == "dry" or engine.compiled else Engine()
         quick = with_substeps(system, quick, many, theta[:, many_sets])
         if hidden_links(system, batch):
-            theta = grow(
-                system, quick, batch, sets, theta[:, ::count], free, bounds, options, report("windows")
-            )
+            first = LeastSquares(system, quick, batch, sets, free, bounds)
+            theta = grow(first, theta[:, ::count], options, report("windows"))
             starts, many, many_sets = 1, batch, sets
         else:
-            theta = warm_start(
-                system, quick, many, many_sets, theta, free, bounds, options, report("windows")
-            )
+            first = LeastSquares(system, quick, many, many_sets, free, bounds)
+            theta = warm_start(first, theta, options, report("windows"))
     engine = with_substeps(system, engine, many, theta[:, many_sets])
     nodes, alive, each = None, starts, torch.arange(count, device=device)
     if hidden_links(system, batch):  # the guess loads no spring, from which Newton's method goes astray
@@ -107,9 +207,8 @@ def fit(
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
         for refinements_left in (2, 1, 0):
-            outcome = minimise(
-                system, engine, many, many_sets, theta, free, bounds, setting, report("records"), nodes
-            )
+            problem = LeastSquares(system, engine, many, many_sets, free, bounds)
+            outcome = minimise(problem, theta, setting, report("records"), nodes)
             finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
             settled = finer.substeps == engine.substeps or "interrupted" in outcome.status
             if settled or refinements_left == 0:  # the result names the engine that it was found with
@@ -131,9 +230,7 @@ def fit(
         many = batch.take(rows.repeat(alive))
         many_sets = torch.cat([sets + k * count for k in range(alive)])
     best = order[0] * count + each
-    return [
-        make_result(system, batch, many_sets, outcome, int(g), free, bounds, engine, setting) for g in best
-    ]
+    return [make_result(replace(problem, batch=batch), outcome, int(g), setting) for g in best]
 
 
 def make_bounds(system: System, free: Sequence[int], device: torch.device | str = "cpu") -> Bounds:

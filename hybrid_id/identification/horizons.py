@@ -1,7 +1,8 @@
-"""How long a model runs free before it starts again from a measured state: whole records, strokes, or windows."""
+"""How long a model runs free before it starts again from a measured state, and how records choose that."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -10,19 +11,36 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Transmission
 from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import Loss, evaluate
+from hybrid_id.identification.result import FitResult
+from hybrid_id.identification.windows import (
+    SHORTEST,
+    link_seen,
+    measured_spread,
+    measured_windows,
+    window_samples,
+)
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.rollout import Simulation, simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
-SHORTEST = 25
-"""Fewest samples of a window or a stroke."""
 STILL, REST = 0.02, 0.1
 """A joint rests while its speed stays below this share of its largest one, for so long [s] at least."""
+FOLLOWED, LOST = 0.1, 0.5
+"""Normalised RMSE beyond noise up to which free runs follow their records, and from which they have lost them."""
+SECONDS = (0.25, 0.5, 1.0, 2.0)
+"""Lengths of windows [s] that are compared."""
+BRIEF = 12
+"""Iterations of the fit over each horizon."""
+BLOCKS = 16
+"""Blocks of the records whose scatter gives a standard error; it is known to 1 / sqrt(2 * 15) = 18 % then."""
+SURELY = 1.5
+"""Ratio of two such standard errors that is no accident: 1 + 2 * sqrt(2) * 18 %."""
 
 
 @dataclass(frozen=True)
@@ -201,66 +219,118 @@ def window_errors(system: System, engine: Engine, batch: Batch, seconds: float) 
     return [row[(weight > 0).any(1)] for row, weight in zip(found, short.weight.numpy(), strict=True)]
 
 
-def window_samples(samples: int, step: float, seconds: float) -> int | None:
-    """Samples of a window of so many seconds, 25 at least; None where four do not fit into a record.
+def choose_horizon(
+    system: System,
+    engine: Engine,
+    batch: Batch,
+    whole: Sequence[FitResult] = (),
+    *,
+    followed: float = FOLLOWED,
+    pieces: bool = False,
+    options: Options | None = None,
+) -> Horizon:
+    """The longest of whole records, strokes and windows beyond which error grows faster than information.
+
+    Whole records are taken where the free runs of the fit follow them. Otherwise the model is fitted over each horizon,
+    from the shortest on. The standard errors of its parameters are taken from the scatter of the score over blocks of
+    the records, the same for every horizon (sandwich estimate; H. White, Econometrica 50, 1982): a longer free run
+    says more about the parameters, but what the model lacks accumulates in it, too. The longest horizon is chosen
+    whose standard errors are not surely larger than the least, in the geometric mean over the identified directions.
 
     Args:
-        samples: of the longest record.
-        step: sample time [s].
-        seconds: length of the window.
+        system: model with start values.
+        engine: how it is simulated.
+        batch: whole records, prepared for it.
+        whole: fits of the records as a whole, one or one a record; fitted here where there is none.
+        followed: normalised RMSE beyond noise up to which they do; 0 to compare horizons in any case.
+        pieces: whether whole records are not to be taken while any shorter horizon is followed.
+        options: settings of these fits.
     """
-    length = max(SHORTEST, round(seconds / step))
-    return length if 4 * length <= samples else None
+    options = options or Options()
+    if not system.estimated:
+        return WHOLE
+    whole = whole or fit(system, batch, pooled=True, engine=engine, options=options)
+    if astray(whole, batch) <= followed:
+        return Horizon(reason="they follow the records")
+    brief, found = replace(options, max_iterations=BRIEF), []
+    for horizon in (*(Horizon("windows", s) for s in SECONDS), Horizon("strokes"), WHOLE):
+        part = horizon.cut(system, engine, batch)
+        if (pieces or horizon.kind != "whole") and part.rows == batch.rows:
+            continue
+        with suppress(RuntimeError, InputError):  # it diverges over so long a time
+            one = fit(system, part, pooled=True, engine=engine, options=brief, warm=False)[0]
+            if one.status != "diverged":
+                system = one.system
+                if astray([one], batch) < LOST:
+                    found.append((float(part.dt.sum(1).median()), horizon, one))
+    if not found:
+        return Horizon(reason="no horizon is followed")
+    inside = [
+        k for k in range(len(system.estimated)) if all(one.names[k] not in one.at_bound for *_, one in found)
+    ]
+    size, told = np.array([covariance_size(one, inside) for *_, one in found]).T
+    size = size / max(float(told.max()), 1.0)
+    able = [k for k in range(len(found)) if size[k] <= size.min() + np.log(SURELY)]
+    _, horizon, one = found[max(able, key=lambda k: found[k][0])]
+    if horizon.kind == "whole":
+        return replace(horizon, reason="no shorter ones say more about the parameters")
+    return replace(horizon, reason=f"whole runs lose the records{_lost_after(one, batch)}")
 
 
-def measured_windows(
-    system: System, batch: Batch, seconds: float, every: int = 1
-) -> tuple[Batch, Tensor] | None:
-    """Windows of a batch whose first states are measured and free within their uncertainty, and the row of each.
+def astray(fits: Sequence[FitResult], batch: Batch) -> float:
+    """Normalised RMSE beyond noise of the free runs of fits, outputs and records averaged.
+
+    Noise leads no free run astray, however little an output moves.
 
     Args:
-        system: tells the states.
-        batch: whole records.
-        seconds: length of a window.
-        every: use one window in this many.
-
-    Returns:
-        None where the records are shorter than four windows.
+        fits: of whole records or of their pieces.
+        batch: the whole records.
     """
-    length = window_samples(batch.x.shape[1], batch.step, seconds)
-    if length is None:
-        return None
-    return batch.windows(length, every * length, measured_spread(system, batch))
+    found = []
+    for one in fits:
+        for record in dict.fromkeys(one.records):
+            square = np.square(_joined(one.residual, one, record)).mean(0)
+            found.append(_relative(square, batch, batch.names.index(record)).mean())
+    return float(np.mean(found))
 
 
-def measured_spread(system: System, batch: Batch) -> Tensor:
-    """Standard deviation of states that are measured in motion, ``(R, n_x)``."""
-    noise = dict(zip(batch.outputs, (1.0 / batch.weight.amax(1)).unbind(1), strict=True))
-    x0_std = 0.1 * batch.std(batch.x)
-    x0_std[:, system.memory_rows] = 0.0
-    for joint in system.joints:
-        # behind a rigid gear either encoder tells both sides
-        link = joint.gear_ratio if joint.rigid else 1.0
-        for side, row, ratio in (("a", joint.positions[-1], link), ("m", joint.positions[0], 1.0)):
-            if (angle := noise.get(f"q_{side}{joint.number}")) is not None:
-                x0_std[:, row], x0_std[:, row + 1] = ratio * angle, ratio * angle / (20 * batch.step)
-            if (speed := noise.get(f"v_{side}{joint.number}")) is not None:
-                x0_std[:, row + 1] = ratio * speed
-    return x0_std
+def _relative(square: np.ndarray, batch: Batch, row: int) -> np.ndarray:
+    """Error beyond noise as a share of what a record's outputs move; mean squares of weighted residuals (..., n_y)."""
+    scale = batch.motion()[row].cpu().numpy()
+    return np.sqrt(np.maximum(square - 1.0, 0.0) / np.maximum(np.square(scale), 1.0))
 
 
-def link_seen(batch: Batch, joint: int) -> bool:
-    """Whether an encoder sees the link of a joint, numbered from 1."""
-    return bool({f"q_a{joint}", f"v_a{joint}"} & set(batch.outputs))
+def _lost_after(result: FitResult, batch: Batch) -> str:
+    """In words: the time after which a model's free runs over whole records have an error that lost them."""
+    run = simulate(result.system, result.engine, batch)
+    residual = ((run.y - batch.y) * batch.weight).cpu().numpy()
+    samples = np.arange(1, residual.shape[1] + 1)[:, None]
+    errors = [_relative(np.cumsum(r**2, 0) / samples, batch, k).mean(1) for k, r in enumerate(residual)]
+    lost = ~(np.mean(errors, 0) <= FOLLOWED)
+    return f" after {np.argmax(lost) * batch.step:.2g} s" if lost.any() else ""
 
 
-def hidden_links(system: System, batch: Batch) -> bool:
-    """Whether no encoder sees a link that its gear leaves loose near zero load.
+def _joined(parts: Sequence[np.ndarray], result: FitResult, record: str) -> np.ndarray:
+    """Rows of a record's pieces, one after the other."""
+    return np.concatenate([part for part, name in zip(parts, result.records, strict=True) if name == record])
 
-    Behind a spring that is stiff throughout the link is where its motor is, nearly: measured windows do, and cost less.
+
+def covariance_size(result: FitResult, inside: Sequence[int]) -> tuple[float, float]:
+    """Log volume of the ellipsoid of standard errors of some parameters, and in how many directions records tell it.
+
+    The scatter of the score over blocks gives it. Nobody knows less of a parameter than its own size.
     """
-    return any(
-        type(joint.gear.transmission[1]).loaded is not Transmission.loaded
-        and not link_seen(batch, joint.number)
-        for joint in system.joints
-    )
+    records, inside = list(dict.fromkeys(result.records)), list(inside)
+    noise = max(result.noise_scale, 1e-12) ** 2
+    prior = np.diag(result.prior_precision[inside])
+    weak = noise * np.diag(1.0 / np.maximum(np.abs(result.values[inside]), 1e-12) ** 2)
+    information, scatter = prior + weak, prior + noise * weak
+    known = information
+    for record in records:
+        jacobian = _joined(result.jacobian, result, record)[..., inside]
+        score = np.einsum("tyi,ty->ti", jacobian, _joined(result.residual, result, record))
+        information = information + np.einsum("tyi,tyj->ij", jacobian, jacobian)
+        blocks = np.array([b.sum(0) for b in np.array_split(score, -(-BLOCKS // len(records)))])
+        scatter = scatter + blocks.T @ blocks
+    size = 0.5 * np.linalg.slogdet(scatter)[1] - np.linalg.slogdet(information)[1]
+    return float(size), len(inside) - float(np.trace(np.linalg.solve(information, known)))

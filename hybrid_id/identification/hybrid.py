@@ -2,7 +2,7 @@
 
 The networks' outputs have a price, so that they add only what the physics cannot say. The ladder of prices is climbed
 down, each rung from the one above; validation records tell where each training stops and which rung is worth its
-freedom. Gradients are the adjoint's, steps are Gauss-Newton's (see :mod:`hybrid_id.identification.quasi_newton`).
+freedom. Gradients are the adjoint's, steps are Gauss-Newton's (see :mod:`hybrid_id.identification.optimizers`).
 
 Sources: Y. Yin et al., APHYNITY, ICLR 2021 (least-norm augmentation); L. Prechelt, Early stopping, 1998.
 """
@@ -25,11 +25,19 @@ from hybrid_id.identification.costate import free_run
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.least_squares import Options
-from hybrid_id.identification.network_data import with_scales
-from hybrid_id.identification.quasi_newton import State, prolonged
+from hybrid_id.identification.networks import with_scales
+from hybrid_id.identification.optimizers import State, prolonged
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.schedule import Course, Found, HybridOptions, Stage, excess, typical
-from hybrid_id.identification.training_loop import Progress, Trainer
+from hybrid_id.identification.training_loop import (
+    Found,
+    HybridOptions,
+    Progress,
+    Stage,
+    Trainer,
+    TrainingState,
+    excess,
+    typical,
+)
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine
@@ -43,7 +51,7 @@ class Rung:
     Attributes:
         price: of the networks' output.
         system: the trained system.
-        train, validation: loss per measurement; that of validation records is :func:`.schedule.typical`.
+        train, validation: loss per measurement; that of validation records is :func:`.training_loop.typical`.
         iterations: gradients up to here.
         status: how the training ended.
         errors: standard errors of the estimated parameters, ``(n_f,)``; with networks, their weights are unknown too.
@@ -144,16 +152,16 @@ def train_hybrid(
     engine = engine.stable(system, batch, theta.expand(-1, batch.rows))
     sets = torch.zeros(batch.rows, dtype=torch.long, device=batch.x.device)
     bounds, extra = make_bounds(system, free, batch.x.device), extra_parameters(system)
-    problem = Problem(system, engine, batch, sets, theta, free, bounds, extra, options.loss)
+    problem = Problem(system, engine, batch, sets, free, bounds, theta, extra, options.loss)
     trainer = Trainer(
         problem.to(options.dtype), validation.to(batch.x.device, options.dtype), options, identity,
         writer, checkpoint, progress,
     )  # fmt: skip
     theta, fresh = theta.to(options.dtype), torch.nn.utils.parameters_to_vector(extra).detach().clone()
     alone = trainer.found(theta, fresh, 0, physics.status)
-    course = Course(0, theta, fresh)
+    course = TrainingState(0, theta, fresh)
     if resume is not None:
-        course = read_checkpoint(resume, trainer.identity, Course.of, batch.x.device)
+        course = read_checkpoint(resume, trainer.identity, TrainingState.of, batch.x.device)
         if isinstance(course.state, State):
             course.state = prolonged(course.state, options.max_iterations)
     try:
@@ -224,11 +232,11 @@ def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
         if i.spec.estimate
     }
     engine = replace(trainer.whole.engine, gradient="backprop")
-    batch, course = trainer.whole.batch, Course(0, theta, found.weights.double())
+    batch, course = trainer.whole.batch, TrainingState(0, theta, found.weights.double())
     torch.nn.utils.vector_to_parameters(course.weights, trainer.whole.extra)
-    nodes = free_run(system, engine, batch, batch.x, theta.expand(-1, batch.rows), walk=True)[0].nan_to_num(
-        0.0
-    )
+    nodes = free_run(system, engine, batch, batch.x, theta.expand(-1, batch.rows), roll_out=True)[
+        0
+    ].nan_to_num(0.0)
 
     def errors(at: float) -> np.ndarray:
         if not np.isfinite(found.train):  # its free run was lost, and tells nothing

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hybrid_id.identification.finite_differences import Rollouts
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.identification.result import FitResult
-from hybrid_id.identification.rollouts import Rollouts
 from hybrid_id.simulation.batch import Batch
 
 SHARES = (1.0, 0.3, 0.1)

@@ -8,8 +8,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.simulation.lifted import condensed, shoot
-from hybrid_id.simulation.measured import Measured
+from hybrid_id.simulation.lifted import Measured, condense, linearise, shoot
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
@@ -123,8 +122,8 @@ def evaluate(
     """
     if chunk > 1:
         x = shoot(system, engine, x, batch.u, batch.dt, theta, chunk)
-    measured, chain = condensed(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
-    return assess(batch, x, measured, chain, loss)
+    lin = linearise(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
+    return assess(batch, x, lin, condense(lin, x), loss)
 
 
 def assess(batch: Batch, x: Tensor, measured: Measured, chain: Tensor, loss: Loss) -> Evaluation:

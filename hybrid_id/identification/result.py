@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hybrid_id.identification.least_squares import Bounds, Options, Outcome
+from hybrid_id.identification.least_squares import LeastSquares, Options, Outcome
 from hybrid_id.identification.objective import Evaluation
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
@@ -123,31 +123,17 @@ class FitResult:
         return "\n".join(lines)
 
 
-def make_result(
-    system: System,
-    batch: Batch,
-    sets: Tensor,
-    outcome: Outcome,
-    chosen: int,
-    free: list[int],
-    bounds: Bounds,
-    engine: Engine,
-    options: Options,
-) -> FitResult:
+def make_result(problem: LeastSquares, outcome: Outcome, chosen: int, options: Options) -> FitResult:
     """The result of one set of a batched fit.
 
     Args:
-        system: model that was fitted.
-        batch: its records.
-        sets: set of each row of ``outcome.at``.
+        problem: what was minimised; of several starts, the records of one.
         outcome: end of the fit.
         chosen: the set.
-        free: indices of the estimated parameters.
-        bounds: their priors.
-        engine: how the records were integrated.
         options: tells the loss.
     """
-    rows = (sets == chosen).nonzero().flatten()
+    system, batch, free = problem.system, problem.batch, problem.free
+    rows = (problem.sets == chosen).nonzero().flatten()
     records = rows % batch.rows
     theta = outcome.theta[:, chosen].cpu()
     info = [system.table[i] for i in free]
@@ -165,9 +151,9 @@ def make_result(
         iterations=int(outcome.iterations[chosen]),
         jacobian=jacobian,
         residual=residual,
-        prior_precision=bounds.prior_precision.cpu().numpy(),
+        prior_precision=problem.bounds.prior_precision.cpu().numpy(),
         x0=outcome.at.x[rows, 0].cpu().numpy(),
-        engine=engine,
+        engine=problem.engine,
         history=tuple(float(h[chosen]) for h in outcome.history),
     )
 

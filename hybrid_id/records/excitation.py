@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -248,3 +248,28 @@ def _power_norm(signal: np.ndarray, power: int) -> tuple[float, float]:
     """Largest magnitude, and logarithm of the p-norm of the signal (scaled: high powers stay finite)."""
     level = float(np.abs(signal).max())
     return level, float(np.log(level) + np.log(np.mean((np.abs(signal) / level) ** power)) / power)
+
+
+POINTS = 40  # per period of the highest tone
+DRAWS = 100
+
+
+def crest_factor(signal: np.ndarray) -> float:
+    """Peak over RMS of the alternating part of a signal (T,)."""
+    moving = signal - np.mean(signal)
+    return float(np.max(np.abs(moving)) / np.sqrt(np.mean(moving**2)))
+
+
+def usual_crest_factors(design: Multisine, seed: int = 0) -> dict[str, float]:
+    """Crest factor of the same tones with Schroeder's phases, and the median over random phases.
+
+    Args:
+        design: The multisine; its tones and their amplitudes are kept.
+        seed: Of the random phases.
+    """
+    count = int(np.ceil(POINTS * design.period * design.frequencies[-1]))
+    time = design.period * np.arange(count) / count
+    random = np.random.default_rng(seed).uniform(0, 2 * np.pi, (DRAWS, len(design.frequencies)))
+    drawn = [crest_factor(replace(design, phases=phases).at(time)) for phases in random]
+    schroeder = replace(design, phases=schroeder_phases(design.amplitudes**2)).at(time)
+    return {"Schroeder": crest_factor(schroeder), "random": float(np.median(drawn))}

@@ -1,13 +1,13 @@
 """Checks of records before anything is fitted to them: what is wrong, where, and what to do about it."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
 
 import numpy as np
 
-from hybrid_id.records.confounders import confounded_signals
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.finding import Finding, Severity, worst_first
 from hybrid_id.records.measures import (
     DRIVES,
     count_turns,
@@ -15,22 +15,39 @@ from hybrid_id.records.measures import (
     find_stop,
     quantisation_step,
     rest_samples,
-    start_position,
     stretches,
 )
 from hybrid_id.records.record import Record, stamp
-from hybrid_id.records.sampling import check_sampling, check_steps
-from hybrid_id.records.skew import check_skews
+from hybrid_id.records.resample import find_gaps
+from hybrid_id.records.skew import find_skews
 from hybrid_id.records.units import stem
 
-__all__ = [
-    "Finding",
-    "check_dataset",
-    "check_record",
-    "estimate_noise",
-    "quantisation_step",
-    "start_position",
-]
+Severity = Literal["error", "warning", "info"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One result of a check.
+
+    Attributes:
+        severity: `error` (a fit would be meaningless), `warning` (it may be wrong) or `info`.
+        code: Short name of the check, to filter by.
+        message: A sentence that names record and channel and says what to do.
+        record: Name of the record; empty for the dataset as a whole.
+        channel: Name of the channel, where there is one.
+    """
+
+    severity: Severity
+    code: str
+    message: str
+    record: str = ""
+    channel: str = ""
+
+
+def worst_first(findings: list[Finding]) -> list[Finding]:
+    """Errors, then warnings, then what is only worth knowing; otherwise in the order of the checks."""
+    return sorted(findings, key=lambda finding: ("error", "warning", "info").index(finding.severity))
+
 
 SPIKE = 12.0  # times noise or quantisation step
 
@@ -56,7 +73,9 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
     findings += [Finding("info", "resampled", report.message, report.record) for report in dataset.resampling]
     for channel in dataset.outputs:
         findings += _across_records(dataset, channel)
-    findings += check_skews(dataset)
+    findings += [
+        Finding("warning", "skew", skew.message, channel=skew.channel) for skew in find_skews(dataset)
+    ]
     findings += _merged([finding for record in dataset for finding in check_record(record)])
     return worst_first(findings)
 
@@ -233,3 +252,198 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
         )
         drowned = channel.noise_std > spreads.max() > 0  # no fit could see the signal
         yield Finding("error" if drowned else "warning", "noise_std", words, channel=name)
+
+
+MIN_SAMPLES = 200
+SLOW_STEP = 0.2  # s; nobody samples a drive that slowly, but 5 kHz stamped in ms looks like it
+STAMPS = ((1e2, "ms", "unit: ms"), (1e5, "us", "unit: us"), (np.inf, "ns", "scale: 1.0e-9"))
+"""Units of stamps by the step below which they explain one that is too long, and what says so."""
+UNEQUAL = 10.0  # ratio of two records' steps
+
+
+def check_sampling(record: Record) -> Iterator[Finding]:
+    """Check one record's stamps."""
+    name, step = record.name, record.sample_time
+    if record.n_samples < MIN_SAMPLES:
+        words = f"{name} has {record.n_samples} samples; record longer, at least {MIN_SAMPLES}"
+        yield Finding("warning", "short", words, name)
+    if step >= SLOW_STEP:
+        unit, key = next((u, k) for most, u, k in STAMPS if step < most)
+        words = (
+            f"{name}: its samples are {step:.4g} s apart, too far for most drives; if its stamps are in {unit}, set "
+            f"'t: {{column: t, {key}}}' under 'columns'"
+        )
+        yield Finding("warning", "slow_step", words, name)
+    if gaps := find_gaps(record):
+        places = "place" if len(gaps) == 1 else "places"
+        longest = np.floor(max(length for _, length in gaps) / step) + 1
+        words = (
+            f"{record.title}: samples are missing at {len(gaps)} {places}, first after {stamp(gaps[0][0])} s for "
+            f"{1e3 * gaps[0][1]:.3g} ms ({gaps[0][1] / step:.0f} steps), and a fit would take the input as held "
+            f"meanwhile; cut the record there with 'between', or bridge it with 'resample: {{max_gap: {longest:.0f}}}'"
+        )
+        yield Finding("error", "gap", words, name)
+    if not record.is_uniform:
+        steps = np.diff(record.time)
+        words = (
+            f"{name}: stamps are {1e3 * steps.min():.3g} to {1e3 * steps.max():.3g} ms apart (median "
+            f"{1e3 * step:.3g} ms, spread {steps.std() / step:.1%}) and are used as they are; "
+            "'resample: true' makes them uniform"
+        )
+        yield Finding("info", "jitter", words, name)
+
+
+def check_steps(dataset: Dataset) -> Iterator[Finding]:
+    """Compare the steps of the records with the finest one."""
+    finest = min(dataset, key=lambda record: record.sample_time)
+    for record in dataset:
+        if record.sample_time > UNEQUAL * finest.sample_time:
+            words = (
+                f"{record.name}: its samples are {1e3 * record.sample_time:.4g} ms apart where those of {finest.name} "
+                f"are {1e3 * finest.sample_time:.4g} ms apart; check the unit of its time, or resample all to one step"
+            )
+            yield Finding("warning", "unequal_steps", words, record.name)
+
+
+OFF, WRONG = 0.02, 0.2
+"""Relative difference between the records' ratio and the model's that is said, and from which no fit means anything."""
+TOGETHER = 0.8
+"""Correlation below which two angles hardly belong to one gear, unless it is very soft."""
+MOVES = 20.0
+"""Standard deviation of an angle over its noise from which it moves."""
+
+
+def check_encoders(dataset: Dataset, gear_ratio: Sequence[float]) -> list[Finding]:
+    """Findings of joints whose motor's angle is not the gear ratio times the link's, over all records.
+
+    Play, compliance and errors of the gear change the angles for a while and not their ratio.
+
+    Args:
+        dataset: records; a joint counts that has ``q_m`` and ``q_a``.
+        gear_ratio: of each joint.
+    """
+    found, names = [], {channel.name for channel in dataset.outputs}
+    for n, ratio in enumerate(gear_ratio, start=1):
+        motor, link = f"q_m{n}", f"q_a{n}"
+        if not {motor, link} <= names:
+            continue
+        a, b = (
+            np.concatenate([r.outputs[name] - r.outputs[name].mean() for r in dataset])
+            for name in (motor, link)
+        )
+        noise = [max(estimate_noise(r.outputs[name]) for r in dataset) for name in (motor, link)]
+        if any(q.std() <= MOVES * max(still, 1e-300) for q, still in zip((a, b), noise, strict=True)):
+            continue  # noise has no ratio
+        together = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
+        seen = float(np.linalg.norm(a) / np.linalg.norm(b)) * (1.0 if together > 0 else -1.0)
+        if abs(together) < TOGETHER:
+            words = (
+                f"joint {n}: {motor} and {link} hardly move together (correlation {together:.2f}); {link} is to be the "
+                "angle between this link and the one before it"
+            )
+        elif abs(seen / ratio - 1.0) > OFF:
+            words = (
+                f"joint {n}: {motor} moves {seen:.4g} times {link} in the records, but the model's gear ratio is "
+                f"{ratio:.4g}; correct gear_ratio, or unit or sign of one of them"
+                + (f"; {link} is to be the angle against the link before" if n > 1 else "")
+            )
+        else:
+            continue
+        grave = abs(together) >= TOGETHER and abs(seen / ratio - 1.0) > WRONG
+        found.append(Finding("error" if grave else "warning", "gear_ratio", words, channel=link))
+    return found
+
+
+TOGETHER = 0.9
+"""Correlation over the records from which two facts count as one: less than a fifth of either's variance is its own."""
+FEWEST = 4
+"""Records below which any two facts may go together by chance."""
+STEADY = 0.1
+"""Largest share of a channel's variance that lies within the records where it says what each was taken under."""
+
+
+def taken_under(records: Sequence[Record]) -> dict[str, np.ndarray]:
+    """What records were taken under, by name, one number a record, ``(R,)``; only what differs between them.
+
+    Numbers of the records' meta (payload, controller gain, temperature), and the means of input channels that hardly
+    change within a record. What has the numbers of an earlier fact is the same one under another name.
+    """
+    known = [name for name, value in (records[0].meta if records else {}).items() if _is_number(value)]
+    found = {
+        name: np.array([float(r.meta[name]) for r in records])
+        for name in known
+        if all(_is_number(r.meta.get(name)) for r in records)
+    }
+    for name in records[0].inputs if records else ():
+        if stem(name) not in (*DRIVES, "goal", "enable") and all(name in r.inputs for r in records):
+            within = float(np.mean([r.inputs[name].var() for r in records]))
+            means = np.array([r.inputs[name].mean() for r in records])
+            if within <= STEADY * (within + means.var()):
+                found.setdefault(name, means)
+    kept: dict[str, np.ndarray] = {}
+    for name, values in found.items():
+        if np.ptp(values) > 0 and not any(np.allclose(values, others) for others in kept.values()):
+            kept[name] = values
+    return kept
+
+
+def confounded_signals(records: Sequence[Record]) -> Iterator[str]:
+    """Pairs of facts that change together over the records, each in a sentence without its full stop."""
+    if len(records) < FEWEST:
+        return
+    for (one, first), (other, second) in combinations(taken_under(records).items(), 2):
+        correlation = float(np.corrcoef(first, second)[0, 1])
+        if abs(correlation) >= TOGETHER:
+            way = "rise together" if correlation > 0 else "go opposite ways"
+            yield (
+                f"what {one} does from what {other} does: they {way} (correlation {correlation:.2f} over "
+                f"{len(records)} records)"
+            )
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+FARTHER = 1.25
+"""Ratio of the largest commands or speeds from which a test record is somewhere else."""
+OVER = 0.05
+"""Time [s] over which a speed is taken: a quantised angle has none from sample to sample."""
+
+
+def beyond(dataset: Dataset) -> Iterator[str]:
+    """Test records that go farther than every train record, each in a sentence without its full stop.
+
+    Args:
+        dataset: its train and test records.
+    """
+    units = {c.name: "" if c.unit == "1" else f" {c.unit}" for c in (*dataset.inputs, *dataset.outputs)}
+    units |= {_speed_of(name): f"{unit}/s" for name, unit in units.items()}
+    train = [_largest(record) for record in dataset.train]
+    for record in dataset.test if train else ():
+        found = []
+        for what, value in _largest(record).items():
+            most = max(one.get(what, 0.0) for one in train)
+            if value > FARTHER * most:
+                found.append(f"{what} {value:.3g} against {most:.3g}{units.get(what, '')}")
+        if found:
+            yield f"test record {record.name} goes where no train record has been ({', '.join(found)})"
+
+
+def _largest(record: Record) -> dict[str, float]:
+    """Largest size of each command, and largest speed of each measured angle, by what it is called."""
+    found = {
+        name: float(np.nanmax(np.abs(values)))
+        for name, values in record.inputs.items()
+        if stem(name) in DRIVES
+    }
+    steps = max(1, round(OVER / record.sample_time))
+    for name, values in record.outputs.items():
+        if stem(name).startswith("q") and len(values) > steps:
+            moved = np.abs(values[steps:] - values[:-steps]) / (steps * record.sample_time)
+            found[_speed_of(name)] = float(np.nanmax(moved))
+    return found
+
+
+def _speed_of(name: str) -> str:
+    return f"speed of {name}"

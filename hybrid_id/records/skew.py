@@ -23,7 +23,6 @@ from scipy.ndimage import shift, uniform_filter1d
 from scipy.optimize import least_squares
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.finding import Finding
 from hybrid_id.records.measures import estimate_noise
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import find_gaps
@@ -91,12 +90,6 @@ def find_skews(dataset: Dataset) -> list[Skew]:
                     found.append(skew)
                     dataset = dataset.without_skew({skew.channel: skew.late})
     return found
-
-
-def check_skews(dataset: Dataset) -> Iterator[Finding]:
-    """The same as warnings."""
-    for skew in find_skews(dataset):
-        yield Finding("warning", "skew", skew.message, channel=skew.channel)
 
 
 def _speed_and_angle(dataset: Dataset, number: str, side: str) -> Skew | None:

@@ -23,6 +23,8 @@ _SPELLINGS: dict[str, dict[str, float]] = {
         "rpm": 2 * math.pi / 60,
         "rev/s": 2 * math.pi,
     },
+    "rad/s^2": {"rad/s^2": 1, "deg/s^2": math.pi / 180},
+    "m/s^2": {"m/s^2": 1},
     "m": {"m": 1, "mm": 1e-3, "um": 1e-6, "µm": 1e-6},
     "m/s": {"m/s": 1, "mm/s": 1e-3},
     "V": {"V": 1, "mV": 1e-3},

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hybrid_id.diagnosis.locate import Location
@@ -22,18 +21,19 @@ from hybrid_id.reporting.diagnosis_words import (
     side_words,
     words_of,
 )
-from hybrid_id.reporting.html.interactive import Drawn, drawn
-from hybrid_id.reporting.html.live import record_plot
-from hybrid_id.reporting.record_plots import comparison_figure
+from hybrid_id.reporting.interactive import Drawn, drawn
+from hybrid_id.reporting.study_figures import comparison_figure
 from hybrid_id.reporting.style import (
     COLOURS,
     DASHES,
     GREY,
     journal,
+    legend_above,
     new_figure,
-    pixels,
+    plain_logarithm,
     power_of_ten,
     scaled_unit,
+    shortened,
     symbol,
     unit,
 )
@@ -67,120 +67,115 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Drawn]:
     if diagnosis.search.steps and diagnosis.search.steps[0].candidates:
         figures["candidates"] = candidates_figure(diagnosis)
     worst = details.worst_record
-    image = pixels(comparison_figure(dataset, worst, worst.records[0]))
-    found = {name: drawn(figure) for name, figure in figures.items()}
-    return found | {"worst_record": Drawn(image, record_plot(dataset, worst, worst.records[0]))}
+    figures["worst_record"] = comparison_figure(dataset, worst, worst.records[0])
+    return {name: drawn(figure) for name, figure in figures.items()}
 
 
+@journal()
 def shares_figure(diagnosis: Diagnosis) -> Figure:
     """How the gap divides: a bar for each selected effect and for what remains, with 95 % intervals."""
     rows = [
         (words_of(c.name), c.share or 0.0, c.share_interval, MODELS["corrected"]) for c in diagnosis.selected
     ]
     rows.append(("unexplained", diagnosis.remainder, diagnosis.remainder_interval, GREY))
-    with journal():
-        figure = new_figure(0.27 * len(rows) + 0.9)
-        axes = figure.subplots()
-        for row, (_, share, interval, colour) in enumerate(rows):
-            axes.barh(row, 100 * share, 0.6, color=colour)
-            if interval is not None:
-                low, high = interval
-                axes.plot([100 * low, 100 * high], [row, row], color="black", lw=1.2)
-        axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
-        axes.set(xlim=(0, 105), xlabel="share of the gap with its 95 % interval [%]")
-        axes.tick_params(axis="y", length=0)
-        axes.invert_yaxis()
-        return figure
+    figure = new_figure(0.27 * len(rows) + 0.9)
+    axes = figure.subplots()
+    for row, (_, share, interval, colour) in enumerate(rows):
+        axes.barh(row, 100 * share, 0.6, color=colour)
+        if interval is not None:
+            low, high = interval
+            axes.plot([100 * low, 100 * high], [row, row], color="black", lw=1.2)
+    axes.set_yticks(range(len(rows)), [name for name, *_ in rows])
+    axes.set(xlim=(0, 105), xlabel="share of the gap with its 95 % interval [%]")
+    axes.tick_params(axis="y", length=0)
+    axes.invert_yaxis()
+    return figure
 
 
+@journal()
 def gap_figure(diagnosis: Diagnosis) -> Figure:
     """Normalised error on the test records, over all and one by one, nominal model down to the noise floor."""
     models = errors_by_name(diagnosis)
     records = list(next(iter(models.values())).by_record)
-    with journal():
-        figure = new_figure(max(1.7, 0.24 * len(records) + 1.0))
-        left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
-        bars = {name: errors.nrmse for name, errors in models.items()}
-        colours = [MODELS[name] for name in bars]
-        left.barh(range(len(bars)), list(bars.values()), color=colours, height=0.62)
-        top = max(bars.values())
-        for row, value in enumerate(bars.values()):
-            left.text(value + 0.015 * top, row, f"{value:.3g}", va="center", fontsize=7.5)
-        left.set_yticks(range(len(bars)), list(bars))
-        left.tick_params(axis="y", length=0)  # beside a bar of no length a tick reads as a minus
-        left.set(xlim=(0, 1.16 * top), xlabel="NRMSE, mean of outputs and test records")
-        left.invert_yaxis()
-        if diagnosis.shrink is not None:
-            left.axvline(diagnosis.shrink.floor, color="black", lw=0.8, ls=(0, (4, 2)), label="noise floor")
-            left.legend(loc="lower right")
-        for name, errors in models.items():
-            values = [errors.by_record[record] for record in records]
-            right.plot(values, range(len(records)), "o", ms=4.5, color=MODELS[name], label=name)
-        for row, record in enumerate(records):
-            values = [errors.by_record[record] for errors in models.values()]
-            right.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
-        right.set_yticks(range(len(records)), [_short(record) for record in records])
-        right.set(
-            xscale="log",
-            xlabel="NRMSE of each test record, mean of the outputs",
-            ylim=(len(records) - 0.5, -0.5),
-        )
-        _plain_logarithm(right)
-        right.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
-        return figure
+    figure = new_figure(max(1.7, 0.24 * len(records) + 1.0))
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.15))
+    bars = {name: errors.nrmse for name, errors in models.items()}
+    colours = [MODELS[name] for name in bars]
+    left.barh(range(len(bars)), list(bars.values()), color=colours, height=0.62)
+    top = max(bars.values())
+    for row, value in enumerate(bars.values()):
+        left.text(value + 0.015 * top, row, f"{value:.3g}", va="center", fontsize=7.5)
+    left.set_yticks(range(len(bars)), list(bars))
+    left.tick_params(axis="y", length=0)  # beside a bar of no length a tick reads as a minus
+    left.set(xlim=(0, 1.16 * top), xlabel="NRMSE, mean of outputs and test records")
+    left.invert_yaxis()
+    if diagnosis.shrink is not None:
+        left.axvline(diagnosis.shrink.floor, color="black", lw=0.8, ls=(0, (4, 2)), label="noise floor")
+        left.legend(loc="lower right")
+    for name, errors in models.items():
+        values = [errors.by_record[record] for record in records]
+        right.plot(values, range(len(records)), "o", ms=4.5, color=MODELS[name], label=name)
+    for row, record in enumerate(records):
+        values = [errors.by_record[record] for errors in models.values()]
+        right.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
+    right.set_yticks(range(len(records)), [shortened(record, MAX_NAME) for record in records])
+    right.set(
+        xscale="log",
+        xlabel="NRMSE of each test record, mean of the outputs",
+        ylim=(len(records) - 0.5, -0.5),
+    )
+    plain_logarithm(right.xaxis)
+    right.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
+    return figure
 
 
+@journal()
 def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
-    """The torque that the re-fitted model lacks over the signals that tell most, and what the corrected one lacks."""
+    """The torque that the re-fitted model lacks over the signals that explain most, and that of the corrected one."""
     shown = [one for one in diagnosis.location if one.share > LEAST_SHARE and len(one.grid)][:PROFILES]
     after = {_key(one): one for one in diagnosis.residual_after}
-    with journal():
-        figure = new_figure(2.1)
-        panels = np.atleast_1d(figure.subplots(1, len(shown)))
-        for axes, one in zip(panels, shown, strict=True):
-            exponent = power_of_ten(one.torque)
-            axes.axhline(0.0, color="black", lw=0.5)
-            axes.plot(
-                one.grid, one.torque / 10.0**exponent, color=MODELS["re-fitted"], label="re-fitted model"
-            )
-            if diagnosis.selected and (left := after.get(_key(one))) is not None and len(left.grid):
-                torque, colour = left.torque / 10.0**exponent, MODELS["corrected"]
-                axes.plot(left.grid, torque, color=colour, ls=DASHES[1], label="corrected model")
-            axes.set(
-                xlabel=_axis(dataset, one),
-                ylabel=f"missing torque {scaled_unit(units_of(dataset, one.joint)[1], exponent)}",
-            )
-            axes.set_title(
-                f"{side_words(one.joint, one.place)}: {100 * max(one.share, 0.0):.0f} %", loc="left"
-            )
-            axes.set_xlim(one.grid[0], one.grid[-1])
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper right", ncols=len(labels))
-        return figure
+    figure = new_figure(2.1)
+    panels = np.atleast_1d(figure.subplots(1, len(shown)))
+    for axes, one in zip(panels, shown, strict=True):
+        exponent = power_of_ten(one.torque)
+        axes.axhline(0.0, color="black", lw=0.5)
+        axes.plot(one.grid, one.torque / 10.0**exponent, color=MODELS["re-fitted"], label="re-fitted model")
+        if diagnosis.selected and (left := after.get(_key(one))) is not None and len(left.grid):
+            torque, colour = left.torque / 10.0**exponent, MODELS["corrected"]
+            axes.plot(left.grid, torque, color=colour, ls=DASHES[1], label="corrected model")
+        axes.set(
+            xlabel=_axis(dataset, one),
+            ylabel=f"missing torque {scaled_unit(units_of(dataset, one.joint)[1], exponent)}",
+        )
+        axes.set_title(f"{side_words(one.joint, one.place)}: {100 * max(one.share, 0.0):.0f} %", loc="left")
+        axes.set_xlim(one.grid[0], one.grid[-1])
+    legend_above(figure, panels[0])
+    return figure
 
 
+@journal()
 def location_figure(diagnosis: Diagnosis) -> Figure:
-    """Part of what each model leaves that a torque over one signal explains on records left out."""
+    """Part of the residual of each model that a torque over one signal explains on records left out."""
     shown = [one for one in diagnosis.location if one.share > LEAST_SHARE][:SHARES]
     after = {_key(one): max(one.share, 0.0) for one in diagnosis.residual_after}
-    with journal():
-        figure = new_figure(0.27 * len(shown) + 0.9)
-        axes = figure.subplots()
-        rows = np.arange(len(shown))
-        before = [100 * max(one.share, 0.0) for one in shown]
-        if diagnosis.selected:
-            left = [100 * after.get(_key(one), 0.0) for one in shown]
-            axes.barh(rows - 0.18, before, 0.34, color=MODELS["re-fitted"], label="re-fitted model")
-            axes.barh(rows + 0.18, left, 0.34, color=MODELS["corrected"], label="corrected model")
-        else:
-            axes.barh(rows, before, 0.6, color=MODELS["re-fitted"], label="re-fitted model")
-        axes.set_yticks(rows, [f"{side_words(o.joint, o.place)}: {o.signal}" for o in shown])
-        axes.set(xlim=(0, 100), xlabel="explained part of what the model leaves [% of the mean square]")
-        axes.invert_yaxis()
-        axes.legend(loc="lower right")
-        return figure
+    figure = new_figure(0.27 * len(shown) + 0.9)
+    axes = figure.subplots()
+    rows = np.arange(len(shown))
+    before = [100 * max(one.share, 0.0) for one in shown]
+    if diagnosis.selected:
+        left = [100 * after.get(_key(one), 0.0) for one in shown]
+        axes.barh(rows - 0.18, before, 0.34, color=MODELS["re-fitted"], label="re-fitted model")
+        axes.barh(rows + 0.18, left, 0.34, color=MODELS["corrected"], label="corrected model")
+    else:
+        axes.barh(rows, before, 0.6, color=MODELS["re-fitted"], label="re-fitted model")
+    axes.set_yticks(rows, [f"{side_words(o.joint, o.place)}: {o.signal}" for o in shown])
+    axes.set(xlim=(0, 100), xlabel="explained part of the residual [% of the mean square]")
+    axes.invert_yaxis()
+    axes.legend(loc="lower right")
+    return figure
 
 
+@journal()
 def candidates_figure(diagnosis: Diagnosis) -> Figure:
     """Errors on records left out of the candidates of the first step, and the probability of each.
 
@@ -189,84 +184,82 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
     first = diagnosis.search.steps[0]
     shown = first.candidates[:CANDIDATES]
     rated = {(c.name, c.where): c for c in diagnosis.effects}
-    with journal():
-        figure = new_figure(0.21 * len(shown) + 0.9)
-        left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.7, 1))
-        names = []
-        for row, candidate in enumerate(shown):
-            name = added_effect(candidate, first.before)
-            names.append(f"{words_of(name[0])} {place_words(name[1])}, {joint_words(name[1])}")
-            one = rated[name]
-            colour = MODELS["corrected"] if one.selected else GREY
-            ratio = max(1.0 - candidate.fall(first.before), 0.0) ** 0.5
-            left.plot([min(ratio, 1.0), 1.0], [row, row], color=GREY, lw=0.8, zorder=0)
-            face = colour if candidate.finished else "white"
-            left.plot(ratio, row, "o", ms=4.5, color=colour, markerfacecolor=face)
-            right.barh(row, one.probability, 0.6, color=colour)
-        left.axvline(1.0, color="black", lw=0.6)
-        left.set_yticks(range(len(shown)), names)
-        left.set_xlabel("RMS error on records left out (hollow: of the fit)\nrelative to the re-fitted model")
-        right.set(xlim=(0, 1), xlabel="probability")
-        right.tick_params(axis="y", length=0)
-        left.invert_yaxis()
-        return figure
+    figure = new_figure(0.21 * len(shown) + 0.9)
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.7, 1))
+    names = []
+    for row, candidate in enumerate(shown):
+        name = added_effect(candidate, first.before)
+        names.append(f"{words_of(name[0])} {place_words(name[1])}, {joint_words(name[1])}")
+        one = rated[name]
+        colour = MODELS["corrected"] if one.selected else GREY
+        ratio = max(1.0 - candidate.fall(first.before), 0.0) ** 0.5
+        left.plot([min(ratio, 1.0), 1.0], [row, row], color=GREY, lw=0.8, zorder=0)
+        face = colour if candidate.finished else "white"
+        left.plot(ratio, row, "o", ms=4.5, color=colour, markerfacecolor=face)
+        right.barh(row, one.probability, 0.6, color=colour)
+    left.axvline(1.0, color="black", lw=0.6)
+    left.set_yticks(range(len(shown)), names)
+    left.set_xlabel("RMS error on records left out (hollow: of the fit)\nrelative to the re-fitted model")
+    right.set(xlim=(0, 1), xlabel="probability")
+    right.tick_params(axis="y", length=0)
+    left.invert_yaxis()
+    return figure
 
 
+@journal()
 def torque_map_figure(dataset: Dataset, maps: Sequence[Mapping[str, TorqueMap]]) -> Figure:
     """A row a joint: what the re-fitted model misses over angle and speed, and the corrected one alike."""
-    with journal():
-        figure = new_figure(2.3 * len(maps) + 0.2)
-        grid = figure.subplots(len(maps), len(maps[0]), squeeze=False)
-        for panels, of_joint in zip(grid, maps, strict=True):
-            angle_unit, torque_unit = units_of(dataset, next(iter(of_joint.values())).joint)
-            reach = max(float(np.nanmax(np.abs(one.torque))) for one in of_joint.values()) or 1.0
-            for axes, (name, one) in zip(panels, of_joint.items(), strict=True):
-                image = axes.pcolormesh(
-                    one.angle, one.speed, one.torque, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
-                )  # fmt: skip
-                side = "link" if one.side == "load" else "motor"
-                axes.set(
-                    xlabel=f"{side} angle [{unit(angle_unit)}]", ylabel=f"{side} speed [{unit(angle_unit)}/s]"
-                )
-                where = side_words(one.joint, one.side)
-                share = percent(one.share) if one.share > LEAST_SHARE else "chance"
-                axes.set_title(f"{where}, {name}: {share}", loc="left")
-                figure.colorbar(image, ax=axes, label=f"missing torque [{unit(torque_unit)}]")
-        return figure
+    figure = new_figure(2.3 * len(maps) + 0.2)
+    grid = figure.subplots(len(maps), len(maps[0]), squeeze=False)
+    for panels, of_joint in zip(grid, maps, strict=True):
+        angle_unit, torque_unit = units_of(dataset, next(iter(of_joint.values())).joint)
+        reach = max(float(np.nanmax(np.abs(one.torque))) for one in of_joint.values()) or 1.0
+        for axes, (name, one) in zip(panels, of_joint.items(), strict=True):
+            image = axes.pcolormesh(
+                one.angle, one.speed, one.torque, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
+            )  # fmt: skip
+            side = "link" if one.side == "load" else "motor"
+            axes.set(
+                xlabel=f"{side} angle [{unit(angle_unit)}]", ylabel=f"{side} speed [{unit(angle_unit)}/s]"
+            )
+            where = side_words(one.joint, one.side)
+            share = percent(one.share) if one.share > LEAST_SHARE else "chance"
+            axes.set_title(f"{where}, {name}: {share}", loc="left")
+            figure.colorbar(image, ax=axes, label=f"missing torque [{unit(torque_unit)}]")
+    return figure
 
 
+@journal()
 def reversal_figure(dataset: Dataset, left: Mapping[str, Sequence[Reversals]]) -> Figure:
     """A panel an angle: mean error after a reversal, and its standard error, of every model."""
     outputs = [one.output for one in next(iter(left.values()))][:ANGLES]
     units = {channel.name: channel.unit for channel in dataset.outputs}
-    with journal():
-        figure = new_figure(2.1 * len(outputs) + 0.2)
-        panels = np.ravel(figure.subplots(len(outputs), 1, squeeze=False))
-        for axes, output in zip(panels, outputs, strict=True):
-            axes.axhline(0.0, color="black", lw=0.5)
-            counts = 0
-            for k, (name, tests) in enumerate(left.items()):
-                one = next((t for t in tests if t.output == output), None)
-                if one is None:
-                    continue
-                counts = one.count
-                axes.plot(one.time, one.mean, color=MODELS[name], ls=DASHES[k], label=f"{name} model")
-                for side in (-1.0, 1.0):
-                    label = f"{name} model ± standard error" if side > 0 else None
-                    axes.plot(
-                        one.time,
-                        one.mean + side * one.error,
-                        color=MODELS[name],
-                        lw=0.5,
-                        alpha=0.7,
-                        label=label,
-                    )
-            axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(units[output], 0)}")
-            axes.set_title(f"{symbol(output)}, {counts} reversals", loc="left")
-            axes.set_xlim(0.0, None)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside upper right", ncols=2)
-        return figure
+    figure = new_figure(2.1 * len(outputs) + 0.2)
+    panels = np.ravel(figure.subplots(len(outputs), 1, squeeze=False))
+    for axes, output in zip(panels, outputs, strict=True):
+        axes.axhline(0.0, color="black", lw=0.5)
+        counts = 0
+        for k, (name, tests) in enumerate(left.items()):
+            one = next((t for t in tests if t.output == output), None)
+            if one is None:
+                continue
+            counts = one.count
+            axes.plot(one.time, one.mean, color=MODELS[name], ls=DASHES[k], label=f"{name} model")
+            for side in (-1.0, 1.0):
+                label = f"{name} model ± standard error" if side > 0 else None
+                axes.plot(
+                    one.time,
+                    one.mean + side * one.error,
+                    color=MODELS[name],
+                    lw=0.5,
+                    alpha=0.7,
+                    label=label,
+                )
+        axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(units[output], 0)}")
+        axes.set_title(f"{symbol(output)}, {counts} reversals", loc="left")
+        axes.set_xlim(0.0, None)
+    legend_above(figure, panels[0], 2)
+    return figure
 
 
 def units_of(dataset: Dataset, joint: str) -> tuple[str, str]:
@@ -288,16 +281,3 @@ def _axis(dataset: Dataset, one: Location) -> str:
     drives = [f"{stem}{one.joint.removeprefix('joint')}" for stem in ("u", "duty", "tau", "i")]
     text = next((unit(channel.unit) for channel in dataset.inputs if channel.name in drives), "")
     return f"command [{text}]" if text else "command"
-
-
-def _plain_logarithm(axes: Axes) -> None:
-    """Numbers instead of powers of ten, where they fit."""
-    low, high = axes.get_xlim()
-    steps = (1, 2, 5) if high < 40 * low else (1,)
-    ticks = [tick for e in range(-6, 4) for m in steps if low <= (tick := m * 10.0**e) <= high]
-    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-    axes.minorticks_off()
-
-
-def _short(name: str) -> str:
-    return name if len(name) <= MAX_NAME else f"…{name[1 - MAX_NAME :]}"

@@ -13,7 +13,7 @@ from hybrid_id.diagnosis.held_out import Errors
 from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
-from hybrid_id.reporting.tables import count
+from hybrid_id.reporting.tables import count, interval_words
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
@@ -119,8 +119,8 @@ def _outside(diagnosis: Diagnosis) -> str:
 def _parameters_only(diagnosis: Diagnosis) -> str:
     if diagnosis.varying:
         return (
-            "No effect is missing, but the parameters differ from record to record: each record's own values leave "
-            "nothing but noise, one common set does not."
+            "No effect is missing, but the parameters differ from record to record: per-record fits leave nothing "
+            "but noise, one common set does not."
         )
     sentence = "Wrong parameter values explain the gap, and no effect is missing."
     # which physical change explains the new values
@@ -152,7 +152,7 @@ def _inconclusive(diagnosis: Diagnosis) -> str:
 
 
 def where_line(diagnosis: Diagnosis) -> str:
-    """Sides of joints and signals that explain most of what the re-fitted model leaves; empty where none does."""
+    """Sides of joints and signals that explain most of the residual of the re-fitted model; empty where none does."""
     sides: dict[str, list[str]] = {}
     for one in [one for one in diagnosis.location if one.share > LEAST_SHARE][:3]:
         side = side_words(one.joint, one.place)
@@ -174,17 +174,6 @@ def disturbance_line(diagnosis: Diagnosis) -> str:
         f"{percent(diagnosis.disturbances[0].share)} of it within short windows (mean square), elsewhere "
         f"{percent(max(*elsewhere, 0.0))} at most."
     )
-
-
-def goes_with(location: Location) -> str:
-    """How the missing torque depends on its signal, in words."""
-    if location.signal in IN_WORDS:
-        return IN_WORDS[location.signal]
-    steps = [b - a for a, b in zip(location.torque, location.torque[1:], strict=False)]
-    rising = sum(step for step in steps if step > 0)
-    falling = -sum(step for step in steps if step < 0)
-    verb = "grows" if rising > 5 * falling else "falls" if falling > 5 * rising else "varies"
-    return f"it {verb} with the {location.signal}"
 
 
 def error_lines(diagnosis: Diagnosis) -> list[str]:
@@ -371,8 +360,8 @@ def measured(value: float, half_width: float, unit: str) -> str:
     """A value with its interval and unit; what is held has no interval, what is not identified says so."""
     sure = ""
     if half_width != 0:
-        sure = f" ({value - half_width:.4g} to {value + half_width:.4g})"
-        sure = sure if math.isfinite(half_width) else " (not identified)"
+        known = math.isfinite(half_width)
+        sure = f" ({interval_words(value, half_width)})" if known else " (not identified)"
     return f"{value:.4g}{sure}{'' if unit == '1' else f' {unit}'}"
 
 

@@ -1,8 +1,9 @@
-"""A hybrid training as plain data, tables and pictures."""
+"""A hybrid training as plain data, tables, pictures and one page."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,41 +13,40 @@ from rich.table import Table
 from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.html.interactive import Drawn, drawn
-from hybrid_id.reporting.parameter_tables import bound_cells, judged_cells
+from hybrid_id.reporting.interactive import Drawn, drawn
+from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.residuals import Residuals, residual_blocks
+from hybrid_id.reporting.study import LEGEND, bound_cells, judged_cells
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol
-from hybrid_id.reporting.tables import open_table
+from hybrid_id.reporting.tables import count, interval_words, records_table, table
 from hybrid_id.study import Study
-from hybrid_id.study.hybrid import BLUR, DRIFT, HybridStudy
-from hybrid_id.study.network_role import NetworkRole
+from hybrid_id.study.hybrid import DRIFT, HybridStudy, NetworkRole
 
-FULL = ("trust, physics alone", "lower bound", "upper bound", "what speaks against it")
+FULL = ("reliability, physics alone", "lower bound>", "upper bound>", "what speaks against it")
 
 
 def hybrid_result(study: HybridStudy) -> dict[str, Any]:
-    """Everything that a hybrid training tells, as plain data."""
+    """Everything that a hybrid training says, as plain data."""
     result = study.result
-    rows = zip(
-        study.names, study.units, study.physics, study.physics_error, study.hybrid, study.hybrid_error,
-        result.rungs[result.chosen].loose, study.room, study.drift,
-        strict=True,
-    )  # fmt: skip
-    heads = (
-        "unit",
-        "physics",
-        "physics_std_error",
-        "hybrid",
-        "hybrid_std_error",
-        "unpriced_std_error",
-        "half_interval_beside_networks",
-        "drift_sigma",
-    )
+    columns = {
+        "unit": study.units,
+        "physics": study.physics,
+        "physics_std_error": study.physics_error,
+        "hybrid": study.hybrid,
+        "hybrid_std_error": study.hybrid_error,
+        "unpriced_std_error": result.rungs[result.chosen].loose,
+        "half_interval_beside_networks": study.room,
+        "drift_sigma": study.drift,
+    }
+    of_role = ("where", "unit", "rms", "share", "variance_share", "overlap", "alike", "worth", "room")
     return {
         "validation_records": study.validation,
         "chosen_price": result.rungs[result.chosen].price,
         "physics_alone": result.chosen == 0,
         "interrupted": result.interrupted,
-        "parameters": {name: dict(zip(heads, row, strict=True)) for name, *row in rows},
+        "parameters": {
+            name: {head: values[k] for head, values in columns.items()} for k, name in enumerate(study.names)
+        },
         "ladder": [
             {
                 "price": r.price, "train_loss": r.train, "validation_loss": r.validation, "status": r.status,
@@ -55,15 +55,11 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
             for r in result.rungs
         ],
         "networks": [
-            {
-                "where": role.where, "unit": role.unit, "rms": role.rms, "share": role.share,
-                "variance_share": role.variance_share, "overlap": role.overlap, "alike": dict(role.alike),
-                "worth": role.worth, "room": role.room,
-            }
-            for role in study.roles
+            {name: getattr(role, name) for name in of_role} | {"alike": dict(role.alike)} for role in study.roles
         ],
         "error_with_one_set": study.pooled,
-        "error_with_own_sets": study.own,
+        "error_with_per_record_fits": study.own,
+        "error_with_own_sets": study.own,  # its name until 0.2
         "weighted_error": {n: {"physics": a, "hybrid": b} for n, (a, b) in study.errors.items()},
         "warnings": study.warnings,
     }  # fmt: skip
@@ -71,125 +67,105 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
 
 def hybrid_tables(study: HybridStudy, dataset: Dataset, reach: float, level: float) -> RenderableType:
     """Parameters, the ladder of prices, the networks and the errors, with the warnings in words."""
-    parts: list[RenderableType] = [
-        drift_table(study, reach, level),
-        ladder_table(study),
-        role_table(study.roles),
-    ]
-    parts += [error_table(study, dataset), *(Text(warning, style="yellow") for warning in study.warnings)]
-    return Group(*parts)
+    warnings = (Text(warning, style="yellow") for warning in study.warnings)
+    tables = drift_table(study, reach, level), ladder_table(study), role_table(study.roles)
+    return Group(*tables, error_table(study, dataset), *warnings)
 
 
 def drift_table(study: HybridStudy, reach: float, level: float, alone: Study | None = None) -> Table:
     """Parameters without and with the networks; intervals of a level, ``reach`` standard errors to each side.
 
-    With the physics ``alone`` as `identify` would judge it, its grades, the bounds and what speaks against a value are
-    told, too, for which a terminal has no room.
+    With the physics ``alone`` as `identify` would judge it, its reliability, the bounds and what speaks against a value
+    are given, too, for which a terminal has no room.
     """
-    sides = f"± ({100 * level:g} %)>", "± >"
-    table = open_table("parameter", "physics alone>", sides[0], "hybrid>", sides[1], "unit", "drift [σ]>")
-    for head in FULL if alone is not None else ():
-        table.add_column(head, justify="right" if "bound" in head else "left")
-    rows = zip(
-        study.names, study.physics, study.physics_error, study.hybrid, study.hybrid_error, study.units, study.drift,
-        strict=True,
-    )  # fmt: skip
-    for name, before, error, after, other, unit, drift in rows:
-        moved = f"{drift:+.1f}" if math.isfinite(drift) else "unknown"
-        judged = []
+    heads, rows = (f"{100 * level:g} % interval>", f"{100 * level:g} % interval >"), []
+    for k, name in enumerate(study.names):
+        before, after, drift = study.physics[k], study.hybrid[k], study.drift[k]
+        row = [
+            name, f"{before:.5g}", interval_words(before, reach * study.physics_error[k]), f"{after:.5g}",
+            interval_words(after, reach * study.hybrid_error[k]), study.units[k],
+            f"{drift:+.1f}" if math.isfinite(drift) else "unknown",
+        ]  # fmt: skip
         if alone is not None:
-            grade, *_, why = judged_cells(alone, name)
-            against = [*_against(study, name), *([str(why)] if str(why) else [])]
-            judged = [grade, *bound_cells(study.result.system, name), "; ".join(against)]
-        table.add_row(
-            name,
-            f"{before:.5g}",
-            f"{reach * error:.2g}",
-            f"{after:.5g}",
-            f"{reach * other:.2g}",
-            unit,
-            moved,
-            *judged,
-        )
-    return table
-
-
-def _against(study: HybridStudy, name: str) -> list[str]:
-    """What the networks may have done to a parameter, so that it does not mean what its name says."""
-    k = study.names.index(name)
-    said = {
-        "moved by the networks": math.isfinite(study.drift[k]) and abs(study.drift[k]) > DRIFT,
-        "a network could do its work": study.result.chosen > 0 and study.blur[k] > BLUR,
-    }
-    return [words for words, holds in said.items() if holds]
+            word, *_, why = judged_cells(alone, name)
+            against = [*study.against(name), *([str(why)] if str(why) else [])]
+            row += [word, *bound_cells(study.result.system, name), "; ".join(against)]
+        rows.append(row)
+    full = FULL if alone is not None else ()
+    return table(
+        ("parameter", "physics alone>", heads[0], "hybrid>", heads[1], "unit", "drift [σ]>", *full), rows
+    )
 
 
 def ladder_table(study: HybridStudy) -> Table:
     """The prices, what was lost at each, and which one the validation records chose."""
-    table = open_table("price", "train error>", "typical validation error>", "gradients>", "ended", "")
-    for k, rung in enumerate(study.result.rungs):
-        price = "physics alone" if math.isinf(rung.price) else f"{rung.price:g}"
-        errors = (f"{math.sqrt(2.0 * loss):.3f}" for loss in (rung.train, rung.validation))
-        table.add_row(
-            price,
-            *errors,
-            str(rung.iterations),
-            rung.status.replace("_", " "),
-            "chosen" if k == study.result.chosen else "",
+    rows = [
+        (
+            "physics alone" if math.isinf(rung.price) else f"{rung.price:g}",
+            *(f"{math.sqrt(2.0 * loss):.3f}" for loss in (rung.train, rung.validation)),
+            str(rung.iterations), rung.status.replace("_", " "), "chosen" if k == study.result.chosen else "",
         )
-    return table
+        for k, rung in enumerate(study.result.rungs)
+    ]  # fmt: skip
+    return table(("price", "train error>", "typical validation error>", "gradients>", "ended", ""), rows)
 
 
 def role_table(roles: tuple[NetworkRole, ...]) -> Table:
     """What each network does."""
-    heads = ("RMS>", "share of torque>", "of variance>", "overlap with physics>", "most alike")
-    table = open_table("network", *heads)
-    for role in roles:
-        name, cosine = role.alike[0] if role.alike else ("", 0.0)
-        table.add_row(
+    heads = ("network", "RMS>", "share of torque>", "of variance>", "overlap with physics>", "most alike")
+    rows = [
+        (
             role.where, f"{role.rms:.3g} {role.unit}", f"{100 * role.share:.2g} %",
-            f"{100 * role.variance_share:.2g} %", f"{role.overlap:.2f}", f"{name} ({cosine:.2f})",
-        )  # fmt: skip
-    return table
+            f"{100 * role.variance_share:.2g} %", f"{role.overlap:.2f}",
+            "{} ({:.2f})".format(*(role.alike[0] if role.alike else ("", 0.0))),
+        )
+        for role in roles
+    ]  # fmt: skip
+    return table(heads, rows)
 
 
 def error_table(study: HybridStudy, dataset: Dataset) -> Table:
     """Free-run error of each record, 1 where it is as the weights say."""
-    table = open_table("record", "role", "physics alone>", "hybrid>")
-    for name, (before, after) in study.errors.items():
-        role = "validation" if name in study.validation else dataset[name].role
-        table.add_row(name, role, f"{before:.3g}", f"{after:.3g}")
-    return table
+    rows = [
+        (
+            name,
+            "validation" if name in study.validation else dataset[name].role,
+            f"{before:.3g}",
+            f"{after:.3g}",
+        )
+        for name, (before, after) in study.errors.items()
+    ]
+    return table(("record", "role", "physics alone>", "hybrid>"), rows)
 
 
+@journal()
 def drift_figure(study: HybridStudy) -> Figure:
     """A bar a parameter: how far it moved when the networks came in, in standard errors."""
     drift = np.nan_to_num(study.drift)
-    with journal():
-        figure = new_figure(0.22 * len(drift) + 0.8, 3.5)
-        axes = figure.subplots()
-        far = np.abs(drift) > 3.0
-        axes.barh(np.arange(len(drift)), drift, color=np.where(far, COLOURS[1], COLOURS[0]), height=0.6)
-        axes.axvspan(-3.0, 3.0, color=GREY, alpha=0.15, lw=0)
-        axes.axvline(0.0, color=GREY, lw=0.6)
-        axes.set_yticks(np.arange(len(drift)), [symbol(name) for name in study.names])
-        axes.invert_yaxis()
-        axes.set_xlabel("drift from physics alone to hybrid [standard errors]")
+    figure = new_figure(0.22 * len(drift) + 0.8, 3.5)
+    axes = figure.subplots()
+    far = np.abs(drift) > DRIFT
+    axes.barh(np.arange(len(drift)), drift, color=np.where(far, COLOURS[1], COLOURS[0]), height=0.6)
+    axes.axvspan(-DRIFT, DRIFT, color=GREY, alpha=0.15, lw=0)
+    axes.axvline(0.0, color=GREY, lw=0.6)
+    axes.set_yticks(np.arange(len(drift)), [symbol(name) for name in study.names])
+    axes.invert_yaxis()
+    axes.set_xlabel("drift from physics alone to hybrid [standard errors]")
     return figure
 
 
+@journal()
 def map_figure(role: NetworkRole) -> Figure:
     """A network's output over speed and angle, and the motion of the records."""
-    with journal():
-        figure = new_figure(2.6, 4.6)
-        axes = figure.subplots()
-        reach = float(np.abs(role.map).max()) or 1.0
-        image = axes.pcolormesh(
-            role.angle, role.speed, role.map, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
-        )
-        axes.plot(role.seen[:, 1], role.seen[:, 0], ".", ms=1.2, color="black", alpha=0.35, label="records")
-        axes.set(xlabel="angle [rad]", ylabel="speed [rad/s]", title=f"network at {role.where}")
-        figure.colorbar(image, label=f"output [{role.unit.replace(' ', chr(0x2009))}]")
+    figure = new_figure(2.6, 4.6)
+    axes = figure.subplots()
+    reach = float(np.abs(role.map).max()) or 1.0
+    image = axes.pcolormesh(
+        role.angle, role.speed, role.map, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
+    )
+    axes.plot(role.seen[:, 1], role.seen[:, 0], ".", ms=1.2, color="black", alpha=0.35, label="records")
+    axes.set(xlabel="angle [rad]", ylabel="speed [rad/s]", title=f"network at {role.where}")
+    figure.colorbar(image, label=f"output [{role.unit.replace(' ', chr(0x2009))}]")
     return figure
 
 
@@ -198,3 +174,83 @@ def hybrid_pictures(study: HybridStudy) -> dict[str, Drawn]:
     figures = {"drift": drift_figure(study)} if study.result.chosen else {}
     figures |= {f"map_{role.where.replace('/', '_')}": map_figure(role) for role in study.roles}
     return {name: drawn(figure) for name, figure in figures.items()}
+
+
+_LADDER = (
+    "1 is as the weights say. All are errors of free runs from measured first states; the typical validation error is "
+    "the geometric mean over ten parts of each record, for a run that has lost its record says little from there on. "
+    "The errors further down are the RMS of whole free runs."
+)
+_RELIABLE = (
+    "The reliability is that of physics alone, as identify would give it: beside a network there is no second way to "
+    "compute an error. A network that could do a parameter's work leaves only the price to hold its value."
+)
+
+
+def _lead(study: HybridStudy) -> str:
+    """The outcome in plain words."""
+    rungs, chosen, warnings = study.result.rungs, study.result.chosen, study.warnings
+    if not chosen:
+        words = warnings[0] if warnings else "physics alone is kept"
+        return f"{words[0].upper()}{words[1:]}."
+    before, after = (math.sqrt(2.0 * rungs[k].validation) for k in (0, chosen))
+    words = (
+        f"{count(len(study.roles), 'network')} beside the physics, at the price {rungs[chosen].price:g}: the "
+    )
+    words += (
+        f"typical error on validation records falls from {before:.3g} to {after:.3g} (1: as the noise says)."
+    )
+    few = count(len(warnings), "warning")
+    return (
+        f"{words} Read the {few} below before you read the parameters."
+        if warnings
+        else (f"{words} No network does the physics' work.")
+    )
+
+
+def hybrid_page(
+    dataset: Dataset,
+    study: HybridStudy,
+    pictures: Mapping[str, Drawn],
+    *,
+    reach: float,
+    level: float,
+    alone: Study,
+    residuals: Residuals,
+) -> Page:
+    """The page of a hybrid training.
+
+    Args:
+        dataset: the records.
+        study: the result.
+        pictures: its pictures by name.
+        reach: half-width of an interval in standard errors.
+        level: level of the intervals.
+        alone: physics alone as `identify` would judge it.
+        residuals: tests of the residuals of physics alone and of the chosen system.
+    """
+    result = study.result
+    page = Page(f"Physics and networks on {dataset.name}", _lead(study))
+    warnings = (Text(f"{words[0].upper()}{words[1:]}.", style="yellow") for words in study.warnings)
+    parameters = page.section("Parameters").add(
+        drift_table(study, reach, level, alone), LEGEND, _RELIABLE, *warnings
+    )
+    networks = page.section("Networks")
+    if result.chosen:
+        parameters.figure(
+            pictures["drift"],
+            "How far each parameter moved when the networks came in; grey: within three standard errors.",
+        )
+    else:
+        networks.add("What the networks of the lowest price have learnt; they are not kept.")
+    networks.add(role_table(study.roles))
+    for name, picture in pictures.items():
+        if name.startswith("map_"):
+            networks.figure(picture, "Output over speed and angle; black: where the records have been.")
+    page.section("Ladder of prices").add(_LADDER, ladder_table(study))
+    page.section("Errors").add(error_table(study, dataset))
+    role = "test" if dataset.test else "train"
+    where = count(len(dataset.test or dataset.train), f"{role} record")
+    page.section("Residuals").add(*residual_blocks(residuals, where))
+    page.section("Records").add(records_table(dataset))
+    return page

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
-from hybrid_id.identification.horizons import Horizon
 from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.finding import Finding
+from hybrid_id.records.quality import Finding
+from hybrid_id.reporting.tables import RELIABILITY
 from hybrid_id.statistics.identifiability import Identifiability
-from hybrid_id.study import Comparison, Replay, Study
+from hybrid_id.study import Comparison, Horizon, Replay, Study
 from hybrid_id.systems.model_file import save_model
 
 
@@ -28,7 +28,19 @@ def horizon_result(horizon: Horizon) -> dict[str, Any]:
 
 def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
     """A study as plain data."""
-    index, variation = study.selection.index, study.variation
+    selection, variation, cross = study.selection, study.variation, study.cross_validation
+    values, half = study.selected.values, reach * study.standard_errors(selection.index)
+    intervals = zip(study.names, np.stack([values - half, values + half], axis=1), strict=True)
+    combinations = study.combinations
+    reliability = {
+        one.name: {
+            "grade": one.grade,
+            "words": RELIABILITY[one.grade],
+            "std_error": one.std_error,
+            "reason": one.reason,
+        }
+        for one in study.reliability
+    }
     return {
         "pooled": study.pooled,
         "horizon": horizon_result(study.horizon),
@@ -36,11 +48,12 @@ def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
         "units": list(study.selected.units),
         "level": level,
         "selected": {
-            "set": study.selection.name,
-            "reason": study.selection.reason,
-            "set_by_the_papers_rule": study.selection.paper_name,
-            "values": dict(zip(study.names, study.selected.values, strict=True)),
-            "half_widths": dict(zip(study.names, reach * study.standard_errors(index), strict=True)),
+            "set": selection.name,
+            "reason": selection.reason,
+            "set_by_the_papers_rule": selection.paper_name,
+            "values": dict(zip(study.names, values, strict=True)),
+            "intervals": {name: ends if np.isfinite(ends).all() else None for name, ends in intervals},
+            "half_widths": dict(zip(study.names, half, strict=True)),  # of the intervals: its name until 0.2
         },
         "sets": [_set_result(study, i) for i in range(len(study.sets))],
         "variation": None
@@ -55,42 +68,28 @@ def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
             }
             for k, name in enumerate(variation.names)
         },
-        "trust": {
-            t.name: {"grade": t.grade, "std_error": t.std_error, "reason": t.reason} for t in study.trust
-        },
+        "reliability": reliability,
+        "trust": reliability,  # its name until 0.2
         "identifiability": identifiability_result(study.identifiability),
         "combinations": {
             name: {
-                "values": study.combinations.values[:, k],
-                "std_error": study.combinations.std_error[:, k],
-                "percent": None
-                if study.combinations.variation is None
-                else study.combinations.variation.percent[k],
+                "values": combinations.values[:, k],
+                "std_error": combinations.std_error[:, k],
+                "percent": None if combinations.variation is None else combinations.variation.percent[k],
             }
-            for k, name in enumerate(study.combinations.names)
+            for k, name in enumerate(combinations.names)
         },
         "cross_validation": {
-            "sets": study.cross_validation.set_names,
-            "records": study.cross_validation.record_names,
-            "signals": study.cross_validation.signal_names,
-            "fit_percent": study.cross_validation.fits,
-            "mean": study.selection.mean,
-            "std": study.selection.std,
+            "sets": cross.set_names,
+            "records": cross.record_names,
+            "signals": cross.signal_names,
+            "fit_percent": cross.fits,
+            "mean": selection.mean,
+            "std": selection.std,
         },
         "test_nrmse": study.test_nrmse,
         "engine_error": study.engine_error,
-        "profiles": {
-            name: {
-                "lower": one.lower,
-                "upper": one.upper,
-                "closed": one.closed,
-                "message": one.message,
-                "values": one.values,
-                "costs": one.costs,
-                "threshold": one.threshold,
-            }
-            for name, one in study.profiles.items()
-        },
+        "profiles": {name: vars(one) for name, one in study.profiles.items()},
     }
 
 
@@ -112,30 +111,30 @@ def _set_result(study: Study, index: int) -> dict[str, Any]:
     }
 
 
-def identifiability_result(told: Identifiability) -> dict[str, Any]:
-    """What records tell about parameters as plain data."""
+def identifiability_result(identified: Identifiability) -> dict[str, Any]:
+    """What records identify of the parameters, as plain data."""
     return {
-        "condition_number": told.condition_number,
+        "condition_number": identified.condition_number,
         "directions": [
             {
                 "text": d.text,
-                "relative": dict(zip(told.names, d.relative, strict=True)),
+                "relative": dict(zip(identified.names, d.relative, strict=True)),
                 "relative_std": d.relative_std,
                 "with_prior": d.with_prior,
             }
-            for d in told.directions
+            for d in identified.directions
         ],
         "combinations": [
             {"text": c.text, "relative_std": std}
-            for c, std in zip(told.combinations, told.combination_std, strict=True)
+            for c, std in zip(identified.combinations, identified.combination_std, strict=True)
         ],
-        "relative_std": dict(zip(told.names, told.relative_std, strict=True)),
-        "not_claimable": told.not_claimable,
+        "relative_std": dict(zip(identified.names, identified.relative_std, strict=True)),
+        "not_claimable": identified.not_claimable,
     }
 
 
 def check_result(
-    dataset: Dataset, findings: Sequence[Finding], told: Identifiability | None
+    dataset: Dataset, findings: Sequence[Finding], identified: Identifiability | None
 ) -> dict[str, Any]:
     """Result of a check as plain data."""
     return {
@@ -152,7 +151,7 @@ def check_result(
             for r in dataset
         ],
         "findings": [vars(finding) for finding in findings],
-        "identifiability": None if told is None else identifiability_result(told),
+        "identifiability": None if identified is None else identifiability_result(identified),
     }
 
 
@@ -176,29 +175,25 @@ def write_parameters(path: Path, study: Study, reach: float) -> None:
     heads += ["claimable", "at_bound", "status"]
     rows = []
     for i, result in enumerate(study.sets):
-        errors = study.standard_errors(i)
-        for k, name in enumerate(study.names):
-            known, at_bound = bool(np.isfinite(errors[k])), name in result.at_bound
-            spec = result.system.parameter(name).spec
-            ends = (result.values[k] + side * reach * errors[k] for side in (-1, 1))
-            interval = [errors[k], *(min(max(end, spec.lower), spec.upper) for end in ends)]
-            rows.append(
-                [
-                    study.cross_validation.set_names[i], int(i == study.selection.index), name,
-                    f"{result.values[k]:.10g}", result.units[k], *(f"{v:.6g}" if known else "" for v in interval),
-                    int(known), int(at_bound), result.status,
-                ]
-            )  # fmt: skip
+        label, chosen = study.cross_validation.set_names[i], int(i == study.selection.index)
+        for name, value, unit, error in zip(
+            study.names, result.values, result.units, study.standard_errors(i), strict=True
+        ):
+            spec, known = result.system.parameter(name).spec, bool(np.isfinite(error))
+            ends = (min(max(value + side * reach * error, spec.lower), spec.upper) for side in (-1, 1))
+            interval = (f"{v:.6g}" if known else "" for v in (error, *ends))
+            flags = int(known), int(name in result.at_bound), result.status
+            rows.append([label, chosen, name, f"{value:.10g}", unit, *interval, *flags])
     _write_rows(path, heads, rows)
 
 
-def write_models(folder: Path, study: Study) -> None:
-    """The selected model as ``model.yaml``, and every set's in ``models/``."""
-    save_model(study.selected_model, folder / "model.yaml")
+def write_models(folder: Path, home: Path, study: Study) -> None:
+    """The selected model as ``model.yaml``, and every set's in ``models/``; ``home`` is the folder's name at last."""
+    save_model(study.selected_model, folder / "model.yaml", home)
     if len(study.sets) > 1:
         (folder / "models").mkdir()
         for name, result in zip(study.cross_validation.set_names, study.sets, strict=True):
-            save_model(result.system, folder / "models" / f"{name}.yaml")
+            save_model(result.system, folder / "models" / f"{name}.yaml", home / "models")
 
 
 def write_replay(path: Path, replay: Replay) -> None:
@@ -213,8 +208,9 @@ def write_replay(path: Path, replay: Replay) -> None:
 
 def write_comparison(path: Path, comparison: Comparison) -> None:
     """One row for each model, record and output: fit and normalised RMSE."""
+    heads = ("model", "record", "role", "output", "fit_percent", "nrmse", "status")
     rows = (
-        [
+        (
             label,
             r.record.name,
             r.record.role,
@@ -222,12 +218,12 @@ def write_comparison(path: Path, comparison: Comparison) -> None:
             f"{r.fit[signal]:.6g}",
             f"{r.nrmse[signal]:.6g}",
             r.status,
-        ]
+        )
         for label, replays in comparison.replays.items()
         for r in replays
         for signal in comparison.signals
     )
-    _write_rows(path, ("model", "record", "role", "output", "fit_percent", "nrmse", "status"), rows)
+    _write_rows(path, heads, rows)
 
 
 def as_json(command: str, result: Mapping[str, Any]) -> str:

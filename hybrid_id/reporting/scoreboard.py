@@ -1,4 +1,4 @@
-"""The scoreboard of a blind check as text: one column a contender, intervals, targets, and what fell short."""
+"""The benchmark report of a blind check, as Markdown and as one page with pictures."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from rich.table import Table
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.whole_file import write_whole
+from hybrid_id.reporting.interactive import Drawn, drawn
+from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.provenance import short
-from hybrid_id.reporting.style import save
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, save
+from hybrid_id.reporting.tables import markdown_table, table
 
 Scores = Mapping[str, Any]
 """What ``blind score`` keeps in ``scores.json``."""
@@ -28,7 +32,7 @@ ROWS = {
     "false_alarms": "false alarms (nothing at work)",
     "values": "nothing wrong or the values alone, as it is (nothing at work)",
     "outside_detected": "outside the catalogue: detected",
-    "outside_at": "joint (and side) of it right, where told",
+    "outside_at": "joint (and side) of it right, where stated",
     "false_unknown": "false 'unknown'",
     "shrink_error": "error of the claimed shrink, median [points]",
     "covered": "95 % intervals that hold the true shrink",
@@ -42,13 +46,11 @@ ROWS = {
     "broken": "broken cases",
 }
 INDEX = "README.md"
-"""List of the scoreboards in the folder where they are published."""
+"""List of the reports in the folder where they are published."""
 INDEX_HEADS = ("date", "commit", "seed", "cases scored", "methods", "exactly right (first method)")
 """Heads of that list."""
 _PLAIN = ("shrink_error", "share_error", "seconds", "slowest")
 """Scores in points or seconds."""
-TIES_RESOLVED = 0.7
-"""Share of ties that the next experiment is to resolve."""
 IN_GROUPS = ("cases", "top_1", "top_3", "place", "f1", "whole", "false_unknown", "sure", "closed", "seconds")
 """Scores that are shown group by group."""
 SHORT = {
@@ -78,20 +80,14 @@ def value(name: str, score: Mapping[str, Any] | None, *, interval: bool = True) 
     return f"{text} ({number(score['low'])} to {number(score['high'])}; {score['n']})"
 
 
-def table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table in Markdown."""
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
-
-
 def score_rows(content: Scores) -> tuple[list[str], list[list[str]]]:
-    """Heads and rows of the main table: scores against contenders."""
+    """Heads and rows of the main table: scores against methods."""
     methods = list(content["methods"])
     rows = []
     for name, words in ROWS.items():
-        told = [content["methods"][m]["scores"]["all"].get(name) for m in methods]
-        if any(told):
-            rows.append([words, *(value(name, one) for one in told)])
+        found = [content["methods"][m]["scores"]["all"].get(name) for m in methods]
+        if any(found):
+            rows.append([words, *(value(name, one) for one in found)])
     return ["", *methods], rows
 
 
@@ -123,7 +119,7 @@ def group_rows(groups: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
 
 
 def markdown(content: Scores) -> str:
-    """The scoreboard as a file of its own.
+    """The report as a file of its own.
 
     Args:
         content: what is kept in ``scores.json``.
@@ -139,49 +135,49 @@ def markdown(content: Scores) -> str:
         + "".join(f"`{method}` was run at commit {short(at)}. " for method, at in others.items())
         + "Shares with Wilson's 95 % interval and the number of cases behind them.",
         "\n".join(f"    {line}" for line in about["commands"]),
-        table(*score_rows(content)),
+        markdown_table(*score_rows(content)),
         f"Targets, for `{first}`:",
-        table(*target_rows(content["methods"][first]["targets"])),
+        markdown_table(*target_rows(content["methods"][first]["targets"])),
         calibration(content["methods"][first]["scores"]["reliability"]),
     ]
     if content.get("ties"):
         parts.append(ties_line(content["ties"]))
     for dimension, groups in content["methods"][first]["scores"]["by"].items():
-        parts += [f"`{first}` by {dimension}:", table(*group_rows(groups))]
+        parts += [f"`{first}` by {dimension}:", markdown_table(*group_rows(groups))]
     return "\n\n".join(parts) + "\n"
 
 
-def calibration(told: Mapping[str, Any]) -> str:
+def calibration(claims: Mapping[str, Any]) -> str:
     """The calibration of the probabilities in a sentence."""
-    if told["expected_error"] is None:
+    if claims["expected_error"] is None:
         return "No effect was ranked, so that there is no probability to judge."
     return (
-        f"Probabilities of the named effects: expected calibration error {told['expected_error']:.3f} (ten bins of "
-        f"equal count; absent names below 0.02 left out), Brier score {told['brier']:.3f} over {told['n']} claims."
+        f"Probabilities of the named effects: expected calibration error {claims['expected_error']:.3f} (ten bins of "
+        f"equal count; absent names below 0.02 left out), Brier score {claims['brier']:.3f} over {claims['n']} claims."
     )
 
 
-def ties_line(told: Mapping[str, Any]) -> str:
+def ties_line(ties: Mapping[str, Any]) -> str:
     """How many ties the proposed experiment resolves, in a sentence or two."""
-    if told["resolved"] is None:
+    if ties["resolved"] is None:
         return "No case had a tie for which an experiment was proposed."
-    verdict = _verdict(*(told["resolved"][key] >= TIES_RESOLVED for key in ("value", "low")))
-    left = [name for name, one in told["cases"].items() if not one["resolved"]]
+    left = [name for name, one in ties["cases"].items() if not one["resolved"]]
+    verdict = _verdict(ties["met"], ties["shown"])
     look = f" Not resolved: {', '.join(left[:12])}." if left else ""
     return (
-        f"Ties that the proposed next experiment resolves: {value('resolved', told['resolved'])}, target "
-        f"≥ {100 * TIES_RESOLVED:.0f} %, {verdict}; resolved to exactly what was at work: "
-        f"{value('right', told['right'])}.{look}"
+        f"Ties that the proposed next experiment resolves: {value('resolved', ties['resolved'])}, target "
+        f"≥ {100 * ties['target']:.0f} %, {verdict}; resolved to exactly what was at work: "
+        f"{value('right', ties['right'])}.{look}"
     )
 
 
 def publish(folder: Path, content: Scores, pictures: Mapping[str, np.ndarray]) -> Path:
-    """Write a scoreboard as a file of its own with its pictures beside it, and list it in the folder's README.md.
+    """Write a report as a file of its own with its pictures beside it, and list it in the folder's README.md.
 
-    A scoreboard that the folder has is not written again: remarks that stand in its file stay.
+    A report that the folder has is not written again: remarks that stand in its file stay.
 
     Args:
-        folder: of published scoreboards; made where it is not there.
+        folder: of published reports; made where it is not there.
         content: what is kept in ``scores.json``.
         pictures: by name, (H, W, 3) uint8.
 
@@ -209,7 +205,7 @@ def publish(folder: Path, content: Scores, pictures: Mapping[str, np.ndarray]) -
 
 
 def _index_row(content: Scores, file: Path) -> list[str]:
-    """The line of the list that stands for a scoreboard."""
+    """The line of the list that stands for a report."""
     about, methods = content["about"], content["methods"]
     whole = next(iter(methods.values()))["scores"]["all"].get("whole")
     cases = f"{about['scored']} of {about['cases']}"
@@ -220,12 +216,148 @@ def _index_row(content: Scores, file: Path) -> list[str]:
 
 
 def _listed(before: str, row: Sequence[str]) -> str:
-    """A page with one more line in its list of scoreboards, which is begun where there is none; the rest stays."""
-    head = table(INDEX_HEADS, [])
+    """A page with one more line in its list of reports, which is begun where there is none; the rest stays."""
+    head = markdown_table(INDEX_HEADS, [])
     if head not in before:
-        before = f"{before.rstrip() or '# Published scoreboards'}\n\n{head}\n"
+        before = f"{before.rstrip() or '# Published benchmark reports'}\n\n{head}\n"
     start, rest = before.split(head, 1)
     lines = rest.splitlines()[1:]
     rows = next((k for k, line in enumerate(lines) if not line.startswith("|")), len(lines))
     lines.insert(rows, f"| {' | '.join(row)} |")
     return "\n".join([start + head, *lines]) + "\n"
+
+
+@journal()
+def confusion_figure(confusion: Mapping[str, Any]) -> Drawn:
+    """Rows: what was at work; columns: what was said."""
+    counts = np.array(confusion["counts"], float).reshape(len(confusion["rows"]), len(confusion["columns"]))
+    share = counts / np.maximum(counts.sum(1, keepdims=True), 1)
+    rows, columns = ([name.replace("_", " ") for name in confusion[k]] for k in ("rows", "columns"))
+    figure = new_figure(1.6 + 0.19 * max(len(rows), 4), 2.0 + 0.21 * max(len(columns), 10))
+    axes = figure.subplots()
+    edges = (np.arange(n + 1) - 0.5 for n in share.shape[::-1])
+    axes.pcolormesh(*edges, share, cmap="Blues", vmin=0, vmax=1)
+    axes.invert_yaxis()
+    for i, j in zip(*np.nonzero(counts), strict=True):
+        colour = "white" if share[i, j] > 0.6 else "black"
+        axes.text(j, i, f"{counts[i, j]:.0f}", ha="center", va="center", color=colour, fontsize=7)
+    axes.set_xticks(range(len(columns)), columns, rotation=90)
+    axes.set_yticks(range(len(rows)), rows)
+    axes.set_xlabel("said")
+    axes.set_ylabel("at work")
+    return drawn(figure)
+
+
+@journal()
+def reliability_figure(curves: Mapping[str, Mapping[str, Any]]) -> Drawn:
+    """Reliability curve of each method with Wilson's intervals.
+
+    Args:
+        curves: by method, see `hybrid_id.machines.score.reliability`.
+    """
+    figure = new_figure(2.8, 3.4)
+    axes = figure.subplots()
+    axes.plot([0, 1], [0, 1], color=GREY, linewidth=0.8)
+    for (name, curve), colour in zip(curves.items(), COLOURS, strict=False):
+        if not curve["bins"]:
+            continue
+        x, y, low, high = (
+            np.array([b[k] for b in curve["bins"]]) for k in ("claimed", "value", "low", "high")
+        )
+        reach = np.maximum([y - low, high - y], 0)
+        axes.errorbar(x, y, reach, color=colour, marker="o", markersize=3, elinewidth=0.6, label=name)
+    axes.set_xlabel("claimed probability of a named effect")
+    axes.set_ylabel("share of cases in which it was at work")
+    axes.set(xlim=(-0.03, 1.03), ylim=(-0.03, 1.03))
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend()
+    return drawn(figure)
+
+
+_HOW = (
+    "Effects were drawn by a generator with physics of its own and withheld; the answers were sealed before the run "
+    "and opened to score it. Names and places that are indistinguishable from the true ones on the records count as "
+    "right. Shares carry Wilson's 95 % interval and the number of cases behind them; medians the interval of order "
+    "statistics."
+)
+
+HEADLINES = {
+    "top_1": "the right effect first",
+    "whole": "exactly what was at work named",
+    "false_alarms": "false alarms",
+    "outside_detected": "outside the catalogue detected",
+    "closed": "closable gap closed (median)",
+}
+"""Scores that the lead states, in words."""
+
+
+def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
+    """The page.
+
+    Args:
+        content: what is kept in ``scores.json``.
+        figures: ``confusion`` and ``reliability``.
+    """
+    about, first = content["about"], next(iter(content["methods"]))
+    entry = content["methods"][first]
+    page = Page(f"Blind check, seed {about['seed']}", _lead(first, entry, about))
+    page.section("Scores").add(_on_page(*score_rows(content)), _HOW)
+    page.section("Targets").add(_on_page(*target_rows(entry["targets"])))
+    page.section("What was said for what was at work").figure(
+        figures["confusion"],
+        f"{first}: rows are what was at work, columns what was said; pairs are left out.",
+    )
+    page.section("Probabilities").add(calibration(entry["scores"]["reliability"])).figure(
+        figures["reliability"],
+        "How often a named effect was at work, against the probability claimed.",
+    )
+    groups = page.section("Group by group")
+    for dimension, figures in entry["scores"]["by"].items():
+        groups.add(f"By {dimension}", _on_page(*group_rows(figures)))
+    if content["ties"] is not None:
+        page.section("Ties").add(ties_line(content["ties"]).replace("**", ""))
+    facts = {
+        "scored": about["date"],
+        "diagnosed": f"at commit {about['commit']}",
+        "made": f"at commit {about['made_at']}, seed {about['seed']}",
+        "hash of the answers": ", ".join(about["sha256"]),
+    }
+    return how_made(
+        page, "blind score", "\n".join(about["commands"]), facts, words="what makes and scores it again"
+    )
+
+
+def _lead(method: str, entry: Mapping[str, Any], about: Mapping[str, Any]) -> str:
+    """The outcome in words: targets met, the headline figures, and what was scored."""
+    asked = [t for t in entry["targets"] if t["met"] is not None]
+    missed = [t["claim"] for t in asked if not t["met"]]
+    met = len(asked) - len(missed)
+    every = f"all {met}" if asked and not missed else f"{met} of {len(asked)}"
+    words = f"{method} meets {every} targets" if asked else "No case speaks of a target"
+    beyond = sum(t["met"] and not t["shown"] for t in asked)
+    words += f", {beyond} of these with an interval that reaches beyond the target" if beyond else ""
+    silent = len(entry["targets"]) - len(asked)
+    words += f" ({silent} more without a case)" if asked and silent else ""
+    words += f"; missed: {'; '.join(missed)}." if missed else "."
+    scores = entry["scores"]["all"]
+    figures = [
+        f"{said} {value(n, scores[n], interval=False)}" for n, said in HEADLINES.items() if scores.get(n)
+    ]
+    words += f" Over all cases: {', '.join(figures)}." if figures else ""
+    return f"{words} {about['scored']} of {about['cases']} cases scored, commit {short(about['commit'])}."
+
+
+def _on_page(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """A table of the report as the page shows it, without Markdown's marks."""
+    return table(
+        heads, ([cell.replace("**", "").replace(" %", "\N{NO-BREAK SPACE}%") for cell in row] for row in rows)
+    )
+
+
+def scoreboard_figures(content: Scores) -> dict[str, Drawn]:
+    """Pictures of the report by name: what was said, of the first method, and the probabilities of all."""
+    scores = {method: entry["scores"] for method, entry in content["methods"].items()}
+    return {
+        "confusion": confusion_figure(next(iter(scores.values()))["confusion"]),
+        "reliability": reliability_figure({method: one["reliability"] for method, one in scores.items()}),
+    }

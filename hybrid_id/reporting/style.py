@@ -1,4 +1,4 @@
-"""One look for all pictures: sizes and type of a two-column journal, colours that everybody can tell apart."""
+"""One look for all pictures: sizes and type of a two-column journal, colours that everybody can distinguish."""
 
 from __future__ import annotations
 
@@ -7,15 +7,19 @@ import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib import rc_context
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.image import imsave
+from matplotlib.ticker import LogLocator, NullFormatter
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from hybrid_id import __version__
 
@@ -56,7 +60,7 @@ _QUANTITY = {
 
 @contextmanager
 def journal() -> Iterator[None]:
-    """Draw with the common look; leaves matplotlib's settings as they were."""
+    """Draw with the common look, as a context or as a decorator; leaves matplotlib's settings as they were."""
     with rc_context(_LOOK):
         yield
 
@@ -75,6 +79,11 @@ def symbol(name: str) -> str:
     stem, index = found[1], found[2] or found[3]
     stem = greek.get(stem, stem if len(stem) == 1 else rf"\mathrm{{{stem}}}")
     return rf"${stem}_{{\mathrm{{{index}}}}}$"
+
+
+def shortened(name: str, most: int) -> str:
+    """A name of so many characters at most; names often differ at their end."""
+    return name if len(name) <= most else f"…{name[1 - most :]}"
 
 
 def unit(text: str) -> str:
@@ -99,10 +108,17 @@ def pixels(figure: Figure) -> np.ndarray:
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()
 
 
+def png(image: np.ndarray) -> bytes:
+    """An image, (H, W, 3) uint8, as a PNG that names the program."""
+    file, about = BytesIO(), PngInfo()
+    about.add_text("Software", f"hybrid_id {__version__}")
+    Image.fromarray(image).save(file, "png", dpi=(DPI, DPI), pnginfo=about)
+    return file.getvalue()
+
+
 def save(figure: Figure | np.ndarray, path: Path) -> None:
-    """Write a figure, or the image of one, as PNG that names the program."""
-    image = pixels(figure) if isinstance(figure, Figure) else figure
-    imsave(path, image, dpi=DPI, metadata={"Software": f"hybrid_id {__version__}"})
+    """Write a figure, or the image of one, as PNG."""
+    path.write_bytes(png(pixels(figure) if isinstance(figure, Figure) else figure))
 
 
 def power_of_ten(values: np.ndarray) -> int:
@@ -117,6 +133,20 @@ def scaled_unit(text: str, exponent: int) -> str:
     ten = f"$10^{{{exponent}}}$" if exponent else ""
     words = "\u2009".join(part for part in (ten, unit(text)) if part)
     return f"[{words}]" if words else ""
+
+
+def legend_above(figure: Figure, axes: Axes, columns: int | None = None) -> None:
+    """Put the legend of one panel above all panels, in one row unless columns are given."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=columns or len(labels))
+
+
+def plain_logarithm(axis: Axis) -> None:
+    """Few plain numbers instead of powers of ten on a logarithmic axis."""
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(LogLocator(subs=(1.0,) if high > 30.0 * low else (1.0, 2.0, 5.0), numticks=12))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def pad(axes: Axes, share: float = 0.08) -> None:

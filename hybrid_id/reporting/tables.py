@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import zip_longest
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -13,20 +15,26 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.study import Comparison, Study
+from hybrid_id.study.truth import against_truth
 
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": "dim"}
 
 
+RELIABILITY = {"A": "good", "B": "good", "C": "doubtful", "D": "not on its own"}
+"""A grade of :class:`hybrid_id.statistics.reliability.Reliability` in words."""
+
+
 def records_table(dataset: Dataset) -> Table:
     """Length, sampling and role of each record."""
-    table = open_table("record", "role", "samples>", "length [s]>", "step [ms]>", "sampling", "note")
-    for record in dataset:
-        steps = "uniform" if record.is_uniform else "jittered"
-        table.add_row(
+    heads = ("record", "role", "samples>", "length [s]>", "step [ms]>", "sampling", "note")
+    rows = (
+        (
             record.name, record.role, str(record.n_samples), f"{record.duration:.4g}",
-            f"{1e3 * record.sample_time:.4g}", steps, record.note,
-        )  # fmt: skip
-    return table
+            f"{1e3 * record.sample_time:.4g}", "uniform" if record.is_uniform else "jittered", record.note,
+        )
+        for record in dataset
+    )  # fmt: skip
+    return table(heads, rows)
 
 
 def findings_list(findings: Sequence[Finding]) -> RenderableType:
@@ -40,30 +48,32 @@ def findings_list(findings: Sequence[Finding]) -> RenderableType:
     return Group(*lines)
 
 
-def identifiability_table(told: Identifiability) -> RenderableType:
-    """What cannot be told in words, the combinations that can be, and which parameters stand alone."""
+def identifiability_table(identified: Identifiability) -> RenderableType:
+    """What is not identifiable in words, the combinations that are, and which parameters are on their own."""
     parts: list[RenderableType] = []
-    if told.directions:
-        number = f"{count(len(told.directions), 'direction')} of {len(told.names)}"
+    if identified.directions:
+        number = f"{count(len(identified.directions), 'direction')} of {len(identified.names)}"
         words = f"{number} cannot be determined from these records:"
         parts.append(Text(words, style="yellow"))
-        parts += [Text(f"  {k}. {d.text}") for k, d in enumerate(told.directions, start=1)]
+        parts += [Text(f"  {k}. {d.text}") for k, d in enumerate(identified.directions, start=1)]
     else:
-        words = f"all {len(told.names)} parameters can be told (condition number {told.condition_number:.3g})"
+        words = f"all {len(identified.names)} parameters are identifiable"
+        words += f" (condition number {identified.condition_number:.3g})"
         parts.append(Text(words, style="green"))
     cells = [
         (c.text, f"± {196 * std:.2g} %")
-        for c, std in zip(told.combinations, told.combination_std, strict=True)
+        for c, std in zip(identified.combinations, identified.combination_std, strict=True)
     ]
     if cells:
-        parts.append(two_a_row(["what the records tell", "predicted ± (95 %)>"], cells))
-    if told.not_claimable:
+        parts.append(two_a_row(["what the records identify", "predicted ± (95 %)>"], cells))
+    if identified.not_claimable:
         parts.append(
             Text(
-                f"no interval may be claimed for {', '.join(told.not_claimable)} on their own", style="yellow"
+                f"no interval may be claimed for {', '.join(identified.not_claimable)} on their own",
+                style="yellow",
             )
         )
-    elif told.directions:
+    elif identified.directions:
         parts.append(Text("with the priors every parameter has an interval of its own", style="green"))
     return Group(*parts)
 
@@ -71,10 +81,8 @@ def identifiability_table(told: Identifiability) -> RenderableType:
 def two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     """A table of two columns of rows, so that it is half as long; of one where there is a single row."""
     half = (len(rows) + 1) // 2
-    table = open_table(*heads, *(f" {head}" for head in heads if len(rows) > 1))
-    for k in range(half):
-        table.add_row(*rows[k], *(rows[half + k] if half + k < len(rows) else ()))
-    return table
+    pairs = zip_longest(rows[:half], rows[half:], fillvalue=())
+    return table((*heads, *(f" {head}" for head in heads if len(rows) > 1)), ((*a, *b) for a, b in pairs))
 
 
 def comparison_table(comparison: Comparison) -> Table:
@@ -82,54 +90,56 @@ def comparison_table(comparison: Comparison) -> Table:
     fits, errors = comparison.table("fit"), comparison.table("nrmse")
     labels = list(comparison.replays)
     head = [f"{words}>" for label in labels for words in (f"{label}\nfit [%]", "\nNRMSE")]
-    table = open_table("record", "role", "output", *head)
-    replays = comparison.replays[labels[0]]
-    for row, replay in enumerate(replays):
+    found = open_table("record", "role", "output", *head)
+    both = [(values[label], form) for label in labels for values, form in ((fits, ".2f"), (errors, ".4f"))]
+    for row, replay in enumerate(comparison.replays[labels[0]]):
         for column, signal in enumerate(comparison.signals):
-            cells = [
-                text
-                for label in labels
-                for text in (
-                    _number(fits[label][row, column], ".2f"),
-                    _number(errors[label][row, column], ".4f"),
-                )
-            ]
-            table.add_row(replay.record.name, replay.record.role, signal, *cells)
-    table.add_section()
+            cells = (_number(values[row, column], form) for values, form in both)
+            found.add_row(replay.record.name, replay.record.role, signal, *cells)
+    found.add_section()
     for column, signal in enumerate(comparison.signals):
-        cells = [
-            text
-            for label in labels
-            for text in (_mean(fits[label][:, column], ".2f"), _mean(errors[label][:, column], ".4f"))
-        ]
-        table.add_row("mean", "", signal, *cells)
-    return table
+        found.add_row("mean", "", signal, *(_mean(values[:, column], form) for values, form in both))
+    return found
 
 
-def truth_table(study: Study, truth: Mapping[str, float], reach: float, level: float) -> Table:
+def truth_table(study: Study, truth: Mapping[str, float], level: float) -> Table:
     """Known values beside the estimates of the selected set."""
-    errors = reach * study.standard_errors(study.selection.index)
-    table = open_table(
-        "parameter", "truth>", "estimate>", f"± ({100 * level:g} %)>", "unit", "off by>", "in the interval"
-    )
-    for k, name in enumerate(study.names):
-        if name not in truth:
-            continue
-        off = study.selected.values[k] - truth[name]
-        inside = Text("yes", style="green") if abs(off) <= errors[k] else Text("no", style="yellow")
-        if not np.isfinite(errors[k]):
-            inside = Text("none claimed", style="dim")
-        table.add_row(
-            name, f"{truth[name]:.5g}", f"{study.selected.values[k]:.5g}",
-            f"{errors[k]:.2g}" if np.isfinite(errors[k]) else "none", study.selected.units[k],
-            f"{100 * off / abs(truth[name]):+.2f} %", inside,
-        )  # fmt: skip
-    return table
+    heads = ("parameter", "truth>", "estimate>", f"{100 * level:g} % interval>", "unit", "off by>")
+    rows = []
+    for one in against_truth(study, truth, level):
+        inside = Text("yes", style="green") if one.inside else Text("no", style="yellow")
+        inside = Text("none claimed", style="dim") if one.inside is None else inside
+        interval = interval_words(one.estimate, one.half_width)
+        off = f"{100 * one.relative_error:+.2f} %"
+        rows.append((one.name, f"{one.truth:.5g}", f"{one.estimate:.5g}", interval, one.unit, off, inside))
+    return table((*heads, "in the interval"), rows)
+
+
+def interval_words(value: float, half_width: float) -> str:
+    """An interval around a value as it is printed, with digits enough for its ends to differ; none where unbounded."""
+    if not math.isfinite(half_width):
+        return "none"
+    narrow = math.ceil(math.log10(abs(value) / half_width)) if value and half_width else 0
+    digits = min(max(4, narrow + 2), 12)
+    return f"{value - half_width:.{digits}g} to {value + half_width:.{digits}g}"
 
 
 def count(number: int, noun: str) -> str:
     """A number with its noun, ``1 record``, ``2 records``."""
     return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def table(heads: Sequence[str], rows: Iterable[Sequence[str | Text]]) -> Table:
+    """A table of rows; heads as in `open_table`."""
+    found = open_table(*heads)
+    for row in rows:
+        found.add_row(*row)
+    return found
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table in Markdown."""
+    return "\n".join(f"| {' | '.join(row)} |" for row in (heads, ["---"] * len(heads), *rows))
 
 
 def open_table(*heads: str) -> Table:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_id.machines.twin import paper
 from hybrid_id.reproduction.comparison import PRINTED, FitRow, fit_rows, inertia_rows, parameter_rows
 from hybrid_id.reproduction.result import StageResult, TrackingResult
 from hybrid_id.statistics.variation import ACCEPTABLE_PERCENT as LIMIT
-from hybrid_id.twin import paper
 
 
 @dataclass(frozen=True)

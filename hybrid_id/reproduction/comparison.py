@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_id.machines.twin import paper
 from hybrid_id.reproduction.result import StageResult
-from hybrid_id.twin import paper
 
 
 @dataclass(frozen=True)

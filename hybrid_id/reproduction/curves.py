@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_id.machines.physics.friction import AsymmetricStribeck
 from hybrid_id.reproduction.result import StageResult
-from hybrid_id.twin.friction import AsymmetricStribeck
 
 LEVELS = ("f_11", "f_12", "f_13", "f_14", "f_21", "f_22", "f_23", "f_24")
 
@@ -48,8 +48,8 @@ def friction_curve(
     curves = []
     for values in ({**result.held, **found}, {**truth, **own}):
         dry = AsymmetricStribeck(**{name: values[name + motor] for name in LEVELS})
-        side = np.sign(speed)
-        curves.append(side * dry.level(np.abs(speed), side) + values[f"f_3{motor}"] * speed)
+        forwards, backwards = dry.levels(speed)
+        curves.append(np.where(speed > 0, forwards, -backwards) + values[f"f_3{motor}"] * speed)
     return Curve(label, speed, *curves)
 
 

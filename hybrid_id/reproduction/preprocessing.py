@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hybrid_id.records.derivatives import differentiate
 from hybrid_id.records.record import Record
-from hybrid_id.records.spectral import differentiate
 
 
 @dataclass(frozen=True, eq=False)

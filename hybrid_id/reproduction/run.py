@@ -12,6 +12,9 @@ from typing import Any
 from hybrid_id import __version__
 from hybrid_id.identification.fit import Progress
 from hybrid_id.records.yaml_file import read_yaml
+from hybrid_id.reproduction.claims import Claim, claims
+from hybrid_id.reproduction.comparison import FitRow, ParameterRow, fit_rows, inertia_rows, parameter_rows
+from hybrid_id.reproduction.curves import Curve, friction_curve, link_friction_curve
 from hybrid_id.reproduction.plan import Plan, config_folder, read_plan, twin_settings
 from hybrid_id.reproduction.preprocessing import Preprocessed, preprocess
 from hybrid_id.reproduction.result import StageResult, TrackingResult, load, save
@@ -39,6 +42,32 @@ class Reproduction:
     truths: Mapping[str, Mapping[str, float]]
     tracking: Mapping[str, TrackingResult]
     record: Preprocessed
+
+    @property
+    def claims(self) -> list[Claim]:
+        """What was to be shown, and what was seen."""
+        return claims(self.stages, self.truths, self.tracking)
+
+    @property
+    def inertia(self) -> dict[str, ParameterRow]:
+        """Table 12: the second link's inertia as each stage identifies it."""
+        return inertia_rows(self.stages, self.truths)
+
+    def parameters(self, stage: str) -> list[ParameterRow]:
+        """A stage's table of parameters, ours beside the printed."""
+        return parameter_rows(stage, self.stages[stage], self.truths[stage])
+
+    def fits(self, stage: str) -> list[FitRow]:
+        """A stage's table of fits, ours beside the printed."""
+        return fit_rows(stage, self.stages[stage])
+
+    def friction(self, stage: str, label: str, motor: str = "") -> Curve:
+        """A stage's friction at the motor over velocity, with its truth."""
+        return friction_curve(label, self.stages[stage], self.truths[stage], motor=motor)
+
+    def link_friction(self, stage: str) -> Curve:
+        """A stage's friction at the link over velocity, with its truth."""
+        return link_friction_curve(self.stages[stage])
 
 
 def reproduce(

@@ -12,9 +12,10 @@ import numpy as np
 from hybrid_id.identification.fit import Progress
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import evaluate
+from hybrid_id.machines.twin.campaign import make_campaign, model_description, replay
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.smoothing import smooth_derivatives
+from hybrid_id.records.derivatives import smooth_derivatives
 from hybrid_id.reproduction.plan import StagePlan, twin_settings
 from hybrid_id.reproduction.result import StageResult
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
@@ -22,11 +23,9 @@ from hybrid_id.simulation.rollout import simulate
 from hybrid_id.statistics.fit import fit_percent
 from hybrid_id.study import Study, identify
 from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.builders import carry_over
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import ModelFile, build_model
-from hybrid_id.systems.stage import carry_over
-from hybrid_id.twin.campaign import make_campaign, replay
-from hybrid_id.twin.model import model_description
 
 Found = tuple[StageResult, System]
 

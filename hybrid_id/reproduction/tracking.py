@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from hybrid_id.control import ComputedTorque, Reference, sines, track
+from hybrid_id.machines.twin.paper import TABLE_1
+from hybrid_id.machines.twin.plant import Plant
 from hybrid_id.reproduction.plan import TrackingPlan
 from hybrid_id.reproduction.result import TrackingResult
 from hybrid_id.systems.chain import System
-from hybrid_id.twin.paper import TABLE_1
-from hybrid_id.twin.plant import Plant
 
 MODELS = ("MM", "IFLRM", "IFRM")
 FRICTION = ("f_11", "f_12", "f_21", "f_22", "f_3")

@@ -1,135 +1,471 @@
-"""Compiled engine: the smooth engine's sub-steps and their condensed sensitivities as vector code for this machine.
+"""Compiled engine: what :mod:`hybrid_id.simulation.step` does, as vector code for this machine and this structure.
 
-One sub-step of the equations of motion and its Jacobian are recorded (see :mod:`hybrid_id.simulation.tracing`) and
-become the body of a loop over neighbouring samples, which a C compiler turns into vector instructions. Around it, the
-sub-steps are chained and the samples condensed while they are still in the processor's cache. Compilation takes about a
-second and needs a C compiler; it is opt-in (``Engine(compiled=True)``). The dry engine's events depend on the data:
-its lanes are walked one by one (see :mod:`hybrid_id.simulation.compiled_dry`).
+The equations of motion are recorded with their gradients (:mod:`hybrid_id.simulation.tracing`) and put into the places
+of ``engine.c.in``, which holds the loops over samples and sub-steps, the events of dry friction and the tangents.
+Tangents follow the same steps, the moments of events included: they are those of the discrete map, as the reference's
+are. Smooth friction is the same code without dry speeds. A compiler takes about a second a structure; values of
+parameters and numbers of a machine (gear ratios, say) stay free, so that a search meets the same code in hundreds of
+systems.
 """
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any
+import re
+from collections.abc import Callable, Mapping, Sequence
+from ctypes import CDLL
+from dataclasses import dataclass, replace
+from importlib import resources
+from string import Template
+from typing import cast
 from weakref import WeakKeyDictionary
 
+import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from hybrid_id.simulation.c_code import TEMPLATE, WIDTH, call, library
-from hybrid_id.simulation.step import Engine
+from hybrid_id.components.base import Component
+from hybrid_id.simulation.c_code import call, compiler, library
+from hybrid_id.simulation.step import Engine, update_internal_states
 from hybrid_id.simulation.tracing import DECLARED, record
-from hybrid_id.systems.chain import System
+from hybrid_id.systems.balance import PIVOTS, Directions
+from hybrid_id.systems.chain import Channels, System, Views
 
-_OF_SYSTEM: WeakKeyDictionary[System, dict[tuple[Any, ...], ctypes.CDLL]] = WeakKeyDictionary()
+WIDTH = 8
+"""Lanes that go side by side."""
+FLAGS = (
+    "-O1", "-fexpensive-optimizations", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC", "-fopenmp-simd",
+    "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fno-builtin-sin", "-fno-builtin-cos",
+)  # fmt: skip
+"""As exact as the reference: whether a joint sticks may hang on a difference that is zero. With -O1 alone GCC leaves
+the upper halves of vector registers dirty, and every pow, exp or sin is ten times slower."""
+SMOOTH_FLAGS = (*FLAGS, "-O2")
+"""Smooth friction needs a dozen sub-steps a sample: they earn the longer compilation."""
+PLAIN = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
+"""Numbers that belong to a formula and not to a machine."""
+NUMBER = re.compile(r"(?<![\w.])(?:\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+)(?![\w.])")
+"""A number in a recorded expression."""
+NAMES = re.compile(r"\b(?:[a-z]\d+|h)\b")
+"""Variables in a recorded expression."""
+ROWS = re.compile(r"\b([xupsdk]|fixed|side|margin|against)\[(\d+)\]")
+"""Arrays of which every lane has its own."""
+EVERY_MODULE = {*vars(nn.Module()), "specs"}
+"""Attributes that tell no structure."""
+
+_STRUCTURES: WeakKeyDictionary[System, tuple[object, ...]] = WeakKeyDictionary()
+_LIBRARIES: dict[tuple[object, ...], tuple[CDLL, Tensor]] = {}
+"""By structure, smoothing, channels and free parameters."""
 
 
-def serves(system: System, engine: Engine, x: Tensor) -> bool:
-    """Whether compiled sub-steps are asked for and possible here: smooth friction, no network, delay or GPU."""
+# --- calls --------------------------------------------------------------------------------------------------------
+
+
+def supports_compiled(system: System, engine: Engine, x: Tensor) -> bool:
+    """Whether compiled steps are asked for and possible here: no network, no GPU."""
     here = x.device.type == "cpu" and x.dtype == torch.float64
-    plain = not system.networks and not any(j.drive.delay for j in system.joints)
-    return engine.compiled and engine.friction == "smooth" and plain and here
+    return engine.compiled and not system.networks and here
 
 
-class CompiledStep:
-    """Compiled sub-steps of one structure of system; parameter values stay free.
+def compiled_for(system: System, engine: Engine) -> Engine:
+    """The engine, compiled where a robot's many joints make the plain one slow and there is a C compiler.
 
-    Args:
-        system: equations of motion.
-        engine: gives the number of sub-steps and the smoothing width.
-        channels: names of the channels.
-        free: indices of the parameters to differentiate by; empty for states alone.
+    An ODE solver, which is an engine of another type, has no compiled steps.
+    """
+    compilable = system.tree is not None and type(engine) is Engine
+    return replace(engine, compiled=True) if compilable and compiler() else engine
+
+
+def shoot(
+    system: System,
+    engine: Engine,
+    x: Tensor,
+    u: Mapping[str, Tensor],
+    dt: Tensor,
+    theta: Tensor,
+    length: int,
+) -> Tensor:
+    """Nodes ``(R, T, n_x)`` with those inside each chunk of ``length`` replaced by a rollout of its first.
+
+    Arguments as of :func:`hybrid_id.simulation.lifted.shoot`.
 
     Raises:
         InputError: there is no C compiler, or the model uses an operation that has no C expression.
     """
+    u, path = _arrived(system, u, theta), x.contiguous().clone()
+    code, constants = _library(system, engine, tuple(u))
+    point, sizes = _point(u, dt / engine.substeps, theta, constants), (*dt.shape, length, engine.substeps)
+    call(code, "shoot", path, *point, *sizes)
+    return path
 
-    def __init__(self, system: System, engine: Engine, channels: Sequence[str], free: Sequence[int]) -> None:
-        self.system, self.engine = system, engine
-        self.channels, self.free = tuple(channels), tuple(free)
-        self.n_x = len(system.state_names)
-        known, key = _OF_SYSTEM.setdefault(system, {}), (engine.width, self.channels, self.free)
-        if key not in known:
-            known[key] = library(self.source())
-        self.library = known[key]
 
-    def shoot(self, x: Tensor, u: Mapping[str, Tensor], dt: Tensor, theta: Tensor, length: int) -> Tensor:
-        """Nodes ``(R, T, n_x)`` with those inside each chunk of ``length`` replaced by a rollout of its first."""
-        rows, samples, _ = x.shape
-        path = x.contiguous().clone()
-        if length >= samples:  # one chunk a row: the rows are the lanes
-            self._call("walk", path, *self._point(u, dt, theta), rows, samples)
-            return path
-        self._call("shoot", path, *self._point(u, dt, theta), rows, samples, length)
-        return path
+def linearise(
+    system: System,
+    engine: Engine,
+    x: Tensor,
+    u: Mapping[str, Tensor],
+    dt: Tensor,
+    theta: Tensor,
+    free: Sequence[int],
+) -> tuple[Tensor, Tensor]:
+    """The sample after every node ``(R, T, n_x)``, and its Jacobian by states and parameters ``(.., n_x, n_x + n_f)``.
 
-    def condensed(self, x: Tensor, u: Mapping[str, Tensor], dt: Tensor, theta: Tensor) -> Tensor:
-        """Condensed sensitivities of the nodes ``(R, T, n_x, n_x + n_f + 1)``, see :func:`lifted.condense`."""
-        rows, samples, n_x = x.shape
-        chain = x.new_empty(rows, samples, n_x, n_x + len(self.free) + 1)
-        self._call("condensed", chain, x.contiguous(), *self._point(u, dt, theta), rows, samples)
-        return chain
+    Arguments as of :func:`hybrid_id.simulation.lifted.linearise`. A dead time acts through the channels that it
+    delays: the sample is differentiated by these, and they by the dead time.
 
-    def _point(self, u: Mapping[str, Tensor], dt: Tensor, theta: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        held = torch.stack([u[name] for name in self.channels]) if self.channels else dt.new_empty(0)
-        return held, dt / self.engine.substeps, theta.T.contiguous()
+    Raises:
+        InputError: there is no C compiler, or the model uses an operation that has no C expression.
+    """
+    slopes, u = _delay_slopes(system, u, theta, free), _arrived(system, u, theta)
+    names = tuple(u)
+    late = tuple(names.index(name) for name, _, _ in slopes)
+    after = torch.empty_like(x, memory_format=torch.contiguous_format)
+    columns = x.shape[-1] + len(free)
+    jacobian = x.new_empty(*x.shape, columns + len(late))
+    code, constants = _library(system, engine, names, tuple(free), late)
+    point, sizes = _point(u, dt / engine.substeps, theta, constants), (*dt.shape, engine.substeps)
+    call(code, "linearise", after, jacobian, x.contiguous(), *point, *sizes)
+    for k, (_, column, slope) in enumerate(slopes):
+        jacobian[..., x.shape[-1] + column] += jacobian[..., columns + k] * slope[..., None]
+    return after, jacobian[..., :columns]
 
-    def _call(self, name: str, *arguments: Tensor | int) -> None:
-        call(self.library, name, *arguments, self.engine.substeps)
 
-    # --- the code --------------------------------------------------------------------------------------------------
+def _library(
+    system: System,
+    engine: Engine,
+    channels: tuple[str, ...],
+    free: tuple[int, ...] | None = None,
+    late: tuple[int, ...] = (),
+) -> tuple[CDLL, Tensor]:
+    """The code of a system, and the constants that follow its parameters."""
+    if system not in _STRUCTURES:
+        _STRUCTURES[system] = structure(system)
+    width = engine.width if engine.friction == "smooth" else None
+    key = (_STRUCTURES[system], width, channels, free, late)
+    if key not in _LIBRARIES:
+        code, constants = source(system, channels, free, width, late)
+        flags = FLAGS if width is None else SMOOTH_FLAGS
+        _LIBRARIES[key] = library(code, flags), torch.tensor(constants, dtype=torch.float64)
+    return _LIBRARIES[key]
 
-    def source(self) -> str:
-        """C code of this structure."""
-        n_x, n_f, n_u = self.n_x, len(self.free), len(self.channels)
-        start = [0.1] * n_x + [1.0] * n_u + [1e-3] + [float(value) for value in self.system.theta().detach()]
-        names = [f"x{i}" for i in range(n_x)] + [f"u{i}" for i in range(n_u)] + ["h"]
-        names += [f"p{i}" for i in range(len(self.system.table))]
-        load = [f"const double x{i} = x[{i}][l];" for i in range(n_x)]
-        load += [f"const double u{i} = u[{i}][l];" for i in range(n_u)]
-        parameters = [f"const double p{i} = p[{i}];" for i in range(len(self.system.table))]
-        plain, after = record(self._advance, names, start)
-        whole, results = record(self._jacobian, names, start)
-        columns = n_x + n_f
-        chained = [f"const double c{j}_{c} = c[{j}][{c}][l];" for j in range(n_x) for c in range(columns)]
-        for i in range(n_x):
-            row = results[n_x + i * columns : n_x + (i + 1) * columns]
-            for c in range(columns):
-                terms = [f"{g} * c{j}_{c}" for j, g in enumerate(row[:n_x]) if g != "0.0"]
-                terms += [row[c]] if c >= n_x and row[c] != "0.0" else []
-                chained.append(f"c[{i}][{c}][l] = {' + '.join(terms) or '0.0'};")
 
-        def body(*parts: list[str]) -> str:
-            return "\n".join(f"        {line}" for part in parts for line in part)
+def _point(
+    u: Mapping[str, Tensor], step: Tensor, theta: Tensor, constants: Tensor
+) -> tuple[Tensor, Tensor, Tensor]:
+    held = torch.stack(list(u.values())) if u else step.new_empty(0)
+    values = torch.cat([theta.T, constants.expand(theta.shape[1], -1)], 1)
+    return held, step.contiguous(), values.contiguous()
 
-        return TEMPLATE.substitute(
-            functions=DECLARED,
-            n_x=n_x, n_u=max(n_u, 1), held=n_u, n_f=n_f, n_p=len(self.system.table), width=WIDTH,
-            parameters="\n".join(f"    {line}" for line in parameters),
-            row_parameters=body([f"const double p{i} = p[{i}][l];" for i in range(len(self.system.table))]),
-            states=body(load, plain, [f"x[{i}][l] = {a};" for i, a in enumerate(after)]),
-            tangents=body(load, whole, chained, [f"x[{i}][l] = {a};" for i, a in enumerate(results[:n_x])]),
-        )  # fmt: skip
 
-    def _advance(self, *rows: Tensor) -> list[Tensor]:
-        x, held, h = rows[: self.n_x], rows[self.n_x :], rows[self.n_x + len(self.channels)]
-        p = self.system.views(rows[self.n_x + len(self.channels) + 1 :])
-        channels = dict(zip(self.channels, held[: len(self.channels)], strict=True))
-        return replace(self.engine, substeps=1).sample(self.system, x, channels, h, p)
+def _arrived(system: System, u: Mapping[str, Tensor], theta: Tensor) -> Mapping[str, Tensor]:
+    """Channels ``(R, T)`` as they arrive at the motors, without the past that a delay needs."""
+    if not any(joint.drive.delay for joint in system.joints):
+        return u
+    shape = next(iter(u.values())).shape
+    p = system.views(list(theta.repeat_interleave(shape[1], 1)))
+    arrived = system.hold({name: channel.reshape(-1) for name, channel in u.items()}, p)
+    return {name: channel.reshape(shape) for name, channel in arrived.items() if "@" not in name}
 
-    def _jacobian(self, *rows: Tensor) -> list[Tensor]:
-        first = self.n_x + len(self.channels) + 1
-        wanted = [*range(self.n_x), *(first + i for i in self.free)]
-        leaves = [row.detach().requires_grad_(k in wanted) for k, row in enumerate(rows)]
+
+def _delay_slopes(
+    system: System, u: Mapping[str, Tensor], theta: Tensor, free: Sequence[int]
+) -> list[tuple[str, int, Tensor]]:
+    """Channels that a free dead time delays, its number among the free parameters, their slope by it ``(R, T)``."""
+    found = []
+    for joint in system.joints:
+        drive = joint.drive
+        if drive.delay is None:
+            continue
+        row = next(i for i, info in enumerate(system.table) if info.component == drive.delay[0])
+        if row not in free:
+            continue
+        shape = u[f"step{joint.number}"].shape
+        values = list(theta.repeat_interleave(shape[1], 1))
+        values[row] = values[row].requires_grad_()
         with torch.enable_grad():
-            after = self._advance(*leaves)
-            sums = [target.sum() for target in after]
-        found = [a.detach() for a in after]
-        for target, total in zip(after, sums, strict=True):
-            grads = torch.autograd.grad(
-                total, [leaves[k] for k in wanted], retain_graph=True, allow_unused=True
-            )
-            found += [torch.zeros_like(target) if g is None else g for g in grads]
-        return found
+            flat = {name: channel.reshape(-1) for name, channel in u.items()}
+            arrived = drive.hold(flat, system.views(values))
+            for name in (f"{c}{joint.number}" for c in drive.input[1].channels):
+                (slope,) = torch.autograd.grad(arrived[name].sum(), values[row], retain_graph=True)
+                found.append((name, list(free).index(row), slope.reshape(shape)))
+    return found
+
+
+# --- the code of a structure --------------------------------------------------------------------------------------
+
+
+def structure(system: System) -> tuple[object, ...]:
+    """What the code depends on: gear ratios, tree, and of each component its class and all but its values."""
+    return (
+        system.gear_ratio,
+        system.tree,
+        system.seats,
+        tuple((key, type(part), _own(part)) for key, part in system.components.items()),
+    )
+
+
+def _own(part: nn.Module) -> str:
+    """What a component holds beside its parameters, written out."""
+    declared = cast(Component, part).declared
+    kept = {name: value for name, value in vars(part).items() if name not in EVERY_MODULE}
+    kept |= {name: value for name, value in part.state_dict().items() if name not in declared}
+    arrays = (Tensor, np.ndarray)
+    return repr({name: v.tolist() if isinstance(v, arrays) else v for name, v in kept.items()})
+
+
+def source(
+    system: System,
+    channels: Sequence[str],
+    free: Sequence[int] | None = None,
+    width: float | None = None,
+    late: Sequence[int] = (),
+) -> tuple[str, list[float]]:
+    """C code of one structure of system under named channels, and the machine's constants, which follow its parameters.
+
+    Args:
+        system: equations of motion.
+        channels: names of the channels.
+        free: indices of the parameters by which, beside the states, tangents are taken; None for rollouts.
+        width: smoothing speed [rad/s] of friction; None for dry friction.
+        late: indices of channels by which tangents are taken too.
+
+    Raises:
+        InputError: the model uses an operation that has no C expression.
+    """
+    n_x, speeds = len(system.state_names), len(system.speed_rows)
+    dry = [k for k, is_dry in enumerate(system.dry) if is_dry and width is None]
+    n, kept = len(dry), system.memory_rows
+    coupled: list[int] = []
+
+    def full(rows: Sequence[Tensor]) -> Directions:
+        """A direction for each speed from one for each dry speed."""
+        return [rows[dry.index(k)] if k in dry else None for k in range(speeds)]
+
+    def rates(x: Sequence[Tensor], u: Channels, p: Views, d: Sequence[Tensor]) -> list[Tensor]:
+        return system.rates(x, u, p, full(d)) if width is None else system.rates(x, u, p, width=width)
+
+    def margins(
+        x: Sequence[Tensor], u: Channels, p: Views, s: Sequence[Tensor], d: Sequence[Tensor]
+    ) -> list[Tensor]:
+        nonlocal coupled
+        rest, along = system.rest(x, u, p, full(s)), full(d)
+        coupled = [dry.index(k) for k in rest.forward.coupled if k in dry]
+        now, found = rest.along(along), rest.breakaway_margins(along)
+        accelerations = now.accelerations(along, held=True)
+        against = [-d[i] * accelerations[k] * now.speeds[k].inertia for i, k in enumerate(dry)]
+        return [found[k][0] for k in dry] + [found[k][1] for k in dry] + against
+
+    def internal(x: Sequence[Tensor], u: Channels, p: Views, h: Tensor) -> list[Tensor]:
+        after = update_internal_states(system, list(x), u, p, h)
+        return [after[row] for row in kept]
+
+    code = Statements(system, channels, free, late)
+    bodies = {"rates": code.function(rates, {"d": n}, [f"k[{i}]" for i in range(n_x)], tangents=range(n_x))}
+    targets = [f"{name}[{i}]" for name in ("side", "margin", "against") for i in range(n)]
+    bodies["margins"] = code.function(margins, {"s": n, "d": n}, targets) if n else Body("", "", [])
+    bodies["internal"] = code.function(internal, {"h": 0}, [f"x[{i}]" for i in kept], tangents=kept)
+    if code.columns:
+        bodies["internal"].tangents.extend(f"TANGENTS x_t[{i}][c][l] = k_t[{i}][c][l];" for i in kept)
+    texts = {name: body.alone for name, body in bodies.items()}
+    texts |= {f"{name}_lanes": body.lanes for name, body in bodies.items()}
+    texts |= {f"{name}_tangents": lines(body.tangents) for name, body in bodies.items()}
+    template = resources.files("hybrid_id.simulation").joinpath("engine.c.in").read_text(encoding="utf-8")
+    written = Template(template).substitute(
+        texts, functions=DECLARED, width=WIDTH, internal_states=int(bool(kept)), rollouts=int(free is None),
+        prepare="\n".join(code.prepare), hold_lanes=in_lanes("\n".join(code.hold)), n_x=n_x, held=len(channels),
+        n_p=len(system.table) + len(code.constants), n_fixed=code.n_fixed, n_columns=code.columns, n_dry=n,
+        n_speeds=speeds, n_coupled=len(coupled), pivots=min(3 ** len(coupled), PIVOTS) if coupled else 0,
+        coupled=", ".join(str(int(i in coupled)) for i in range(n)) or "0",
+        rows=", ".join(str(system.speed_rows[k]) for k in dry) or "0",
+    )  # fmt: skip
+    return written, [float(text) for text in code.constants]
+
+
+def in_lanes(body: str) -> str:
+    """Statements of one lane as those of lane l."""
+    return ROWS.sub(r"\1[\2][l]", body)
+
+
+@dataclass(frozen=True)
+class Body:
+    """C statements of one function.
+
+    Attributes:
+        alone: for one lane, its tangents included.
+        lanes: for lane l of several.
+        tangents: what makes tangents of the gradients that lanes leave, after all lanes.
+    """
+
+    alone: str
+    lanes: str
+    tangents: list[str]
+
+
+class Statements:
+    """C statements of functions of a system's rows.
+
+    What depends on parameters alone is found once a row, what depends on held inputs as well once a sample.
+
+    Args:
+        system: its equations are recorded.
+        channels: names of the channels.
+        free: indices of the parameters by which tangents are taken; None for no tangents.
+        late: indices of the channels by which they are taken too.
+
+    Attributes:
+        columns: number of tangents.
+        prepare: statements that fill ``fixed`` with the values that depend on parameters alone.
+        hold: those that add the values that depend on parameters and held inputs.
+        n_fixed: how many values these are.
+        constants: numbers of the machine, as they are written, and the rows that hold them.
+    """
+
+    def __init__(
+        self, system: System, channels: Sequence[str], free: Sequence[int] | None, late: Sequence[int] = ()
+    ) -> None:
+        self.system, self.channels = system, channels
+        self.wanted = [f"x{i}" for i in range(len(system.state_names))]
+        self.wanted += [*(f"p{i}" for i in free or ()), *(f"u{i}" for i in late)]
+        self.columns = 0 if free is None else len(self.wanted)
+        self.prepare: list[str] = []
+        self.hold: list[str] = []
+        self.n_fixed = 0
+        self.constants: dict[str, int] = {}
+
+    @torch.no_grad()
+    def function(
+        self,
+        function: Callable[..., list[Tensor]],
+        extra: Mapping[str, int],
+        targets: Sequence[str],
+        tangents: Sequence[int] = (),
+    ) -> Body:
+        """Body of a function of x, u, p and more.
+
+        Args:
+            function: takes rows of x, channels, views and the rows of ``extra``, and returns rows.
+            extra: names of its further arrays and their sizes; 0 for a number.
+            targets: what is assigned its results.
+            tangents: rows of ``k_t`` that hold the results' tangents.
+        """
+        flat, statements, results = self._recorded(function, extra, bool(tangents) and self.columns > 0)
+        load = [f"const double {n} = {key}[{n[1:]}];" for key, n in flat if n != "h"]
+        given = {key: [line for line in load if f" {key}" in line[:15]] for key in "pu"}
+        fixed, moving = self._split(statements, results, given["p"], self.prepare)
+        held, moving = self._split(moving, results, [*given["p"], *given["u"], *fixed], self.hold)
+        body = [*load, *fixed, *held, *moving]
+        body += [f"{target} = {result};" for target, result in zip(targets, results, strict=False)]
+        alone, lanes, chained = [*body], [in_lanes(line) for line in body], []
+        for k, row in enumerate(tangents if self.columns else ()):
+            first = len(targets) + k * self.columns
+            gradient = results[first : first + self.columns]
+            alone += self._chained(row, gradient)
+            left = [f"g[{row}][{c}][l]" if NAMES.search(g) else g for c, g in enumerate(gradient)]
+            lanes += [f"{name} = {g};" for name, g in zip(left, gradient, strict=True) if name != g]
+            chained += self._chained(row, left, "TANGENTS", "LANES", "[l]")
+        return Body(lines(alone), lines(lanes), chained)
+
+    def _recorded(
+        self, function: Callable[..., list[Tensor]], extra: Mapping[str, int], differentiate: bool
+    ) -> tuple[list[tuple[str, str]], list[str], list[str]]:
+        """Arrays and names of a function's rows, its statements, and names of its results, gradients behind them."""
+        sizes = {
+            "x": len(self.system.state_names),
+            "u": len(self.channels),
+            "p": len(self.system.table),
+            **extra,
+        }
+        names = {key: [f"{key}{i}" for i in range(n)] if n else [key] for key, n in sizes.items()}
+        names |= {key: [] for key in ("u", "d", "s") if sizes.get(key) == 0}
+        values = {"x": 0.1, "u": 1.0, "h": 1e-3, "d": 1.0, "s": 1.0}
+        flat = [(key, name) for key, own in names.items() for name in own]
+        theta = iter(self.system.theta().tolist())
+        examples = [next(theta) if key == "p" else values[key] for key, _ in flat]
+
+        def run(*rows: Tensor) -> list[Tensor]:
+            left = iter(rows)  # in the order of their names
+            given = {key: [next(left) for _ in own] for key, own in names.items()}
+            u = dict(zip(self.channels, given["u"], strict=True))
+            more = [given[key][0] if key == "h" else given[key] for key in extra]
+            return function(given["x"], u, self.system.views(given["p"]), *more)
+
+        def differentiated(*rows: Tensor) -> list[Tensor]:
+            leaves = {
+                name: row.detach().requires_grad_(name in self.wanted)
+                for (_, name), row in zip(flat, rows, strict=True)
+            }
+            with torch.enable_grad():
+                found = run(*leaves.values())
+                totals = [one.sum() for one in found]
+            results = [one.detach() for one in found]
+            for total, one in zip(totals, found, strict=True):
+                inputs = [leaves[name] for name in self.wanted]
+                grads: Sequence[Tensor | None] = [None] * len(inputs)
+                if total.requires_grad:
+                    grads = torch.autograd.grad(total, inputs, retain_graph=True, allow_unused=True)
+                results += [torch.zeros_like(one) if g is None else g for g in grads]
+            return results
+
+        whole = differentiated if differentiate else run
+        statements, results = record(whole, [name for _, name in flat], examples)
+        statements, results = (
+            [NUMBER.sub(self._named, line) for line in lines] for lines in (statements, results)
+        )
+        used = {name for line in (*statements, *results) for name in NAMES.findall(line)}
+        flat += [("p", name) for name in (f"p{row}" for row in self.constants.values()) if name in used]
+        return flat, statements, results
+
+    def _named(self, number: re.Match[str]) -> str:
+        """The row that holds a number, unless it belongs to the formula."""
+        text = number.group()
+        if float(text) in PLAIN:
+            return text
+        return f"p{self.constants.setdefault(text, len(self.system.table) + len(self.constants))}"
+
+    def _split(
+        self, statements: Sequence[str], results: Sequence[str], load: Sequence[str], earlier: list[str]
+    ) -> tuple[list[str], list[str]]:
+        """Statements that read what is found earlier, and those that depend on more than that.
+
+        Args:
+            statements: to be divided.
+            results: names of what their function returns.
+            load: statements that read what is known early.
+            earlier: gets the statements that depend on nothing else.
+        """
+        given = {_assigned(line) for line in load}
+        known, moving, needed = {}, [], set(results)
+        for line in statements:
+            used = NAMES.findall(line.split(" = ", 1)[1])
+            if all(name in known or name in given for name in used):
+                known[_assigned(line)] = line
+            else:
+                moving.append(line)
+                needed.update(used)
+        kept = [name for name in known if name in needed]
+        places = {name: f"fixed[{self.n_fixed + i}]" for i, name in enumerate(kept)}
+        self.n_fixed += len(kept)
+        body = [*load, *known.values(), *(f"{place} = {name};" for name, place in places.items())]
+        earlier += ["    {", *(f"        {line}" for line in body), "    }"] if kept else []
+        kinds = {name: known[name].split(" = ")[0] for name in kept}
+        return [f"{kinds[name]} = {place};" for name, place in places.items()], moving
+
+    def _chained(
+        self, row: int, gradient: Sequence[str], all_columns: str = "COLUMNS", one: str = "", lane: str = ""
+    ) -> list[str]:
+        """Statements that fill a row of ``k_t`` by the chain rule from a gradient by states and free parameters."""
+        n_x = len(self.system.state_names)
+        terms = [f"{g} * x_t[{j}][c]{lane}" for j, g in enumerate(gradient[:n_x]) if g != "0.0"]
+        own = [(c, g) for c, g in enumerate(gradient) if c >= n_x and g != "0.0"]
+        return [
+            f"{all_columns} k_t[{row}][c]{lane} = {' + '.join(terms) or '0.0'};",
+            *(f"{one} k_t[{row}][{c}]{lane} += {g};" for c, g in own),
+        ]
+
+
+def lines(statements: Sequence[str]) -> str:
+    """Statements as the body of a function."""
+    return "\n".join(f"    {line}" for line in statements)
+
+
+def _assigned(statement: str) -> str:
+    """Name of the variable that a statement defines."""
+    return statement.split(" = ", 1)[0].split()[-1]

@@ -1,9 +1,9 @@
 """Lifted simulation: every sample's state is a node, and all samples are integrated at once.
 
-A rollout is a chain ``x_{k+1} = Phi(x_k, u_k, theta)`` that a loop must walk step by step, and in eager torch each step
-costs the same for one lane as for thousands. Here the states of all samples are unknowns. One call evaluates Phi and
-its Jacobians for all samples as lanes; the defects ``d_k = Phi(x_k) - x_{k+1}`` and the sensitivities are then chained
-by a linear recursion ("condensing"), itself cut into chunks that run side by side:
+A rollout is a chain ``x_{k+1} = Phi(x_k, u_k, theta)`` that a loop must follow step by step, and in eager torch each
+step costs the same for one lane as for thousands. Here the states of all samples are unknowns. One call evaluates Phi
+and its Jacobians for all samples as lanes; the defects ``d_k = Phi(x_k) - x_{k+1}`` and the sensitivities are then
+chained by a linear recursion ("condensing"):
 
     delta_{k+1} = A_k delta_k + B_k delta_theta + d_k.
 
@@ -16,24 +16,53 @@ Sources: H. G. Bock's multiple shooting (1981); J. Albersmeyer, M. Diehl, "The L
 
 from __future__ import annotations
 
+import ctypes
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
 
 import torch
 from torch import Tensor
 
-from hybrid_id.simulation.compiled import CompiledStep, serves
-from hybrid_id.simulation.compiled_dry import tangents, walk, walks
-from hybrid_id.simulation.condense_code import condense_rows
-from hybrid_id.simulation.measured import Measured, measure
-from hybrid_id.simulation.step import Engine
+from hybrid_id.errors import InputError
+from hybrid_id.simulation import compiled
+from hybrid_id.simulation.c_code import call, library
+from hybrid_id.simulation.compiled import supports_compiled
+from hybrid_id.simulation.step import Engine, fill_jacobian
 from hybrid_id.systems.chain import System
 
 LANES = 25_000
 """Lanes per block: enough to hide the cost of Python, few enough for 200 MB of saved values."""
 
-LARGE = 250_000
-"""Condensed sensitivities from which on C code for them, where there is a compiler, earns its 0.2 s within a fit."""
+BLOCK = 16
+"""Samples whose Jacobians compiled condensing gathers at once: two lines of cache of each element."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Outputs at all nodes.
+
+    Attributes:
+        y: outputs, ``(R, T, n_y)``.
+        c: d y / d x, ``(R, T, n_y, n_x)``.
+        d: d y / d theta, ``(R, T, n_y, n_f)``.
+        picks: for each output the state that it is, None where it is a function of states and parameters.
+    """
+
+    y: Tensor
+    c: Tensor
+    d: Tensor
+    picks: tuple[int | None, ...]
+
+    def chain(self, chain: Tensor) -> Tensor:
+        """Sensitivities of the outputs from those of the nodes, ``(R, T, n_y, n_x + n_f + 1)``."""
+        states = [pick for pick in self.picks if pick is not None]
+        if len(states) == len(self.picks):
+            return chain[:, :, states]
+        through = self.c @ chain
+        through[..., chain.shape[2] : -1] += self.d
+        return through
 
 
 @dataclass(frozen=True)
@@ -49,24 +78,6 @@ class Linearisation(Measured):
     x_next: Tensor
     a: Tensor
     b: Tensor
-
-
-def condensed(
-    system: System,
-    engine: Engine,
-    x: Tensor,
-    u: Mapping[str, Tensor],
-    dt: Tensor,
-    theta: Tensor,
-    free: Sequence[int],
-    outputs: Sequence[str],
-) -> tuple[Measured, Tensor]:
-    """Outputs at the nodes, and what :func:`condense` makes of a linearisation there; arguments as there."""
-    if serves(system, engine, x):
-        chain = CompiledStep(system, engine, tuple(u), free).condensed(x, u, dt, theta)
-        return measure(system, x, u, theta, free, outputs), chain
-    lin = linearise(system, engine, x, u, dt, theta, free, outputs)
-    return lin, condense(lin, x)
 
 
 def linearise(
@@ -92,8 +103,8 @@ def linearise(
         outputs: names of the measured outputs.
     """
     rows, samples, n_x = x.shape
-    if walks(system, engine, x) and not any(joint.drive.delay for joint in system.joints):
-        after, jacobian = tangents(system, engine, x, u, dt, theta, free)
+    if supports_compiled(system, engine, x):
+        after, jacobian = compiled.linearise(system, engine, x, u, dt, theta, free)
         measured = measure(system, x, u, theta, free, outputs)
         return Linearisation(**vars(measured), x_next=after, a=jacobian[..., :n_x], b=jacobian[..., n_x:])
     lanes, columns = rows * samples, n_x + len(free)
@@ -113,16 +124,9 @@ def linearise(
         channels = {name: channel[block] for name, channel in flat_u.items()}
         with torch.enable_grad():
             after = engine.sample(system, leaves, channels, flat_dt[block], system.views(values))
-            sums = [target.sum() for target in after]  # lanes do not mix: one sweep a row
-        wanted = [*leaves, *(values[i] for i in free)]
         for i, target in enumerate(after):
             x_next[i, block] = target.detach()
-            if not target.requires_grad:
-                continue
-            grads = torch.autograd.grad(sums[i], wanted, retain_graph=True, allow_unused=True)
-            for j, grad in enumerate(grads):
-                if grad is not None:
-                    jacobian[i, j, block] = grad
+        fill_jacobian(jacobian[:, :, block], after, [*leaves, *(values[i] for i in free)])
     grid = jacobian.reshape(n_x, columns, rows, samples).permute(2, 3, 0, 1)
     return Linearisation(
         **vars(measure(system, x, u, theta, free, outputs)),
@@ -132,8 +136,51 @@ def linearise(
     )
 
 
+def measure(
+    system: System,
+    x: Tensor,
+    u: Mapping[str, Tensor],
+    theta: Tensor,
+    free: Sequence[int],
+    outputs: Sequence[str],
+) -> Measured:
+    """Evaluate and differentiate the outputs at every node.
+
+    Args:
+        system: tells the outputs.
+        x: nodes, ``(R, T, n_x)``.
+        u: channels, ``(R, T)`` each.
+        theta: all parameters in table order, ``(n_p, R)``.
+        free: indices of the parameters to differentiate by.
+        outputs: names of the measured outputs.
+    """
+    rows, samples, n_x = x.shape
+    n_y, n_f = len(outputs), len(free)
+    states = x[:, 0].unbind(1)  # one sample of each row tells which outputs are states
+    with torch.no_grad():
+        found = system.outputs(
+            outputs, states, {name: channel[:, 0] for name, channel in u.items()}, system.views(list(theta))
+        )
+    picks = [next((j for j, state in enumerate(states) if one is state), None) for one in found]
+    if all(pick is not None for pick in picks):
+        c = torch.eye(n_x, dtype=x.dtype, device=x.device)[picks].expand(rows, samples, n_y, n_x)
+        return Measured(x[..., picks], c, x.new_zeros(1).expand(rows, samples, n_y, n_f), tuple(picks))
+    leaves = [column.reshape(-1).requires_grad_() for column in x.detach().clone().unbind(2)]
+    values = list(theta.repeat_interleave(samples, 1).unbind(0))
+    for i in free:
+        values[i] = values[i].detach().requires_grad_()
+    channels = {name: channel.reshape(-1) for name, channel in u.items()}
+    with torch.enable_grad():
+        found = system.outputs(outputs, leaves, channels, system.views(values))
+    jacobian = x.new_zeros(rows * samples, n_y, n_x + n_f)
+    fill_jacobian(jacobian.permute(1, 2, 0), found, [*leaves, *(values[i] for i in free)])
+    y = torch.stack([target.detach() for target in found], -1) if found else x.new_empty(rows * samples, 0)
+    grid = jacobian.reshape(rows, samples, n_y, n_x + n_f)
+    return Measured(y.reshape(rows, samples, n_y), grid[..., :n_x], grid[..., n_x:], tuple(picks))
+
+
 def condense(lin: Linearisation, x: Tensor) -> Tensor:
-    """Chain the defects and sensitivities of all nodes from the first node of each row.
+    """Chain the defects and sensitivities of all nodes from the first node of each row: in C where that can be.
 
     Args:
         lin: linearisation at the nodes.
@@ -143,12 +190,14 @@ def condense(lin: Linearisation, x: Tensor) -> Tensor:
         ``(R, T, n_x, n_x + n_f + 1)``: change of each node per unit of the first node's state, per unit of each
         parameter, and (last column) through the defects.
     """
+    found = condense_compiled(x, lin.a, lin.b, lin.x_next)
+    return condense_reference(lin, x) if found is None else found
+
+
+def condense_reference(lin: Linearisation, x: Tensor) -> Tensor:
+    """What :func:`condense` returns, in PyTorch: chunks side by side, then one after the other."""
     rows, samples, n_x = x.shape
     columns = n_x + lin.b.shape[-1] + 1
-    if rows * samples * n_x * columns >= LARGE:
-        found = condense_rows(x, lin.a, lin.b, lin.x_next)
-        if found is not None:
-            return found
     steps = samples - 1
     length = max(1, round(max(steps, 1) ** 0.5))
     chunks = max(1, -(-steps // length))
@@ -185,6 +234,39 @@ def condense(lin: Linearisation, x: Tensor) -> Tensor:
     return chain[:, :samples]
 
 
+def condense_compiled(x: Tensor, a: Tensor, b: Tensor, x_next: Tensor) -> Tensor | None:
+    """What :func:`condense` returns, by one pass over the samples, ten times faster than the reference.
+
+    None where there is no C compiler, and for numbers on a GPU or of another precision.
+
+    Args:
+        x: nodes, ``(R, T, n_x)``.
+        a: d x_next / d x, ``(R, T, n_x, n_x)``.
+        b: d x_next / d theta, ``(R, T, n_x, n_f)``.
+        x_next: Phi of each node, ``(R, T, n_x)``.
+    """
+    parts = (x, a, b, x_next)
+    if any(part.device.type != "cpu" or part.dtype != torch.float64 for part in parts):
+        return None
+    if (code := _condensing()) is None:
+        return None
+    (rows, samples, n_x), n_f = x.shape, b.shape[-1]
+    chain = x.new_empty(rows, samples, n_x, n_x + n_f + 1)
+    block = x.new_empty(BLOCK, n_x, n_x + n_f + 1)
+    strides = torch.tensor([*a.stride(), *b.stride(), *x_next.stride()], device="cpu")
+    sizes = (rows, samples, n_x, n_f, BLOCK)
+    call(code, "condense", chain, block, x.contiguous(), a, b, x_next, strides, *sizes)
+    return chain
+
+
+@functools.cache
+def _condensing() -> ctypes.CDLL | None:
+    try:
+        return library(resources.files("hybrid_id.simulation").joinpath("condense.c").read_text())
+    except InputError:
+        return None
+
+
 @torch.no_grad()
 def shoot(
     system: System,
@@ -200,10 +282,8 @@ def shoot(
     The defects that remain sit between chunks. A reversal whose time is off then costs one Newton step instead of
     one for each sample by which it moves. Arguments as in :func:`linearise`; returns the new nodes ``(R, T, n_x)``.
     """
-    if serves(system, engine, x):
-        return CompiledStep(system, engine, tuple(u), ()).shoot(x, u, dt, theta, length)
-    if walks(system, engine, x):
-        return walk(system, engine, x, u, dt, theta, length)
+    if supports_compiled(system, engine, x):
+        return compiled.shoot(system, engine, x, u, dt, theta, length)
     rows, samples, n_x = x.shape
     chunks = -(-samples // length)
     pad = chunks * length - samples

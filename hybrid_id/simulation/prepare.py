@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from functools import lru_cache
 
 import numpy as np
 import torch
-from scipy.integrate import cumulative_trapezoid
 from torch import Tensor
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.derivatives import noise_level, smooth_derivatives
 from hybrid_id.records.measures import quantisation_step, rest_samples
 from hybrid_id.records.record import Record
-from hybrid_id.records.smoothing import noise_level, smooth_derivatives
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.rest import hidden_side, resting_twist
-from hybrid_id.systems.chain import System
+from hybrid_id.systems.chain import Channels, System
 from hybrid_id.systems.joint import Joint
 
 RESTING = 5
 """Samples at rest from which on a record counts as one that starts at rest, and fewest samples of any record."""
 SIGNAL_SHARE = 0.004
 """Standard deviation added to each measurement's noise, as a share of the record's: what a good model still misses."""
+SMALLEST, LARGEST, HALVINGS = 1e-5, 2.0, 50
+"""Twists [rad at the link] between which the balance is looked for, and steps of the bisection."""
 
 
 def make_batch(
@@ -177,7 +177,7 @@ def _states(
         else:
             states[:, link : link + 2] = states[:, row : row + 2] / ratio
             stds[link : link + 2] = stds[row : row + 2] / ratio
-        hidden = hidden_side(joint, record.outputs)
+        hidden = _hidden_side(joint, record.outputs)
         if hidden is not None and rest < RESTING:  # in motion nobody knows the spring's deflection
             stds[hidden : hidden + 2] += 0.1 * states[:, hidden : hidden + 2].std(0)
     return states, stds if estimate_start else np.zeros_like(stds)
@@ -188,16 +188,64 @@ def _wind_up(
 ) -> None:
     """Put the hidden side of a gear where the load lets it rest at the start; a fit may move it as far."""
     for joint in system.joints:
-        hidden = hidden_side(joint, records[0].outputs)
+        hidden = _hidden_side(joint, records[0].outputs)
         if hidden is None:
             continue
         still = torch.tensor([rest_samples(record) >= RESTING for record in records])
         first = {name: channel[:, 0] for name, channel in u.items()}
-        twist = resting_twist(system, joint, list(x[:, 0].unbind(1)), first) * still
+        twist = _resting_twist(system, joint, list(x[:, 0].unbind(1)), first) * still
         turn = twist if hidden == joint.positions[1] else -joint.gear_ratio * twist
         x[:, :, hidden] += turn[:, None]
         std = x0_std[:, hidden]
         x0_std[:, hidden] = torch.where(std > 0, torch.hypot(std, turn), std)
+
+
+def _hidden_side(joint: Joint, outputs: Collection[str]) -> int | None:
+    """Row of the angle, the motor's or the link's, that outputs do not tell behind a gear that gives way; else None."""
+    if joint.rigid:
+        return None
+    motor, link = joint.positions
+    if f"q_a{joint.number}" not in outputs:
+        return link
+    return None if {f"q_m{joint.number}", f"v_m{joint.number}"} & set(outputs) else motor
+
+
+@torch.no_grad()
+def _resting_twist(system: System, joint: Joint, x: list[Tensor], u: Channels) -> Tensor:
+    """Link angle less the rotor's over the ratio [rad], ``(B,)``, at which a resting joint's spring carries its load.
+
+    0 where dry friction at the link can hold the load, and where no twist carries it. Loads of the joint's own count,
+    not what an arm's links do to each other.
+
+    Args:
+        system: of the joint.
+        joint: with a compliant gear.
+        x: state rows at rest, ``(B,)`` each, the link where the rotor is.
+        u: channels, ``(B,)`` each.
+    """
+    nothing = torch.zeros_like(x[0])
+    if not (joint.loads or joint.logged or joint.gear.errors):
+        return nothing
+    p = system.views(list(system.theta().to(x[0])[:, None]))
+    link = joint.positions[1]
+
+    def pull(twist: Tensor) -> Tensor:
+        """Torque on the link that twists it further."""
+        rows = list(x)
+        rows[link] = x[link] + twist
+        return joint.spring_torque(rows, p) - joint.load_torque(rows[link], nothing, u, p)
+
+    held = pull(nothing).abs() <= joint.dry_level("link_friction", p, nothing, nothing, x) + 1e-12
+    reach = torch.full_like(nothing, SMALLEST)
+    while float(reach.max()) < LARGEST and bool(((pull(reach) > 0) | (pull(-reach) < 0)).any()):
+        reach = 2.0 * reach
+    carried = (pull(reach) <= 0) & (pull(-reach) >= 0) & ~held
+    low, high = -reach, reach
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        further = pull(middle) > 0
+        low, high = torch.where(further, middle, low), torch.where(further, high, middle)
+    return torch.where(carried, 0.5 * (low + high), nothing)
 
 
 def _motion(
@@ -208,7 +256,8 @@ def _motion(
     std = noise[name]
     if name.startswith("v"):
         speed = _smooth(record.outputs[name], steps, std)[0]
-        angle, first = cumulative_trapezoid(speed, record.time, initial=0.0), (0.0, std)
+        turned = np.diff(record.time) * (speed[1:] + speed[:-1]) / 2.0
+        angle, first = np.concatenate([[0.0], np.cumsum(turned)]), (0.0, std)
     else:
         offset, estimated = _encoder_offset(joint, name[:-1])
         measured = record.outputs[name] - offset

@@ -1,4 +1,4 @@
-"""Free-run simulation of a batch: the loop, and the lifted Newton iteration that ends at the same result."""
+"""Free runs of a batch: the loop, the lifted Newton iteration that ends at the same result, and why one diverges."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from hybrid_id.simulation.compiled_dry import walks
-from hybrid_id.simulation.lifted import condensed, shoot
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.compiled import supports_compiled
+from hybrid_id.simulation.lifted import condense, linearise, shoot
+from hybrid_id.simulation.stability import LIMIT, MAX_SUBSTEPS, fastest_rate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
 CHUNK = 8
-"""Samples that are walked between two iterations; longer walks cost more than the iterations that they save."""
+"""Samples of the loop between two iterations; more cost more than the iterations that they save."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,8 @@ def simulate(
     """Free run of every row from its first state under its logged channels.
 
     Newton's method over all samples at once (see :mod:`hybrid_id.simulation.lifted`), started from the batch's
-    guess; a row that has not closed its defects after a dozen iterations is walked by the loop.
+    guess; a row that has not closed its defects after a dozen iterations takes the loop. The compiled
+    engine always takes the loop.
 
     Args:
         system: what is simulated.
@@ -57,10 +59,13 @@ def simulate(
         theta = system.theta().detach().to(batch.x.device)[:, None].expand(-1, batch.rows)
     x, first = batch.x.clone(), batch.x[:, 0]
     open_rows = torch.arange(batch.rows, device=x.device)
-    for _ in range(0 if walks(system, engine, x) else 12):  # its loop takes less time than one iteration
+    for _ in range(
+        0 if supports_compiled(system, engine, x) else 12
+    ):  # its loop takes less time than one iteration
         part = batch.take(open_rows)
         nodes = shoot(system, engine, x[open_rows], part.u, part.dt, theta[:, open_rows], CHUNK)
-        step = condensed(system, engine, nodes, part.u, part.dt, theta[:, open_rows], [], ())[1][..., -1]
+        lin = linearise(system, engine, nodes, part.u, part.dt, theta[:, open_rows], [], ())
+        step = condense(lin, nodes)[..., -1]
         nodes = nodes + step
         nodes[:, 0] = first[open_rows]
         x[open_rows] = nodes
@@ -80,3 +85,49 @@ def simulate(
     y = torch.stack(rows, -1).reshape(*x.shape[:2], len(rows))
     finite = torch.isfinite(y).all(2).all(1) & torch.isfinite(x).all(2).all(1)
     return Simulation(x, y, tuple("ok" if ok else "diverged" for ok in finite.tolist()))
+
+
+def cause_of_divergence(
+    system: System, engine: Engine, batch: Batch, x: Tensor, theta: Tensor | None = None
+) -> str:
+    """Which record lost which state at what time, and why probably, of the first row that diverged; "" where none did.
+
+    Args:
+        system: what was simulated, with the values that it was simulated with.
+        engine: how.
+        batch: the records.
+        x: states of their free runs, ``(R, T, n_x)``.
+        theta: all parameters, ``(n_p,)`` (default: the system's values).
+    """
+    finite = torch.isfinite(x)
+    lost = (~finite.all(2).all(1)).nonzero().flatten().tolist()
+    if not lost:
+        return ""
+    row = lost[0]
+    sample = int((~finite[row].all(1)).nonzero()[0, 0])
+    state = system.state_names[int((~finite[row, sample]).nonzero()[0, 0])]
+    time = float(batch.dt[row, :sample].sum())
+    where = f"record '{batch.names[row]}': the simulation has no finite {state} from {time:.3g} s on"
+    if not torch.isfinite(batch.x[row]).all():
+        return f"{where}, because the record's own samples are not finite; correct the record"
+    theta = (system.theta().detach() if theta is None else theta)[:, None]
+    p = system.views(list(theta))
+    for key, part in system.arm.couplings.items():
+        least = system.arm.determinant(p, key, part)
+        if least is not None and not bool((least > 0).all()):
+            return f"{where}, because the mass matrix is singular; bring down the values of {part.kind}"
+    one = batch.take(torch.tensor([row]))
+    rate = fastest_rate(system, engine, one, theta)
+    step, limit = float(one.dt.max()), LIMIT["memory" if system.memory_rows else engine.friction]
+    if step * rate > limit * max(engine.substeps, 1):
+        taken = step / max(engine.substeps, 1)
+        return (
+            f"{where}, because its step of {taken:.2g} s is unstable for a model whose fastest "
+            f"time constant is {1.0 / rate:.2g} s ({MAX_SUBSTEPS} sub-steps a sample at most); correct the units or "
+            "the smallest inertia, or resample"
+        )
+    largest = float(x[row, :sample].abs().max()) if sample else 0.0
+    return (
+        f"{where}, because the motion grows without bound (up to {largest:.2g} before); correct the units, "
+        "the signs or the values of the model"
+    )

@@ -20,10 +20,9 @@ from torch import Tensor, nn
 from torchdiffeq import odeint, odeint_adjoint
 
 from hybrid_id.errors import InputError
-from hybrid_id.simulation.lanes import LaneSubset
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.stability import MAX_SUBSTEPS, fastest_rate, with_substeps
-from hybrid_id.simulation.step import Engine
+from hybrid_id.simulation.step import Engine, LaneSubset
 from hybrid_id.systems.chain import Channels, Rows, System, Views
 
 FIXED = ("euler", "midpoint", "heun2", "heun3", "rk4")
@@ -138,8 +137,8 @@ class OdeEngine(Engine):
             if lanes.numel() == near.numel():
                 return list(self._integrate(system, start, u, dt, p, steps).unbind(0))
             part = LaneSubset(lanes, near.numel())
-            channels = {name: part.take(channel) for name, channel in u.items()}
-            end = self._integrate(system, start[:, lanes], channels, part.take(dt), part.take_views(p), steps)
+            channels, own = part.take_all(u), part.take_views(p)
+            end = self._integrate(system, start[:, lanes], channels, part.take(dt), own, steps)
             after = after.index_copy(1, lanes, end)
         return list(after.unbind(0))
 

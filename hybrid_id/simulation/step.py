@@ -17,7 +17,6 @@ from torch import Tensor
 
 from hybrid_id.components.bristle import relax
 from hybrid_id.errors import InputError
-from hybrid_id.simulation.lanes import LaneSubset
 from hybrid_id.systems.balance import Directions
 from hybrid_id.systems.chain import Channels, Rows, System, Views
 
@@ -30,8 +29,8 @@ class Engine:
         friction: "dry" (projection) or "smooth" (tanh).
         substeps: RK4 steps a sample.
         width: smoothing speed [rad/s] of the smooth engine.
-        compiled: whether sub-steps and their sensitivities are compiled (see :mod:`hybrid_id.simulation.compiled` and
-            :mod:`hybrid_id.simulation.compiled_dry`).
+        compiled: whether rollouts and sensitivities are compiled where they can be (see
+            :mod:`hybrid_id.simulation.compiled`).
     """
 
     friction: str = "dry"
@@ -64,16 +63,50 @@ class Engine:
         h, u = dt / self.substeps, system.hold(u, p)
         rows = list(x)
         for _ in range(self.substeps):
-            rows = remember(system, rows, u, p, 0.5 * h)
+            rows = update_internal_states(system, rows, u, p, 0.5 * h)
             if self.friction == "dry":
                 rows = _slide(system, rows, u, h, p, events=2 * len(system.speed_rows))
             else:
                 rows = rk4(rows, h, lambda now: system.rates(now, u, p, width=self.width))
-            rows = remember(system, rows, u, p, 0.5 * h)
+            rows = update_internal_states(system, rows, u, p, 0.5 * h)
         return rows
 
 
-def remember(system: System, x: list[Tensor], u: Channels, p: Views, h: Tensor) -> list[Tensor]:
+class LaneSubset:
+    """A subset of lanes: takes it from rows of length B and leaves rows of length 1 as they are."""
+
+    def __init__(self, lanes: Tensor, count: int) -> None:
+        self.lanes, self.count = lanes, count
+
+    def take(self, row: Tensor) -> Tensor:
+        """The subset of a row."""
+        return row if row.shape[-1] != self.count else row.index_select(-1, self.lanes)
+
+    def take_all(self, u: Channels) -> Channels:
+        """The subset of every channel."""
+        return {name: self.take(channel) for name, channel in u.items()}
+
+    def take_views(self, p: Views) -> Views:
+        """The subset of every parameter."""
+        return {key: type(v)(**self.take_all(vars(v))) for key, v in p.items()}
+
+
+def fill_jacobian(jacobian: Tensor, targets: Rows, wanted: Rows) -> None:
+    """Write the derivatives of rows ``(B,)`` by other rows into ``(targets, wanted, B)``, zero where there is none.
+
+    Lanes do not mix, so that one backward sweep of its sum differentiates a row in every lane.
+    """
+    for i, target in enumerate(targets):
+        if not target.requires_grad:
+            continue
+        with torch.enable_grad():
+            total = target.sum()
+        for j, grad in enumerate(torch.autograd.grad(total, wanted, retain_graph=True, allow_unused=True)):
+            if grad is not None:
+                jacobian[i, j] = grad
+
+
+def update_internal_states(system: System, x: list[Tensor], u: Channels, p: Views, h: Tensor) -> list[Tensor]:
     """The states that remember, ``h`` seconds later at constant motion: exact however stiff they are."""
     if not system.memory_rows:
         return x
@@ -214,7 +247,8 @@ def _breakaways(
     u, p = part.take_all(u), part.take_views(p)
     signs = [part.take(sense[dry.index(k)]) if k in dry else None for k in range(len(system.speed_rows))]
     start, end = (
-        system.rest([part.take(row) for row in rows], u, p, signs).pushes(signs) for rows in (x, after)
+        system.rest([part.take(row) for row in rows], u, p, signs).breakaway_margins(signs)
+        for rows in (x, after)
     )
     for i, k in enumerate(dry):
         (_, short), (side, over) = start[k], end[k]
@@ -234,4 +268,4 @@ def directions(system: System, x: Rows, u: Channels, p: Views) -> Directions:
     ]
     if not any(sign is not None and bool((sign == 0).any()) for sign in signs):
         return signs
-    return system.rest(x, u, p, signs).settle(signs)
+    return system.rest(x, u, p, signs).stick_slip(signs)

@@ -1,23 +1,28 @@
-"""What a set of records can tell: condition number, worst directions in words, claims that may be made."""
+"""What a set of records identifies: condition number, null directions in words, combinations that are determined."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations, product
+from math import comb
 
 import numpy as np
+from scipy.linalg import qr
 
 from hybrid_id.errors import InputError
-from hybrid_id.statistics.combinations import Combination, identifiable_combinations
-from hybrid_id.statistics.null_directions import normalise, simple_basis
 from hybrid_id.statistics.uncertainty import Arrays, prior_matrix
 
 VAGUE = 0.5  # relative standard error from which a direction counts as not identified
 _REACH = 1.96  # standard errors, for the 95 % that all words and tables mean
-_NULL_JACOBIAN = 1e-9  # singular values below this share of the largest are rounding
-_NULL_INFORMATION = 1e-6  # an information matrix has squared them
+_ROUNDING = 1e-9  # singular values below this share of the largest are rounding
 _HOPELESS = 30.0  # relative standard error from which a direction is as good as null
 _SMALL_ENTRY = 0.1  # entries of a weak (not exact) direction below this are not worth words
+_TINY = 1e-100
+_SIMPLE = 2e-3  # exponents and factors this close to a simple number are that number
+_EXACT = 1e-3  # entries of a numerical null vector closer than this are equal
+_MOST_CIRCUITS = 3000
+_MOST_SIGNS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,8 +101,7 @@ def identifiability(
     values: np.ndarray,
     names: Sequence[str],
     *,
-    jacobian: Arrays | None = None,
-    information: np.ndarray | None = None,
+    jacobian: Arrays,
     prior_information: np.ndarray | None = None,
     scale: np.ndarray | None = None,
     inflation: float = 1.0,
@@ -113,7 +117,6 @@ def identifiability(
         values: θ (p,) at which the Jacobian was taken.
         names: Names of the p parameters.
         jacobian: Weighted by 1 / noise (convention: `uncertainty`), one record or several.
-        information: ``JᵀJ`` (p, p) in its place; weak directions are seen less sharply.
         prior_information: Inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
         scale: Size that stands in for a parameter whose value is zero (p,).
         inflation: Factor on standard errors for correlated residuals.
@@ -128,13 +131,12 @@ def identifiability(
     if np.any(size == 0):
         zero = names[int(np.flatnonzero(size == 0)[0])]
         raise InputError(f"identifiability: {zero} is zero, so relative changes mean nothing; give its scale")
-    root, rounding = _root(jacobian, information)
-    _, singular, rows = np.linalg.svd(root * size / inflation, full_matrices=True)
+    _, singular, rows = np.linalg.svd(_root(jacobian) * size / inflation, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(values) - len(singular))])
     vectors = rows.T
     with np.errstate(divide="ignore"):
         along = np.abs(vectors).max(axis=0) / singular  # relative error of the parameter that moves most
-    null = singular <= rounding * len(values) * singular[0]
+    null = singular <= _ROUNDING * len(values) * singular[0]
     hopeless = null | (along > _HOPELESS)
     weak = simple_basis(vectors[:, ~hopeless & (along > vague)], _SMALL_ENTRY)
     moves = np.column_stack([simple_basis(vectors[:, hopeless]), weak])
@@ -168,19 +170,12 @@ def identifiability(
     )
 
 
-def _root(jacobian: Arrays | None, information: np.ndarray | None) -> tuple[np.ndarray, float]:
-    """R (n, p) with ``RᵀR`` the information, and the relative size of its rounding errors."""
-    if information is not None:
-        unit = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
-        squares, vectors = np.linalg.eigh(information / np.outer(unit, unit))
-        return np.sqrt(np.maximum(squares, 0.0))[:, None] * vectors.T * unit, _NULL_INFORMATION
-    if jacobian is None:
-        raise InputError("identifiability: there is neither a Jacobian nor an information matrix; give one")
+def _root(jacobian: Arrays) -> np.ndarray:
+    """R (n, p) with ``RᵀR`` the information."""
     records = [jacobian] if isinstance(jacobian, np.ndarray) else jacobian
     # where a simulation has diverged, it tells nothing
     told = (np.nan_to_num(np.reshape(j, (-1, np.shape(j)[-1])), posinf=0.0, neginf=0.0) for j in records)
-    factors = [np.linalg.qr(j)[1] for j in told]
-    return np.linalg.qr(np.concatenate(factors))[1], _NULL_JACOBIAN
+    return np.linalg.qr(np.concatenate([np.linalg.qr(j)[1] for j in told]))[1]
 
 
 def _marginal(information: np.ndarray) -> np.ndarray:
@@ -210,13 +205,13 @@ def _words(
     told = (
         "without a change of the outputs"
         if null
-        else f"and the records tell it only to ±{_REACH * 100 * relative_std:.0f} % (95 %)"
+        else f"and the records identify it only to ±{_REACH * 100 * relative_std:.0f} % (95 %)"
     )
     if len(moved) == 1:
         return (
             f"{group} has no effect on the outputs"
             if null
-            else f"{group} is told only to ±{_REACH * 100 * relative_std:.0f} % (95 %)"
+            else f"{group} is identified only to ±{_REACH * 100 * relative_std:.0f} % (95 %)"
         )
     if np.all(vector[moved] == 1):
         return f"{group} may all be multiplied by one number {told}"
@@ -234,3 +229,214 @@ def _words(
         return f"{names[first]} {way} {names[second]} {end} together, {ratio}, {told}{only}"
     changes = ", ".join(f"{names[k]} {vector[k]:+.2g}" for k in moved)
     return f"relative changes in the ratio {changes} are possible {told}"
+
+
+@dataclass(frozen=True, eq=False)
+class Combination:
+    """A sum of products of powers, ``φ(θ) = Σ_m c_m Π_k θ_k^e_mk``.
+
+    Attributes:
+        text: As people write it, "P_m2 + f_3/P_m1".
+        coefficients: c (m,).
+        exponents: e (m, p).
+    """
+
+    text: str
+    coefficients: np.ndarray
+    exponents: np.ndarray
+
+    def evaluate(self, parameter_sets: np.ndarray) -> np.ndarray:
+        """Value for parameter sets (..., p) -> (...)."""
+        return self._terms(parameter_sets).sum(axis=-1)
+
+    def gradient(self, parameters: np.ndarray) -> np.ndarray:
+        """``dφ / d ln θ`` (p,)."""
+        return self._terms(parameters) @ self.exponents
+
+    def std_error(self, parameters: np.ndarray, covariance: np.ndarray) -> float:
+        """First-order standard error from a covariance (p, p) of the parameters; null directions cancel."""
+        away = np.where(np.asarray(parameters) == 0, _TINY, parameters)  # the slope at zero is that beside it
+        slope = self.gradient(away) / away
+        return float(np.sqrt(slope @ covariance @ slope))
+
+    def _terms(self, parameter_sets: np.ndarray) -> np.ndarray:
+        sets = np.asarray(parameter_sets, float)[..., None, :]
+        # Signs count where the exponent is odd; other powers of negative numbers go by their size.
+        signs = np.where(self.exponents % 2 == 1, np.sign(sets), 1.0)
+        with np.errstate(divide="ignore"):
+            return self.coefficients * np.prod(signs * np.abs(sets) ** self.exponents, axis=-1)
+
+
+def identifiable_combinations(
+    basis: np.ndarray, values: np.ndarray, names: Sequence[str], references: Sequence[str] = ()
+) -> tuple[Combination, ...]:
+    """Functions that no direction of the basis changes, p - k of them for k directions.
+
+    Parameters in no direction stand for themselves. A group that may be multiplied by one number is divided by one of
+    its members. Two parameters of which one makes up for the other by a ratio that is no simple number act through a
+    sum; other directions give products of powers, which are right near `values`.
+
+    Args:
+        basis: Relative changes (p, k) from `null_directions.simple_basis`.
+        values: θ (p,), not zero where a direction moves it.
+        names: Names of the p parameters.
+        references: Names of parameters to divide by, where there is a choice.
+    """
+    groups = [a for a in range(basis.shape[1]) if set(np.unique(basis[:, a])) <= {0.0, 1.0}]
+    pairs = {a: _pair(basis[:, a], basis[:, groups]) for a in range(basis.shape[1]) if a not in groups}
+    pairs = {a: pair for a, pair in pairs.items() if pair is not None}
+    taken = _references(basis, names, references, pairs)
+    powers = -basis @ np.linalg.inv(basis[taken]) if taken else np.zeros((len(names), 0))
+
+    found = []
+    for k in range(len(names)):
+        if k in taken:
+            continue
+        exponents = np.zeros(len(names))
+        exponents[taken] = _simple(powers[k])
+        exponents[k] = 1.0
+        combination = Combination(_product_text(exponents, names), np.ones(1), exponents[None])
+        for a, (lead, partner) in pairs.items():
+            if lead == k:
+                divisors = [taken[b] for b in groups]
+                combination = _sum(basis, a, lead, partner, groups, divisors, values, names) or combination
+        found.append(combination)
+    return tuple(found)
+
+
+def _pair(vector: np.ndarray, group_vectors: np.ndarray) -> tuple[int, int] | None:
+    """(lead, partner) of a direction that moves two parameters by no simple ratio; the lead is in fewer groups."""
+    members = np.flatnonzero(vector)
+    if len(members) != 2 or np.abs(vector[members]).min() == 1:
+        return None
+    first, second = (int(k) for k in members)
+    in_groups = group_vectors.sum(axis=1)
+    return (first, second) if in_groups[first] <= in_groups[second] else (second, first)
+
+
+def _references(
+    basis: np.ndarray, names: Sequence[str], preferred: Sequence[str], pairs: dict[int, tuple[int, int]]
+) -> list[int]:
+    """One parameter for each direction, to be expressed by the others."""
+    taken: list[int] = []
+    for a in range(basis.shape[1]):
+        order = [pairs[a][1]] if a in pairs else []
+        order += [names.index(n) for n in preferred if n in names]
+        order += [int(k) for k in np.argsort(-np.abs(basis[:, a]), kind="stable")]
+        free = [k for k in order if k not in taken]
+        # The square of the rows and columns so far must be invertible.
+        volume = [abs(np.linalg.det(basis[np.ix_([*taken, k], range(a + 1))])) for k in free]
+        good = [k for k, v in zip(free, volume, strict=True) if v > 1e-2 * max(volume)]
+        taken.append(good[0])
+    return taken
+
+
+def _sum(
+    basis: np.ndarray,
+    a: int,
+    lead: int,
+    partner: int,
+    groups: list[int],
+    divisors: list[int],
+    values: np.ndarray,
+    names: Sequence[str],
+) -> Combination | None:
+    """``θ_lead + κ θ_partner``, each divided by the references of its groups; None if a direction changes it."""
+    exponents = np.zeros((2, len(names)))
+    for row, k in enumerate((lead, partner)):
+        exponents[row, k] = 1.0
+        exponents[row, divisors] -= basis[k, groups]
+    terms = np.prod(np.asarray(values, float) ** exponents, axis=1)
+    factor = float(_simple(-terms[0] * basis[lead, a] / (terms[1] * basis[partner, a])))
+    sign = "+" if factor > 0 else "-"
+    scaled = "" if abs(factor) == 1 else f"{abs(factor):.4g} "
+    text = f"{_product_text(exponents[0], names)} {sign} {scaled}{_product_text(exponents[1], names)}"
+    combination = Combination(text, np.array([1.0, factor]), exponents)
+    gradient = combination.gradient(values)
+    return combination if np.abs(gradient @ basis).max() < 1e-2 * np.abs(gradient).max() else None
+
+
+def _simple(number: np.ndarray | float) -> np.ndarray:
+    """Multiples of one half where that is near enough."""
+    number = np.asarray(number, float)
+    near = np.round(2 * number) / 2
+    return np.where(
+        (np.abs(number - near) < _SIMPLE) & (near != 0) | (np.abs(number) < _SIMPLE), near, number
+    )
+
+
+def _product_text(exponents: np.ndarray, names: Sequence[str]) -> str:
+    """Numerator and denominator, "J/P_m1"."""
+    powers = [f"{n}^{abs(e):.3g}" if abs(e) != 1 else n for n, e in zip(names, exponents, strict=True)]
+    above = "·".join(p for p, e in zip(powers, exponents, strict=True) if e > 0) or "1"
+    below = [p for p, e in zip(powers, exponents, strict=True) if e < 0]
+    return above + (f"/{below[0]}" if len(below) == 1 else f"/({'·'.join(below)})" if below else "")
+
+
+def simple_basis(null: np.ndarray, tolerance: float = _EXACT) -> np.ndarray:
+    """The same space by simpler vectors.
+
+    First come directions that multiply a group of parameters by one number (entries 0 and 1), then the vectors
+    that move fewest parameters.
+
+    Args:
+        null: Orthonormal columns (p, k).
+        tolerance: Entries below this share of the largest do not count as moved.
+
+    Returns:
+        (p, k); the largest entry of each column is 1.
+    """
+
+    def moved(vector: np.ndarray) -> int:
+        return int(np.count_nonzero(normalise(vector, tolerance)))
+
+    size, count = null.shape
+    groups = [v for v in _sign_vectors(null) if np.all(v >= 0)] if count <= _MOST_SIGNS else []
+    circuits = _circuits(null) if count and comb(size, count - 1) <= _MOST_CIRCUITS else []
+    chosen: list[np.ndarray] = []
+    for vector in [*sorted(groups, key=moved), *sorted(circuits, key=moved)]:
+        words = np.stack([normalise(v, tolerance) for v in [*chosen, vector]])
+        words /= np.linalg.norm(words, axis=1, keepdims=True)
+        if len(chosen) < count and np.linalg.svd(words, compute_uv=False)[-1] > max(tolerance, 1e-2):
+            chosen.append(normalise(vector))
+    if len(chosen) < count:
+        chosen = [normalise(vector) for vector in null.T]
+    return np.reshape(chosen, (count, size)).T
+
+
+def normalise(vector: np.ndarray, tolerance: float = _EXACT) -> np.ndarray:
+    """Largest entry 1, entries below the tolerance 0, entries near -1 and 1 exact."""
+    largest = vector[np.argmax(np.abs(vector) > (1 - tolerance) * np.abs(vector).max())]
+    vector = vector / largest
+    vector = np.where(np.abs(vector) < tolerance, 0.0, vector)
+    return np.where(np.abs(np.abs(vector) - 1) < tolerance, np.sign(vector), vector)
+
+
+def _pivots(null: np.ndarray) -> np.ndarray:
+    """Rows (k,) that determine a vector of the space."""
+    return np.asarray(qr(null.T, pivoting=True)[-1])[: null.shape[1]]
+
+
+def _sign_vectors(null: np.ndarray) -> list[np.ndarray]:
+    """All vectors of the space with entries -1, 0 and 1: each is known by its entries in the pivot rows."""
+    rows = _pivots(null)
+    to_vector = null @ np.linalg.inv(null[rows])
+    found = []
+    for signs in product((0, 1, -1), repeat=len(rows)):
+        if next((s for s in signs if s), 0) != 1:
+            continue
+        vector = to_vector @ np.array(signs, float)
+        if np.all(np.abs(vector - np.round(vector)) < _EXACT) and np.abs(vector).max() < 1.5:
+            found.append(np.round(vector))
+    return found
+
+
+def _circuits(null: np.ndarray) -> list[np.ndarray]:
+    """Vectors of the space that vanish in k - 1 rows, for every choice of rows: those of least support are here."""
+    size, count = null.shape
+    found = []
+    for rows in combinations(range(size), count - 1):
+        _, values, vectors = np.linalg.svd(null[list(rows)].reshape(count - 1, count))
+        if count == 1 or values[-1] > 1e-6:
+            found.append(normalise(null @ vectors[-1]))
+    return found

@@ -66,7 +66,7 @@ def profile_likelihood(
     ends: list[float] = []
     closed: list[bool] = []
     for sign, bound in ((-1.0, bounds[0]), (1.0, bounds[1])):
-        end, reached = _walk(
+        end, reached = _end(
             cost_at,
             np.asarray(estimate, float),
             index,
@@ -90,7 +90,7 @@ def profile_likelihood(
     return Profile(values, costs, ends[0], ends[1], (closed[0], closed[1]), threshold, message)
 
 
-def _walk(
+def _end(
     cost_at: CostAt,
     start: np.ndarray,
     index: int,
@@ -104,7 +104,7 @@ def _walk(
     """End of the interval on one side, and whether the threshold was reached there."""
 
     def rise(cost: float) -> float:
-        # The root of the rise is nearly linear in the value, which suits the secant below.
+        # The root of the rise is nearly linear in the value, which suits the false position below.
         return float(np.sqrt(max(cost - minimum, 0.0)) - np.sqrt(threshold - minimum))
 
     inner, inner_rise = float(start[index]), rise(minimum)

@@ -1,4 +1,4 @@
-"""Covariance of estimates from the Jacobian: plain, and robust against autocorrelated residuals.
+"""Uncertainty of estimates: plain, autocorrelation-robust and jackknife covariances, and the block bootstrap.
 
 Convention of this package: ``residual = w (y - ŷ)`` and ``jacobian = w ∂ŷ/∂θ`` with ``w`` = 1 / standard deviation.
 A fit weighs the records by that w, whatever residuals it ends with, and a prior of information P as it is given: the
@@ -10,15 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 from scipy.special import ndtri
-
-from hybrid_id.statistics.long_run import long_run_covariance
 
 Arrays = np.ndarray | Sequence[np.ndarray]
 
 _NUMERICALLY_NULL = 1e-12  # eigenvalues of a unit-diagonal information matrix below this are rounding
+_CHUNKS = 300  # a record is summed in about so many chunks first: shorter correlations are inside one
+_LARGEST_ORDER = 12
+BLOCKS = 30
+"""Blocks that the records are cut into."""
+_MOST_BLOCKS = 1000  # more of them cost time and tell no more
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,11 +67,8 @@ def covariance(
         prior_information: P, inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
         noise_variance: s², where it is known; ``Σr² / (N - p)`` otherwise.
     """
-    records = as_records(jacobian, residual)
+    records, _, prior, inverse, determined = _normal_equations(jacobian, residual, prior_information)
     variance = noise_variance_of(records) if noise_variance is None else noise_variance
-    hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
-    prior = prior_matrix(prior_information, len(hessian))
-    inverse, determined = scaled_inverse(hessian + prior)
     # the same, without cancellation where there is no prior
     matrix = variance * inverse + (1.0 - variance) * inverse @ prior @ inverse
     return Covariance(matrix, _std_error(matrix, determined), variance, "plain", 0, inverse)
@@ -81,18 +83,15 @@ def robust_covariance(
     """``A (B + P) A`` with B the long-run covariance of the scores ``J_tᵀ r_t``: residuals may be autocorrelated.
 
     Records are independent of each other. A model error that lasts as long as a record escapes it: compare with
-    the scatter between records (`trust`).
+    the scatter between records (`reliability`).
 
     Args:
         jacobian: Weighted Jacobian of one record or of several.
         residual: Weighted residuals alike.
         prior_information: As in `covariance`; the prior's mean counts as one more measurement.
     """
-    records = as_records(jacobian, residual)
+    records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_information)
     variance = noise_variance_of(records)
-    hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
-    prior = prior_matrix(prior_information, len(hessian))
-    inverse, determined = scaled_inverse(hessian + prior)
     # principal axes of the information: along a null direction the scores are zero, and must stay zero
     scale = diagonal_scale(hessian)
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale))
@@ -105,6 +104,16 @@ def robust_covariance(
     correction = n_residuals / max(n_residuals - len(hessian), 1)
     matrix = inverse @ (correction * scores + prior) @ inverse
     return Covariance(matrix, _std_error(matrix, determined), variance, "robust", lag, inverse)
+
+
+def _normal_equations(
+    jacobian: Arrays, residual: Arrays, prior_information: np.ndarray | None
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Records, ``JᵀJ``, prior P, A, and which parameters they determine."""
+    records = as_records(jacobian, residual)
+    hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
+    prior = prior_matrix(prior_information, len(hessian))
+    return records, hessian, prior, *scaled_inverse(hessian + prior)
 
 
 def as_records(jacobian: Arrays, residual: Arrays) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -156,3 +165,262 @@ def noise_variance_of(records: list[tuple[np.ndarray, np.ndarray]]) -> float:
     count = sum(np.count_nonzero(r) for _, r in records) - records[0][0].shape[-1]
     total = sum(float(np.sum(r**2)) for _, r in records)
     return total / max(count, 1) if total > 0 else 1.0
+
+
+def long_run_covariance(series: Sequence[np.ndarray]) -> tuple[np.ndarray, int]:
+    """Covariance of ``Σ_records Σ_t s_t`` for scores that may be autocorrelated; records are independent.
+
+    Chunks are summed; each column is whitened by an autoregression whose order Akaike's criterion chooses (den
+    Haan and Levin, "A practitioner's guide to robust covariance matrix estimation", Handbook of Statistics 15, 1997);
+    what correlation is left goes through a Bartlett kernel (Newey and West, Econometrica 55, 1987, with the lag
+    of their Rev. Econ. Stud. 61, 1994). High orders are needed: an oscillating sensitivity times a slow residual is
+    an oscillation, which a first-order filter mistakes for a trend.
+
+    Args:
+        series: Scores of each record, [(T, p)], each column of mean zero.
+
+    Returns:
+        Covariance (p, p), and the reach of the correlation that it counts, in samples.
+    """
+    if not series[0].shape[1]:  # the records tell nothing
+        return np.zeros((0, 0)), 0
+    chunk = max(max(len(s) for s in series) // _CHUNKS, 1)
+    sums = [np.add.reduceat(s, np.arange(0, len(s), chunk)) for s in series]
+    size = np.sqrt(np.sum([np.sum(s**2, axis=0) for s in sums], axis=0))
+    size = np.where(size > 0, size, 1.0)  # columns may differ by decades
+    sums = [s / size for s in sums]
+    count = sum(len(s) for s in sums)
+
+    largest = min(_LARGEST_ORDER, max(len(s) for s in sums) // 5)  # a short record among long ones tells less
+    correlation = np.stack([np.diag(_lagged_products(sums, k)) for k in range(largest + 1)])
+    filters = [_whitening_filter(column, count) for column in correlation.T]
+    white = [
+        np.stack([np.convolve(f, s[:, k])[largest : len(s)] for k, f in enumerate(filters)], axis=1)
+        for s in sums
+    ]
+    lag = _newey_west_lag(white)
+    total = _lagged_products(white, 0)
+    for k in range(1, lag + 1):
+        term = _lagged_products(white, k)
+        total = total + (1 - k / (lag + 1)) * (term + term.T)
+    recolour = size / np.array([f.sum() for f in filters])
+    total = total * np.outer(recolour, recolour) * count / sum(len(w) for w in white)
+    return total, chunk * (lag + max(len(f) for f in filters) - 1)
+
+
+def lag_one_correlation(series: Sequence[np.ndarray]) -> np.ndarray:
+    """First autocorrelation of each column, pooled over the records [(T, p)] -> (p,)."""
+    products = np.sum([np.sum(s[1:] * s[:-1], axis=0) for s in series], axis=0)
+    squares = np.sum([np.sum(s[:-1] ** 2, axis=0) for s in series], axis=0)
+    return products / np.where(squares > 0, squares, 1.0)
+
+
+def _lagged_products(series: Sequence[np.ndarray], lag: int) -> np.ndarray:
+    """``Σ_t s_t s_{t-lag}ᵀ`` summed over the records (p, p)."""
+    return np.sum([s[min(lag, len(s)) :].T @ s[: max(len(s) - lag, 0)] for s in series], axis=0)
+
+
+def _whitening_filter(correlation: np.ndarray, count: int) -> np.ndarray:
+    """``1 - a_1 z⁻¹ - … `` of the best order from autocovariances (order + 1,) by the Yule-Walker equations."""
+    best, best_criterion = np.ones(1), 0.0
+    for order in range(1, len(correlation) if correlation[0] > 0 else 1):
+        a = solve_toeplitz(correlation[:order], correlation[1 : order + 1])
+        left = max(1 - a @ correlation[1 : order + 1] / correlation[0], 1e-12)
+        criterion = count * np.log(left) + 2 * order
+        if criterion < best_criterion:
+            best, best_criterion = np.concatenate([[1.0], -a]), criterion
+    return best
+
+
+def _newey_west_lag(series: Sequence[np.ndarray]) -> int:
+    longest = max(len(s) for s in series)
+    pilot = min(int(4 * (longest / 100) ** (2 / 9)), longest - 1)
+    traces = np.array([np.trace(_lagged_products(series, k)) for k in range(pilot + 1)])
+    flat = traces[0] + 2 * traces[1:].sum()
+    slope = 2 * np.sum(np.arange(1, pilot + 1) * traces[1:])
+    if flat <= 0:
+        return pilot
+    return int(min(1.1447 * np.cbrt((slope / flat) ** 2 * longest), longest // 4))
+
+
+def jackknife_covariance(
+    jacobian: Arrays, residual: Arrays, *, prior_information: np.ndarray | None = None, blocks: int = BLOCKS
+) -> Covariance:
+    """Delete-a-block jackknife, each estimate moved by one exact Gauss-Newton step of the reduced data.
+
+    ``V = (B - 1) / B sum_b d_b d_b'`` with ``d_b = -(H - H_b)^-1 g_b``. It corrects for the part of the residuals
+    that the fit itself absorbed, which the sandwich estimate misses on one record of slowly varying residuals.
+    Sources: J. G. MacKinnon, H. White, J. Econometrics 29 (1985), for single samples; J. G. MacKinnon, M. O. Nielsen,
+    M. D. Webb, "Cluster-robust inference: a guide to empirical practice", J. Econometrics 232 (2023), for blocks (CR3).
+
+    Args:
+        jacobian: weighted Jacobian of one record or of several (convention: `uncertainty`).
+        residual: weighted residuals alike.
+        prior_information: inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
+        blocks: number of blocks over all records; no block spans two records.
+    """
+    records = as_records(jacobian, residual)
+    samples = sum(len(r) for _, r in records)
+    n_parameters, variance = records[0][0].shape[-1], noise_variance_of(records)
+    pieces = []
+    for j, r in records:
+        share = max(1, round(blocks * len(r) / samples))
+        pieces += zip(np.array_split(j, share), np.array_split(r, share), strict=True)
+    gradients = np.stack([np.einsum("tyi,ty->i", j, r) for j, r in pieces])
+    hessians = np.stack([np.einsum("tyi,tyj->ij", j, j) for j, _ in pieces])
+    prior = prior_matrix(prior_information, n_parameters)
+    information = hessians.sum(0) + prior
+    inverse, determined = scaled_inverse(information)
+    # axes in which the information is the identity: directions that the records do not tell are left out
+    scale = diagonal_scale(information)
+    values, vectors = np.linalg.eigh(inverse * np.outer(scale, scale))
+    kept = values > 1e-12 * values.max()
+    axes = vectors[:, kept] * np.sqrt(values[kept]) / scale[:, None]
+    rest = np.eye(axes.shape[1]) - np.einsum("ik,bij,jl->bkl", axes, hessians, axes, optimize=True)
+    floor = 1e-3 * np.eye(axes.shape[1])  # a block that tells a direction alone leaves nothing of it
+    steps = np.linalg.solve(rest + floor, (gradients @ axes)[..., None])[..., 0]
+    drawn = axes.T @ prior @ axes  # the prior's mean counts as one more measurement
+    matrix = axes @ ((len(pieces) - 1) / len(pieces) * steps.T @ steps + drawn) @ axes.T
+    longest = max(len(r) for _, r in pieces)
+    return Covariance(matrix, _std_error(matrix, determined), variance, "jackknife", longest, inverse)
+
+
+def autocorrelation_robust(
+    jacobian: Arrays, residual: Arrays, *, prior_information: np.ndarray | None = None
+) -> Covariance:
+    """The larger of the long-run (`uncertainty.robust_covariance`) and the jackknife covariance.
+
+    Both hold asymptotically; on one record each is too small in its own way, the first where the fit absorbs slow
+    residuals, the second where residuals stay correlated for longer than a block.
+    """
+    pair = [
+        estimate(jacobian, residual, prior_information=prior_information)
+        for estimate in (robust_covariance, jackknife_covariance)
+    ]
+    finite = np.isfinite(pair[0].std_error) & (pair[0].std_error > 0)
+    sizes = [float(np.sum(np.log(np.maximum(c.std_error[finite], 1e-300)))) for c in pair]
+    if not finite.any():  # no parameter on its own: compare what is known of their combinations
+        sizes = [
+            float(np.trace(c.matrix / np.maximum(np.diag(pair[0].matrix), 1e-300)[:, None])) for c in pair
+        ]
+    return pair[int(np.argmax(sizes))]
+
+
+@dataclass(frozen=True, eq=False)
+class Bootstrap:
+    """Replicates of an estimate.
+
+    Attributes:
+        samples: (n_replicates, p).
+        std_error: (p,), from the middle 68 % of the replicates, so that single wild ones do not count; inf for
+            parameters that the data do not determine.
+        lower, upper: Percentile interval (p,) at `level`.
+        level: Confidence.
+        n_blocks: Number of blocks that were drawn from.
+    """
+
+    samples: np.ndarray
+    std_error: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    level: float
+    n_blocks: int
+
+
+@dataclass(frozen=True, eq=False)
+class BlockContributions:
+    """What each block adds to the normal equations at the estimate.
+
+    Attributes:
+        gradients: ``Σ Jᵀ r`` of each block (n_blocks, p).
+        hessians: ``Σ Jᵀ J`` of each block (n_blocks, p, p).
+        block_length: Samples in a block; 0 for whole records.
+    """
+
+    gradients: np.ndarray
+    hessians: np.ndarray
+    block_length: int
+
+
+def block_contributions(
+    jacobian: Arrays, residual: Arrays, *, block: int | Literal["auto", "record"] = "auto"
+) -> BlockContributions:
+    """Cuts records into blocks that do not overlap, of nearly equal length.
+
+    Args:
+        jacobian: Weighted Jacobian of one record or of several (convention: `uncertainty`).
+        residual: Weighted residuals alike.
+        block: Samples in a block; "record" for one block a record; "auto" for Carlstein's length (Ann. Stat. 14,
+            1986) ``(√6 ρ / (1 - ρ²))^(2/3) T^(1/3)`` with the largest first autocorrelation ρ of the scores.
+    """
+    records = as_records(jacobian, residual)
+    longest = max(len(r) for _, r in records)
+    if block == "auto":
+        scores = [np.einsum("tyi,ty->ti", j, r) for j, r in records]
+        rho = float(np.clip(np.max(lag_one_correlation(scores)), 0.0, 0.995))
+        carlstein = (np.sqrt(6) * rho / (1 - rho**2)) ** (2 / 3) * longest ** (1 / 3)
+        plenty = sum(len(r) for _, r in records) / _MOST_BLOCKS
+        block = max(int(min(max(carlstein, plenty), longest / 8)), 1)
+    gradients, hessians = [], []
+    for j, r in records:
+        n_blocks = 1 if block == "record" else max(len(r) // block, 1)
+        starts = np.linspace(0, len(r), n_blocks, endpoint=False).astype(int)
+        gradients.append(np.add.reduceat(np.einsum("tyi,ty->ti", j, r), starts))
+        hessians.append(np.add.reduceat(np.einsum("tyi,tyj->tij", j, j), starts))
+    gradients, hessians = np.concatenate(gradients), np.concatenate(hessians)
+    return BlockContributions(gradients, hessians, 0 if block == "record" else block)
+
+
+def one_step_bootstrap(
+    estimate: np.ndarray,
+    blocks: BlockContributions,
+    *,
+    prior_information: np.ndarray | None = None,
+    prior_mean: np.ndarray | None = None,
+    replicates: int = 1000,
+    level: float = 0.95,
+    seed: int = 0,
+) -> Bootstrap:
+    """Blocks drawn with replacement, each replicate moved by one Gauss-Newton step from the estimate.
+
+    ``θ* = θ̂ + (Σ m_b H_b + P)⁻¹ (Σ m_b g_b + P (θ_0* - θ̂))`` with m_b the number of times that block b was drawn and
+    θ_0* drawn from the prior. Milliseconds instead of a fit for each replicate, and right as long as the model
+    is nearly linear over the spread of the replicates.
+
+    Args:
+        estimate: θ̂ (p,).
+        blocks: From `block_contributions`.
+        prior_information: P, (p, p) or its diagonal (p,), in the unit of the weighted residuals.
+        prior_mean: θ_0 (p,); the estimate where absent.
+        replicates: Number of draws.
+        level: Confidence of the percentile interval.
+        seed: Seed of the draws.
+    """
+    estimate = np.asarray(estimate, float)
+    n_blocks, n_parameters = blocks.gradients.shape
+    rng = np.random.default_rng(seed)
+    counts = rng.multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), size=replicates).astype(float)
+    prior = prior_matrix(prior_information, n_parameters)
+    centre = estimate if prior_mean is None else np.asarray(prior_mean, float)
+    values, vectors = np.linalg.eigh(prior)
+    root = vectors * np.sqrt(np.maximum(values, 0.0))  # P (θ_0* - θ_0) has covariance P
+    pull = (centre - estimate) @ prior + rng.standard_normal((replicates, n_parameters)) @ root.T
+
+    information = blocks.hessians.sum(axis=0) + prior
+    scale = diagonal_scale(information)
+    directions = np.linalg.eigh(information / np.outer(scale, scale))
+    kept = directions.eigenvectors[:, directions.eigenvalues > 1e-10] / scale[:, None]
+    gradient = (counts @ blocks.gradients + pull) @ kept
+    hessian = np.einsum("bij,ik,jl->bkl", blocks.hessians, kept, kept, optimize=True)
+    hessian = np.tensordot(counts, hessian, axes=1) + kept.T @ prior @ kept
+    # A draw may miss every block that tells one direction; the smallest ridge keeps it finite.
+    step = np.linalg.solve(hessian + 1e-9 * np.eye(kept.shape[1]), gradient[..., None])[..., 0]
+    _, determined = scaled_inverse(information)
+    return _summarise(estimate + step @ kept.T, level, n_blocks, determined)
+
+
+def _summarise(samples: np.ndarray, level: float, n_blocks: int, determined: np.ndarray) -> Bootstrap:
+    quantiles = [0.5 - level / 2, 0.15866, 0.84134, 0.5 + level / 2]
+    lower, minus, plus, upper = np.quantile(samples, quantiles, axis=0)
+    std_error = np.where(determined, (plus - minus) / 2, np.inf)
+    return Bootstrap(samples, std_error, lower, upper, level, n_blocks)

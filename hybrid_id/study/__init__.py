@@ -1,15 +1,21 @@
 """The main job: from records and a model to parameter sets with their statistics, and models side by side."""
 
-from hybrid_id.study.comparison import Comparison, Replay, compare, replay
-from hybrid_id.study.identifiable import check_identifiability
-from hybrid_id.study.plausibility import check_fit, check_priors, check_start_values
-from hybrid_id.study.profiles import profiles
+from hybrid_id.identification.horizons import Horizon
+from hybrid_id.study.checks import (
+    check_fit,
+    check_identifiability,
+    check_priors,
+    check_start_values,
+    profiles,
+)
+from hybrid_id.study.replays import Comparison, Replay, compare, replay
 from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import analyse_fits, identify
 
 __all__ = [
     "Combinations",
     "Comparison",
+    "Horizon",
     "Replay",
     "Study",
     "analyse_fits",

@@ -1,27 +1,136 @@
-"""One cell of an ablation: an arm trained and tested on the records of one repeat."""
+"""Cells of an ablation: an arm trained and tested on the records of one repeat, computed one by one and kept."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import math
+import tempfile
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Annotated, Any
 
 import torch
+from pydantic import BeforeValidator, TypeAdapter
 
-from hybrid_id.identification.horizons import measured_windows
+from hybrid_id import __version__
+from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hybrid
-from hybrid_id.identification.network_data import with_memory
-from hybrid_id.identification.schedule import HybridOptions
+from hybrid_id.identification.networks import with_memory
+from hybrid_id.identification.training_loop import HybridOptions
+from hybrid_id.identification.windows import measured_windows
+from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
-from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.solvers import OdeEngine, stable_engine
-from hybrid_id.study.ablation_cell import DONE, CellResult, Course, Rung
+from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.study.ablation_plan import BLACK_BOX, NONE, Cell, Split, split_records, with_arm
-from hybrid_id.study.network_role import network_roles
-from hybrid_id.study.replays import batch_of
-from hybrid_id.systems.black_box import black_box
+from hybrid_id.study.fan_out import Failure, fan_out
+from hybrid_id.study.hybrid import network_roles
+from hybrid_id.study.replays import batch_of, weighted_errors
+from hybrid_id.study.training import scalars
+from hybrid_id.systems.builders import black_box
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import describe_model
+
+FAILED, DONE = "failed", "done"
+# JSON holds neither infinite numbers nor NaN: both are null in a file
+Infinite = Annotated[float, BeforeValidator(lambda value: math.inf if value is None else value)]
+Unknown = Annotated[float, BeforeValidator(lambda value: math.nan if value is None else value)]
+CELL, MODEL = "cell.json", "model.yaml"
+
+
+@dataclass(frozen=True)
+class Rung:
+    """A trained model at one price of its network's output; physics alone at an infinite one.
+
+    Attributes:
+        price: of the network's output.
+        errors: RMS of the weighted error of the free run over each whole record, by record; 1 is the noise floor.
+        short: the same of short free runs from measured states; empty where the records are too short.
+        values, std_errors: of the estimated parameters by name.
+        share: RMS of the network's output over that of the motor's torque; of the network with the largest.
+        overlap: its overlap with the physics, see :class:`hybrid_id.study.hybrid.NetworkRole`.
+        status: how its training ended.
+    """
+
+    price: Infinite
+    errors: dict[str, Infinite]
+    short: dict[str, Infinite]
+    values: dict[str, float]
+    std_errors: dict[str, Infinite]
+    share: Unknown
+    overlap: Unknown
+    status: str
+
+
+@dataclass(frozen=True)
+class CellResult:
+    """What a cell came to, as plain data.
+
+    Attributes:
+        cell: which one.
+        status: done or failed.
+        message: why it failed.
+        split: the records.
+        rungs: models by price, physics alone first; a cell of physics only has one, and so has a network alone.
+        chosen: number of the rung that the validation records chose.
+        gradients: of the whole training.
+        seconds: that it took.
+        history: course of the training by tag, (gradient, value) each.
+        model: the chosen model as a model file holds it.
+    """
+
+    cell: Cell
+    status: str = DONE
+    message: str = ""
+    split: Split | None = None
+    rungs: tuple[Rung, ...] = ()
+    chosen: int = 0
+    gradients: int = 0
+    seconds: float = 0.0
+    history: dict[str, list[tuple[int, Unknown]]] = field(default_factory=dict)
+    model: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def best(self) -> Rung:
+        """The chosen rung."""
+        return self.rungs[self.chosen]
+
+    def error(self, records: str) -> float:
+        """RMS of the chosen model's errors over the train, validation, test or beyond records; nan of none."""
+        names = () if self.split is None else getattr(self.split, records)
+        square = [self.best.errors[name] ** 2 for name in names]
+        return math.sqrt(sum(square) / len(square)) if square else math.nan
+
+
+class History:
+    """Keeps the scalars of a training, where :class:`~hybrid_id.identification.adjoint.Writer` asks for a writer."""
+
+    def __init__(self) -> None:
+        self.history: dict[str, list[tuple[int, float]]] = {}
+
+    def record(self, snapshot: Snapshot) -> None:
+        """Take one snapshot."""
+        (figures,) = scalars(snapshot, fits=False).values()
+        for tag, value in figures.items():
+            self.history.setdefault(tag, []).append((snapshot.step, value))
+
+
+def as_plain(result: CellResult) -> dict[str, Any]:
+    """A cell's result as JSON holds it; what is not finite becomes None."""
+    return plain(asdict(result))
+
+
+def from_plain(content: dict[str, Any]) -> CellResult:
+    """The result that :func:`as_plain` made a mapping of; an error that is None was infinite.
+
+    Raises:
+        ValueError: no such mapping.
+    """
+    return TypeAdapter(CellResult).validate_python(content)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,13 +189,13 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
     by_name = {record.name: record for record in task.dataset}
 
     def batch(system: System, names: tuple[str, ...]) -> Batch:
-        return batch_of(task.dataset, system, [by_name[n] for n in names], task.signal_share, "cpu")
+        return batch_of(task.dataset, system, [by_name[n] for n in names], task.signal_share)
 
     system = task.model(cell, batch(task.model(cell), split.train))
     train, validation, everything = (
         batch(system, names) for names in (split.train, split.validation, tuple(by_name))
     )
-    course = Course()
+    history = History()
     if cell.arm.residual == NONE:
         found = fit_physics(system, train, task.engine, options)
         engine = replace(task.engine, substeps=found.engine.substeps, gradient="backprop")
@@ -94,17 +203,17 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
         rungs = [_rung(task, found.system, engine, train, everything, torch.inf, found.status)]
         chosen, best = 0, found.system
     else:
-        result = train_hybrid(system, train, validation, engine=task.engine, options=options, writer=course)
+        result = train_hybrid(system, train, validation, engine=task.engine, options=options, writer=history)
         if result.interrupted:
             raise KeyboardInterrupt
         rungs = [_of_ladder(task, result, k, train, everything) for k in range(len(result.rungs))]
         chosen, best = result.chosen, result.system
         if cell.arm.residual == BLACK_BOX:  # its first rung, a constant acceleration, is no arm of its own
             rungs, chosen, best = rungs[-1:], 0, result.rungs[-1].system
-    steps = [step for step, _ in course.history.get("loss/train", [])]
+    steps = [step for step, _ in history.history.get("loss/train", [])]
     return CellResult(
         cell, DONE, "", split, tuple(rungs), chosen, max(steps, default=0), time.perf_counter() - start,
-        course.history, describe_model(best),
+        history.history, describe_model(best),
     )  # fmt: skip
 
 
@@ -126,24 +235,11 @@ def _rung(
     )  # windows begin with memories in motion
     short, windows = {}, measured_windows(system, remembered, task.horizon)
     if windows is not None:
-        short = _missed(system, engine, windows[0])
+        short = weighted_errors(system, engine, windows[0])
     roles = network_roles(system, engine, train) if price < torch.inf else ()
     most = max(roles, key=lambda role: role.share, default=None)
     share, overlap = (0.0, 0.0) if most is None else (most.share, most.overlap)
-    return Rung(price, _missed(system, engine, everything), short, values, {}, share, overlap, status)
-
-
-def _missed(system: System, engine: OdeEngine, batch: Batch) -> dict[str, float]:
-    """RMS of the weighted error of the free runs by record; infinite where one diverged."""
-    run = simulate(system, stable_engine(system, engine, batch), batch)
-    square = ((run.y - batch.y) * batch.weight).square().sum((1, 2))
-    count = (batch.weight > 0).sum((1, 2))
-    found: dict[str, float] = {}
-    for name in dict.fromkeys(batch.names):
-        rows = torch.tensor([k for k, other in enumerate(batch.names) if other == name])
-        mean = float(square[rows].sum() / count[rows].sum())
-        found[name] = mean**0.5 if mean == mean else torch.inf
-    return found
+    return Rung(price, weighted_errors(system, engine, everything), short, values, {}, share, overlap, status)
 
 
 def _theta(system: System, batch: Batch) -> torch.Tensor:
@@ -157,3 +253,65 @@ def _accelerations(system: System, batch: Batch) -> list[float]:
         speed = batch.x[:, :, joint.positions[0] + 1]
         found.append(float((speed.diff(dim=1)[dt > 0] / dt[dt > 0]).square().mean().sqrt()) or 1.0)
     return found
+
+
+def run_cells(
+    task: Task, cells: Sequence[Cell], *, jobs: int = 1, scheduler: str | None = None
+) -> Iterator[CellResult]:
+    """Compute cells, each as soon as it is done; one that breaks is a result that says so, and the rest goes on.
+
+    Args:
+        task: what they share.
+        cells: which ones.
+        jobs: processes on this machine.
+        scheduler: address of an existing Dask cluster, which is taken instead.
+
+    Raises:
+        InputError: nobody answers at the address, or Dask is not installed.
+    """
+    for number, result in fan_out(run_cell, task, cells, jobs=jobs, scheduler=scheduler):
+        yield CellResult(cells[number], FAILED, result.message) if isinstance(result, Failure) else result
+
+
+def key_of(task: Task, cell: Cell, program: str = __version__) -> str:
+    """Digest of all that decides a cell: records, model, settings, and the program that computes it."""
+    records = hashlib.sha256()
+    for record in task.dataset:
+        records.update(record.name.encode() + record.time.tobytes())
+        for name, values in (*record.inputs.items(), *record.outputs.items()):
+            records.update(name.encode() + values.tobytes())
+    settings = (
+        program, cell, task.split(cell.seed), task.engine, replace(task.options, seed=0), task.inputs,
+        task.memory, task.lipschitz, task.horizon, task.signal_share, task.dataset.outputs,
+        describe_model(task.system), records.hexdigest(),
+    )  # fmt: skip
+    return hashlib.sha256(repr(settings).encode()).hexdigest()
+
+
+def save_cell(folder: Path, result: CellResult, key: str) -> None:
+    """Write a cell's folder under a temporary name and rename it, so that it is whole or not there."""
+    with tempfile.TemporaryDirectory(dir=folder, prefix=".") as temporary:
+        new, place = Path(temporary) / "new", folder / result.cell.name
+        new.mkdir()
+        plain = as_plain(result)
+        content = {"program": f"hybrid_id {__version__}", "key": key, "seal": _seal(plain), "result": plain}
+        (new / CELL).write_text(json.dumps(content), encoding="utf-8")
+        write_yaml(new / MODEL, result.model)
+        if place.exists():
+            place.replace(Path(temporary) / "old")
+        new.replace(place)
+
+
+def load_cell(folder: Path, cell: Cell, key: str) -> CellResult | None:
+    """The cell that an earlier run has kept; None where there is none, or one of other settings or edited."""
+    try:
+        content = json.loads((folder / cell.name / CELL).read_text(encoding="utf-8"))
+        whole = content["key"] == key and content["seal"] == _seal(content["result"])
+        return from_plain(content["result"]) if whole else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _seal(plain: dict[str, Any]) -> str:
+    """Digest of a result as JSON holds it."""
+    return hashlib.sha256(json.dumps(plain).encode()).hexdigest()

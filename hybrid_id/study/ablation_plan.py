@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 
 import numpy as np
 
-from hybrid_id.components import ResidualNetwork
+from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, listed
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
@@ -127,7 +127,7 @@ class Split:
     def overlap(self) -> float:
         """Records tested on over records that the training works with, validation among them.
 
-        See :func:`hybrid_id.statistics.paired.paired_difference`.
+        See :func:`hybrid_id.statistics.variation.paired_difference`.
         """
         return len(self.test) / (len(self.train) + len(self.validation))
 
@@ -198,7 +198,7 @@ def without_parts(system: System, taken: Sequence[str]) -> System:
 def with_arm(
     system: System, arm: Arm, inputs: Sequence[str], memory: int, lipschitz: float | None, seed: int
 ) -> System:
-    """The model of an arm that has physics; see :func:`hybrid_id.systems.black_box.black_box` for the one without."""
+    """The model of an arm that has physics; see :func:`hybrid_id.systems.builders.black_box` for the one without."""
     system = without_parts(system, arm.without)
     for where in arm.places:
         states = memory if arm.residual == MEMORY else 0

@@ -1,4 +1,4 @@
-"""What a study ends with: parameter sets, how far to trust them, and which one to use."""
+"""What a study ends with: parameter sets, how reliable they are, and which one to use."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.result import FitResult
-from hybrid_id.statistics.cross_validation import CrossValidation
+from hybrid_id.statistics.cross_validation import CrossValidation, Selection
 from hybrid_id.statistics.fit import known_mean
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.profile import Profile
-from hybrid_id.statistics.selection import Selection
-from hybrid_id.statistics.trust import Trust
+from hybrid_id.statistics.reliability import Reliability
+from hybrid_id.statistics.residuals import Whiteness, whiteness
 from hybrid_id.statistics.uncertainty import Covariance
 from hybrid_id.statistics.variation import Variation, variation
 from hybrid_id.systems.chain import System
@@ -49,7 +49,7 @@ class Study:
         covariances: plain covariance of each set.
         robust: autocorrelation-robust covariance of each set.
         identifiability: what the records of the selected set tell.
-        trust: grade of each parameter.
+        reliability: grade of each parameter, A to D.
         cross_validation: fit % of every set on every record, measured signals and speeds.
         selection: the set to use.
         test_nrmse: normalised RMSE of the selected set on each test record, by name; empty without test records.
@@ -65,7 +65,7 @@ class Study:
     covariances: tuple[Covariance, ...]
     robust: tuple[Covariance, ...]
     identifiability: Identifiability
-    trust: tuple[Trust, ...]
+    reliability: tuple[Reliability, ...]
     cross_validation: CrossValidation
     selection: Selection
     test_nrmse: dict[str, float]
@@ -111,6 +111,11 @@ class Study:
         return known_mean(self.test_nrmse.values())
 
     @property
+    def whiteness(self) -> Whiteness:
+        """Autocorrelation of what the selected set leaves of the records that it was fitted to."""
+        return whiteness(self.selected.residual)
+
+    @property
     def combinations(self) -> Combinations:
         """The identifiable combinations of the selected set's records, for every set; c = 0 where nothing is told."""
         told = self.identifiability.combinations
@@ -132,7 +137,7 @@ class Study:
     def summary(self) -> str:
         """The study in a page: parameters with intervals and grades, variation, cross-validation, selection."""
         index = self.selection.index
-        errors, grades = self.standard_errors(index), {t.name: t for t in self.trust}
+        errors, grades = self.standard_errors(index), {t.name: t for t in self.reliability}
         lines = [f"{'pooled' if self.pooled else 'selected'} set: {self.selected.summary().splitlines()[0]}"]
         width = max(map(len, self.names))
         rows = zip(self.names, self.selected.values, errors, self.selected.units, strict=True)
@@ -140,7 +145,7 @@ class Study:
             reach = f"± {1.96 * error:.2g}" if np.isfinite(error) else "(no interval)"
             spread = "" if self.variation is None else f"  std/mean {self.variation.percent[k]:.2f} %"
             lines.append(
-                f"  {name:<{width}}  {value:11.5g} {reach:>14} {unit:<10}{spread}  trust {grades[name].grade}"
+                f"  {name:<{width}}  {value:11.5g} {reach:>14} {unit:<10}{spread}  reliability {grades[name].grade}"
             )
         lines += [] if self.horizon.kind == "whole" else [f"horizon: {self.horizon}"]
         lines.append(self.identifiability.summary())

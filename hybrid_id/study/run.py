@@ -10,25 +10,29 @@ from typing import Literal
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.confirm import confirmed
 from hybrid_id.identification.fit import Progress, fit
-from hybrid_id.identification.horizon_choice import choose_horizon
-from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
 from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.restarts import confirmed
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.simulation.divergence import cause_of_divergence
+from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
-from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.rollout import cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
-from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap
-from hybrid_id.statistics.jackknife import autocorrelation_robust
-from hybrid_id.statistics.selection import select
-from hybrid_id.statistics.trust import Trust, trust_grades
-from hybrid_id.statistics.uncertainty import Covariance, covariance
+from hybrid_id.statistics.cross_validation import select
+from hybrid_id.statistics.reliability import Reliability, reliability_grades
+from hybrid_id.statistics.uncertainty import (
+    Covariance,
+    autocorrelation_robust,
+    block_contributions,
+    covariance,
+    one_step_bootstrap,
+)
 from hybrid_id.statistics.variation import mean_interval, prior_variances, variation
-from hybrid_id.study.identifiable import told_by
+from hybrid_id.study.checks import identifiability_of
+from hybrid_id.study.processes import fit_in_processes
 from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_nrmse
 from hybrid_id.study.result import Study
 from hybrid_id.systems.chain import System
@@ -46,6 +50,7 @@ def identify(
     device: str = "cpu",
     signal_share: float = SIGNAL_SHARE,
     horizon: Horizon | None = None,
+    jobs: int = 1,
     progress: Progress | None = None,
 ) -> Study:
     """Identify one parameter set for each train record, or one over all, with the paper's statistics.
@@ -61,17 +66,33 @@ def identify(
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long the free runs are that are fitted and compared with the records (default: whole records where
-            they follow them, otherwise see :func:`hybrid_id.identification.horizon_choice.choose_horizon`).
-        progress: see :func:`hybrid_id.identification.fit.fit`.
+            they follow them, otherwise see :func:`hybrid_id.identification.horizons.choose_horizon`).
+        jobs: processes that share the records; one where they share a parameter set.
+        progress: see :func:`hybrid_id.identification.fit.fit`; with several processes its method ``watch``, where it
+            has one, is told the file that ends them all.
 
     Raises:
         InputError: no train record, missing channels, nothing to estimate, or every fit diverged.
     """
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
+    if jobs > 1 and not pooled:
+        settings = {
+            "engine": compiled_for(system, engine or Engine()),
+            "options": options or Options(),
+            "starts": starts,
+            "seed": seed,
+        }
+        sets, horizon = fit_in_processes(
+            dataset, system, settings, jobs=jobs, device=device, signal_share=signal_share, horizon=horizon,
+            watch=getattr(progress, "watch", None),
+        )  # fmt: skip
+        return analyse_fits(
+            dataset, system, sets, pooled=False, seed=seed, signal_share=signal_share, horizon=horizon
+        )
     batch = batch_of(dataset, system, dataset.train, signal_share, device)
     model = copy.deepcopy(system).to(device)  # the caller's stays where it is
-    engine = engine or Engine()
+    engine = compiled_for(system, engine or Engine())
 
     def fitted(horizon: Horizon) -> list[FitResult]:
         part = horizon.cut(model, engine, batch)
@@ -115,9 +136,7 @@ def analyse_fits(
     horizon: Horizon = WHOLE,
 ) -> Study:
     """The statistics of parameter sets, however they were found; arguments as in :func:`identify`."""
-    batch = (
-        batch_of(dataset, system, dataset.train, signal_share, "cpu") if batch is None else batch.to("cpu")
-    )
+    batch = batch_of(dataset, system, dataset.train, signal_share) if batch is None else batch.to("cpu")
     if all(result.status == "diverged" for result in sets):
         engine = stable_engine(system, sets[0].engine, batch)
         cause = cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
@@ -134,12 +153,14 @@ def analyse_fits(
     chosen = sets[selection.index]
     finite = np.isfinite(plain[selection.index].std_error)
     ratios = robust[selection.index].std_error[finite] / plain[selection.index].std_error[finite]
-    told = told_by(chosen, inflation=max(float(np.median(ratios, axis=None)) if finite.any() else 1.0, 1.0))
+    told = identifiability_of(
+        chosen, inflation=max(float(np.median(ratios, axis=None)) if finite.any() else 1.0, 1.0)
+    )
     values = _estimates(sets)
     names = sets[0].names
     errors = _standard_errors(sets, plain, robust, pooled, seed)
     held = [n for n, share in zip(names, told.prior_share, strict=True) if share > 0.5]
-    trust = trust_grades(
+    reliability = reliability_grades(
         names,
         np.nanmean(values, 0),
         errors,
@@ -149,11 +170,11 @@ def analyse_fits(
     )
     if any(result.left_early for result in sets):
         why = "a fit was stopped before its end, so that its values are no estimate; let it finish"
-        trust = tuple(Trust(name, "D", math.inf, why) for name in names)
+        reliability = tuple(Reliability(name, "D", math.inf, why) for name in names)
     test = test_nrmse(dataset, chosen, signal_share, horizon)
     spread = variation(values, names, held=held) if len(sets) > 1 else None
     return Study(
-        system, tuple(sets), pooled, spread, plain, robust, told, trust, matrix, selection, test,
+        system, tuple(sets), pooled, spread, plain, robust, told, reliability, matrix, selection, test,
         engine_error(chosen, batch), horizon=horizon,
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Two joints that push each other: off-diagonal inertia and torques between the links of an arm."""
+"""Joints that push each other: off-diagonal inertias and torques between the links of an arm."""
 
 from __future__ import annotations
 
@@ -8,66 +8,158 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Component
-from hybrid_id.components.coupling import Coupling
+from hybrid_id.components.base import Component, Coupling
+from hybrid_id.components.load.floor_contact import FloorContact
+from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
+from hybrid_id.robots.rows import Vector
+from hybrid_id.robots.tree import Point, RigidBodyTree
 from hybrid_id.systems.balance import Balances, SpeedBalance
 from hybrid_id.systems.joint import Joint
 
 Views = Mapping[str, SimpleNamespace]
+MOTION = ("angle", "speed", "acceleration")
+"""Channels of a joint whose motion is logged and not simulated, without its number [rad, rad/s, rad/s^2]."""
+Mass = dict[tuple[int, int], Tensor | float]
+"""Inertia that two joints share at their links, or that one has beside its own, by their numbers from 0."""
 
 
 class Arm:
-    """The couplings of a system with two joints.
+    """The couplings of a system's joints: a planar arm's by components, any other's by its rigid-body tree.
 
     Args:
         joints: the system's joints.
         components: the system's components by key; those that are no coupling are ignored.
+        tree: of the robot; None for joints that stand alone or in a plane.
+        seats: number in the tree, from 0, of each of the system's joints; None for all of them in order. The motion
+            of the others is logged, see :data:`MOTION`.
 
     Raises:
-        InputError: a coupling in a system that has not two joints, or the same one in both places.
+        InputError: a coupling in a system that has not two joints, or has a tree, or the same one in both places; a
+            tree of another number of joints, or none where a link's inertia is left to it.
+
+    Attributes:
+        channels: names of those that bring the motion of joints that are not the system's.
     """
 
-    def __init__(self, joints: Sequence[Joint], components: Mapping[str, Component]) -> None:
-        self.joints = joints
+    def __init__(
+        self,
+        joints: Sequence[Joint],
+        components: Mapping[str, Component],
+        tree: RigidBodyTree | None = None,
+        seats: Sequence[int] | None = None,
+    ) -> None:
+        self.joints, self.tree = joints, tree
+        self.seats = list(range(len(joints))) if seats is None else list(seats)
+        others = [] if tree is None or seats is None else set(range(len(tree.joints))) - set(self.seats)
+        self.channels = [f"{name}{k + 1}" for k in sorted(others) for name in MOTION]
         self.couplings = {key: part for key, part in components.items() if isinstance(part, Coupling)}
+        if tree is not None and len(tree.joints) != len(joints) + len(others):
+            raise InputError(
+                f"The robot has {len(tree.joints)} joints and the system {len(joints)}; describe a drive for each."
+            )
+        self.contacts = [(key, part) for key, part in components.items() if isinstance(part, FloorContact)]
+        for key, part in self.contacts:
+            points = () if tree is None else tree.points
+            if part.point not in points:
+                raise InputError(
+                    f"{part.kind} at '{key.rsplit('/', 1)[0]}' acts at '{part.point}', which the robot does not have; "
+                    f"give one of {', '.join(points) or 'a robot with a description'}."
+                )
+        for key, part in components.items():
+            if tree is None and isinstance(part, RotorInertia):
+                raise InputError(
+                    f"{part.kind} at '{key.rsplit('/', 1)[0]}' has no link, which a robot's description carries; put "
+                    "one_link or two_inertias there."
+                )
         kinds = [part.kind for part in self.couplings.values()]
         for key, part in self.couplings.items():
+            place = key.rsplit("/", 1)[0]
+            if tree is not None:
+                raise InputError(
+                    f"{part.kind} at '{place}' couples links that the robot's own tree couples; remove it."
+                )
             if len(joints) != 2:
                 raise InputError(
-                    f"{part.kind} at '{key.rsplit('/', 1)[0]}' couples two joints, but the system has {len(joints)}; "
-                    "remove it."
+                    f"{part.kind} at '{place}' couples two joints, but the system has {len(joints)}; remove it."
                 )
             if kinds.count(part.kind) > 1:
                 raise InputError(
                     f"{part.kind} sits at both joints; it acts on both from either, so keep one of them."
                 )
 
-    def couple(self, speeds: list[SpeedBalance], x: Sequence[Tensor], p: Views) -> Balances:
+    def couple(
+        self, speeds: list[SpeedBalance], x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> Balances:
         """The balances of all speeds with what acts between the links; without couplings as they are."""
-        if not self.couplings:
+        if not self.couplings and self.tree is None:
             return Balances(speeds)
         links = [_link_motion(joint, x, p) for joint in self.joints]
-        (first_angle, first_rate, *_), (second_angle, second_rate, *_) = links
-        first = len(self.joints[0].positions) - 1
-        pair = (first, len(speeds) - 1)
-        coupling = None
+        mass, torques = self._dynamics([link[0] for link in links], [link[1] for link in links], u, p)
+        number, row = -1, []  # of each joint's link among the speeds
+        for joint in self.joints:
+            number += len(joint.positions)
+            row.append(number)
+        couplings = {}
+        for k, (torque, (_, _, slope, _)) in enumerate(zip(torques, links, strict=True)):
+            _load(speeds[row[k]], torque * slope)
+        for (i, j), inertia in mass.items():
+            (_, _, slope, turn), (_, _, other_slope, other_turn) = links[i], links[j]
+            if i == j:
+                _weigh(speeds[row[i]], inertia * slope**2)
+            else:
+                shared = inertia * (slope * other_slope)
+                couplings[row[i], row[j]] = (
+                    shared if isinstance(shared, Tensor) else x[0].new_full((1,), shared)
+                )
+                if turn is not None:  # what a gear's error accelerates while its rotor turns evenly
+                    _load(speeds[row[j]], inertia * other_slope * turn)
+            if other_turn is not None:
+                _load(speeds[row[i]], inertia * slope * other_turn)
+        return Balances(speeds, couplings)
+
+    def _dynamics(
+        self, angles: Sequence[Tensor], rates: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> tuple[Mass, list[Tensor | float]]:
+        """Inertias beside the joints' own, and the torques that oppose each joint, at the links."""
+        mass: Mass = {}
+        if self.tree is not None:
+            return self._tree_dynamics(self.tree, angles, rates, u, p)
+        torques: list[Tensor | float] = [0.0, 0.0]
+        first, second = angles
         for key, part in self.couplings.items():
-            torques = part.torques(p[key], (first_angle, second_angle), (first_rate, second_rate))
-            for k, (_, _, slope, _), torque in zip(pair, links, torques, strict=True):
-                _load(speeds[k], torque * slope)
-            if (inertia := part.inertia(p[key], second_angle)) is not None:
-                (_, _, slope, turn), (_, _, other_slope, other_turn) = links
-                _weigh(speeds[first], inertia[0] * slope**2)
-                shared = inertia[1] * (p[key].definite * (slope * other_slope))
-                coupling = shared if coupling is None else coupling + shared
-                # what a gear's error accelerates while its rotor turns evenly
-                if turn is not None:
-                    _load(speeds[pair[0]], inertia[0] * slope * turn)
-                    _load(speeds[pair[1]], inertia[1] * other_slope * turn)
-                if other_turn is not None:
-                    _load(speeds[pair[0]], inertia[1] * slope * other_turn)
-        return Balances(speeds) if coupling is None else Balances(speeds, pair, coupling)
+            for k, torque in enumerate(part.torques(p[key], (first, second), (rates[0], rates[1]))):
+                torques[k] = torques[k] + torque
+            if (inertia := part.inertia(p[key], second)) is not None:
+                for pair, own in (((0, 0), inertia[0]), ((0, 1), inertia[1] * p[key].definite)):
+                    mass[pair] = mass[pair] + own if pair in mass else own
+        return mass, torques
+
+    def _tree_dynamics(
+        self,
+        tree: RigidBodyTree,
+        angles: Sequence[Tensor],
+        rates: Sequence[Tensor],
+        u: Mapping[str, Tensor],
+        p: Views,
+    ) -> tuple[Mass, list[Tensor | float]]:
+        seat = {number: k for k, number in enumerate(self.seats)}
+        every: list[list[Tensor | float]] = []
+        for name, own in zip(MOTION, (angles, rates, [0.0] * len(angles)), strict=True):
+            every.append(
+                [own[seat[j]] if j in seat else u[f"{name}{j + 1}"] for j in range(len(tree.joints))]
+            )
+        poses, inertias = tree.poses(every[0]), tree.inertias()
+        pushes: list[tuple[Point, Vector]] = []
+        for key, part in self.contacts:
+            point = tree.points[part.point]
+            pushes.append((point, (0.0, 0.0, part.force(p[key], tree.place(poses, point)[2]))))
+        whole = tree.mass_matrix(poses, inertias)
+        torques = tree.inverse_dynamics(poses, inertias, every[1], every[2], pushes)
+        n = len(angles)
+        pairs = {(i, j): whole[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
+        mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
+        return mass, [torques[number] for number in self.seats]
 
     def guard(self, p: Views) -> None:
         """Make the coupling's inertia not a number wherever the mass matrix is not positive definite for every angle.
@@ -129,14 +221,14 @@ def _link_motion(
     return angle, x[row + 1] * slope, slope, None if bend is None else bend * x[row + 1].square()
 
 
-def _load(speed: SpeedBalance, torque: Tensor) -> None:
+def _load(speed: SpeedBalance, torque: Tensor | float) -> None:
     """Let a torque oppose a speed."""
     speed.smooth = speed.smooth - torque
     if speed.load is not None:
         speed.load = speed.load + torque
 
 
-def _weigh(speed: SpeedBalance, inertia: Tensor) -> None:
+def _weigh(speed: SpeedBalance, inertia: Tensor | float) -> None:
     """Add inertia to the link of a speed."""
     total = speed.inertia + inertia
     if speed.link_share is not None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import torch
@@ -11,6 +11,9 @@ from torch import Tensor
 
 Directions = Sequence[Tensor | None]
 """Direction of dry friction for each speed, ``(B,)``; None where a speed has no dry friction."""
+
+PIVOTS = 100
+"""Changes of direction at most in which coupled speeds find out who moves; two or three are the rule."""
 
 
 @dataclass
@@ -41,81 +44,110 @@ class SpeedBalance:
         return (net - signed * self.load) / (self.inertia * (1.0 + signed * self.link_share))
 
     def holding_level(self, reaction: Tensor | float) -> Tensor:
-        """Largest dry friction at rest, under a ``reaction`` of the other joint."""
+        """Largest dry friction at rest, under a ``reaction`` of other joints."""
         if self.factor is None:
             return self.level
         return self.level + self.factor * (cast(Tensor, self.load) + reaction).abs()
 
     def transmitted(self, own: Tensor, reaction: Tensor) -> Tensor:
-        """Torque through the gear at the acceleration ``own`` and under a reaction of the other joint."""
+        """Torque through the gear at the acceleration ``own`` and under a reaction of other joints."""
         return cast(Tensor, self.link_share) * self.inertia * own + reaction + cast(Tensor, self.load)
 
 
 @dataclass
 class Balances:
-    """Balances of all speeds of a system; the links of an arm share an off-diagonal inertia.
+    """Balances of all speeds of a system; links that push each other share off-diagonal inertias.
 
     Attributes:
         speeds: one balance a speed.
-        pair: the two speeds that carry the links of an arm, None where nothing couples them.
-        coupling: their off-diagonal inertia, ``(B,)``.
+        couplings: off-diagonal inertia of two speeds by their numbers, the lower first, ``(B,)`` each.
     """
 
     speeds: list[SpeedBalance]
-    pair: tuple[int, int] | None = None
-    coupling: Tensor | None = None
+    couplings: Mapping[tuple[int, int], Tensor] = field(default_factory=dict)
+
+    @property
+    def coupled(self) -> list[int]:
+        """Numbers of the speeds that share an inertia with another one."""
+        return sorted({k for pair in self.couplings for k in pair})
 
     def accelerations(self, directions: Directions, *, held: bool) -> list[Tensor]:
         """Accelerations for directions of dry friction in [-1, 1]; with ``held``, 0 is at rest and stays there."""
         free = [None if d is None or not held else d.abs() for d in directions]
-        found: dict[int, Tensor] = {}
-        if self.pair is not None and self.coupling is not None:
-            found = dict(
-                zip(self.pair, self._coupled(self.pair, self.coupling, directions, free), strict=True)
-            )
+        found = self._together(directions, free)
         for k, balance in enumerate(self.speeds):
             own = found[k] if k in found else balance.acceleration(directions[k])
             found[k] = own if (f := free[k]) is None else own * f
         return [found[k] for k in range(len(self.speeds))]
 
-    def _coupled(
-        self, pair: tuple[int, int], coupling: Tensor, directions: Directions, free: Directions
-    ) -> tuple[Tensor, Tensor]:
-        """Accelerations of both links; one that is held does not push the other."""
-        both, along = [self.speeds[k] for k in pair], [directions[k] for k in pair]
-        for move in (free[k] for k in pair):
-            coupling = coupling if move is None else coupling * move
-        loaded = [b.factor is not None and d is not None for b, d in zip(both, along, strict=True)]
-        signs: list[Tensor | None] = [None, None]
-        found = []
+    def _together(self, directions: Directions, free: Directions) -> dict[int, Tensor]:
+        """Accelerations of the coupled speeds by number; one that is held pushes no other."""
+        group = self.coupled
+        shared: dict[tuple[int, int], Tensor] = {}
+        for (i, j), inertia in self.couplings.items():
+            for move in (free[i], free[j]):
+                inertia = inertia if move is None else inertia * move
+            shared[i, j] = shared[j, i] = inertia
+        loaded = [k for k in group if self.speeds[k].factor is not None and directions[k] is not None]
+        signs: dict[int, Tensor] = {}
+        found: dict[int, Tensor] = {}
         # the signs of the torques through the gears: without load-dependent friction, then as they come out
-        for _ in range(3 if any(loaded) else 1):
-            rows = [_row(*of) for of in zip(both, along, signs, strict=True)]
-            (m_1, g_1, f_1), (m_2, g_2, f_2) = rows
-            m_12 = coupling if g_1 is None else coupling * g_1
-            m_21 = coupling if g_2 is None else coupling * g_2
-            determinant = m_1 * m_2 - m_12 * m_21
-            found = [(m_2 * f_1 - m_12 * f_2) / determinant, (m_1 * f_2 - m_21 * f_1) / determinant]
-            torques = zip(both, found, reversed(found), loaded, strict=True)
-            signs = [
-                torch.sign(b.transmitted(own, coupling * other).detach()) if needed else None
-                for b, own, other, needed in torques
-            ]
-        return found[0], found[1]
+        for _ in range(3 if loaded else 1):
+            rows: list[dict[int, Tensor]] = []
+            forces: list[Tensor] = []
+            for k in group:
+                own, factor, force = _row(self.speeds[k], directions[k], signs.get(k))
+                others = {j: shared[k, j] for j in group if (k, j) in shared}
+                others = others if factor is None else {j: m * factor for j, m in others.items()}
+                rows.append({k: own} | others)
+                forces.append(force)
+            found = dict(zip(group, _solved(group, rows, forces), strict=True))
+            for k in loaded:
+                reaction = sum(shared[k, j] * found[j] for j in group if (k, j) in shared)
+                torque = self.speeds[k].transmitted(found[k], cast(Tensor, reaction))
+                signs[k] = torch.sign(torque.detach())
+        return found
 
     def reactions(self, accelerations: Sequence[Tensor]) -> list[Tensor | float]:
-        """Torque that each speed needs only because the other link accelerates."""
+        """Torque that each speed needs only because others accelerate."""
         found: list[Tensor | float] = [0.0] * len(self.speeds)
-        if self.pair is not None and self.coupling is not None:
-            i, j = self.pair
-            found[i], found[j] = self.coupling * accelerations[j], self.coupling * accelerations[i]
+        for (i, j), inertia in self.couplings.items():
+            found[i] = found[i] + inertia * accelerations[j]
+            found[j] = found[j] + inertia * accelerations[i]
         return found
+
+
+def _solved(
+    group: Sequence[int], rows: Sequence[dict[int, Tensor]], forces: Sequence[Tensor]
+) -> list[Tensor]:
+    """Solution of linear equations by elimination, entries by number; what is not there is zero.
+
+    No pivoting: a mass matrix is positive definite, and load-dependent friction scales its rows.
+    """
+    rows, forces, n = [dict(row) for row in rows], list(forces), len(group)
+    for i, k in enumerate(group):
+        for below in range(i + 1, n):
+            if k not in rows[below]:
+                continue
+            share = rows[below].pop(k) / rows[i][k]
+            for j, entry in rows[i].items():
+                if j in group[i + 1 :]:
+                    rows[below][j] = rows[below][j] - share * entry if j in rows[below] else -share * entry
+            forces[below] = forces[below] - share * forces[i]
+    found: dict[int, Tensor] = {}
+    for i in reversed(range(n)):
+        force = forces[i]
+        for j, known in found.items():
+            if j in rows[i]:
+                force = force - rows[i][j] * known
+        found[group[i]] = force / rows[i][group[i]]
+    return [found[k] for k in group]
 
 
 def _row(
     balance: SpeedBalance, direction: Tensor | None, sign: Tensor | None
 ) -> tuple[Tensor, Tensor | None, Tensor]:
-    """Inertia, factor of the off-diagonal inertia and force of one row of the two links' equations."""
+    """Inertia, factor of the off-diagonal inertias and force of one row of coupled equations."""
     net = balance.smooth if direction is None else balance.smooth - direction * balance.level
     if sign is None or direction is None or balance.factor is None:
         return balance.inertia, None, net
@@ -145,7 +177,7 @@ class Rest:
             speeds.append(replace(ahead, smooth=smooth, level=torch.where(d > 0, ahead.level, back.level)))
         return replace(self.forward, speeds=speeds)
 
-    def pushes(self, directions: Directions) -> list[tuple[Tensor, Tensor]]:
+    def breakaway_margins(self, directions: Directions) -> list[tuple[Tensor, Tensor]]:
         """For each speed at rest where it is pushed (-1, 0, 1), and how far beyond what dry friction holds [N m]."""
         now = self.along(directions)
         reactions = now.reactions(now.accelerations(directions, held=True))
@@ -156,40 +188,37 @@ class Rest:
             found.append((torch.sign(up - down), torch.maximum(up, down)))
         return found
 
-    def settle(self, directions: Directions) -> list[Tensor | None]:
+    def stick_slip(self, directions: Directions) -> list[Tensor | None]:
         """Where each speed goes, 0 where it stays at rest: the one answer that contradicts no balance.
 
-        A single speed stays unless it is pushed beyond its level. With two coupled links, whether one stays depends on
-        the other: ``min 1/2 a' M a - f' a + sum level |a|`` over the accelerations a of those at rest is strictly
-        convex, so that exactly one of its nine combinations of directions agrees with itself.
+        A single speed stays unless it is pushed beyond its level. Of coupled speeds, whether one stays depends on the
+        others: ``min 1/2 a' M a - f' a + sum level |a|`` over the accelerations a of those at rest is strictly
+        convex, so that one combination of directions agrees with itself. It is found by changing one contradicted
+        direction at a time, that of the lowest number first (K. G. Murty, Linear Complementarity, 1988, section 11.2;
+        with bounds J. J. Judice and F. M. Pires, Computers & Operations Research 21, 1994).
 
         Args:
             directions: sign of each speed, None where there is no dry friction.
         """
+        rests = [None if d is None else d == 0 for d in directions]
+        coupled = [k for k in self.forward.coupled if rests[k] is not None]
         found = [
-            None if d is None else torch.where(d == 0, side * (over > 0), d)
-            for d, (side, over) in zip(directions, self.pushes(directions), strict=True)
+            d if d is None or k in coupled else torch.where(d == 0, side * (margin > 0), d)
+            for k, (d, (side, margin)) in enumerate(
+                zip(directions, self.breakaway_margins(directions), strict=True)
+            )
         ]
-        pair = self.forward.pair
-        if pair is None:
-            return found
-        options = [[0.0] if directions[k] is None else [0.0, 1.0, -1.0] for k in pair]
-        like = self.forward.speeds[pair[0]].smooth
-        grid = torch.cartesian_prod(*(torch.tensor(o, dtype=like.dtype, device=like.device) for o in options))
-        trial, resting = list(directions), {}
-        for k, choice in zip(pair, grid.unbind(1), strict=True):
-            if (d := directions[k]) is not None:
-                resting[k] = d == 0
-                trial[k] = torch.where(resting[k], choice[:, None], d)
-        now = self.along(trial)
-        accelerations, pushes = now.accelerations(trial, held=True), self.pushes(trial)
-        wrong = torch.full_like(like, -torch.inf)
-        for k, rests in resting.items():
-            along = cast(Tensor, trial[k])
-            against = -along * accelerations[k] * now.speeds[k].inertia
-            fault = torch.where(along == 0, pushes[k][1], against)
-            wrong = torch.maximum(wrong, fault.where(rests, torch.full_like(fault, -torch.inf)))
-        best = wrong.argmin(0, keepdim=True)
-        for k in resting:
-            found[k] = cast(Tensor, trial[k]).gather(0, best)[0]
+        for _ in range(min(3 ** len(coupled), PIVOTS) if coupled else 0):
+            now, margins = self.along(found), self.breakaway_margins(found)
+            accelerations, settled = now.accelerations(found, held=True), None
+            for k in coupled:
+                along, (side, margin) = cast(Tensor, found[k]), margins[k]
+                stays = along == 0
+                against = -along * accelerations[k] * now.speeds[k].inertia
+                wrong = cast(Tensor, rests[k]) & (torch.where(stays, margin, against) > 0)
+                first = wrong if settled is None else wrong & settled
+                found[k] = torch.where(first, side * stays, along)
+                settled = ~wrong if settled is None else settled & ~wrong
+            if settled is None or bool(settled.all()):
+                break
         return found

@@ -14,11 +14,10 @@ from hybrid_id.components.base import PLACES, Component
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
+from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.arm import Arm
 from hybrid_id.systems.balance import Balances, Directions, Rest, SpeedBalance
 from hybrid_id.systems.joint import Joint
-from hybrid_id.systems.places import check_place
-from hybrid_id.systems.table import parameter_table
 
 Rows = Sequence[Tensor]
 Channels = Mapping[str, Tensor]
@@ -35,6 +34,9 @@ class System(nn.Module):
         parts: (where, component) pairs, ``where`` as ``"joint1/motor_friction"``.
         aliases: preferred result names by (component key, symbol), for example ``("joint1/motor", "P_m1"): "P_m1"``.
         name: kind of system in model files (``one_link`` ...).
+        tree: what couples the joints of a robot; None for joints that stand alone or in a plane.
+        seats: number in the tree, from 0, of each joint; None for all of them in order. Of the tree's other joints the
+            records bring angle, speed and acceleration.
 
     Attributes:
         state_names: rows of the state, ``(n_x, B)``.
@@ -43,6 +45,7 @@ class System(nn.Module):
         dry: whether dry friction acts on each speed, in the order of ``speed_rows``.
         table: the parameters, in a fixed order; ``theta`` vectors follow it.
         estimated: rows of the table that a fit may move.
+        whole: the robot that it is one joint of, where it is; in a tuple, for its parameters are not this system's.
 
     Raises:
         InputError: unknown place, a component in a place where it cannot sit, a place that is empty or crowded.
@@ -54,9 +57,13 @@ class System(nn.Module):
         parts: Sequence[tuple[str, Component]],
         aliases: Mapping[tuple[str, str], str] | None = None,
         name: str = "one_link",
+        tree: RigidBodyTree | None = None,
+        seats: Sequence[int] | None = None,
     ) -> None:
         super().__init__()
-        self.name = name
+        self.name, self.tree = name, tree
+        self.seats = None if seats is None else tuple(seats)
+        self.whole: tuple[System, ...] = ()
         self.gear_ratio = tuple(float(r) for r in gear_ratio)
         self.aliases = dict(aliases or {})
         self.components = nn.ModuleDict()
@@ -66,7 +73,7 @@ class System(nn.Module):
         self.register_load_state_dict_post_hook(_rewire)
 
     def _place(self, where: str, part: Component) -> None:
-        check_place(where, type(part), len(self.gear_ratio))
+        check_place(where, type(part), [f"joint{n + 1}" for n in range(len(self.gear_ratio))])
         if part.single:
             for key, other in list(self.components.items()):
                 if key.startswith(f"{where}/") and isinstance(other, part.family()):
@@ -74,9 +81,9 @@ class System(nn.Module):
         self.components[f"{where}/{part.kind}"] = part
 
     def _wire(self) -> None:
-        def order(key: str) -> tuple[str, int, bool, str]:
+        def order(key: str) -> tuple[int, int, bool, str]:
             joint, place, kind = key.split("/")
-            return joint, PLACES.index(place), not cast(Component, self.components[key]).single, kind
+            return int(joint[5:]), PLACES.index(place), not cast(Component, self.components[key]).single, kind
 
         # one order however the system was built, so that vectors of parameters mean the same
         self.components = nn.ModuleDict(
@@ -103,13 +110,14 @@ class System(nn.Module):
         ]
         self.table = parameter_table(self.components, self.aliases)
         self.estimated = [i for i, info in enumerate(self.table) if info.spec.estimate]
-        self.arm = Arm(self.joints, cast("dict[str, Component]", dict(self.components.items())))
+        parts = cast("dict[str, Component]", dict(self.components.items()))
+        self.arm = Arm(self.joints, parts, self.tree, self.seats)
         with torch.no_grad():
             self.arm.check({key: cast(Component, part).view() for key, part in self.components.items()})
 
     def with_component(self, where: str, component: Component) -> System:
         """A new system that has ``component`` too (in a place that holds exactly one, instead of the old one)."""
-        system = copy.deepcopy(self)
+        system = self._copied()
         system._place(where, copy.deepcopy(component))
         system._wire()
         return system
@@ -121,7 +129,7 @@ class System(nn.Module):
             raise InputError(
                 f"There is no {kind} at '{where}'{near}; the system has {', '.join(self.components)}."
             )
-        system = copy.deepcopy(self)
+        system = self._copied()
         del system.components[f"{where}/{kind}"]
         system._wire()
         return system
@@ -132,7 +140,7 @@ class System(nn.Module):
 
     def with_specs(self, specs: Mapping[str, Bounded]) -> System:
         """A new system with whole parameter specifications (value, bounds, role, prior) replaced by result name."""
-        system = copy.deepcopy(self)
+        system = self._copied()
         for name, spec in specs.items():
             info = system.parameter(name)
             part = cast(Component, system.components[info.component])
@@ -141,6 +149,11 @@ class System(nn.Module):
                 cast(Tensor, getattr(part, info.symbol)).fill_(spec.value)
         system._wire()
         return system
+
+    def _copied(self) -> System:
+        """A copy to be changed and wired anew; a tree never changes, and what is wired need not be copied before."""
+        kept = self.joints, self.arm, self.table, self.tree
+        return copy.deepcopy(self, {id(one): one for one in kept})
 
     def parameter(self, name: str) -> ParameterInfo:
         """The table's row of a parameter by its result name."""
@@ -169,7 +182,7 @@ class System(nn.Module):
     @property
     def input_names(self) -> list[str]:
         """Channels that the system reads (``enable<joint>`` is read where a record has it)."""
-        return [f"{c}{j.number}" for j in self.joints for c in j.channels]
+        return [*(f"{c}{j.number}" for j in self.joints for c in j.channels), *self.arm.channels]
 
     def hold(self, u: Channels, p: Views) -> Channels:
         """Channels as they arrive at the motors; what stays the same over a sample is found once."""
@@ -183,7 +196,7 @@ class System(nn.Module):
         for joint in self.joints:
             n = slice(len(found), len(found) + len(joint.positions))
             found += joint.balances(x, u, p, magnitudes[n], forwards[n])
-        return self.arm.couple(found, x, p)
+        return self.arm.couple(found, x, u, p)
 
     def rest(self, x: Rows, u: Channels, p: Views, directions: Directions) -> Rest:
         """What may hold the speeds whose direction is 0: the balances with their friction either way."""
@@ -232,15 +245,51 @@ class System(nn.Module):
         """Measured outputs by name (``q_m1``, ``i1`` ...; ``r_motor1``: of the network there), ``(B,)`` each."""
         found = []
         for name in names:
-            if not name[-1:].isdigit() or not 1 <= int(name[-1]) <= len(self.joints):
+            channel = name.rstrip("0123456789")
+            number = int(name[len(channel) :] or 0)
+            if not 1 <= number <= len(self.joints):
                 raise InputError(
                     f"Output '{name}' names no joint of {self.name}, whose outputs end in a number up to "
                     f"{len(self.joints)}; take a model of that joint, or leave the output out of the dataset."
                 )
-            found.append(self.joints[int(name[-1]) - 1].output(name[:-1], x, u, p))
+            found.append(self.joints[number - 1].output(channel, x, u, p))
         return found
 
 
 def _rewire(system: nn.Module, _: object) -> None:
     """Let the table say what a loaded checkpoint has put into the components."""
     cast(System, system)._wire()
+
+
+def check_place(where: str, kind: type[Component], joints: Sequence[str]) -> None:
+    """Raise InputError where a system with these joints has no such place, or the place takes no such component."""
+    joint, _, place = where.rpartition("/")
+    if joint not in joints or place not in PLACES:
+        near = close_match(where, (f"{one}/{other}" for one in joints for other in kind.places))
+        raise InputError(
+            f"Place '{where}' is not known{near}; use one of {', '.join(joints)} with one of {', '.join(PLACES)}."
+        )
+    if place not in kind.places:
+        raise InputError(f"{kind.kind} cannot sit in '{where}'; it belongs in {' or '.join(kind.places)}.")
+
+
+def parameter_table(components: nn.ModuleDict, aliases: Mapping[tuple[str, str], str]) -> list[ParameterInfo]:
+    """All parameters in the components' order.
+
+    A name is the alias, or the symbol where no other component has it, or the symbol with the component's key.
+
+    Args:
+        components: by key, ``joint1/motor_friction/coulomb_friction``.
+        aliases: preferred names by key and symbol.
+    """
+    entries = [(key, s) for key, c in components.items() for s in cast(Component, c).declared]
+    symbols = [symbol for _, symbol in entries]
+    table = []
+    for key, symbol in entries:
+        part = cast(Component, components[key])
+        name = aliases.get((key, symbol))
+        if name is None:
+            joint, place, kind = key.split("/")
+            name = symbol if symbols.count(symbol) == 1 else f"{symbol}_{joint}_{place}_{kind}"
+        table.append(ParameterInfo(name, key, symbol, part.declared[symbol].doc, part.specs[symbol]))
+    return table

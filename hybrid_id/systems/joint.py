@@ -1,24 +1,306 @@
-"""Torque balance of one joint: the drive chain from its command to the accelerations of its speeds."""
+"""One joint: input, motor, friction, gear, load and sensors, as torque balances of its speeds."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from types import SimpleNamespace
 from typing import cast
 
 from torch import Tensor
 
-from hybrid_id.components.base import Component, Friction, Inertia, LoadTorque, LoggedTorque
+from hybrid_id.components.base import (
+    REGISTRY,
+    CommandMap,
+    Component,
+    Friction,
+    Inertia,
+    Input,
+    LoadTorque,
+    LoggedTorque,
+    Motor,
+    RotorTorque,
+    Sensor,
+    Transmission,
+    Winding,
+)
 from hybrid_id.components.bristle import Bristle
+from hybrid_id.components.input.delay import Delay
+from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import SpeedBalance
-from hybrid_id.systems.drive import Drive, only
-from hybrid_id.systems.gear import Gear
 from hybrid_id.systems.networks import LINK_PLACES, Networks
-from hybrid_id.systems.sensor_dynamics import SensorDynamics
-from hybrid_id.systems.terms import sum_if_any, sum_of
 
 Views = Mapping[str, SimpleNamespace]
+
+
+def sum_if_any(terms: Sequence[Tensor | None]) -> Tensor | None:
+    """Sum of the terms that are there; None where there is none."""
+    found = [t for t in terms if t is not None]
+    return sum(found[1:], found[0]) if found else None
+
+
+def sum_of(terms: Sequence[Tensor | None], like: Tensor) -> Tensor:
+    """The same with a single zero, which costs nothing to add, where there is none."""
+    found = sum_if_any(terms)
+    return like.new_zeros(1) if found is None else found
+
+
+def only(parts: Mapping[str, Component], kind: type, joint: str, what: str) -> tuple[str, Component]:
+    """Key and component of the one of its kind; InputError where there is none or more."""
+    found = [(key, part) for key, part in parts.items() if isinstance(part, kind)]
+    if len(found) != 1:
+        raise InputError(f"{joint} has {len(found)} components of type {what}; it needs exactly one.")
+    return found[0]
+
+
+class Gear:
+    """Transmission and kinematic errors.
+
+    Args:
+        joint: name of the joint, for messages.
+        ratio: motor turns per joint turn.
+        parts: the joint's components by key.
+
+    Raises:
+        InputError: not exactly one transmission.
+    """
+
+    def __init__(self, joint: str, ratio: float, parts: Mapping[str, Component]) -> None:
+        self.ratio = ratio
+        found = only(parts, Transmission, joint, "transmission")
+        self.transmission = cast("tuple[str, Transmission]", found)
+        self.errors = [(key, part) for key, part in parts.items() if isinstance(part, KinematicError)]
+        self.rigid = found[1].rigid  # type: ignore[attr-defined]
+
+    def map(self, angle: Tensor, p: Views) -> tuple[Tensor, Tensor | float, Tensor | None]:
+        """Angle of the link behind an unloaded gear [rad], its slope and its bend by the rotor's angle.
+
+        A gear without kinematic error has the slope 1/r everywhere and no bend.
+        """
+        link, slope, bend = angle / self.ratio, 1.0 / self.ratio, None
+        for key, part in self.errors:
+            value, first, second = part.error(p[key], angle)
+            link, slope, bend = link + value, slope + first, second if bend is None else bend + second
+        return link, slope, bend
+
+    def deflection(self, rotor: Sequence[Tensor], link: Sequence[Tensor], p: Views) -> list[Tensor]:
+        """Deflection of a compliant gear [rad] and its rate [rad/s] from angle and speed of both sides."""
+        angle, slope, _ = self.map(rotor[0], p)
+        return [angle - link[0], rotor[1] * slope - link[1]]
+
+    def torque(
+        self, rotor: Sequence[Tensor], link: Sequence[Tensor], inertia: tuple[str, Inertia], p: Views
+    ) -> Tensor:
+        """Torque of a compliant gear's spring at the link [N m], ``(B,)``."""
+        (key, part), (spring_key, spring) = inertia, self.transmission
+        sides = part.rotor(p[key], self.ratio) * self.ratio**2, part.link(p[key], self.ratio)
+        series = sides[0] * sides[1] / (sides[0] + sides[1])
+        deflection, rate = self.deflection(rotor, link, p)
+        return spring.torque(p[spring_key], deflection, rate, series)
+
+    def loaded(self, angle: Tensor, p: Views) -> Tensor | None:
+        """Angle of the link [rad] with the spring fully loaded, None where zero load will do."""
+        key, spring = self.transmission
+        deflection = None if self.rigid else spring.loaded(p[key])
+        return None if deflection is None else self.map(angle, p)[0] - deflection
+
+
+class SensorDynamics:
+    """Sensors of a joint.
+
+    Args:
+        number: joint number, from 1.
+        parts: the joint's components by key, in their order.
+        rotor: row of the rotor's angle in the system's state; its speed is the next.
+        first_row: row of the first state that the readings own.
+
+    Attributes:
+        state_names: of the states that they own.
+    """
+
+    def __init__(self, number: int, parts: Mapping[str, Component], rotor: int, first_row: int) -> None:
+        self.rotor, self.row = rotor, first_row
+        self.sensors = cast(
+            "list[tuple[str, Sensor]]", [(k, part) for k, part in parts.items() if isinstance(part, Sensor)]
+        )
+        self.late = next(((k, part) for k, part in parts.items() if isinstance(part, LateReading)), None)
+        self.state_names = [f"{name}{number}" for name in self.late[1].states] if self.late else []
+
+    def read(self, channel: str, value: Tensor, seen: float, x: Sequence[Tensor], p: Views) -> Tensor:
+        """What is read where a channel (``q_m``, ``v_a`` ...) has a true value, ``(B,)``.
+
+        Args:
+            channel: without the joint's number.
+            value: what it would read in time and at the model's zero.
+            seen: what it turns for one turn of the motor, whose encoder tells it; 0 where that does not.
+            x: state rows.
+            p: parameter views.
+        """
+        if self.late is not None and seen:
+            key, part = self.late
+            angle, speed = x[self.rotor], x[self.rotor + 1]
+            late = part.motion(p[key], angle, speed, x[self.row])
+            value = value + seen * (late[channel[0] == "v"] - (angle, speed)[channel[0] == "v"])
+        for key, sensor in self.sensors:
+            if sensor.channel == channel:
+                value = sensor.read(p[key], value)
+        return value
+
+    def relaxations(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Tensor, Tensor]]:
+        """Row, drive and rate [1/s] of each state, ``dz/dt = drive - rate z``."""
+        if self.late is None:
+            return []
+        key, part = self.late
+        return [(self.row, *part.relaxation(p[key], x[self.rotor + 1]))]
+
+
+class Drive:
+    """Input, motor and what acts beside them.
+
+    Args:
+        number: joint number, from 1.
+        parts: the joint's components by key, in their order.
+        rotor: row of the rotor's angle in the system's state; its speed is the next.
+        first_row: row of the first state that the drive owns.
+        ratio: motor turns per joint turn.
+        link: gives angle [rad] and speed [rad/s] of the link from state rows and parameter views.
+
+    Attributes:
+        state_names: of the states that it owns.
+        networks: of the joint; those at its places act beside the components.
+
+    Raises:
+        InputError: no input or no motor.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        parts: Mapping[str, Component],
+        rotor: int,
+        first_row: int,
+        ratio: float,
+        link: Callable[[Sequence[Tensor], Views], tuple[Tensor, Tensor]],
+    ) -> None:
+        joint = f"joint{number}"
+        self.number, self.rotor, self.ratio, self.link = number, rotor, ratio, link
+        self.networks: Networks | None = None
+        self.input = cast("tuple[str, Input]", only(parts, Input, joint, "input"))
+        self.motor = cast("tuple[str, Motor]", only(parts, Motor, joint, "motor"))
+        read = "q_a" if self.input[1].at_joint else "q_m"
+        self.encoders = [(k, c) for k, c in parts.items() if isinstance(c, Sensor) and c.channel == read]
+        self.delay = next(((key, part) for key, part in parts.items() if isinstance(part, Delay)), None)
+        maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
+        self.maps = sorted(maps, key=lambda item: item[1].stage)
+        self.torques = [(key, part) for key, part in parts.items() if isinstance(part, RotorTorque)]
+        self.windings: list[tuple[str, Winding, range]] = []
+        self.state_names: list[str] = []
+        for key, part in parts.items():
+            if isinstance(part, Winding):
+                row = first_row + len(self.state_names)
+                self.windings.append((key, part, range(row, row + len(part.states))))
+                self.state_names += [f"{state}{number}" for state in part.states]
+
+    def check(self) -> None:
+        """Raise InputError where the motor takes another kind of command than its input gives."""
+        joint, source, motor = f"joint{self.number}", self.input[1], self.motor[1]
+        if motor.takes and source.gives != motor.takes:
+            fits = [k for k, c in REGISTRY.items() if issubclass(c, Motor) and c.takes == source.gives]
+            raise InputError(
+                f"{source.kind} at {joint}/input gives {source.gives}, but {motor.kind} at {joint}/motor takes "
+                f"{motor.takes}; put {' or '.join(sorted(fits))} there."
+            )
+
+    def past(self, sample_time: float) -> dict[str, int]:
+        """Channels whose past the drive needs, and how many samples of it."""
+        if self.delay is None:
+            return {}
+        lags = self.delay[1].lags(sample_time)
+        return {f"{name}{self.number}": lags for name in self.input[1].channels}
+
+    def hold(self, u: Mapping[str, Tensor], p: Views) -> Mapping[str, Tensor]:
+        """Channels as they arrive after the delay; without one, or where that has been done before, as they are."""
+        done, step = f"arrived{self.number}", f"step{self.number}"
+        if self.delay is None or done in u:
+            return u
+        if step not in u:
+            raise InputError(
+                f"joint{self.number} has a delay, but its channels have no past; prepare them as a batch."
+            )
+        key, part = self.delay
+        arrived = {**u, done: u[step]}
+        for name in (f"{c}{self.number}" for c in self.input[1].channels):
+            history = [u[name], *(u[f"{name}@{k}"] for k in range(1, len(u)) if f"{name}@{k}" in u)]
+            arrived[name] = part.held(p[key], history, u[step])
+        return arrived
+
+    def command(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views, *, network: bool = True
+    ) -> Tensor:
+        """Effective command at the motor, ``(B,)``; without what a network adds where ``network`` is false."""
+        key, part = self.input
+        u = self.hold(u, p)
+        channels = {name: u[f"{name}{self.number}"] for name in part.channels}
+        rotor = angle, speed = x[self.rotor], x[self.rotor + 1]
+        if part.at_joint:
+            angle, speed = self.link(x, p)
+        for name, encoder in self.encoders:  # a position loop compares its goal with what it reads
+            angle = encoder.read(p[name], angle)
+        command = part.command(p[key], channels, angle, speed)
+        if part.at_joint:
+            command, speed = command / self.ratio, rotor[1]
+        for key, step in self.maps:
+            command = step.map(p[key], command, speed)
+        added = self._added("input", x, u, p) if network else None
+        return command if added is None else command + added
+
+    def torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Torque on the rotor [N m], ``(B,)``."""
+        torque = self.motor_torque(x, u, p)
+        for key, part in self.torques:
+            torque = torque + part.torque(p[key], x[self.rotor], x[self.rotor + 1])
+        added = self._added("motor", x, u, p)
+        return torque if added is None else torque + added
+
+    def current(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Winding current [A], ``(B,)``."""
+        key, motor = self.motor
+        return motor.current(p[key], self.motor_torque(x, u, p))
+
+    def motor_torque(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views, *, network: bool = True
+    ) -> Tensor:
+        """Torque of the motor alone; one that is switched off is an open circuit (no back-EMF)."""
+        key, motor = self.motor
+        torque = motor.torque(p[key], self.command(x, u, p, network=network), x[self.rotor + 1])
+        for key, part, rows in self.windings:
+            torque = part.torque(p[key], torque, [x[row] for row in rows])
+        return self._switched(torque, u)
+
+    def _added(self, place: str, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor | None:
+        return None if self.networks is None else self.networks.output(place, x, u, p)
+
+    def _switched(self, torque: Tensor, u: Mapping[str, Tensor]) -> Tensor:
+        enable = u.get(f"enable{self.number}")
+        return torque if enable is None else torque * enable
+
+    def relaxations(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> list[tuple[int, Tensor, Tensor]]:
+        """Row, drive and rate [1/s] of each state, ``dz/dt = drive - rate z``."""
+        if not self.windings:
+            return []
+        key, motor = self.motor
+        torque = motor.torque(p[key], self.command(x, u, p), x[self.rotor + 1])
+        torque = self._switched(torque, u)
+        found = []
+        for key, part, rows in self.windings:
+            states = [x[row] for row in rows]
+            pairs = part.relaxations(p[key], torque, states)
+            found += [(row, drive, rate) for row, (drive, rate) in zip(rows, pairs, strict=True)]
+            torque = part.torque(p[key], torque, states)
+        return found
 
 
 class Joint:
@@ -71,7 +353,9 @@ class Joint:
                     self.bristles[place] = (key, law, range(row, row + len(law.states)))
                     self.state_names += [f"{state}_{side}{number}" for state in law.states]
 
-        self.drive = Drive(number, parts, first_row, first_row + len(self.state_names))
+        self.drive = Drive(
+            number, parts, first_row, first_row + len(self.state_names), gear_ratio, self.link_motion
+        )
         self.state_names += self.drive.state_names
         self.networks = self.drive.networks = Networks(self, parts, first_row + len(self.state_names))
         self.state_names += self.networks.state_names

@@ -3,22 +3,33 @@
 from __future__ import annotations
 
 import math
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
-from hybrid_id.components import REGISTRY, ArmGravity, Gravity, ResidualNetwork
+from hybrid_id.components import REGISTRY
 from hybrid_id.components.base import Component
+from hybrid_id.components.load.arm_gravity import ArmGravity
+from hybrid_id.components.load.gravity import Gravity
+from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
-from hybrid_id.systems.arms import FLAT_NAMES
-from hybrid_id.systems.chain import System
-from hybrid_id.systems.model_schema import FLAT, SKELETON, ModelFile, ParameterEntry
-from hybrid_id.systems.places import check_place
+from hybrid_id.robots.description import load_tree
+from hybrid_id.robots.tree import RigidBodyTree
+from hybrid_id.systems.builders import FLAT_NAMES, joint_names, robot
+from hybrid_id.systems.by_joint import together
+from hybrid_id.systems.chain import System, check_place
+from hybrid_id.systems.model_schema import FLAT, ROBOT, SKELETON, ModelFile, ParameterEntry, RobotEntry
+from hybrid_id.systems.servos import SERVOS, drive_of
 
 WEIGHTS = (Gravity.kind, ArmGravity.kind)
+
+EVERY_JOINT = "all"
+"""Stands for every joint in the list of servos."""
 
 Parts = dict[tuple[str, str], dict[str, Bounded]]
 """Parameters of each component of a system, by place and kind."""
@@ -35,10 +46,105 @@ def load_model(path: str | Path) -> System:
 
 
 def build_model(file: ModelFile, path: str = "model") -> System:
-    """The system that a model file describes; ``path`` is for messages."""
+    """The system that a model file describes; ``path`` is for messages, and where a robot's file is looked for."""
+    if file.robot is None and file.system == ROBOT:
+        raise InputError(
+            f"{path}: key 'system' is missing; add one of {', '.join(FLAT)}, or name your robot's MJCF or URDF as "
+            "robot: {file: arm.xml}."
+        )
+    if file.robot is not None and file.system != ROBOT:
+        raise InputError(
+            f"{path}: 'robot' and 'system: {file.system}' do not go together; keep the one that describes your machine."
+        )
+    return _known(file, path) if file.robot is None else _robot(file, file.robot, path)
+
+
+def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
+    """Drives at the joints of a robot's description; what the file lists takes the place of their usual parts."""
+    tree = load_tree(Path(path).parent / entry.file)
+    if entry.hold:
+        try:
+            tree = tree.holding(entry.hold)
+        except InputError as error:
+            raise InputError(f"{path}: robot.hold: {error}") from None
+    ratios = file.gear_ratio or [1.0] * len(tree.joints)
+    if len(ratios) != len(tree.joints) or not all(math.isfinite(r) and r > 0 for r in ratios):
+        raise InputError(
+            f"{path}: gear_ratio {file.gear_ratio} must hold a positive number for each of {', '.join(tree.names)}."
+        )
+    if file.parameters or file.gravity != "none":
+        key = "parameters" if file.parameters else "gravity"
+        raise InputError(
+            f"{path}: '{key}' belongs to the systems {', '.join(FLAT)}; a robot's masses and gravity stand in "
+            f"{entry.file}, its drives under 'components'."
+        )
+    listed = []
+    for one in file.components:
+        kind = _kind(one.kind, path)
+        try:
+            check_place(one.place, kind, tree.names)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        joint, _, place = one.place.rpartition("/")
+        listed.append(one.model_copy(update={"place": f"joint{tree.names.index(joint) + 1}/{place}"}))
+    file = file.model_copy(update={"components": listed, "gear_ratio": ratios})
+    usual = _with_servos(robot(tree, ratios), tree, file, path)
+    parts: Parts = {
+        (key.rsplit("/", 1)[0], cast(Component, part).kind): dict(cast(Component, part).specs)
+        for key, part in usual.components.items()
+    }
+    try:
+        _add_components(parts, file, path)
+        built = _built(parts, file)
+        system = System(ratios, built, joint_names(tree, built), name=ROBOT, tree=tree)
+        for joint in system.joints:  # here, where the joints' own names are known
+            joint.drive.check()
+    except InputError as error:
+        words = str(error).removeprefix(f"{path}: ")
+        words = re.sub(r"\bjoint(\d+)(?=/| has )", lambda found: tree.names[int(found[1]) - 1], words)
+        raise InputError(f"{path}: {words}") from None
+    return system
+
+
+def _with_servos(system: System, tree: RigidBodyTree, file: ModelFile, path: str) -> System:
+    """The robot with the servos that the file names, at one joint or at ``all``."""
+    every = {name: entry for name, entry in file.servos.items() if name != EVERY_JOINT}
+    if EVERY_JOINT in file.servos:
+        every = {name: file.servos[EVERY_JOINT] for name in tree.names} | every
+    for name, entry in every.items():
+        if name not in tree.names:
+            near = close_match(name, tree.names)
+            raise InputError(
+                f"{path}: servos: the robot has no joint '{name}'{near}; it has {', '.join(tree.names)}."
+            )
+        if entry.preset not in SERVOS:
+            raise InputError(f"{path}: servo '{entry.preset}' is not known; use one of {', '.join(SERVOS)}.")
+        number = tree.names.index(name)
+        loop, friction = drive_of(SERVOS[entry.preset], entry.p, system.gear_ratio[number], entry.voltage)
+        system = system.with_component(f"joint{number + 1}/input", loop)
+        system = system.with_component(f"joint{number + 1}/motor_friction", friction)
+    return system
+
+
+def _built(parts: Parts, file: ModelFile) -> list[tuple[str, Component]]:
+    beyond = {(e.place, e.kind): (e.options, e.weights) for e in file.components}
+    return [
+        (where, REGISTRY[kind].restored(values, *beyond.get((where, kind), ({}, {}))))
+        for (where, kind), values in parts.items()
+    ]
+
+
+def _known(file: ModelFile, path: str) -> System:
+    """A system that the package knows by name, with its flat parameter names."""
     if file.system not in FLAT:
         raise InputError(f"{path}: system '{file.system}' is not known; use one of {', '.join(FLAT)}.")
     joints = len({where.split("/")[0] for where, _ in SKELETON[file.system]})
+    if file.servos:
+        raise InputError(
+            f"{path}: 'servos' belongs to a robot with a description; list an input under 'components'."
+        )
+    if not file.gear_ratio:
+        raise InputError(f"{path}: key 'gear_ratio' is missing; add one number for each joint.")
     if len(file.gear_ratio) != joints or not all(math.isfinite(r) and r > 0 for r in file.gear_ratio):
         number = "one positive number" if joints == 1 else f"{joints} positive numbers"
         raise InputError(f"{path}: gear_ratio {file.gear_ratio} must hold {number} for {file.system}.")
@@ -63,12 +169,7 @@ def build_model(file: ModelFile, path: str = "model") -> System:
                 f"{path}: parameter '{name}' is missing; give its nominal value under 'parameters'."
             )
     try:
-        beyond = {(e.place, e.kind): (e.options, e.weights) for e in file.components}
-        built = [
-            (where, REGISTRY[kind].restored(values, *beyond.get((where, kind), ({}, {}))))
-            for (where, kind), values in parts.items()
-        ]
-        return System(file.gear_ratio, built, FLAT_NAMES[file.system], name=file.system)
+        return System(file.gear_ratio, _built(parts, file), FLAT_NAMES[file.system], name=file.system)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
 
@@ -80,7 +181,7 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
     for entry in file.components:
         kind, key = _kind(entry.kind, path), (entry.place, entry.kind)
         try:
-            check_place(entry.place, kind, len(file.gear_ratio))
+            check_place(entry.place, kind, [f"joint{n + 1}" for n in range(len(file.gear_ratio))])
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         if key in listed:
@@ -175,12 +276,20 @@ def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry, where: s
     return spec
 
 
-def describe_model(system: System) -> dict[str, Any]:
+def describe_model(system: System, folder: Path | None = None) -> dict[str, Any]:
     """The canonical content of a model file for a system.
+
+    Args:
+        system: the system.
+        folder: where the model file will lie; a robot's own file is then named as seen from there.
 
     Raises:
         InputError: a name that no model file knows, or one of another number of joints.
     """
+    if system.whole:
+        system = together(system)
+    if system.tree is not None:
+        return _described_robot(system, system.tree, folder)
     joints = {where.split("/")[0] for where, _ in SKELETON.get(system.name, ())}
     if len(joints) != len(system.joints):
         raise InputError(
@@ -198,10 +307,7 @@ def describe_model(system: System) -> dict[str, Any]:
         if all((where, kind, symbol) in flat for symbol in values) and (values or (where, kind) in defaults):
             parameters |= {flat[where, kind, symbol]: entry for symbol, entry in values.items()}
         else:
-            components.append({"place": where, "kind": kind, "parameters": values})
-            if isinstance(part, ResidualNetwork):
-                weights = {name: w.detach().tolist() for name, w in part.weights().items()}
-                components[-1] |= {"options": part.options(), "weights": weights}
+            components.append(_component(where, part))
     gravity = "vertical" if any(key.split("/")[2] in WEIGHTS for key in system.components) else "none"
     order = [name for name in FLAT[system.name] if name in parameters]
     content: dict[str, Any] = {
@@ -213,9 +319,47 @@ def describe_model(system: System) -> dict[str, Any]:
     return content | ({"components": components} if components else {})
 
 
-def save_model(system: System, path: str | Path) -> None:
-    """Write a system as a model file, under a temporary name first."""
-    write_yaml(path, describe_model(system))
+def _described_robot(system: System, tree: RigidBodyTree, folder: Path | None) -> dict[str, Any]:
+    if not tree.source:
+        raise InputError(
+            "a robot that was read from no file cannot be written to a model file; load its MJCF or URDF"
+        )
+    components = []
+    for key, part in system.components.items():
+        joint, place, _ = key.split("/")
+        components.append(_component(f"{tree.names[int(joint[5:]) - 1]}/{place}", cast(Component, part)))
+    file = tree.source if folder is None else _seen_from(folder.resolve(), tree.source)
+    described = {"file": file} | ({"hold": dict(tree.held)} if tree.held else {})
+    return {"robot": described, "gear_ratio": list(system.gear_ratio), "components": components}
+
+
+def _seen_from(folder: Path, file: str) -> str:
+    """A file's name as seen from a folder, so that both can be moved together; whole where no such name leads there."""
+    try:
+        return Path(os.path.relpath(file, folder)).as_posix()
+    except ValueError:  # another drive of Windows
+        return file
+
+
+def _component(where: str, part: Component) -> dict[str, Any]:
+    values = {symbol: _entry(spec) for symbol, spec in part.specs.items()}
+    entry: dict[str, Any] = {"place": where, "kind": part.kind, "parameters": values}
+    if options := part.options():
+        entry |= {"options": options}
+    if isinstance(part, ResidualNetwork):
+        entry |= {"weights": {name: w.detach().tolist() for name, w in part.weights().items()}}
+    return entry
+
+
+def save_model(system: System, path: str | Path, home: str | Path | None = None) -> None:
+    """Write a system as a model file, under a temporary name first.
+
+    Args:
+        system: the system.
+        path: file to write.
+        home: folder where the file will lie at last; that of the path by default.
+    """
+    write_yaml(path, describe_model(system, Path(path).parent if home is None else Path(home)))
 
 
 def _entry(spec: Bounded) -> dict[str, Any]:

@@ -6,8 +6,13 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from hybrid_id.components import DCMotor, LinearSpring, LinkInertia, OneLink, Rigid, TwoInertias, Voltage
 from hybrid_id.components.base import Component
+from hybrid_id.components.input.voltage import Voltage
+from hybrid_id.components.load.one_link import OneLink, TwoInertias
+from hybrid_id.components.load.two_link import LinkInertia
+from hybrid_id.components.motor.dc_motor import DCMotor
+from hybrid_id.components.transmission.linear_spring import LinearSpring
+from hybrid_id.components.transmission.rigid import Rigid
 
 Where = tuple[str, str, str]
 """Place, kind and symbol that a flat name stands for."""
@@ -89,6 +94,10 @@ SKELETON: dict[str, tuple[tuple[str, type[Component]], ...]] = {
 """Components that a system always has, unless the file puts another one into their place."""
 
 
+ROBOT = "robot"
+"""Name of the system whose joints, masses and gravity stand in a robot's own description."""
+
+
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -133,13 +142,38 @@ class ComponentEntry(_Section):
     _parameters = field_validator("parameters", mode="before")(_short_parameters)
 
 
-class ModelFile(_Section):
-    """Content of a model file."""
+class RobotEntry(_Section):
+    """A robot's own description, and which of its joints do not move [rad or m]."""
 
-    system: str
-    gear_ratio: list[float]
+    file: str
+    base: Literal["fixed"] = "fixed"
+    hold: dict[str, float] = {}
+
+
+class ServoEntry(_Section):
+    """A servo that is known by name, with the gain that its register P holds and its supply [V]."""
+
+    preset: str
+    p: float = Field(gt=0)
+    voltage: float | None = Field(default=None, gt=0)
+
+
+class ModelFile(_Section):
+    """Content of a model file: a system of a known name, or drives at the joints of a robot's MJCF or URDF."""
+
+    system: str = ROBOT
+    robot: RobotEntry | None = None
+    gear_ratio: list[float] = []
     gravity: Literal["none", "vertical"] = "none"
     parameters: dict[str, ParameterEntry] = {}
+    servos: dict[str, ServoEntry] = {}
     components: list[ComponentEntry] = []
 
     _parameters = field_validator("parameters", mode="before")(_short_parameters)
+
+    @field_validator("gear_ratio", mode="before")
+    @classmethod
+    def _list_of_ratios(cls, value: Any) -> Any:
+        if isinstance(value, int | float):
+            raise ValueError(f"it is a list with one number for each joint; write [{value}] for one joint")
+        return value

@@ -11,6 +11,8 @@ from hybrid_id.cli.app import app
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems.model_file import save_model
 
+PLAIN = "output: {figures: false, tensorboard: false, report: false}\n"
+
 
 class Outcome:
     """Exit code, what was printed, and what was said beside it."""
@@ -42,3 +44,11 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     held = {name: replace(start.parameter(name).spec, estimate=False) for name in ("P_m1", "P_m2")}
     save_model(start.with_specs(held), folder / "model.yaml")
     return folder
+
+
+@pytest.fixture(scope="session")
+def plain(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Study file of the drive without pictures, events and page, which take longer than most of what is tested."""
+    file = tmp_path_factory.mktemp("plain") / "study.yaml"
+    file.write_text(f"dataset: {drive}\n{PLAIN}")
+    return file

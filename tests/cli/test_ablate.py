@@ -13,12 +13,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from hybrid_id import __version__
 from hybrid_id.config import load_config
+from hybrid_id.machines.twin.settings import read_settings
 from hybrid_id.records.yaml_file import read_yaml
-from hybrid_id.study.ablation import Task
-from hybrid_id.study.ablation_cell import CellResult, Rung
+from hybrid_id.study.ablation import CellResult, Rung, Task
 from hybrid_id.study.ablation_plan import NONE, Cell
 from hybrid_id.systems.model_file import describe_model
-from hybrid_id.twin.settings import read_settings
 
 STUDY = """
 dataset: {data}
@@ -36,6 +35,14 @@ def study(drive: Path, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def plain(study: Path) -> Path:
+    """The same without pictures, events and page, which take longer than what else is tested."""
+    with study.open("a") as file:
+        file.write("output: {figures: false, tensorboard: false, report: false}\n")
+    return study
+
+
 def test_the_shipped_study_and_its_twin_are_sound() -> None:
     configs = Path(__file__).resolve().parents[2] / "configs"
     config = load_config(configs / "ablation.yaml")
@@ -51,7 +58,7 @@ class Cells:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.seen: list[str] = []
         self.fault: Callable[[Cell, int], BaseException | None] = lambda cell, count: None
-        monkeypatch.setattr("hybrid_id.study.ablation_run.run_cell", self.run)
+        monkeypatch.setattr("hybrid_id.study.ablation.run_cell", self.run)
 
     def run(self, task: Task, cell: Cell) -> CellResult:
         self.seen.append(cell.name)
@@ -116,18 +123,18 @@ def test_tensorboard_gets_settings_and_final_figures(run, study: Path, cells: Ce
     assert b"residual" in start and b"static" in start and b"taken out" in start
 
 
-def test_a_run_that_is_stopped_goes_on_where_it_was(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+def test_a_run_that_is_stopped_goes_on_where_it_was(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
     out = tmp_path / "out"
     cells.fault = lambda cell, count: KeyboardInterrupt() if count == 5 else None
-    stopped = run("ablate", study, "--out", out)
+    stopped = run("ablate", plain, "--out", out)
     assert stopped.code == 130 and f"4 of {ARMS * SEEDS} cells are kept" in stopped.err
     assert not (out / "ablation.json").exists()
     first, cells.fault = cells.again()[:4], lambda cell, count: None
     (out / "cells" / ".killed").mkdir()  # what a run that was killed while it wrote leaves
-    assert run("ablate", study, "--out", out).code == 0
+    assert run("ablate", plain, "--out", out).code == 0
     rest = cells.again()
     assert len(rest) == ARMS * SEEDS - 4 and not set(first) & set(rest)
-    assert run("ablate", study, "--out", out).code == 0 and cells.again() == []
+    assert run("ablate", plain, "--out", out).code == 0 and cells.again() == []
 
 
 def test_a_broken_cell_is_told_and_tried_again(run, study: Path, cells: Cells, tmp_path: Path) -> None:
@@ -141,21 +148,22 @@ def test_a_broken_cell_is_told_and_tried_again(run, study: Path, cells: Cells, t
     assert run("ablate", study, "--out", out).code == 0 and cells.again() == [name]
 
 
-def test_other_settings_are_other_cells(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+def test_other_settings_are_other_cells(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run("ablate", study, "--out", out)
+    run("ablate", plain, "--out", out)
     cells.again()
-    study.write_text(study.read_text().replace("seeds: 3", "seeds: 4"))
-    assert run("ablate", study, "--out", out).code == 0
+    plain.write_text(plain.read_text().replace("seeds: 3", "seeds: 4"))
+    assert run("ablate", plain, "--out", out).code == 0
     assert len(cells.again()) == ARMS
-    study.write_text(study.read_text().replace("seeds: 4", "seeds: 4, horizon: 0.1"))
-    assert run("ablate", study, "--out", out).code == 0
+    text = plain.read_text().replace("seeds: 4", "seeds: 4, horizon: 0.1")
+    plain.write_text(text.replace("report: false", "report: true"))
+    assert run("ablate", plain, "--out", out).code == 0
     assert len(cells.again()) == 4 * ARMS
 
 
-def test_no_fit_of_physics_is_an_error(run, study: Path, cells: Cells, tmp_path: Path) -> None:
+def test_no_fit_of_physics_is_an_error(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
     cells.fault = lambda cell, count: ValueError("no luck") if cell.arm.residual == NONE else None
-    shown = run("ablate", study, "--out", tmp_path / "out")
+    shown = run("ablate", plain, "--out", tmp_path / "out")
     assert shown.code == 2 and "ValueError: no luck" in shown.err
 
 
@@ -258,12 +266,12 @@ def test_options_and_folders_that_do_not_fit(run, study: Path, cells: Cells, tmp
     assert "--force" not in shown.err  # which this command does not have
 
 
-def test_what_the_records_are_too_short_for_is_said(run, study: Path, cells: Cells, tmp_path: Path) -> None:
-    text = study.read_text().replace(
+def test_what_the_records_are_too_short_for_is_said(run, plain: Path, cells: Cells, tmp_path: Path) -> None:
+    text = plain.read_text().replace(
         "prices: [1.0, 0.0]", "prices: [1.0, 0.0], windows: [[0.1, 4], [0.4, 2]]"
     )
-    study.write_text(text.replace("seeds: 3", "seeds: 3, horizon: 0.5"))
-    shown = run("ablate", study, "--out", tmp_path / "out")
+    plain.write_text(text.replace("seeds: 3", "seeds: 3, horizon: 0.5"))
+    shown = run("ablate", plain, "--out", tmp_path / "out")
     assert shown.code == 0 and shown.err.count("windows of 0.4 s ('hybrid.windows')") == 1
     assert "no short free runs of 0.5 s ('ablation.horizon')" in shown.err
 
@@ -281,7 +289,7 @@ def test_no_tensorboard_where_none_is_wanted(run, study: Path, cells: Cells, tmp
     study.write_text(study.read_text() + "output: {tensorboard: false}\n")
     for _ in range(2):  # the second from kept cells
         shown = run("ablate", study, "--out", tmp_path / "out")
-        assert shown.code == 0 and "cells, report.html" in shown.out
+        assert shown.code == 0 and "report.html, ablation.json, cells, pictures" in shown.out
     assert not (tmp_path / "out" / "tensorboard").exists()
 
 

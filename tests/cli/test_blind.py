@@ -12,16 +12,16 @@ from browser import look_at
 from gapcase import small_case
 from typer.testing import CliRunner
 
-from hybrid_id.blind import campaign as plans
-from hybrid_id.blind import levels
-from hybrid_id.blind import make as making
-from hybrid_id.blind import seal as sealing
-from hybrid_id.blind.seal import seal
+from hybrid_id.baselines import run as runner
+from hybrid_id.baselines.run import read_case
 from hybrid_id.cli.app import app
 from hybrid_id.cli.folder import sole_writer
 from hybrid_id.components import ConstantTorque
-from hybrid_id.contenders import run as runner
-from hybrid_id.contenders.run import read_case
+from hybrid_id.machines import experiments as plans
+from hybrid_id.machines import grading
+from hybrid_id.machines import make as making
+from hybrid_id.machines import seal as sealing
+from hybrid_id.machines.seal import seal
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.systems.model_file import save_model
@@ -299,7 +299,7 @@ def test_making_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest
 
 def test_one_command_makes_runs_and_scores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(plans, "LENGTHS", (700, 900))
-    monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+    monkeypatch.setattr(grading, "FACTORS", np.geomspace(0.2, 8.0, 5))
     wish = ["--cases", 1, "--seed", 4, "--family", "none", "--system", "one_link", "--method", "sparse"]
     said = call("reproduce", "--out", tmp_path / "a", *wish)
     assert "1 of 1 cases scored" in said and "hash of the answers" in said
@@ -316,7 +316,7 @@ def test_proposed_experiment_is_simulated_and_parts_a_tie(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(plans, "LENGTHS", (700, 900))
-    monkeypatch.setattr(levels, "FACTORS", np.geomspace(0.2, 8.0, 5))
+    monkeypatch.setattr(grading, "FACTORS", np.geomspace(0.2, 8.0, 5))
     seen = []
 
     def fake(dataset: Dataset, system: object) -> dict:

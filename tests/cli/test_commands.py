@@ -25,16 +25,27 @@ from drives import make_record, rigid_drive
 
 from hybrid_id import __version__
 from hybrid_id.cli.app import app
-from hybrid_id.cli.folder import BEGUN, CHECKPOINT, EVENTS, refuse_foreign, refuse_taken, results_folder
-from hybrid_id.cli.identify import fit_part
-from hybrid_id.cli.progress import FitProgress
-from hybrid_id.cli.training_folder import added_results, leave_without_checkpoint, live_folder
+from hybrid_id.cli.console import FitProgress
+from hybrid_id.cli.folder import (
+    BEGUN,
+    CHECKPOINT,
+    EVENTS,
+    added_results,
+    leave_without_checkpoint,
+    live_folder,
+    refuse_foreign,
+    refuse_taken,
+    results_folder,
+)
 from hybrid_id.config import StudyConfig, load_config, study_config
 from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import WHOLE
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.machines.twin.demo import DEMO
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.simulation.step import Engine
+from hybrid_id.study.processes import fit_share
 from hybrid_id.systems.model_file import load_model
-from hybrid_id.twin.demo import DEMO
 
 TRUTH = {"J": 2e-5, "F_c": 0.01, "F_v": 5e-5}
 
@@ -84,7 +95,7 @@ def test_check_says_what_can_be_told(run, drive: Path) -> None:
     assert words.code == 0
     assert "run_3   test" in words.out
     assert (
-        "all 3 parameters can be told" in words.out
+        "all 3 parameters are identifiable" in words.out
     )  # both motor constants are given, so nothing is degenerate
     assert "identified" not in run("check", drive, "--model", drive / "model.yaml").err
 
@@ -109,7 +120,7 @@ def test_check_refuses_records_that_tell_nothing(
     Dataset("stuck drive", *channels, (stuck,), 0.002).save(tmp_path / "stuck")
     said = run("check", tmp_path / "stuck", "--model", drive / "model.yaml", *options)
     assert said.code == 2
-    assert "tell nothing about the parameters of" in said.err
+    assert "the records identify nothing of" in said.err
 
 
 def test_check_refuses_model_without_unknowns(run, drive: Path, tmp_path: Path) -> None:
@@ -219,7 +230,7 @@ def test_train_ends_where_identify_does_and_resumes(run, drive: Path, tmp_path: 
     study, out = tmp_path / "study.yaml", tmp_path / "train"
     smooth = "identification: {friction: smooth, width: 2.0, substeps: 8}\ntraining: {width: 2.0, fine: 8}\n"
     study.write_text(
-        f"dataset: {drive}\npreprocessing: {{records: [run_0, run_3], between: [0.0, 0.6]}}\n{smooth}"
+        f"dataset: {drive}\npreprocessing: {{records: [run_0, run_3], between: [0.0, 0.4]}}\n{smooth}"
     )
     assert run("train", study, "--out", out).code == 0
     result = json.loads((out / "result.json").read_text())
@@ -238,7 +249,8 @@ def test_train_ends_where_identify_does_and_resumes(run, drive: Path, tmp_path: 
 
 def test_options_stand_in_for_the_config(run, drive: Path, tmp_path: Path) -> None:
     config = tmp_path / "study.yaml"
-    text = f"dataset: {drive}\nidentification: {{loss: huber, starts: 2}}\noutput: {{folder: here, figures: false}}\n"
+    text = f"dataset: {drive}\nidentification: {{loss: huber, starts: 2}}\n"
+    text += "output: {folder: here, figures: false, tensorboard: false, report: false}\n"
     config.write_text(text)
     outcome = run("identify", config, "--pooled", "--starts", 1)
     assert outcome.code == 0, outcome.err
@@ -249,8 +261,8 @@ def test_options_stand_in_for_the_config(run, drive: Path, tmp_path: Path) -> No
     assert "pooled set" in outcome.out
 
 
-def test_processes_share_the_records(run, drive: Path, identified: tuple[Path, str], tmp_path: Path) -> None:
-    outcome = run("identify", drive, "--jobs", 2, "--out", tmp_path / "out", "--json")
+def test_processes_share_the_records(run, plain: Path, identified: tuple[Path, str], tmp_path: Path) -> None:
+    outcome = run("identify", plain, "--jobs", 2, "--out", tmp_path / "out", "--json")
     sets = json.loads(outcome.out)["sets"]
     first = json.loads((identified[0] / "result.json").read_text())["sets"]
     assert [one["set"] for one in sets] == ["run_0", "run_1", "run_2"]
@@ -273,7 +285,9 @@ def test_simulate_writes_what_the_model_says(
     assert error < 0.01
 
 
-def test_compare_ranks_the_models(run, drive: Path, identified: tuple[Path, str], tmp_path: Path) -> None:
+def test_compare_ranks_the_models(
+    run, drive: Path, plain: Path, identified: tuple[Path, str], tmp_path: Path
+) -> None:
     models = drive / "model.yaml", identified[0] / "model.yaml"
     arguments = [word for model in models for word in ("-m", model)]
     outcome = run("compare", drive, *arguments, "--out", tmp_path / "out", "--json")
@@ -284,26 +298,28 @@ def test_compare_ranks_the_models(run, drive: Path, identified: tuple[Path, str]
     assert (tmp_path / "out" / "run_3.png").exists()
     rows = pd.read_csv(tmp_path / "out" / "comparison.csv")
     assert len(rows) == 2 * 4
-    assert "mean" in run("compare", drive, *arguments, "--out", tmp_path / "table").out
+    assert "mean" in run("compare", plain, *arguments, "--out", tmp_path / "table").out
 
 
-def test_force_replaces_results_only_when_the_new_ones_are_complete(run, drive: Path, tmp_path: Path) -> None:
+def test_force_replaces_results_only_when_the_new_ones_are_complete(
+    run, drive: Path, plain: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "sim"
-    assert run("simulate", drive, "--out", out).code == 0
+    assert run("simulate", plain, "--out", out).code == 0
     first = (out / "result.json").read_text()
-    assert run("simulate", drive, "--model", drive / "gone.yaml", "--out", out, "--force").code == 2
+    assert run("simulate", plain, "--model", drive / "gone.yaml", "--out", out, "--force").code == 2
     assert (out / "result.json").read_text() == first
     (out / "stale.txt").write_text("of the first run")
-    assert run("simulate", drive, "--out", out).code == 2
-    assert run("simulate", drive, "--out", out, "--force").code == 0
+    assert run("simulate", plain, "--out", out).code == 2
+    assert run("simulate", plain, "--out", out, "--force").code == 0
     assert not (out / "stale.txt").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["sim"]
 
 
-def test_force_never_takes_what_a_command_reads(run, drive: Path, tmp_path: Path) -> None:
+def test_force_never_takes_what_a_command_reads(run, drive: Path, plain: Path, tmp_path: Path) -> None:
     home = tmp_path / "work"
     shutil.copytree(drive, home / "data")
-    assert run("simulate", drive, "--out", tmp_path / "sim").code == 0
+    assert run("simulate", plain, "--out", tmp_path / "sim").code == 0
     shutil.copy(tmp_path / "sim" / "result.json", home)
     outcome = run("simulate", home / "data", "--out", home, "--force")
     assert outcome.code == 2 and "which this command reads" in outcome.err
@@ -323,11 +339,11 @@ def test_a_training_that_was_killed_before_its_first_checkpoint_is_begun_anew(tm
     refuse_taken(out, force=True)
 
 
-def test_force_never_takes_results_that_lie_inside_the_folder(run, drive: Path, tmp_path: Path) -> None:
+def test_force_never_takes_results_that_lie_inside_the_folder(run, plain: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run("simulate", drive, "--out", out).code == 0
-    assert run("simulate", drive, "--out", out / "second").code == 0
-    said = run("simulate", drive, "--out", out, "--force")
+    assert run("simulate", plain, "--out", out).code == 0
+    assert run("simulate", plain, "--out", out / "second").code == 0
+    said = run("simulate", plain, "--out", out, "--force")
     assert said.code == 2 and f"holds other results, in {out / 'second'}; move them" in said.err
     assert (out / "second" / "result.json").exists()
 
@@ -519,9 +535,10 @@ def test_ctrl_c_names_the_checkpoint_where_there_is_one(
 
 def test_interrupt_reaches_the_other_processes(drive: Path, tmp_path: Path, monkeypatch) -> None:
     monkeypatch.setattr(signal, "signal", lambda *_: None)  # as in a process of its own
-    data, config = Dataset.load(drive), study_config(drive, {})
-    (tmp_path / "stop").touch()
-    (found,) = fit_part(data, [0], load_model(config.model), config, tmp_path / "stop", WHOLE)
+    data, stop = Dataset.load(drive), tmp_path / "stop"
+    stop.touch()
+    settings = {"engine": Engine(), "options": Options()}
+    (found,) = fit_share(data, [0], load_model(drive / "model.yaml"), settings, stop, WHOLE, "cpu", 0.05)
     assert found.status == "interrupted"
 
 

@@ -63,6 +63,14 @@ def records(diagnosed, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
+def plain(records: Path, tmp_path: Path) -> Path:
+    """Study file without pictures, events and page, which take longer than what else is tested."""
+    file = tmp_path / "plain.yaml"
+    file.write_text(f"dataset: {records}\noutput: {{figures: false, tensorboard: false, report: false}}\n")
+    return file
+
+
+@pytest.fixture
 def known(diagnosed, monkeypatch: pytest.MonkeyPatch) -> None:
     """The search itself is not repeated."""
     monkeypatch.setattr(command, "run", lambda *_: diagnosed[2])
@@ -89,13 +97,13 @@ def test_prints_the_verdict_and_writes_everything(run, known, records: Path, tmp
 
 
 def test_the_next_experiment_is_ready_to_be_played(
-    run, diagnosed, monkeypatch: pytest.MonkeyPatch, records: Path, tmp_path: Path
+    run, diagnosed, monkeypatch: pytest.MonkeyPatch, plain: Path, tmp_path: Path
 ) -> None:
     dataset, _, found = diagnosed
     other = replace(found.search.chosen, result=replace(found.search.chosen.result, system=diagnosed[1]))
     proposed = tuple(next_experiment(dataset, [found.search.chosen, other]))
     monkeypatch.setattr(command, "run", lambda *_: replace(found, experiments=proposed))
-    said = run("diagnose", records, "--out", tmp_path / "gap")
+    said = run("diagnose", plain, "--out", tmp_path / "gap")
     assert said.code == 0 and "next_experiment.csv" in said.out
     table = pd.read_csv(tmp_path / "gap" / "next_experiment.csv")
     assert list(table) == ["t", *dataset.train[0].inputs]
@@ -103,16 +111,16 @@ def test_the_next_experiment_is_ready_to_be_played(
     assert np.ptp(table["u1"]) > 0.0
 
 
-def test_json_is_the_file(run, known, records: Path, tmp_path: Path) -> None:
-    said = run("diagnose", records, "--out", tmp_path / "gap", "--json")
+def test_json_is_the_file(run, known, plain: Path, tmp_path: Path) -> None:
+    said = run("diagnose", plain, "--out", tmp_path / "gap", "--json")
     assert json.loads(said.out) == json.loads((tmp_path / "gap" / "diagnosis.json").read_text())
 
 
 def test_written_models_are_those_of_the_diagnosis(
-    run, known, diagnosed, records: Path, tmp_path: Path
+    run, known, diagnosed, plain: Path, tmp_path: Path
 ) -> None:
     dataset, _, found = diagnosed
-    run("diagnose", records, "--out", tmp_path / "gap")
+    run("diagnose", plain, "--out", tmp_path / "gap")
     for name, fitted in (("model", found.search.chosen), ("refit", found.search.base)):
         again = load_model(tmp_path / "gap" / f"{name}.yaml")
         assert list(again.components) == list(fitted.system.components)
@@ -120,18 +128,18 @@ def test_written_models_are_those_of_the_diagnosis(
         runs = [replay(dataset, s, engine=fitted.result.engine)[3] for s in (again, fitted.system)]
         assert runs[0].nrmse["q_m1"] == pytest.approx(runs[1].nrmse["q_m1"], rel=1e-9)
     # the next command takes it as it is
-    said = run("simulate", records, "--model", tmp_path / "gap" / "model.yaml", "--out", tmp_path / "replay")
+    said = run("simulate", plain, "--model", tmp_path / "gap" / "model.yaml", "--out", tmp_path / "replay")
     assert said.code == 0
 
 
-def test_earlier_diagnosis_is_replaced_only_by_force(run, known, records: Path, tmp_path: Path) -> None:
+def test_earlier_diagnosis_is_replaced_only_by_force(run, known, plain: Path, tmp_path: Path) -> None:
     out = tmp_path / "gap"
-    assert run("diagnose", records, "--out", out).code == 0
-    refused = run("diagnose", records, "--out", out)
+    assert run("diagnose", plain, "--out", out).code == 0
+    refused = run("diagnose", plain, "--out", out)
     assert refused.code == 2 and "--force" in refused.err
-    assert run("diagnose", records, "--out", out, "--force").code == 0
+    assert run("diagnose", plain, "--out", out, "--force").code == 0
     (out / "diagnosis.json").write_text("{}")  # not ours any more
-    assert run("diagnose", records, "--out", out, "--force").code == 2
+    assert run("diagnose", plain, "--out", out, "--force").code == 2
 
 
 def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
@@ -255,11 +263,11 @@ def test_terminated_is_interrupted() -> None:
     ],
 )
 def test_options_reach_the_search(
-    options: list, most: int, window: float | str, run, diagnosed, monkeypatch, records: Path, tmp_path: Path
+    options: list, most: int, window: float | str, run, diagnosed, monkeypatch, plain: Path, tmp_path: Path
 ) -> None:
     asked = []
     monkeypatch.setattr(command, "run", lambda *given: asked.append(given[2]) or diagnosed[2])
-    assert run("diagnose", records, "--out", tmp_path / "gap", *options).code == 0
+    assert run("diagnose", plain, "--out", tmp_path / "gap", *options).code == 0
     assert (asked[0].gap.max_effects, asked[0].identification.window) == (most, window)
 
 
@@ -280,9 +288,9 @@ def test_effects_are_listed(run) -> None:
     words = run("effects").out
     rows = run("effects", "--markdown").out.splitlines()
     assert "spring_load" in words
-    assert rows[1] == "| --- | --- | --- | --- | --- |"
+    assert rows[1] == "| --- | --- | --- | --- | --- | --- | --- |"
     assert len(rows) >= 2 + 21
-    assert any(row.startswith("| `backlash` | transmission | ") for row in rows)
+    assert any(row.startswith("| `backlash` | play between teeth") for row in rows)
     told = {one["effect"]: one for one in json.loads(run("effects", "--json").out)["effects"]}
     assert told["delay"]["mistaken_for"]["electrical_lag"] == told["electrical_lag"]["mistaken_for"]["delay"]
     assert told["quadratic_drag"]["source"].endswith("1968")

@@ -23,7 +23,7 @@ def test_doctor_tells_the_machine_and_passes_its_self_test(run) -> None:
 
 def test_doctor_fails_aloud(run, monkeypatch: pytest.MonkeyPatch) -> None:
     failed = {"passed": False, "off": ["J"], "fit_percent": 12.0, "seconds": 1.0, "parameters": {"J": {}}}
-    monkeypatch.setattr(module, "self_test", lambda: failed)
+    monkeypatch.setattr("hybrid_id.study.self_test.self_test", lambda: failed)
     monkeypatch.setattr(module, "version", lambda name: "9.9")
     done = run("doctor")
     assert done.code == 1
@@ -34,7 +34,7 @@ def test_doctor_says_what_kept_the_self_test_from_its_end(run, monkeypatch: pyte
     def missing() -> None:
         raise ModuleNotFoundError("No module named 'pandas'")
 
-    monkeypatch.setattr(module, "self_test", missing)
+    monkeypatch.setattr("hybrid_id.study.self_test.self_test", missing)
     done = run("doctor")
     assert done.code == 1
     assert (

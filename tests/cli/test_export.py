@@ -27,7 +27,7 @@ def test_ranges_as_json(run, drive: Path, tmp_path: Path) -> None:
     done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json", "--json")
     assert done.code == 0, done.err
     assert json.loads(done.out) == json.loads((tmp_path / "ranges.json").read_text())
-    assert "only its priors tell" in done.err
+    assert "only its priors say" in done.err
     assert json.loads(done.out)["parameters"]["J"]["unit"] == "kg m^2"
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+import joblib  # noqa: F401 (it writes a file when it is first imported)
 import pytest
 
 from hybrid_id.reporting import style
@@ -74,6 +75,6 @@ def test_other_faults_keep_their_traceback(
     def broken(*_: object, **__: object) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(style, "imsave", broken)
+    monkeypatch.setattr(style, "png", broken)
     with pytest.raises(OSError, match="Input/output"):
         run("simulate", drive, "--out", tmp_path / "out")

@@ -76,7 +76,8 @@ def test_train_with_networks(run, study: Path, tmp_path: Path) -> None:
     page = (out / "report.html").read_text()
     assert page.count("data:image/png") == 2 == page.count('class="live"') and "Ladder of prices" in page
     assert all(
-        words in page for words in ("trust, physics alone", "upper bound", "a network could do its work")
+        words in page
+        for words in ("reliability, physics alone", "upper bound", "a network could do its work")
     )
     assert "Physics alone, q_m1: not white" in page
     assert list(result["residual_tests"]) == ["physics", "hybrid"]

@@ -32,7 +32,7 @@ def commands(page: str) -> list[str]:
 @pytest.fixture
 def workplace(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     dataset = Dataset.load(drive)
-    short = tuple(record.between(0.0, 0.3) for record in dataset.records[1:])  # more take a minute
+    short = tuple(record.between(0.0, 0.2) for record in dataset.records[1:])  # more take a minute
     replace(dataset, records=short).save(tmp_path / "my_robot")
     shutil.copy(drive / "model.yaml", tmp_path / "my_robot")
     shutil.copy(drive / "model.yaml", tmp_path / "my_robot" / "model_priors.yaml")

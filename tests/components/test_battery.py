@@ -9,26 +9,38 @@ import torch
 from drives import STEP
 from torch import Tensor
 
-from hybrid_id.components import PLACES, REGISTRY, Delay, KinematicError, LateReading
+from hybrid_id.components import PLACES, REGISTRY
 from hybrid_id.components.base import (
+    CommandMap,
     Component,
+    Coupling,
     Friction,
     Inertia,
     Input,
     LoadTorque,
     LoggedTorque,
     Motor,
+    RotorTorque,
     Sensor,
     Transmission,
+    Winding,
 )
 from hybrid_id.components.bristle import Bristle, relax
-from hybrid_id.components.coupling import Coupling
-from hybrid_id.components.drive import CommandMap, RotorTorque, Winding
+from hybrid_id.components.input.delay import Delay
+from hybrid_id.components.input.position_servo import PositionServo
+from hybrid_id.components.input.torque_command import TorqueCommand
+from hybrid_id.components.load.floor_contact import FloorContact
+from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.residual import ResidualNetwork
+from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.transmission.flexibility import JointFlexibility
+from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
+from hybrid_id.robots.tree import Body, Point, RigidBodyTree, SpatialInertia, TreeJoint
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible, two_link
+from hybrid_id.systems.builders import robot
 
 DIRECTED = {"asymmetric_friction", "asymmetric_stribeck", "asymmetric_stribeck_eq8", "asymmetric_tanh"}
 """Friction laws that claim to differ with the direction of motion; every other one is odd in the speed."""
@@ -45,6 +57,16 @@ CHANNELS = {
 }
 """A value for every input channel that a component may read."""
 
+UNIT = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+LINK = SpatialInertia.about_centre(
+    0.5, (0.1, 0.0, 0.0), ((0.01, 0.0, 0.0), (0.0, 0.01, 0.0), (0.0, 0.0, 0.01))
+)
+TREE = RigidBodyTree(
+    (TreeJoint("a", "hinge", -1, UNIT, (0.0,) * 3), TreeJoint("b", "hinge", 0, UNIT, (0.3, 0.0, 0.0))),
+    (Body("one", 0, UNIT, (0.0,) * 3, LINK), Body("two", 1, UNIT, (0.0,) * 3, LINK)),
+    points={"tip": Point(1, (0.3, 0.0, 0.0))},
+)
+
 SPEED = torch.tensor([-300.0, -20.0, -0.3, 0.0, 0.2, 15.0, 90.0, 800.0], dtype=torch.float64)
 LANES = len(SPEED)
 ANGLE = torch.linspace(-2.0, 3.0, LANES, dtype=torch.float64)
@@ -58,6 +80,13 @@ def of(base: type[Component]) -> pytest.MarkDecorator:
 
 
 kinds, frictions, bristles = of(Component), of(Friction), of(Bristle)
+
+
+def made(kind: str) -> Component:
+    """A component with limits that the probing signals reach, and at a point that the robot has."""
+    if kind == PositionServo.kind:
+        return PositionServo(tau_max=6.0, goal_min=0.2, goal_max=0.31)
+    return FloorContact("tip", z_f=0.05) if kind == FloorContact.kind else REGISTRY[kind]()
 
 
 def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> dict[str, Tensor]:
@@ -97,6 +126,8 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["torque"] = part.torque(p, 0.1 * torch.cos(q), states)
         for name, pair in zip(part.states, part.relaxations(p, 0.1 * torch.cos(q), states), strict=True):
             found[f"drive of {name}"], found[f"rate of {name}"] = pair
+    if isinstance(part, FloorContact):
+        found["force"] = part.force(p, 0.1 * q)
     if isinstance(part, ResidualNetwork):
         found["output"] = part.output(p, [v], [])
     if isinstance(part, Motor):
@@ -119,11 +150,12 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
 
 
 def lane_values(part: Component) -> dict[str, Tensor]:
-    """Values that differ from lane to lane, inside the bounds, around the default."""
+    """Values that differ from lane to lane, inside the bounds, around its own."""
     factors = torch.linspace(0.7, 1.3, LANES, dtype=torch.float64)
     found = {}
     for i, (name, d) in enumerate(part.declared.items()):
-        moved = d.default * factors.roll(i) if d.default else 0.1 * (factors.roll(i) - 1.0)
+        own = part.specs[name].value
+        moved = own * factors.roll(i) if own else 0.1 * (factors.roll(i) - 1.0)
         found[name] = moved.clamp(d.lower, d.upper)
     return found
 
@@ -142,7 +174,7 @@ def test_describes_itself(kind: str) -> None:
 
 @kinds
 def test_is_float64_and_contributes(kind: str) -> None:
-    part = REGISTRY[kind]()
+    part = made(kind)
     assert all(value.dtype == torch.float64 for value in part.parameters())
     found = answers(part, part.view())
     assert found or getattr(part, "rigid", False), "the component does nothing"
@@ -154,7 +186,7 @@ def test_is_float64_and_contributes(kind: str) -> None:
 
 @kinds
 def test_batched_equals_looped(kind: str) -> None:
-    part = REGISTRY[kind]()
+    part = made(kind)
     values = lane_values(part)
     together = answers(part, SimpleNamespace(**values))
     for lane in range(LANES):
@@ -167,7 +199,7 @@ def test_batched_equals_looped(kind: str) -> None:
 
 @kinds
 def test_every_parameter_reaches_the_equation(kind: str) -> None:
-    part = REGISTRY[kind]()
+    part = made(kind)
     values = {n: v.requires_grad_() for n, v in lane_values(part).items()}
     found = answers(part, SimpleNamespace(**values))
     for name, value in values.items():
@@ -186,7 +218,7 @@ def test_every_parameter_reaches_the_equation(kind: str) -> None:
 
 @frictions
 def test_gradient_to_the_speed_is_finite_at_rest(kind: str) -> None:
-    part = REGISTRY[kind]()
+    part = made(kind)
     assert isinstance(part, Friction)
     v = torch.zeros(3, dtype=torch.float64, requires_grad=True)
     one = torch.ones_like(v)
@@ -204,7 +236,7 @@ def test_gradient_to_the_speed_is_finite_at_rest(kind: str) -> None:
 
 @frictions
 def test_friction_is_odd_and_dissipates(kind: str) -> None:
-    part = REGISTRY[kind]()
+    part = made(kind)
     assert isinstance(part, Friction)
     p, forward = part.view(), (SPEED > 0).to(SPEED.dtype)
     smooth, dry = part.smooth(p, SPEED), part.dry(p, SPEED.abs(), forward)
@@ -235,7 +267,7 @@ def test_friction_is_odd_and_dissipates(kind: str) -> None:
 @bristles
 @torch.no_grad()
 def test_bristle_takes_energy_over_a_cycle(kind: str) -> None:
-    part = REGISTRY[kind]()
+    part = made(kind)
     assert isinstance(part, Bristle)
     p, step = part.view(), 1e-3
     level = torch.full((1,), 0.02, dtype=torch.float64)
@@ -255,7 +287,7 @@ def test_bristle_takes_energy_over_a_cycle(kind: str) -> None:
 @bristles
 @torch.no_grad()
 def test_exact_update_follows_the_rate(kind: str) -> None:
-    part = REGISTRY[kind]()
+    part = made(kind)
     assert isinstance(part, Bristle)
     p, steps = part.view(), 20000
     v = torch.tensor([-2.0, 0.3, 5.0], dtype=torch.float64)
@@ -300,6 +332,12 @@ def test_refuses_what_is_out_of_bounds(kind: str) -> None:
 def hosts(part: Component, place: str) -> list[Callable[[], System]]:
     """Systems into which a component fits."""
     arm = [lambda: two_link((50.0, 30.0))]
+    if isinstance(part, RotorInertia | FloorContact):
+        robots = [lambda: robot(TREE, (50.0, 30.0)).with_component("joint2/input", TorqueCommand())]
+        return [
+            *robots,
+            lambda: robots[0]().with_component("joint1/transmission", JointFlexibility(compliance=1e-3)),
+        ]
     if isinstance(part, Coupling | Inertia):
         arm = [lambda: two_link((50.0, 30.0)).without_component("joint1/load", "joint_coupling")]
     if isinstance(part, Coupling):
@@ -313,7 +351,7 @@ def hosts(part: Component, place: str) -> list[Callable[[], System]]:
 
 @kinds
 def test_runs_in_every_place_that_it_claims(kind: str) -> None:
-    part = REGISTRY[kind]()
+    part = made(kind)
     channels = {
         f"{name}{n}": torch.full((3,), value, dtype=torch.float64)
         for name, value in CHANNELS.items()

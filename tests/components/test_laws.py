@@ -15,18 +15,18 @@ from hybrid_id.components import (
     Coulomb,
     CurrentCommand,
     CurrentMotor,
-    Dahl,
     DCMotor,
     DutySupply,
+    FloorContact,
     Gravity,
     LinearSpring,
     LoadDependent,
-    LuGre,
     MaxwellSlip,
     MotorEncoder,
     OneLink,
     PositionDependent,
     PositionLoop,
+    PositionServo,
     Saturation,
     SoftSaturation,
     Spring,
@@ -39,6 +39,8 @@ from hybrid_id.components import (
 )
 from hybrid_id.components.base import Component
 from hybrid_id.components.bristle import relax
+from hybrid_id.components.friction.dahl import Dahl
+from hybrid_id.components.friction.lugre import LuGre
 from hybrid_id.errors import InputError
 
 SPEED = np.array([-400.0, -60.0, -8.0, -0.5, 0.5, 8.0, 60.0, 400.0])
@@ -178,6 +180,23 @@ def test_position_loop_is_proportional_and_clips() -> None:
     channels = {"goal": goal, "gain": tensor([100.0, 100.0, 100.0]), "supply": supply}
     command = part.command(view(part), channels, tensor([0.1, 0.1, 0.1]), 0 * goal)
     np.testing.assert_allclose(command, [0.003 * 100 * 0.2 * 12.0, 12.0, -12.0], rtol=1e-14)
+
+
+def test_position_servo_has_a_dead_band_a_limit_and_goals_within_its_angles() -> None:
+    part = PositionServo(k_p=8.0, k_d=0.5, tau_max=2.0, e_0=0.01, goal_min=-1.0, goal_max=1.0)
+    goal, angle, speed = (
+        tensor([0.105, 0.11, 0.6, -3.0]),
+        tensor([0.1, 0.0, 0.0, -0.9]),
+        tensor([0, 1.0, 0, 0]),
+    )
+    torque = part.command(view(part), {"goal": goal}, angle, speed)
+    np.testing.assert_allclose(torque, [0.0, 8.0 * 0.1 - 0.5, 2.0, -8.0 * 0.09], atol=1e-14)
+
+
+def test_a_floor_pushes_upwards_only() -> None:
+    floor = FloorContact("hand", z_f=-0.03, k_f=500.0)
+    force = floor.force(view(floor), tensor([0.1, -0.03, -0.04]))
+    np.testing.assert_allclose(force, [0.0, 0.0, 5.0], atol=1e-12)
 
 
 def test_loads_springs_and_sensors() -> None:

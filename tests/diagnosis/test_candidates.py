@@ -8,7 +8,7 @@ from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, PositionDependent
 from hybrid_id.diagnosis.candidates import at_nominal, special_cases, without
-from hybrid_id.diagnosis.catalogue import CATALOGUE
+from hybrid_id.diagnosis.catalogue import CATALOGUE, with_effect
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.scales import Scales, scales
 from hybrid_id.systems import System
@@ -43,7 +43,7 @@ def test_the_rotor_has_its_share_again_once_nothing_identifies_it() -> None:
     share = replace(nominal.parameter("rotor_share").spec, lower=0.05, upper=0.6)
     nominal = nominal.with_specs({"rotor_share": share})  # below the shares that are tried: no error either
     (size,) = scales(nominal, Fits(small_case()[0]).records(nominal))
-    loaded = CATALOGUE["load_dependent_friction"].models(nominal, size)[PLACE]
+    loaded = with_effect(CATALOGUE["load_dependent_friction"], nominal, size)[PLACE]
     freed = next(s for s in loaded if f"{PLACE}/load_dependent_friction" in s.components)
     assert freed.parameter("rotor_share").spec.estimate
     rest = without(freed, nominal, ("load_dependent_friction", PLACE))
@@ -63,8 +63,8 @@ NOT_OFFERED = ("coulomb_friction", "viscous_friction", "hardening_flexibility", 
 @pytest.mark.parametrize("name", sorted(set(CATALOGUE) - set(NOT_OFFERED)))
 def test_model_without_an_effect_is_the_one_before(name: str, offered: tuple[System, Scales]) -> None:
     nominal, size = offered
-    assert CATALOGUE[name].models(nominal, size)
-    for where, models in CATALOGUE[name].models(nominal, size).items():
+    assert with_effect(CATALOGUE[name], nominal, size)
+    for where, models in with_effect(CATALOGUE[name], nominal, size).items():
         for richer in models:
             assert set(richer.components) > set(nominal.components) or name in (
                 "backlash",

@@ -11,12 +11,11 @@ import torch
 from drives import flexible_drive, make_record, multisine, rigid_drive
 from gapcase import STEP
 
-import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
 from hybrid_id import InputError, Record, load_model, one_link, save_model, two_link
 from hybrid_id.components import REGISTRY, Viscous
-from hybrid_id.diagnosis.catalogue import CATALOGUE, JOINTS, SIDES, effect, rivals, separation
+from hybrid_id.diagnosis.catalogue import CATALOGUE, JOINTS, SIDES, effect, rivals, separation, with_effect
 from hybrid_id.diagnosis.scales import Scales, scales
-from hybrid_id.simulation.dry_equations import source
+from hybrid_id.simulation.compiled import source
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.systems import System
 
@@ -38,8 +37,9 @@ NAMES = {
 def test_every_name_is_there_with_its_places(name: str) -> None:
     found = effect(name)
     assert set(NAMES[name].split()) <= set(found.places)
-    assert found.equation
     assert found.smoothness.split()[0] in ("smooth", "kinks", "jumps")
+    what, size = found.about.split("; ")  # what it is; how large it usually is
+    assert what[0].islower() and size and "|" not in found.about and not size.endswith(".")
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
@@ -131,7 +131,7 @@ def _models(kind: str) -> Iterator[tuple[str, System]]:
     batch = make_batch(system, [record], noise_std={"q_m1": 0.01, "q_m2": 0.01})
     for size in scales(system, batch):
         for one in CATALOGUE.values():
-            for starts in one.models(system, size).values():
+            for starts in with_effect(one, system, size).values():
                 yield from ((one.name, start) for start in starts)
 
 
@@ -163,11 +163,11 @@ def test_a_weight_may_hang_at_any_angle() -> None:
         angle=1.6, middle=0.0, torque=0.05, dry=0.01, inertia=2e-5, rotor=1e-5,
     )  # fmt: skip
     for system in (one_link(50.0, vertical=True), two_link((50.0, 40.0), vertical=True), one_link(50.0)):
-        found = effect("gravity_load").models(system, size)
+        found = with_effect(effect("gravity_load"), system, size)
         assert found
         for start in found["joint1/load"]:
             assert start.parameter("q_0").spec.estimate
-            again = effect("gravity_load").models(start, size)
+            again = with_effect(effect("gravity_load"), start, size)
             assert not again, "a weight that is free already is not offered again"
 
 
@@ -186,6 +186,6 @@ def test_play_starts_with_a_lighter_rotor_where_the_arm_needs_its_inertia() -> N
     )  # fmt: skip
     with pytest.raises(InputError, match="mass matrix"):
         coupled.with_component("joint2/transmission", REGISTRY["backlash"]())
-    built = effect("backlash").models(coupled, size)["joint2/transmission"]
+    built = with_effect(effect("backlash"), coupled, size)["joint2/transmission"]
     share = next(i for i in built[0].table if i.symbol == "rotor_share" and i.component.startswith("joint2"))
     assert built and share.spec.value < 0.3 and share.spec.estimate

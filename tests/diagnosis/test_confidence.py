@@ -18,7 +18,7 @@ def test_what_only_the_scale_of_all_torques_sets_has_no_interval(
     np.testing.assert_allclose(told.selected.values, found.search.chosen.result.values)
     # voltage and angle: all torques and inertias may be multiplied by one number
     assert {"J", "k_s", "P_m1"} <= set(told.identifiability.not_claimable)
-    grades = {one.name: one.grade for one in told.trust}
+    grades = {one.name: one.grade for one in told.reliability}
     errors = dict(zip(told.names, told.standard_errors(0), strict=True))
     assert grades["k_s"] == "D" and errors["k_s"] == np.inf
     # where the spring pulls nowhere does not depend on that scale

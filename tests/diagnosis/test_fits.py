@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from joblib import parallel_config
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
-import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
 import hybrid_id.diagnosis.fits as module
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.catalogue import CATALOGUE
@@ -21,10 +20,9 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FULL, Fits, Task, bounded, engine, predicted, released
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.errors import InputError
+from hybrid_id.identification.finite_differences import Rollouts, finite_difference_fit
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import Horizon
-from hybrid_id.identification.rollouts import Rollouts
-from hybrid_id.identification.secant import secant_fit
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 
@@ -45,12 +43,12 @@ def test_predictions_are_those_of_explicit_fits_without_each_record() -> None:
     dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     fits = Fits(dataset)
     batch = fits.batch(nominal)
-    base = secant_fit(nominal, batch, engine=engine(), iterations=FULL)
+    base = finite_difference_fit(nominal, batch, engine=engine(), iterations=FULL)
     found = predicted(base, batch)
     for k, record in enumerate(dataset.train):
         others = torch.tensor([i for i in range(batch.rows) if i != k])
-        again = secant_fit(nominal, batch.take(others), engine=engine(), iterations=FULL)
-        own = secant_fit(  # the record by the others' values, from the first state that all have found
+        again = finite_difference_fit(nominal, batch.take(others), engine=engine(), iterations=FULL)
+        own = finite_difference_fit(  # the record by the others' values, from the first state that all have found
             again.system, batch.take(torch.tensor([k])), engine=engine(), iterations=0, x0=base.x0[[k]]
         )
         assert found[k].shape == (record.n_samples, 1)
@@ -79,14 +77,16 @@ def test_a_refit_that_has_not_moved_is_shaken(monkeypatch: pytest.MonkeyPatch) -
     """In the ripples of a cost a fit may rest where all records have led it, and predict what it has seen."""
     dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     batch = Fits(dataset).batch(nominal)
-    base = secant_fit(nominal, batch, engine=engine(), iterations=FULL)
+    base = finite_difference_fit(nominal, batch, engine=engine(), iterations=FULL)
     honest = np.square(np.concatenate(predicted(base, batch))).mean()
     monkeypatch.setattr(
-        module, "secant_fit", lambda *args, iterations, **more: secant_fit(*args, iterations=0, **more)
+        module,
+        "finite_difference_fit",
+        lambda *args, iterations, **more: finite_difference_fit(*args, iterations=0, **more),
     )
-    shaken = np.square(np.concatenate(predicted(base, batch))).mean()
+    stuck = np.square(np.concatenate(predicted(base, batch))).mean()
     seen = np.square(np.concatenate(base.residual)).mean()
-    assert shaken - seen > 0.5 * (honest - seen) > 0.0
+    assert stuck - seen > 0.5 * (honest - seen) > 0.0
 
 
 @given(st.floats(0.1, 100.0), st.floats(0.1, 10.0))
@@ -100,7 +100,7 @@ def test_a_lost_free_run_errs_by_as_much_as_records_move(size: float, reach: flo
 def test_a_record_does_not_enter_the_values_that_predict_it() -> None:
     dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     batch = Fits(dataset).batch(nominal)
-    result = secant_fit(nominal, batch, engine=engine(), iterations=5)
+    result = finite_difference_fit(nominal, batch, engine=engine(), iterations=5)
     noise = torch.as_tensor(np.random.default_rng(1).standard_normal(batch.y.shape[1:]))
     noisy = replace(batch, y=batch.y.clone())
     noisy.y[0] += noise

@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.grade import (
     Candidate,

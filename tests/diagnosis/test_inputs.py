@@ -8,7 +8,6 @@ import pytest
 from drives import flexible_drive, measure, multisine, rigid_drive
 from gapcase import NOISE, RATIO, SAMPLES, STEP, small_case
 
-import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
 from hybrid_id.components import (
     CurrentCommand,
     CurrentMotor,

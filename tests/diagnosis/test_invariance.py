@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from gapcase import small_case
 
-import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
 from hybrid_id import Dataset, Diagnosis, load_model
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.catalogue import CATALOGUE

@@ -10,12 +10,11 @@ import pytest
 from drives import flexible_drive, make_records, multisine
 from gapcase import small_case
 
-import hybrid_id.diagnosis.effects  # noqa: F401  # fills the catalogue
 from hybrid_id import load_model, save_model
 from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
 from hybrid_id.components.base import Component
-from hybrid_id.diagnosis.catalogue import CATALOGUE, effect
-from hybrid_id.diagnosis.effects.transmission import WAVES
+from hybrid_id.components.transmission.kinematic_error import WAVES
+from hybrid_id.diagnosis.catalogue import CATALOGUE, effect, with_effect, with_further
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import _parameters
 from hybrid_id.diagnosis.model import Model
@@ -29,7 +28,7 @@ from hybrid_id.diagnosis.periodic import (
 )
 from hybrid_id.diagnosis.scales import scales
 from hybrid_id.diagnosis.validation import validation
-from hybrid_id.identification.secant import secant_fit
+from hybrid_id.identification.finite_differences import finite_difference_fit
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study.replays import batch_of
 
@@ -43,7 +42,7 @@ def left_by(law: type[Component], **values: float) -> Left:
     places = {Cogging: "motor", KinematicError: "transmission"}
     dataset, today = small_case(law(**values), f"joint1/{places.get(law, 'motor_friction')}")
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
-    return Left(secant_fit(today, batch, engine=engine(), iterations=8), batch)
+    return Left(finite_difference_fit(today, batch, engine=engine(), iterations=8), batch)
 
 
 def test_periods_of_cogging() -> None:
@@ -75,7 +74,7 @@ def test_fits_begin_with_several_periods_of_a_gear() -> None:
     """Whole runs have lost the phase, so that the strongest wave there need not be the right one."""
     left = left_by(KinematicError, E_c=2e-3, E_s=-3e-3, n=0.5)
     system = left.result.system
-    found = effect("kinematic_error").models(system, scales(system, left.batch)[0], left)
+    found = with_effect(effect("kinematic_error"), system, scales(system, left.batch)[0], left)
     begun = [one.parameter("n").spec for one in found["joint1/transmission"]]
     assert any(spec.lower <= 0.5 <= spec.upper for spec in begun)
     assert len({spec.value for spec in begun}) == 2 + WAVES
@@ -91,11 +90,15 @@ def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
     channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 1e-3), Channel("q_a1", "rad", 1e-5))
     dataset = Dataset("wavy gear", *channels, tuple(records), 0.005)
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
-    n, *size = gear_waves(Left(secant_fit(today, batch, engine=engine(), iterations=4), batch), 1, "")[0]
+    n, *size = gear_waves(
+        Left(finite_difference_fit(today, batch, engine=engine(), iterations=4), batch), 1, ""
+    )[0]
     assert n == pytest.approx(1.0, abs=NEAR)
     assert np.linalg.norm(np.subtract(size, (1e-3, -5e-4))) < 0.4 * np.linalg.norm((1e-3, -5e-4))
     known = today.with_component("joint1/transmission", KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0))
-    others = gear_waves(Left(secant_fit(known, batch, engine=engine(), iterations=4), batch), 1, "")
+    others = gear_waves(
+        Left(finite_difference_fit(known, batch, engine=engine(), iterations=4), batch), 1, ""
+    )
     n, *size = next(one for one in others if abs(one[0] - 1.0) > NEAR)
     assert n == pytest.approx(2.0, abs=NEAR)
     assert np.linalg.norm(np.subtract(size, (3e-4, 2e-4))) < 0.4 * np.linalg.norm((3e-4, 2e-4))
@@ -119,7 +122,7 @@ def test_models_from_a_scan_go_through_a_file(tmp_path: Path) -> None:
     left = left_by(TightSpot, A=0.008, q_0=0.2, w=0.1)
     size = scales(left.result.system, left.batch)[0]
     for name in ("position_dependent_friction", "cogging"):
-        for starts in CATALOGUE[name].models(left.result.system, size, left).values():
+        for starts in with_effect(CATALOGUE[name], left.result.system, size, left).values():
             for start in starts:
                 save_model(start, tmp_path / "model.yaml")
                 assert list(load_model(tmp_path / "model.yaml").components) == list(start.components)
@@ -129,8 +132,8 @@ def test_a_second_wave_is_of_another_period() -> None:
     left = left_by(Cogging, T_c=0.003, T_s=-0.002, n=2.0)
     first = Cogging(T_c=0.004, T_s=0.0, n=1.0)
     system = left.result.system.with_component("joint1/motor", first)
-    (freer,) = CATALOGUE["cogging"].freer(
-        system, "joint1/motor", left
+    (freer,) = with_further(
+        CATALOGUE["cogging"], system, "joint1/motor", left
     )  # which is the first one's overtone, too
     part = freer.components["joint1/motor/cogging"]
     assert part.specs["n_2"].value == 2.0
@@ -141,18 +144,18 @@ def test_a_second_wave_is_of_another_period() -> None:
     # where the strongest other wave is none, the overtone is tried beside it
     odd = left.result.system.with_component("joint1/motor", Cogging(T_c=0.004, T_s=0.0, n=3.0))
     periods = [s.components["joint1/motor/cogging"].specs["n_2"].value for s in
-               CATALOGUE["cogging"].freer(odd, "joint1/motor", left)]  # fmt: skip
+               with_further(CATALOGUE["cogging"], odd, "joint1/motor", left)]  # fmt: skip
     assert periods == pytest.approx([2.0, 6.0], abs=NEAR)
     # what is free already is not freed again
-    assert not CATALOGUE["cogging"].freer(freer, "joint1/motor", left)
+    assert not with_further(CATALOGUE["cogging"], freer, "joint1/motor", left)
     # a law with nothing left open
-    assert not CATALOGUE["quadratic_drag"].freer(system, "joint1/motor_friction", left)
+    assert not with_further(CATALOGUE["quadratic_drag"], system, "joint1/motor_friction", left)
 
 
 def test_periods_that_are_fixed_are_told() -> None:
     left = left_by(Cogging, T_c=0.004, T_s=-0.003, n=1.0)
     system = left.result.system.with_component("joint1/motor", Cogging(T_c=0.003, T_s=-0.002, n=1.0))
-    fit = secant_fit(system, left.batch, engine=left.result.engine, iterations=8)
+    fit = finite_difference_fit(system, left.batch, engine=left.result.engine, iterations=8)
     name = ("cogging", "joint1/motor")
     told = _parameters(Model((name,), fit, validation(fit.residual, 0.005)), name)
     assert set(told) == {"T_c", "T_s", "n"}

@@ -9,7 +9,7 @@ from drives import STEP, multisine
 from gapcase import RATIO, small_case
 
 from hybrid_id.components import Coulomb, Dahl, ElectricalLag
-from hybrid_id.diagnosis.catalogue import effect
+from hybrid_id.diagnosis.catalogue import effect, with_effect
 from hybrid_id.diagnosis.scales import scales
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import make_batch
@@ -58,8 +58,8 @@ def test_friction_on_the_links_side_of_a_rigid_gear_is_known() -> None:
     assert known.dry == pytest.approx(plain.dry)
     alone = moved.without_component("joint1/motor_friction", "viscous_friction")
     for name in ("stribeck_friction", "presliding_friction"):
-        assert list(effect(name).models(alone, known)) == ["joint1/link_friction"]
-        assert list(effect(name).models(today, plain)) == ["joint1/motor_friction"]
+        assert list(with_effect(effect(name), alone, known)) == ["joint1/link_friction"]
+        assert list(with_effect(effect(name), today, plain)) == ["joint1/motor_friction"]
 
 
 def test_viscous_friction_is_looked_for_where_the_motors_torque_is_seen() -> None:
@@ -72,5 +72,5 @@ def test_viscous_friction_is_looked_for_where_the_motors_torque_is_seen() -> Non
         (replace(batch, outputs=("i1",)), ["joint1/motor_friction"]),
         (off, None),
     ):
-        found = list(effect("viscous_friction").models(bare, scales(bare, seen)[0]))
+        found = list(with_effect(effect("viscous_friction"), bare, scales(bare, seen)[0]))
         assert found == (["joint1/motor_friction"] if places is None else places)

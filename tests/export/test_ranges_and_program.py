@@ -96,12 +96,13 @@ def test_program_without_the_past_is_refused() -> None:
 def test_a_range_holds_what_the_records_own_sets_say() -> None:
     result = RESULT | {
         "selected": {"values": {"J": 2e-5, "F_c": 0.01}, "half_widths": {"J": 1e-7, "F_c": None}},
-        "trust": {"J": {"grade": "C"}},
+        "reliability": {"J": {"grade": "C"}},
         "profiles": {"F_c": {"lower": 0.007, "upper": 0.011, "closed": [True, True]}},
     }
     found = to_ranges(one_link(100.0), result)["parameters"]
     assert (found["J"]["lower"], found["J"]["upper"]) == pytest.approx((1.99e-5, 2.1e-5))
-    assert (found["J"]["trust"], found["F_c"]["trust"]) == ("C", None)
+    assert (found["J"]["reliability"], found["F_c"]["reliability"]) == ("C", None)
+    assert found["J"]["trust"] == "C"  # the former name
     assert (found["F_c"]["lower"], found["F_c"]["upper"], found["F_c"]["from"]) == (0.007, 0.013, "profile")
 
 

@@ -23,13 +23,14 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import Bounded
+from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import Batch, make_batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System
 
 NOISE = {"q_m1": 0.02}
-SMOOTH = Engine("smooth", substeps=8, width=2.0)
+SMOOTH = Engine("smooth", substeps=8, width=2.0, compiled=compiler() is not None)
 ADJOINT = OdeEngine(fine=8, width=2.0)
 train = partial(adjoint.train, engine=ADJOINT)
 

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from hybrid_id.identification.box import solve_box
+from hybrid_id.identification.least_squares import solve_box
 
 
 def problem(seed: int, n: int, groups: int, stretch: float) -> tuple[np.ndarray, ...]:

@@ -13,11 +13,10 @@ from scipy.optimize import least_squares
 
 from hybrid_id.components import Backlash, Stribeck
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import fit
+from hybrid_id.identification.fit import fit, start_points
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import sensitivities
-from hybrid_id.identification.start_points import start_points
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
@@ -144,13 +143,13 @@ def test_start_points_stay_inside_and_begin_with_the_given_one() -> None:
 
 def test_order_of_the_free_parameters_does_not_matter(batch: Batch) -> None:
     from hybrid_id.identification.fit import make_bounds
-    from hybrid_id.identification.least_squares import minimise
+    from hybrid_id.identification.least_squares import LeastSquares, minimise
 
     free = [k for k, i in enumerate(TRUTH.table) if i.spec.estimate]
     theta = (TRUTH.theta().detach() * 1.1)[:, None]
     sets = torch.zeros(batch.rows, dtype=torch.long)
     ends = [
-        minimise(TRUTH, Engine(), batch, sets, theta, order, make_bounds(TRUTH, order)).theta
+        minimise(LeastSquares(TRUTH, Engine(), batch, sets, order, make_bounds(TRUTH, order)), theta).theta
         for order in (free, free[::-1])
     ]
     torch.testing.assert_close(ends[0], ends[1], rtol=1e-5, atol=0)

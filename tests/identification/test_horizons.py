@@ -10,15 +10,16 @@ from drives import make_record, multisine, rigid_drive
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.horizon_choice import choose_horizon
-from hybrid_id.identification.horizons import WHOLE, Horizon, window_errors
+from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon, window_errors
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study import compare, identify
 
+ENGINE = Engine(compiled=compiler() is not None)
 TRUTH = rigid_drive()
 START = TRUTH.with_values({"F_c": 0.007, "F_v": 6e-5}).with_specs(
     {"J": replace(TRUTH.parameter("J").spec, estimate=False)}
@@ -81,7 +82,7 @@ def test_words_of_the_user_are_horizons() -> None:
 
 def test_strokes_begin_at_rests_and_follow_each_other_without_overlap(sound: list[Record]) -> None:
     batch = make_batch(TRUTH, sound)
-    part = Horizon("strokes").cut(TRUTH, Engine(), batch)
+    part = Horizon("strokes").cut(TRUTH, ENGINE, batch)
     assert part.rows > 2 * batch.rows
     assert tuple(dict.fromkeys(part.names)) == batch.names
     for name in batch.names:
@@ -96,32 +97,32 @@ def test_strokes_begin_at_rests_and_follow_each_other_without_overlap(sound: lis
 
 def test_records_that_never_rest_stay_whole() -> None:
     batch = make_batch(TRUTH, drifting([multisine(0)], 0.0))
-    assert Horizon("strokes").cut(TRUTH, Engine(), batch) is batch
+    assert Horizon("strokes").cut(TRUTH, ENGINE, batch) is batch
 
 
 def test_strokes_of_a_sound_model_fit_the_same_values(sound: list[Record]) -> None:
     batch = make_batch(START, sound)
-    (whole,) = fit(START, batch, pooled=True)
-    part = Horizon("strokes").cut(START, Engine(), batch)
-    (cut,) = fit(START, part, pooled=True)
+    (whole,) = fit(START, batch, engine=ENGINE, pooled=True)
+    part = Horizon("strokes").cut(START, ENGINE, batch)
+    (cut,) = fit(START, part, engine=ENGINE, pooled=True)
     np.testing.assert_allclose(cut.values, whole.values, rtol=0.03)
-    each = fit(START, part)
+    each = fit(START, part, engine=ENGINE)
     assert len(each) == batch.rows
     assert set(each[1].records) == {"run_1"}
 
 
 def test_whole_records_are_chosen_where_free_runs_follow_them(sound: list[Record]) -> None:
     batch = make_batch(START, sound)
-    assert choose_horizon(START, Engine(), batch).kind == "whole"
+    assert choose_horizon(START, ENGINE, batch).kind == "whole"
 
 
 def test_windows_are_chosen_where_free_runs_drift_and_find_better_values(drifted: list[Record]) -> None:
     batch = make_batch(START, drifted)
-    (whole,) = fit(START, batch, pooled=True)
-    chosen = choose_horizon(START, Engine(), batch, [whole])
+    (whole,) = fit(START, batch, engine=ENGINE, pooled=True)
+    chosen = choose_horizon(START, ENGINE, batch, [whole])
     assert chosen.kind != "whole"
     assert "whole runs lose the records after" in str(chosen)
-    (cut,) = fit(START, chosen.cut(START, Engine(), batch), pooled=True)
+    (cut,) = fit(START, chosen.cut(START, ENGINE, batch), engine=ENGINE, pooled=True)
     truth = np.array([TRUTH.parameter(name).spec.value for name in cut.names])
     error = [np.linalg.norm(np.log(np.maximum(one.values, 1e-9) / truth)) for one in (whole, cut)]
     assert error[1] < 0.7 * error[0]
@@ -129,7 +130,7 @@ def test_windows_are_chosen_where_free_runs_drift_and_find_better_values(drifted
 
 def test_study_uses_its_horizon_throughout(drifted: list[Record]) -> None:
     dataset = dataset_of([*drifted[:2], replace(drifted[2], role="test")])
-    study = identify(dataset, START, horizon=Horizon("windows", 0.5))
+    study = identify(dataset, START, engine=ENGINE, horizon=Horizon("windows", 0.5))
     assert study.horizon == Horizon("windows", 0.5)
     assert [set(one.records) for one in study.sets] == [{"run_0"}, {"run_1"}]
     assert study.cross_validation.record_names == ("run_0", "run_1")
@@ -140,22 +141,24 @@ def test_study_uses_its_horizon_throughout(drifted: list[Record]) -> None:
 
 
 def test_study_chooses_by_itself(drifted: list[Record]) -> None:
-    study = identify(dataset_of(drifted), START, pooled=True)
+    study = identify(dataset_of(drifted), START, engine=ENGINE, pooled=True)
     assert study.horizon.kind != "whole"
     assert "horizon: free runs" in study.summary()
 
 
 def test_models_are_compared_over_one_horizon(drifted: list[Record]) -> None:
     dataset, models = dataset_of(drifted), {"start": START, "truth": TRUTH}
-    long, short = (compare(dataset, models, horizon=h) for h in (WHOLE, Horizon("windows", 0.25)))
+    long, short = (
+        compare(dataset, models, engine=ENGINE, horizon=h) for h in (WHOLE, Horizon("windows", 0.25))
+    )
     assert short.horizon.seconds == 0.25
     assert (short.table("nrmse")["truth"] < long.table("nrmse")["truth"]).all()
     run = short.replays["truth"][0].outputs["q_m1"]
     assert len(run) == 2500
-    assert compare(dataset, models).horizon.kind != "whole"
+    assert compare(dataset, models, engine=ENGINE).horizon.kind != "whole"
 
 
 def test_window_errors_of_a_sound_model_are_noise(sound: list[Record]) -> None:
     batch = make_batch(TRUTH, sound, noise_std={"q_m1": 0.01}, signal_share=0.0)
-    errors = np.concatenate(window_errors(TRUTH, Engine(), batch, 0.25))
+    errors = np.concatenate(window_errors(TRUTH, ENGINE, batch, 0.25))
     assert float(np.sqrt(np.square(errors).mean())) == pytest.approx(1.0, abs=0.1)

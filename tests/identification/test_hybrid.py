@@ -17,13 +17,18 @@ from hybrid_id.components import Cogging, ElectricalLag, ResidualNetwork
 from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.decision_vector import Problem
-from hybrid_id.identification.first_order import clipped
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.identification.hybrid import HybridOptions, HybridResult, fit_physics, train_hybrid
-from hybrid_id.identification.network_data import networks_of, with_memory, with_price, with_scales
-from hybrid_id.identification.network_metric import linearise_with_weights
-from hybrid_id.identification.network_projection import projection
+from hybrid_id.identification.networks import (
+    linearise_with_weights,
+    networks_of,
+    projection,
+    with_memory,
+    with_price,
+    with_scales,
+)
 from hybrid_id.identification.objective import Loss
+from hybrid_id.identification.optimizers import clipped
 from hybrid_id.identification.training_loop import Trainer
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import Batch, make_batch
@@ -43,7 +48,7 @@ def drive() -> System:
     return system.with_specs({"P_m1": replace(system.parameter("P_m1").spec, estimate=False)})
 
 
-def records(system: System, count: int = 4, samples: int = 300) -> list:
+def records(system: System, count: int = 4, samples: int = 200) -> list:
     voltages = [multisine(k, samples=samples, rest=10, amplitude=2.5, step=STEP) for k in range(count)]
     return make_records(system, voltages, noise=NOISE, engine=Engine("smooth", 4, width=2.0), step=STEP)
 
@@ -253,7 +258,7 @@ def problem_of(system: System, batch: Batch, price: float) -> Problem:
     sets = torch.zeros(batch.rows, dtype=torch.long)
     theta, extra = system.theta().detach()[:, None], extra_parameters(system)
     priced = with_price(system, batch, price)
-    return Problem(system, ENGINE, priced, sets, theta, free, make_bounds(system, free), extra, Loss())
+    return Problem(system, ENGINE, priced, sets, free, make_bounds(system, free), theta, extra, Loss())
 
 
 @pytest.mark.parametrize("memory", [0, 2])

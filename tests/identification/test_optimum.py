@@ -8,16 +8,17 @@ from drives import make_record, multisine, rigid_drive
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
-from hybrid_id.identification.confirm import confirmed
+from hybrid_id.identification.finite_differences import finite_difference_fit
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
-from hybrid_id.identification.secant import secant_fit
+from hybrid_id.identification.restarts import confirmed
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System
 
+ENGINE = Engine(compiled=compiler() is not None)
 BIASED = rigid_drive().with_component("joint1/load", REGISTRY["constant_torque"](T_0=-1.0))
 
 
@@ -39,14 +40,14 @@ def check_bias(values: dict[str, float]) -> None:
 
 
 def test_bias_and_friction_that_start_at_zero_are_found(batch: Batch, start: System) -> None:
-    (found,) = fit(start, batch, pooled=True, warm=False)
+    (found,) = fit(start, batch, engine=ENGINE, pooled=True, warm=False)
     assert found.ok
     check_bias(dict(zip(found.names, found.values, strict=True)))
 
 
 @pytest.mark.skipif(compiler() is None, reason="needs a C compiler")
 def test_finite_steps_find_them_too(batch: Batch, start: System) -> None:
-    found = secant_fit(start, batch, engine=Engine(substeps=4, compiled=True))
+    found = finite_difference_fit(start, batch, engine=Engine(substeps=4, compiled=True))
     check_bias(dict(zip(found.names, found.values, strict=True)))
     assert np.isfinite(found.cost)
 
@@ -59,8 +60,10 @@ def lacking(batch: Batch) -> System:
 
 def test_a_fit_that_stopped_above_its_optimum_goes_on(batch: Batch, lacking: System) -> None:
     start = lacking.with_values({"F_c": 0.02, "P_m2": 0.03})
-    best = min((fit(s, batch, pooled=True)[0] for s in (lacking, start)), key=lambda one: one.cost)
-    (early,) = fit(start, batch, pooled=True, warm=False, options=Options(tolerance=30.0))
+    best = min(
+        (fit(s, batch, engine=ENGINE, pooled=True)[0] for s in (lacking, start)), key=lambda one: one.cost
+    )
+    (early,) = fit(start, batch, engine=ENGINE, pooled=True, warm=False, options=Options(tolerance=30.0))
     assert early.status == "converged"
     assert early.cost > 1.05 * best.cost
     found = confirmed(early, batch)
@@ -68,9 +71,9 @@ def test_a_fit_that_stopped_above_its_optimum_goes_on(batch: Batch, lacking: Sys
 
 
 def test_an_optimum_is_confirmed_as_it_is(batch: Batch, start: System, lacking: System) -> None:
-    (sound,) = fit(start, batch, pooled=True)
+    (sound,) = fit(start, batch, engine=ENGINE, pooled=True)
     assert confirmed(sound, batch) is sound  # it leaves noise: not simulated again
-    (ended,) = fit(lacking, batch, pooled=True)
+    (ended,) = fit(lacking, batch, engine=ENGINE, pooled=True)
     assert confirmed(ended, batch).cost <= ended.cost
 
 
@@ -78,7 +81,7 @@ def test_a_restart_that_would_be_unphysical_begins_nearer(
     batch: Batch, lacking: System, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     start, brief = lacking.with_values({"F_c": 0.02, "P_m2": 0.03}), Options(max_iterations=3)
-    (stopped,) = fit(start, batch, pooled=True, warm=False, options=brief)
+    (stopped,) = fit(start, batch, engine=ENGINE, pooled=True, warm=False, options=brief)
     whole = System.with_values
 
     def refusing(self: System, values: dict[str, float]) -> System:
@@ -94,6 +97,6 @@ def test_a_restart_that_would_be_unphysical_begins_nearer(
 
 
 def test_a_fit_that_was_stopped_is_not_called_converged(batch: Batch, start: System) -> None:
-    (stopped,) = fit(start, batch, pooled=True, warm=False, options=Options(max_iterations=3))
+    (stopped,) = fit(start, batch, engine=ENGINE, pooled=True, warm=False, options=Options(max_iterations=3))
     assert stopped.status == "max_iterations" and not stopped.ok
     assert "before convergence" in stopped.message

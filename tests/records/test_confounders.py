@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from hybrid_id.records.confounders import confounded_signals, taken_under
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.quality import check_dataset
+from hybrid_id.records.quality import check_dataset, confounded_signals, taken_under
 from hybrid_id.records.record import Record
 
 

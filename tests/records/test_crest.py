@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from hybrid_id.records.crest import crest_factor, usual_crest_factors
-from hybrid_id.records.excitation import design_multisine
+from hybrid_id.records.excitation import crest_factor, design_multisine, usual_crest_factors
 
 
 def test_crest_factor_of_a_sine_is_the_root_of_two() -> None:

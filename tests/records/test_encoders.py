@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.encoders import check_encoders
+from hybrid_id.records.quality import check_encoders
 from hybrid_id.records.record import Record
 
 TIME = 0.002 * np.arange(3000)

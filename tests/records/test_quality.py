@@ -4,9 +4,19 @@ import numpy as np
 import pytest
 
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.finding import Finding
-from hybrid_id.records.measures import count_turns, quantisation_step, rest_samples
-from hybrid_id.records.quality import _merged, check_dataset, check_record, estimate_noise, start_position
+from hybrid_id.records.measures import (
+    count_turns,
+    estimate_noise,
+    quantisation_step,
+    rest_samples,
+    start_position,
+)
+from hybrid_id.records.quality import (
+    Finding,
+    _merged,
+    check_dataset,
+    check_record,
+)
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import resample_record
 

@@ -6,7 +6,7 @@ import numpy as np
 from gapcase import small_case
 
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.reach import beyond
+from hybrid_id.records.quality import beyond
 
 
 def with_test(dataset: Dataset, **changed) -> Dataset:

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.spectral import differentiate
+from hybrid_id.records.derivatives import differentiate
 
 STEP = 0.002
 TIME = STEP * np.arange(5000)  # 10 s

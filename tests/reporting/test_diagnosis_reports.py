@@ -13,20 +13,18 @@ from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.result import FORMER_KEYS, Diagnosis
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.diagnosis import effects_table, parameters_table, summary
+from hybrid_id.reporting.diagnosis import diagnosis_page, effects_table, parameters_table, summary
 from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 from hybrid_id.reporting.diagnosis_words import (
     error_lines,
-    goes_with,
     headline,
     tie_lines,
     value_lines,
     words_of,
 )
-from hybrid_id.reporting.events import write_diagnosis_events
-from hybrid_id.reporting.html.diagnosis_page import diagnosis_page
-from hybrid_id.reporting.html.interactive import Drawn
-from hybrid_id.reporting.parameter_tables import bound_cells
+from hybrid_id.reporting.interactive import Drawn
+from hybrid_id.reporting.study import bound_cells
+from hybrid_id.reporting.tensorboard import write_diagnosis_events
 from hybrid_id.systems import System
 
 PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", 12.345, 1.3)
@@ -214,24 +212,6 @@ def test_without_test_records_no_error_is_claimed(diagnosed, sound) -> None:
         words = summary(replace(one, **blind))
         assert "NRMSE" not in words
         assert "no test record moves" in words
-
-
-@pytest.mark.parametrize(
-    ("torque", "words"),
-    [
-        ([-2.0, 0.0, 1.0, 3.0], "it grows with the angle"),
-        ([3.0, 1.0, 0.0, -2.0], "it falls with the angle"),
-        ([0.0, 2.0, 2.0, 0.0], "it varies with the angle"),
-    ],
-)
-def test_profile_in_words(torque: list[float], words: str) -> None:
-    one = Location("joint1", "load", "angle", 0.5, np.arange(4.0), np.array(torque))
-    assert goes_with(one) == words
-
-
-def test_every_signal_has_words(diagnosed) -> None:
-    for one in diagnosed[2].location:
-        assert goes_with(one).startswith("it ")
 
 
 def test_former_keys_say_what_the_new_ones_say(diagnosed) -> None:

@@ -11,9 +11,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.reporting.html.interactive import drawn
-from hybrid_id.reporting.html.made import how_made
-from hybrid_id.reporting.html.page import Page
+from hybrid_id.reporting.interactive import drawn
+from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.provenance import program
 from hybrid_id.reporting.style import new_figure
 

@@ -5,7 +5,7 @@ import math
 import pytest
 from rich.console import Console, Group
 
-from hybrid_id.reporting.residual_words import residual_blocks, residual_result, sentence
+from hybrid_id.reporting.residuals import residual_blocks, residual_result, sentence
 from hybrid_id.statistics.residuals import Follows, ResidualTest
 
 WHITE = ResidualTest("q_m1", 4000, 1.02, 100, 0.01, 0.4, 0.003, (Follows("u1", 0.01, 3, 0.06),))
@@ -19,10 +19,10 @@ LOST = ResidualTest("q_m1", 4000, math.inf, 100, math.nan, math.nan, math.nan, (
 @pytest.mark.parametrize(
     ("test", "words"),
     [
-        (WHITE, "white: nothing left to model. What is left is 1.02 times the noise (RMS)."),
+        (WHITE, "white: nothing left to model. The residual is 1.02 times the noise (RMS)."),
         (FAINT, "nearly white: next to nothing left to model."),
-        (SMOOTH, "not white: neighbours correlate by 0.84, so something is left that the model does not explain"),
-        (LATE, "not white: what is left follows u1 (correlation -0.31, 7 samples later)"),
+        (SMOOTH, "not white: neighbours correlate by 0.84, so the model lacks something"),
+        (LATE, "not white: the residual follows u1 (correlation -0.31, 7 samples later)"),
         (COUNTS, "not white, but only 0.3 times the noise"),
         (LOST, "the simulation has diverged"),
     ],

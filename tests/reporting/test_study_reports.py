@@ -12,17 +12,23 @@ import pytest
 from drives import make_records, multisine, rigid_drive
 from rich.console import Console
 
-from hybrid_id.cli.study import study_figures
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.excitation import design_multisine
-from hybrid_id.reporting.parameter_tables import study_table
-from hybrid_id.reporting.plots import cross_validation_figure, parameter_figure, residual_figure, truth_figure
-from hybrid_id.reporting.record_plots import comparison_figure, excitation_figure, fit_figure
 from hybrid_id.reporting.results import as_json, study_result, write_parameters
+from hybrid_id.reporting.study import study_table
+from hybrid_id.reporting.study_figures import (
+    comparison_figure,
+    cross_validation_figure,
+    excitation_figure,
+    fit_figure,
+    parameter_figure,
+    residual_figure,
+    study_figures,
+    truth_figure,
+)
 from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, symbol, unit
 from hybrid_id.reporting.tables import comparison_table, identifiability_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
-from hybrid_id.statistics.residuals import whiteness
 from hybrid_id.study import (
     Comparison,
     Study,
@@ -111,7 +117,7 @@ def test_pictures_have_labels_with_units(dataset: Dataset, study: Study, tmp_pat
     figures = {
         "parameters": parameter_figure(study),
         "cross_validation": cross_validation_figure(study),
-        "residuals": residual_figure(study, whiteness(study.selected.residual), 0.002),
+        "residuals": residual_figure(study, 0.002),
         "truth": truth_figure(study, TRUTH),
         "fit": fit_figure(dataset, comparison.replays["identified"][2]),
         "comparison": comparison_figure(dataset, comparison, "run_0"),
@@ -178,7 +184,7 @@ def test_tables_claim_no_interval_where_there_is_none(study: Study) -> None:
     assert "none" in row
     assert "J/P_m1" in words
     assert "may all be multiplied by one number" in text_of(identifiability_table(study.identifiability))
-    told = text_of(truth_table(study, TRUTH, 1.96, 0.95))
+    told = text_of(truth_table(study, TRUTH, 0.95))
     assert told.count("none claimed") == len(study.identifiability.not_claimable)
 
 
@@ -199,7 +205,7 @@ def test_study_that_identifies_nothing_has_no_combinations(study: Study) -> None
     assert nothing.combinations.values.shape == nothing.combinations.std_error.shape == (2, 0)
     assert study_result(nothing, reach=1.96, level=0.95)["combinations"] == {}
     assert "what is identified" not in text_of(study_table(nothing, 1.96, 0.95))
-    assert "what the records tell" not in text_of(identifiability_table(told))
+    assert "what the records identify" not in text_of(identifiability_table(told))
     assert pixels(parameter_figure(nothing)).any()
 
 
@@ -209,7 +215,8 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
 
     text = as_json("identify", study_result(study, reach=1.96, level=0.95))
     result = json.loads(text, parse_constant=refuse)
-    assert result["selected"]["half_widths"]["J"] is None
+    assert result["selected"]["half_widths"]["J"] is result["selected"]["intervals"]["J"] is None
+    assert result["reliability"]["J"]["words"] == "not on its own" and result["trust"]["J"]["grade"] == "D"
     assert result["program"].startswith("hybrid_id ")
     write_parameters(tmp_path / "parameters.csv", study, 1.96)
     with (tmp_path / "parameters.csv").open() as file:
@@ -228,7 +235,7 @@ def test_pictures_of_one_set_and_names_of_records(dataset: Dataset, study: Study
     }  # fmt: skip
     ticks = [text.get_text() for text in parameter_figure(study).axes[-2].get_xticklabels()]
     assert ticks == ["run_0", "run_1"]
-    outputs = residual_figure(study, whiteness(study.selected.residual), 0.002).axes[1]
+    outputs = residual_figure(study, 0.002).axes[1]
     names = [text.get_text() for text in outputs.get_legend().get_texts()]
     assert all("RMS" in name for name in names[:2])
 
@@ -265,6 +272,6 @@ def test_a_fit_that_was_stopped_claims_no_interval(dataset: Dataset, study: Stud
     assert np.isinf(told.standard_errors(0)).all()
     assert np.isinf(told.combinations.std_error[0]).all()
     assert np.isfinite(told.combinations.std_error[1]).any()
-    assert {t.grade for t in told.trust} == {"D"}
-    assert "stopped before its end" in told.trust[0].reason
+    assert {t.grade for t in told.reliability} == {"D"}
+    assert "stopped before its end" in told.reliability[0].reason
     assert "stopped by the user" in " ".join(text_of(study_table(told, 1.96, 0.95)).split())

@@ -12,9 +12,8 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import WHOLE
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.simulation.divergence import cause_of_divergence
 from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.rollout import cause_of_divergence, simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study import compare, identify
 from hybrid_id.systems import System, two_link
@@ -53,7 +52,7 @@ def dataset() -> Dataset:
 
 
 def test_compare_says_which_record_is_lost(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hybrid_id.study.comparison.simulated_over", lambda *_: [np.full((200, 1), np.nan)])
+    monkeypatch.setattr("hybrid_id.study.replays.simulated_over", lambda *_: [np.full((200, 1), np.nan)])
     with pytest.raises(InputError, match="wrong: record 'run'"):
         compare(dataset, {"wrong": rigid_drive()}, horizon=WHOLE)
 

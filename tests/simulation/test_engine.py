@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 import torch
 from drives import STEP, batch_of, flexible_drive, rigid_drive, run, stored
+from machines.scipy_reference import integrate_scipy
+from machines.twin.twins import rigid
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, LoadDependent, LuGre, Stribeck
 from hybrid_id.errors import InputError
+from hybrid_id.machines.physics import friction
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link_flexible
-from hybrid_id.twin import friction as twin_friction
-from hybrid_id.twin.drive import RigidDrive
-from hybrid_id.twin.scipy_reference import integrate_scipy
 
 FRICTION = "joint1/motor_friction"
 LINK = "joint1/link_friction"
@@ -94,14 +94,13 @@ def test_agrees_with_an_independent_event_exact_integrator(law: str) -> None:
         if law == "asymmetric"
         else rigid_drive(vertical=True)
     )
-    dry = twin_friction.AsymmetricStribeck(**table)
+    dry = [friction.AsymmetricStribeck(**table)]
     if law != "asymmetric":
         drop = 0.006 if law == "stribeck" else 0.0
         system = system.with_component(FRICTION, Stribeck(F_drop=drop, v_s=15.0, p=2.0))
-        dry = twin_friction.Stribeck(F_c=0.01, F_s=0.01 + drop, v_s=15.0)
-    twin = RigidDrive(
-        J=2e-5, P_m1=0.019, P_m2=0.0254, dry=dry, f_3=5e-5, G_l=0.0 if law == "asymmetric" else 2.0, r=156.0
-    )
+        dry = [friction.Coulomb(0.01), friction.Stribeck(drop, 15.0)]
+    G_l = 0.0 if law == "asymmetric" else 2.0
+    twin = rigid(*dry, J=2e-5, P_m1=0.019, P_m2=0.0254, f_3=5e-5, G_l=G_l, r=156.0)
     k = np.arange(200)
     u, time = 5.0 * np.sin(0.1 * k) + 2.0 * np.sin(0.037 * k), STEP * k
     exact = integrate_scipy(twin, np.zeros(2), np.stack([u, 0 * u], 1), time, rtol=1e-9, atol=1e-11)

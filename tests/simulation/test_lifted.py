@@ -12,8 +12,14 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, LoadDependent, LuGre
-from hybrid_id.simulation.condense_code import condense_rows
-from hybrid_id.simulation.lifted import Linearisation, condense, linearise, shoot
+from hybrid_id.simulation.lifted import (
+    Linearisation,
+    condense,
+    condense_compiled,
+    condense_reference,
+    linearise,
+    shoot,
+)
 from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.step import Engine
@@ -168,9 +174,9 @@ def test_condensing_equals_the_explicit_recursion(
     lin = Linearisation(
         random(rows, samples, 0), a[:, :, :0], b[:, :, :0], (), x_next=random(rows, samples, n_x), a=a, b=b
     )
-    chain = condense(lin, x)
+    chain = condense_reference(lin, x)
     across = a.permute(2, 3, 0, 1).contiguous().permute(2, 3, 0, 1)  # as a linearisation lays it out
-    compiled = condense_rows(x, across, b, lin.x_next)
+    compiled = condense_compiled(x, across, b, lin.x_next)
     assert (compiled is None) == (not any(map(shutil.which, ("gcc", "clang", "cc"))))
     torch.testing.assert_close(chain if compiled is None else compiled, chain, rtol=1e-10, atol=1e-10)
     current = torch.zeros(rows, n_x, n_x + n_f + 1, dtype=torch.float64)
@@ -202,11 +208,13 @@ def test_shooting_keeps_the_chunk_starts_and_fills_the_rest(length: int) -> None
     assert defect[:, inside].numel() == 0 or defect[:, inside].max() < 1e-12
 
 
-def test_large_batches_are_condensed_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_linearisation_is_condensed_alike_in_c() -> None:
     system = SYSTEMS["flexible"]
     batch = batch_of(system, {"u1": np.stack([multisine(k, samples=60, rest=2) for k in range(2)])}, rows=2)
     arguments = (batch.x + 0.01, batch.u, batch.dt, stored(system, 2), [0, 3], batch.outputs)
     lin = linearise(system, Engine(), *arguments)
-    eager = condense(lin, batch.x)
-    monkeypatch.setattr("hybrid_id.simulation.lifted.LARGE", 0)
-    torch.testing.assert_close(condense(lin, batch.x), eager, rtol=1e-10, atol=1e-12)
+    reference = condense_reference(lin, batch.x)
+    torch.testing.assert_close(condense(lin, batch.x), reference, rtol=1e-10, atol=1e-12)
+    single = Linearisation(**{k: v if k == "picks" else v.float() for k, v in vars(lin).items()})
+    assert condense_compiled(batch.x.float(), single.a, single.b, single.x_next) is None
+    assert condense(single, batch.x.float()).dtype == torch.float32

@@ -15,7 +15,7 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
-from hybrid_id.systems.arms import one_link_flexible
+from hybrid_id.systems.builders import one_link_flexible
 
 NOISE = {"q_m1": 0.01, "q_a1": 1e-4, "v_m1": 0.1, "i1": 0.01}
 

@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
-from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap, refit_bootstrap
-from hybrid_id.statistics.uncertainty import covariance
+from hybrid_id.statistics.uncertainty import (
+    block_contributions,
+    covariance,
+    one_step_bootstrap,
+)
 
 
 def test_blocks_see_autocorrelation_and_single_samples_do_not(regression, least_squares):
@@ -31,13 +34,14 @@ def test_one_step_equals_full_refits_for_a_linear_model(rng, least_squares):
             np.concatenate([jacobians[k] for k in indices]), np.concatenate([ys[k] for k in indices])
         )[0]
 
-    full = refit_bootstrap(refit, 12, replicates=1000)
+    full = np.array([refit(rng.integers(12, size=12)) for _ in range(1000)])
     cheap = one_step_bootstrap(
         estimate, block_contributions(jacobians, residuals, block="record"), replicates=4000
     )
-    assert cheap.n_blocks == full.n_blocks == 12
-    np.testing.assert_allclose(cheap.std_error, full.std_error, rtol=0.1)
-    np.testing.assert_allclose(cheap.upper, full.upper, atol=0.03)
+    minus, plus, upper = np.quantile(full, [0.15866, 0.84134, 0.975], axis=0)
+    assert cheap.n_blocks == 12
+    np.testing.assert_allclose(cheap.std_error, (plus - minus) / 2, rtol=0.1)
+    np.testing.assert_allclose(cheap.upper, upper, atol=0.03)
 
 
 def test_record_blocks_see_parameters_that_differ_from_record_to_record(rng):
@@ -80,11 +84,3 @@ def test_automatic_block_is_one_sample_for_white_noise(regression, least_squares
     assert block_contributions(design, residual).block_length <= 3
     errors = one_step_bootstrap(np.zeros(2), block_contributions(design, residual), replicates=2000).std_error
     np.testing.assert_allclose(errors, covariance(design, residual).std_error, rtol=0.15)
-
-
-def test_failed_refits_are_left_out():
-    def refit(indices):
-        return np.array([np.nan if indices[0] == 0 else indices.mean()])
-
-    result = refit_bootstrap(refit, 4, replicates=100)
-    assert 0 < len(result.samples) < 100 and np.isfinite(result.std_error[0])

@@ -6,9 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hybrid_id.errors import InputError
-from hybrid_id.statistics.combinations import Combination
-from hybrid_id.statistics.identifiability import identifiability
-from hybrid_id.statistics.null_directions import simple_basis
+from hybrid_id.statistics.identifiability import Combination, identifiability, simple_basis
 
 SCALED = {"J", "P_m1", "f_11", "f_12", "f_21", "f_22", "f_3"}
 SPEEDS = {"f_13", "f_14", "f_23", "f_24"}
@@ -115,14 +113,14 @@ def test_a_measured_torque_lifts_the_scale():
     assert "all 12 parameters" in result.summary()
 
 
-def test_finite_differences_and_information_matrices_say_the_same():
+def test_finite_differences_say_the_same():
     exact = drive_jacobian()
     rough = exact * (1 + 1e-6 * np.random.default_rng(0).standard_normal(exact.shape))
     texts = [
-        [d.text for d in identifiability(DRIVE, DRIVE_NAMES, **given, references=["P_m1"]).directions]
-        for given in ({"jacobian": exact}, {"jacobian": rough}, {"information": exact.T @ exact})
+        [d.text for d in identifiability(DRIVE, DRIVE_NAMES, jacobian=given, references=["P_m1"]).directions]
+        for given in (exact, rough)
     ]
-    assert texts[0] == texts[1] == texts[2]
+    assert texts[0] == texts[1]
 
 
 def test_poor_excitation_is_vague_and_good_excitation_is_not():
@@ -192,8 +190,6 @@ def test_zero_needs_a_scale():
         identifiability(np.array([1.0, 0.0]), ["a", "b"], jacobian=jacobian)
     result = identifiability(np.array([1.0, 0.0]), ["a", "b"], jacobian=jacobian, scale=np.array([1.0, 0.5]))
     np.testing.assert_allclose(result.relative_std, [0.01, 0.02])
-    with pytest.raises(InputError, match="neither"):
-        identifiability(np.ones(2), ["a", "b"])
 
 
 @given(st.integers(0, 10_000), st.integers(1, 3))

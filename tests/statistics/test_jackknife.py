@@ -3,8 +3,12 @@
 import numpy as np
 import pytest
 
-from hybrid_id.statistics.jackknife import autocorrelation_robust, jackknife_covariance
-from hybrid_id.statistics.uncertainty import covariance, robust_covariance
+from hybrid_id.statistics.uncertainty import (
+    autocorrelation_robust,
+    covariance,
+    jackknife_covariance,
+    robust_covariance,
+)
 
 
 def regressions(rng, persistence, n_runs=200, n_samples=1500):

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from hybrid_id.errors import InputError
-from hybrid_id.statistics.paired import paired_difference
+from hybrid_id.statistics.variation import paired_difference
 
 
 def test_without_overlap_it_is_the_paired_t_interval(rng: np.random.Generator) -> None:

@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hybrid_id.errors import InputError
-from hybrid_id.statistics.cross_validation import cross_validation
-from hybrid_id.statistics.selection import select
+from hybrid_id.statistics.cross_validation import cross_validation, select
 
 
 def matrix(rows, **names):
@@ -51,14 +50,6 @@ def test_where_no_set_is_usable_the_least_bad_is_named_as_such():
     assert "no parameter set simulates the records better than their mean" in selection.reason
     assert not selection.candidate.any()
     assert select(matrix([[-np.inf, -np.inf]])).index == 0
-
-
-def test_own_record_can_be_left_out():
-    fits = [[99, 70, 70], [60, 85, 84], [60, 60, 99]]
-    cross = matrix(fits)
-    assert np.isnan(np.diag(cross.other_records())).all()
-    assert select(cross, include_own=False).mean[0] == pytest.approx(70)
-    assert select(cross).mean[0] == pytest.approx(239 / 3)
 
 
 def test_a_constant_signal_leaves_the_others_to_stand_for_the_record():

@@ -8,9 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import lfilter
 
-from hybrid_id.statistics.bootstrap import block_contributions, one_step_bootstrap
-from hybrid_id.statistics.jackknife import jackknife_covariance
-from hybrid_id.statistics.uncertainty import covariance, robust_covariance
+from hybrid_id.statistics.uncertainty import (
+    block_contributions,
+    covariance,
+    jackknife_covariance,
+    one_step_bootstrap,
+    robust_covariance,
+)
 
 
 def test_plain_is_the_textbook_for_white_noise(regression, least_squares):

@@ -15,7 +15,7 @@ from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.ablation_plan import BLACK_BOX, Arm, Cell, Factors, plan, split_records, with_arm
 from hybrid_id.systems import two_link
-from hybrid_id.systems.black_box import black_box
+from hybrid_id.systems.builders import black_box
 from hybrid_id.systems.model_file import describe_model
 
 DRIVE = rigid_drive(ratio=20.0)

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hybrid_id.study.ablation_cell import FAILED, CellResult, Rung
+from hybrid_id.study.ablation import FAILED, CellResult, Rung
 from hybrid_id.study.ablation_plan import BLACK_BOX, Arm, Cell, Split
-from hybrid_id.study.ablation_result import Ablation, gather
-from hybrid_id.study.ablation_verdict import HYBRID, OPEN, PHYSICS, answer, verdict
+from hybrid_id.study.ablation_result import HYBRID, OPEN, PHYSICS, Ablation, answer, gather, verdict
 
 NETWORK, OTHER = Arm("static", ("joint1/motor",), 8), Arm("memory", ("joint1/motor",), 8)
 SPLIT = Split(("a", "b"), ("v",), ("t", "u"), ("far",))

@@ -10,14 +10,21 @@ import pytest
 from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.schedule import HybridOptions
+from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
-from hybrid_id.study.ablation import Task
-from hybrid_id.study.ablation_cell import CellResult, as_plain, from_plain
+from hybrid_id.study.ablation import (
+    CellResult,
+    Task,
+    as_plain,
+    from_plain,
+    key_of,
+    load_cell,
+    run_cells,
+    save_cell,
+)
 from hybrid_id.study.ablation_plan import BLACK_BOX, Arm, Cell
-from hybrid_id.study.ablation_run import key_of, load_cell, run_cells, save_cell
 
 STATIC = Arm("static", ("joint1/motor",), 3)
 BROKEN = Cell(Arm("static", ("joint9/motor",), 3), 0)

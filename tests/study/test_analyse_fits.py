@@ -37,7 +37,7 @@ def test_a_set_that_diverged_is_no_estimate() -> None:
     kept = np.array([whole.sets[k].values for k in (0, 2)])
     assert study.variation is not None
     np.testing.assert_allclose(study.variation.mean, kept.mean(0))
-    assert all(np.isfinite(trust.std_error) or trust.grade == "D" for trust in study.trust)
+    assert all(np.isfinite(trust.std_error) or trust.grade == "D" for trust in study.reliability)
 
 
 def test_an_output_that_stands_still_has_no_part_in_the_test_error() -> None:

@@ -10,13 +10,12 @@ from drives import make_record, multisine, rigid_drive
 from hybrid_id.components import ResidualNetwork
 from hybrid_id.errors import InputError
 from hybrid_id.identification.hybrid import HybridOptions
-from hybrid_id.identification.network_data import with_scales
+from hybrid_id.identification.networks import with_scales
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.simulation.prepare import Batch, make_batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
-from hybrid_id.study.hybrid import hybridise, split
-from hybrid_id.study.network_role import NetworkRole, network_roles
+from hybrid_id.study.hybrid import NetworkRole, hybridise, network_roles, split
 from hybrid_id.systems import System
 
 ENGINE = Engine("smooth", 8, width=1.0)

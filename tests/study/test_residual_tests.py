@@ -8,7 +8,7 @@ from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.step import Engine
-from hybrid_id.study.residual_tests import residual_tests
+from hybrid_id.study.checks import residual_tests
 from hybrid_id.systems import System
 
 

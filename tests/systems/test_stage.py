@@ -6,7 +6,7 @@ from hybrid_id.components import AsymmetricStribeck
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.systems import one_link, one_link_flexible
-from hybrid_id.systems.stage import carry_over
+from hybrid_id.systems.builders import carry_over
 
 RIGID = one_link(156.0, friction=AsymmetricStribeck()).with_values(
     {"P_m1": 0.0187, "f_3": 4e-5, "f_12": 0.033}

@@ -8,6 +8,7 @@ import torch
 from drives import STEP, batch_of, run, stored
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from machines.scipy_reference import integrate_scipy
 from scipy.optimize import minimize
 
 from hybrid_id.components import (
@@ -20,13 +21,14 @@ from hybrid_id.components import (
     OneLink,
 )
 from hybrid_id.errors import InputError
+from hybrid_id.machines.physics import friction
+from hybrid_id.machines.physics.machine import Drive, Machine, TwoLinks
+from hybrid_id.machines.physics.motor import Motor
+from hybrid_id.machines.physics.stick_slip import StickSlip
+from hybrid_id.machines.physics.transmission import Gear
 from hybrid_id.simulation.lifted import linearise
 from hybrid_id.simulation.step import Engine, directions
 from hybrid_id.systems import System, one_link, two_link
-from hybrid_id.twin import friction as twin_friction
-from hybrid_id.twin.arm import TwoLinkArm
-from hybrid_id.twin.rotor import Rotor
-from hybrid_id.twin.scipy_reference import integrate_scipy
 
 RATIO = (156.0, 84.0)
 TABLE_10 = {"P_1": 1.101, "P_2": 0.136, "P_3": 0.148, "P_4": 0.068}
@@ -232,10 +234,10 @@ def test_sticking_of_both_joints_is_the_minimum_of_a_convex_problem(torque, angl
                     | {"F_vm1": 5e-5, "F_vm2": 2e-5}, system.gear_ratio)  # fmt: skip
         bal = rates.rest(x, u, rates.views(list(stored(rates))), [None, None]).forward
         inertia = [bal.speeds[0].inertia, bal.speeds[1].inertia]
-        force.append((bal.speeds[row].smooth - inertia[m] * a[m] - bal.coupling * a[1 - m]).item())
+        force.append((bal.speeds[row].smooth - inertia[m] * a[m] - bal.couplings[0, 1] * a[1 - m]).item())
     shares = np.array([0.7, 0.7])
-    matrix = np.array([[bal.speeds[0].inertia.item(), bal.coupling.item()],
-                       [bal.coupling.item(), bal.speeds[1].inertia.item()]])  # fmt: skip
+    matrix = np.array([[bal.speeds[0].inertia.item(), bal.couplings[0, 1].item()],
+                       [bal.couplings[0, 1].item(), bal.speeds[1].inertia.item()]])  # fmt: skip
     rotor = (1 - shares) * np.array([0.6 / 400, 0.2 / 225])
     smooth = np.array([bal.speeds[0].smooth.item(), bal.speeds[1].smooth.item()])
     drive = gain * [u["u1"].item(), u["u2"].item()] - (gain * [0.0254, 0.0107] + [5e-5, 2e-5]) * speeds
@@ -260,17 +262,13 @@ def values_of(system: System) -> dict[str, float]:
     return {info.name: info.spec.value for info in system.table}
 
 
-def twin_of(system: System) -> TwoLinkArm:
-    v = values_of(system)
-    rotors = [
-        Rotor(
-            P_m1=v[f"P_m1m{n}"], P_m2=v[f"P_m2m{n}"], f_3=v[f"F_vm{n}"],
-            dry=twin_friction.Stribeck(F_c=v[f"F_cm{n}"], F_s=v[f"F_cm{n}"]),
-        )
-        for n in (1, 2)
-    ]  # fmt: skip
-    r = system.gear_ratio
-    return TwoLinkArm(rotors[0], rotors[1], v["P_1"], v["P_2"], v["P_3"], v["P_4"], r[0], r[1])
+def twin_of(system: System) -> StickSlip:
+    v, r = values_of(system), system.gear_ratio
+    rotors = (0.0, (v["P_2"] - v["P_4"]) / r[1] ** 2)
+    drives = [Drive(Gear(r[n - 1]), rotors[n - 1], Motor(v[f"P_m1m{n}"], v[f"P_m2m{n}"])) for n in (1, 2)]
+    for n, drive in enumerate(drives, start=1):
+        drive.rotor_laws = [friction.Coulomb(v[f"F_cm{n}"]), friction.Viscous(v[f"F_vm{n}"])]
+    return StickSlip(Machine(drives, TwoLinks(v["P_1"], v["P_4"], v["P_3"])))
 
 
 def test_stick_and_slip_agree_with_scipy() -> None:

@@ -24,6 +24,7 @@ class AsymmetricStribeck(Friction):
     """
 
     kind = "asymmetric_stribeck"
+    has_level = by_direction = True
     f_11 = Parameter(0.010, upper=1e3, unit="N m", doc="far level, forward")
     f_12 = Parameter(0.030, upper=1e3, unit="N m", doc="peak level, forward")
     f_13 = Parameter(10.0, upper=1e4, unit="rad/s", doc="speed of the peak, forward")

@@ -20,6 +20,7 @@ class AsymmetricTanh(Friction):
     """
 
     kind = "asymmetric_tanh"
+    has_level = by_direction = True
     f_a1 = Parameter(0.0063, upper=1e6, unit="N m", doc="level forward")
     f_a2 = Parameter(0.0056, upper=1e6, unit="N m", doc="level backward")
     slope = Parameter(70.0, lower=1e-3, upper=1e6, unit="s/rad", doc="steepness at zero", estimate=False)

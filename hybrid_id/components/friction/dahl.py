@@ -1,6 +1,6 @@
 """Dahl's presliding friction."""
 
-from hybrid_id.components.bristle import Bristle
+from hybrid_id.components.bristle import Bristle, stiffnesses
 from hybrid_id.parameters import Parameter
 
 
@@ -25,3 +25,10 @@ class Dahl(Bristle):
 
     def torque(self, p, states, speed, level):
         return states[0]
+
+    @staticmethod
+    def starts(site):
+        return [{"sigma": stiffness} for stiffness in stiffnesses(site)]
+
+    def mjcf(self, p):
+        return {"bristle": (p.sigma, 0.0)}, ""

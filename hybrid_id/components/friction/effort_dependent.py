@@ -1,6 +1,7 @@
 """Friction that grows with the torque that goes into the gear."""
 
 from hybrid_id.components.base import Friction
+from hybrid_id.components.friction.load_dependent import LoadDependent
 from hybrid_id.parameters import Parameter
 
 
@@ -19,6 +20,11 @@ class EffortDependent(Friction):
     kind = "effort_dependent_friction"
     places = ("motor_friction",)
     mu = Parameter(0.05, upper=0.95, unit="1", doc="friction per torque of the motor")
+    effect = LoadDependent.effect
 
     def effort_factor(self, p):
         return p.mu
+
+    @staticmethod
+    def starts(site):
+        return LoadDependent.starts(site)

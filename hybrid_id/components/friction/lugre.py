@@ -1,6 +1,7 @@
 """LuGre friction."""
 
-from hybrid_id.components.bristle import Bristle
+from hybrid_id.components.bristle import Bristle, stiffnesses
+from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 
@@ -29,3 +30,15 @@ class LuGre(Bristle):
     def torque(self, p, states, speed, level):
         (state,), ((drive, rate),) = states, self.relaxations(p, states, speed, level)
         return p.sigma_0 * state + p.sigma_1 * (drive - rate * state)
+
+    @staticmethod
+    def starts(site):
+        found = []
+        for stiffness in stiffnesses(site):
+            # a tenth of what would damp the rotor on its bristle aperiodically
+            damping = 0.2 * (stiffness.value * site.rotor * site.gearing**2) ** 0.5
+            found.append({"sigma_0": stiffness, "sigma_1": free(damping, 0.0, 100.0 * damping)})
+        return found
+
+    def mjcf(self, p):
+        return {"bristle": (p.sigma_0, p.sigma_1)}, ""

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from hybrid_id.components.bristle import Bristle
+from hybrid_id.components.bristle import Bristle, stiffnesses
 from hybrid_id.parameters import Parameter
 
 ELEMENTS = 3
@@ -43,6 +43,10 @@ class MaxwellSlip(Bristle):
         # a long step may draw a spring beyond its level, where the next one lets it slide back
         held = [force.clamp(-limit, limit) for force, limit in zip(states, _limits(level), strict=True)]
         return sum(held[1:], held[0])
+
+    @staticmethod
+    def starts(site):
+        return [{"sigma": stiffness} for stiffness in stiffnesses(site)]
 
 
 def _limits(level: Tensor) -> list[Tensor]:

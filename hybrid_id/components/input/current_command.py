@@ -12,3 +12,6 @@ class CurrentCommand(Input):
 
     def command(self, p, channels, angle, speed):
         return channels["i"]
+
+    def mjcf(self, p):
+        return {}, ""

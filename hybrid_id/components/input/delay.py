@@ -9,7 +9,8 @@ from types import SimpleNamespace
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Component
+from hybrid_id.components.base import Component, Effect
+from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 
@@ -28,6 +29,20 @@ class Delay(Component):
     places = ("input",)
     single = True
     T_d = Parameter(0.002, upper=0.15, unit="s", doc="dead time")
+    effect = Effect(
+        "delay",
+        "dead time between the command and the motor, of a bus or a sampled controller; usually one to three samples",
+        "K. J. Astrom, B. Wittenmark, Computer-Controlled Systems, 3rd ed., Prentice Hall, 1997",
+        {
+            "electrical_lag": "a fast sweep: a delay turns the phase on and on and weakens nothing, a lag turns it by "
+            "a quarter at most and weakens the response",
+            "joint_flexibility": "a slow sweep through the resonance: a spring raises the response there and weakens "
+            "it above, a delay only turns its phase",
+            "voltage_deadband": "the same sweep at two amplitudes: a dead band counts for less the larger the command, "
+            "a delay stays",
+            "backlash": "the same sweep at two amplitudes: play counts for less the larger the move, a delay stays",
+        },
+    )
 
     def lags(self, sample_time: float) -> int:
         """Number of past samples that the longest delay reaches back to."""
@@ -40,3 +55,12 @@ class Delay(Component):
         past, pick = torch.stack(list(history)), whole.long()[None]
         newer, older = past.gather(0, pick)[0], past.gather(0, pick + 1)[0]
         return newer + (samples - whole) * (older - newer)
+
+    @staticmethod
+    def starts(site):
+        # a long history costs time, and few drives need one
+        longest = min(0.06, 15.0 * site.sample_time)
+        return [
+            {"T_d": free(start * site.sample_time, 0.0, most)}
+            for start, most in ((0.5, longest), (3.0, longest), (25.0, 5.0 * longest))
+        ]

@@ -12,3 +12,6 @@ class TorqueCommand(Input):
 
     def command(self, p, channels, angle, speed):
         return channels["tau"]
+
+    def mjcf(self, p):
+        return {}, ""

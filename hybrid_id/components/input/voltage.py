@@ -14,3 +14,6 @@ class Voltage(Input):
 
     def command(self, p, channels, angle, speed):
         return channels["u"]
+
+    def mjcf(self, p):
+        return {}, ""

@@ -21,3 +21,6 @@ class LoggedLoad(LoggedTorque):
 
     def torque(self, p, channels):
         return p.c_w * channels["w"]
+
+    def mjcf(self, p):
+        return {}, "is left out, apply the logged torque through qfrc_applied"

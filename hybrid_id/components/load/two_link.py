@@ -2,8 +2,8 @@
 
 import torch
 
-from hybrid_id.components.base import Inertia
-from hybrid_id.components.coupling import Coupling
+from hybrid_id.components.base import Coupling, Effect, Inertia
+from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 
@@ -49,6 +49,12 @@ class JointCoupling(Coupling):
     kind = "joint_coupling"
     P_3 = Parameter(0.0, lower=-1e9, upper=1e9, unit="kg m^2", doc="coupling that varies with the angle")
     P_4 = Parameter(0.0, lower=-1e9, upper=1e9, unit="kg m^2", doc="link 2 alone about its joint")
+    effect = Effect(
+        "joint_coupling",
+        "torques by which the links of an arm accelerate each other; of the size of the second link's inertia",
+        "W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002",
+        where_held=True,
+    )
 
     def inertia(self, p, angle):
         varying = p.P_3 * torch.cos(angle)
@@ -58,3 +64,15 @@ class JointCoupling(Coupling):
         (_, angle), (first, second) = angles, speeds
         varying = p.P_3 * torch.sin(angle)
         return -varying * (2.0 * first + second) * second, varying * first**2
+
+    @staticmethod
+    def starts(site):
+        known = [part for part in site.components.values() if isinstance(part, JointCoupling)]
+        if len(site.ratios) < 2 or site.joint != 1:
+            return []
+        if any(spec.estimate for part in known for spec in part.specs.values()):
+            return []
+        at_second = (part for key, part in site.components.items() if key.startswith("joint2/load/"))
+        inertia, ratio = next(part for part in at_second if isinstance(part, Inertia)), site.ratios[1]
+        size = float(inertia.total(inertia.view(), ratio).detach()) * ratio**2
+        return [{"P_3": free(0.2 * size, 0.0, 3 * size), "P_4": free(0.3 * size, 0.0, size)}]

@@ -21,3 +21,6 @@ class CurrentMotor(Motor):
 
     def current(self, p, torque):
         return torque / p.k_t
+
+    def mjcf(self, p):
+        return {"gainprm": (p.k_t,)}, ""

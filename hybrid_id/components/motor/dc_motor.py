@@ -28,3 +28,7 @@ class DCMotor(Motor):
 
     def current(self, p, torque):
         return torque / p.P_m2
+
+    def mjcf(self, p):
+        constant = float(p.P_m2)
+        return {"motorconst": (constant, constant), "resistance": (constant / float(p.P_m1),)}, ""

@@ -18,3 +18,6 @@ class TorqueMotor(Motor):
 
     def torque(self, p, command, speed):
         return p.gain * command
+
+    def mjcf(self, p):
+        return {"gainprm": (p.gain,)}, ""

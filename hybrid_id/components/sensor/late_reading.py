@@ -5,6 +5,8 @@ from types import SimpleNamespace
 from torch import Tensor
 
 from hybrid_id.components.base import Component
+from hybrid_id.components.input.delay import Delay
+from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 
@@ -23,6 +25,7 @@ class LateReading(Component):
     places = ("input",)
     states = ("lag",)
     T_r = Parameter(0.005, lower=1e-4, upper=0.05, unit="s", doc="dead time of the reading")
+    effect = Delay.effect
 
     def motion(
         self, p: SimpleNamespace, angle: Tensor, speed: Tensor, state: Tensor
@@ -33,3 +36,13 @@ class LateReading(Component):
     def relaxation(self, p: SimpleNamespace, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Drive [rad/s] and rate [1/s] of its state, ``dz/dt = drive - rate z``, ``(B,)`` each."""
         return -2.0 * speed, (2.0 / p.T_r).expand_as(speed)
+
+    @staticmethod
+    def starts(site):
+        if len(site.ratios) == 1:  # of a single joint it is the same as a delay
+            return []
+        longest = min(0.06, 15.0 * site.sample_time)
+        return [{"T_r": free(3.0 * site.sample_time, 0.3 * site.sample_time, longest)}]
+
+    def mjcf(self, p):
+        return {}, "is left out, the exported sensors read true angles, in time"

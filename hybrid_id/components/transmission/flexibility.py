@@ -4,11 +4,20 @@ import math
 
 import torch
 
-from hybrid_id.components.base import Transmission
+from hybrid_id.components.base import Effect, Transmission
+from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 STIFFEST = 2.0 * math.pi * 150.0
 """Angular frequency [rad/s] of rotor against link at compliance 0: five sub-steps at 500 Hz follow it."""
+RESONANCES = (2.0, 4.0, 8.0, 16.0, 32.0)
+"""Where rotor and link may swing against each other [Hz]: a fit finds what is half an octave away."""
+SOFTEST = 10.0
+"""Largest compliance, over that of the slowest swing: how the inertia divides between rotor and link is not known."""
+UNLOADED = (
+    "slow turns without load and with it, with an encoder on the link: an error of the gear repeats with the rotor's "
+    "angle, a spring's twist goes with the load"
+)
 
 
 def stiffness(compliance, inertia):
@@ -46,7 +55,28 @@ class JointFlexibility(Transmission):
     kind = "joint_flexibility"
     compliance = Parameter(0.0, upper=1e6, unit="rad/(N m)", doc="compliance")
     zeta = Parameter(0.1, upper=2.0, unit="1", doc="damping ratio")
+    splits_inertia = True
+    effect = Effect(
+        "joint_flexibility",
+        "gear or shaft that twists under load; rotor and link usually swing against each other at 5 to 30 Hz",
+        "M. W. Spong, Modeling and control of elastic joint robots, J. Dynamic Systems, Measurement, and Control "
+        "109(4), 1987",
+        {
+            "hardening_flexibility": "the same sweep at several amplitudes: a hardening spring moves its resonance",
+            "kinematic_error": UNLOADED,
+            "spring_load": "slow motion over the whole range: a spring at the load pulls the harder the further, that "
+            "of a gear does not",
+        },
+    )
 
     def torque(self, p, deflection, rate, inertia):
         k = stiffness(p.compliance, inertia)
         return k * deflection + damping(p.zeta, k, inertia) * rate
+
+    @staticmethod
+    def starts(site):
+        if not site.rigid:
+            return []
+        compliances = [1.0 / (site.series * (2 * math.pi * f) ** 2) for f in RESONANCES]
+        soft = SOFTEST * max(compliances)
+        return [{"compliance": free(c, 0.0, soft), "zeta": free(0.1, 0.0, 2.0)} for c in compliances]

@@ -1,9 +1,17 @@
 """Gear whose ratio is not quite constant."""
 
+import math
+
 import torch
 
-from hybrid_id.components.base import Component
+from hybrid_id.components.base import Component, Effect
+from hybrid_id.components.site import free, second_wave
 from hybrid_id.parameters import Parameter
+
+WORST_GEAR = 0.03
+"""Largest error of a gear [rad at the link]: harmonic drives have 1e-3 and less, the moulded gears of toys 0.02."""
+WAVES = 6
+"""Periods of a gear's error that fits begin with."""
 
 
 class KinematicError(Component):
@@ -28,6 +36,15 @@ class KinematicError(Component):
     E_c2 = Parameter(0.0, -1.0, 1.0, "rad", "amplitude of the second wave's cosine", estimate=False)
     E_s2 = Parameter(0.0, -1.0, 1.0, "rad", "amplitude of the second wave's sine", estimate=False)
     n_2 = Parameter(2.0, upper=1e4, unit="1", doc="periods per turn of the second wave", estimate=False)
+    splits_inertia = True
+    effect = Effect(
+        "kinematic_error",
+        "gear whose ratio ripples over a turn; usually 1 mrad at the link and less, 20 mrad of moulded gears",
+        "T. D. Tuttle, W. P. Seering, A nonlinear model of a harmonic drive gear transmission, IEEE Trans. Robotics "
+        "and Automation 12(3), 1996",
+        over_angle=True,
+        shape={"n": "E_c", "n_2": "E_c2"},
+    )
 
     def error(self, p, angle):
         """Error of the link's angle [rad], its first and its second derivative by the rotor's angle, ``(B,)`` each."""
@@ -35,6 +52,27 @@ class KinematicError(Component):
         second = _wave(p.E_c2, p.E_s2, p.n_2, angle)
         value, slope, bend = (one + two for one, two in zip(first, second, strict=True))
         return value, slope, bend
+
+    @staticmethod
+    def starts(site):
+        small = 0.02 * min(0.01 * site.angle, 0.5 / site.ratio)
+        limit, near = min(0.1 * site.angle, 0.9 / site.ratio, WORST_GEAR), math.pi / site.turns
+        # a linear estimate from whole runs tells little of the period, and the fits from all of them soon tell it
+        waves = [*((n, small, small) for n in (1.0, 2.0)), *site.search("gear_waves")[:WAVES]]
+        return [
+            {
+                "E_c": free(c, -limit, limit),
+                "E_s": free(d, -limit, limit),
+                "n": free(n, n - near, n + near),
+            }
+            for n, c, d in waves
+        ]
+
+    def further(self, searches):
+        return second_wave(self, searches["gear_waves"], ("E_c2", "E_s2"), 1.5)
+
+    def mjcf(self, p):
+        return {}, "is left out, MuJoCo's gears have a constant ratio"
 
 
 def _wave(E_c, E_s, n, angle):

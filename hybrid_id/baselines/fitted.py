@@ -1,0 +1,88 @@
+"""Methods that fit with the diagnosis' own engine: the diagnosis itself, and two baselines on its candidates.
+
+`stribeck` always names Stribeck friction, the usual suspect, at the joint where it predicts best. `bic` adds every
+effect of the catalogue alone, fits it and judges by Schwarz's criterion, ``BIC = n log(RSS / n) + k log n``
+(G. Schwarz, Ann. Stat. 6, 1978), over the train records, errors taken as independent. That is what a careful engineer
+does by hand: nothing is left out for validation, no pair is tried, and nothing outside the catalogue is thought of.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hybrid_id.baselines.answer import answer, gap_of, named
+from hybrid_id.diagnosis.candidates import tasks
+from hybrid_id.diagnosis.diagnose import diagnose
+from hybrid_id.diagnosis.fits import Fits, Task
+from hybrid_id.diagnosis.model import Model
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.systems.chain import System
+
+NAME = "stribeck_friction"
+ITERATIONS = 15
+
+
+def stribeck(dataset: Dataset, system: System) -> dict[str, Any]:
+    """Name Stribeck friction, whatever the records say."""
+    fits = Fits(dataset)
+    base = fits.base(system, free=True)
+    todo = [task for task in tasks(fits, base) if task.effects[0][0] == NAME]
+    found = sorted((one for one in fits.run(todo, ITERATIONS) if one is not None), key=lambda one: one.error)
+    places = list(dict.fromkeys(one.effects[0][1] for one in found)) or ["joint1/motor_friction"]
+    effects = [named(NAME, where, 1.0 if k == 0 else 0.0, selected=k == 0) for k, where in enumerate(places)]
+    after = found[0] if found else base
+    return answer(dataset.name, effects, gap_of(dataset, system, base.result, after.result))
+
+
+COARSE, FULL = 2, 20
+"""Iterations of the fits of all effects, and of the best."""
+FINALISTS = 5
+"""Candidates that are fitted further, after a coarse fit of all."""
+
+
+def bic(dataset: Dataset, system: System) -> dict[str, Any]:
+    """Name the effect with the least criterion, if any is below that of the nominal model."""
+    fits = Fits(dataset)
+    base = fits.base(system, free=True)
+    coarse = best_of_each(fits.run(tasks(fits, base), COARSE))
+    finals = fits.run([Task(one.effects, one.system) for one in coarse[:FINALISTS]], FULL)
+    ranked = best_of_each([*coarse, *finals])
+    criteria = np.array([criterion(base), *(criterion(one) for one in ranked)])
+    weights = np.exp(-0.5 * (criteria - criteria.min()))
+    weights = weights / weights.sum()
+    found = bool(ranked) and bool(criteria[1] < criteria[0])
+    effects = [
+        named(*one.effects[0], weight, selected=found and k == 0)
+        for k, (one, weight) in enumerate(zip(ranked, weights[1:], strict=True))
+    ]
+    chosen = ranked[0] if found else base
+    return answer(dataset.name, effects, gap_of(dataset, system, base.result, chosen.result))
+
+
+def criterion(one: Model) -> float:
+    """Schwarz's criterion of a fit."""
+    residual = np.concatenate([r.reshape(-1) for r in one.result.residual])
+    n = np.count_nonzero(residual)
+    return float(n * np.log(np.square(residual).sum() / n) + len(one.result.names) * np.log(n))
+
+
+def best_of_each(found: list[Model | None]) -> list[Model]:
+    """The best fit of each effect at each place, least criterion first."""
+    best: dict[tuple[tuple[str, str], ...], Model] = {}
+    for one in sorted((e for e in found if e is not None), key=criterion):
+        best.setdefault(one.effects, one)
+    return list(best.values())
+
+
+def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
+    """Content of ``diagnosis.json``, the command of the best next experiment with it."""
+    found = diagnose(dataset, system)
+    content = found.as_dict()
+    for told, experiment in zip(content["next_experiments"][:1], found.experiments, strict=False):
+        told |= {
+            "sample_time": float(experiment.time[1] - experiment.time[0]),
+            "command": [round(float(u), 4) for u in experiment.command],
+        }
+    return content

@@ -1,0 +1,138 @@
+"""Baselines on cases: one case after the other, in processes, or on a cluster, each alone with its records."""
+
+from __future__ import annotations
+
+import hashlib
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from hybrid_id.baselines.external import external
+from hybrid_id.baselines.fitted import bic, diagnosis, stribeck
+from hybrid_id.baselines.network import network
+from hybrid_id.baselines.sparse import sparse
+from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.study.fan_out import Failure, fan_out
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_file import load_model
+
+METHODS: Mapping[str, Callable[[Dataset, System], dict[str, Any]]] = {
+    "diagnose": diagnosis,
+    "bic": bic,
+    "sparse": sparse,
+    "network": network,
+    "stribeck": stribeck,
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """All that a baseline gets to see: the files of a case, by name."""
+
+    name: str
+    files: Mapping[str, bytes]
+
+    @property
+    def digest(self) -> str:
+        """Hash of names and contents."""
+        found = hashlib.sha256()
+        for name in sorted(self.files):
+            found.update(name.encode() + hashlib.sha256(self.files[name]).digest())
+        return found.hexdigest()
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How the cases are run.
+
+    Attributes:
+        method: one of `METHODS`, or ``external``.
+        train_records: so many train records at most; all of them by default.
+        command: of an external program, see :func:`.external.external`.
+        digest: of the program that it starts.
+    """
+
+    method: str
+    train_records: int | None = None
+    command: str | None = None
+    digest: str | None = None
+
+
+def read_cases(folder: Path, manifest: Mapping[str, Any], names: Sequence[str] | None = None) -> list[Case]:
+    """The cases of a folder, all or some of them, as they were made.
+
+    Raises:
+        InputError: the files of one have changed since they were sealed.
+    """
+    found = [read_case(folder / name) for name in (manifest["names"] if names is None else names)]
+    for case in found:
+        if manifest.get("digests", {}).get(case.name, case.digest) != case.digest:
+            raise InputError(
+                f"{folder / case.name} does not hold the files that were sealed; make the cases anew"
+            )
+    return found
+
+
+def read_case(folder: Path) -> Case:
+    """The files of a case folder."""
+    return Case(folder.name, {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()})
+
+
+def run_cases(
+    settings: Settings, cases: Sequence[Case], *, jobs: int = 1, scheduler: str | None = None
+) -> Iterator[tuple[int, dict[str, Any]]]:
+    """Yield the number of each case and the method's answer, as soon as it is there.
+
+    What the run tells of itself is in ``run``; the answer to a case that broke holds nothing else, its reason in
+    ``message``.
+
+    Args:
+        settings: which method, and how.
+        cases: what it gets to see.
+        jobs: processes of this machine.
+        scheduler: address of a Dask cluster, which is taken instead.
+    """
+    for number, result in fan_out(run_case, settings, cases, jobs=jobs, scheduler=scheduler):
+        broken = {"case": cases[number].name, "run": {"method": settings.method, "message": ""}}
+        if isinstance(result, Failure):
+            result = broken | {"run": broken["run"] | {"message": result.message}}
+        yield number, result
+
+
+def run_case(settings: Settings, case: Case) -> dict[str, Any]:
+    """A method's answer to one case, which it sees as a folder with nothing around it."""
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / case.name
+        folder.mkdir()
+        for name, content in case.files.items():
+            (folder / name).write_bytes(content)
+        system = load_model(folder / "model.yaml")
+        dataset = with_train_records(Dataset.load(folder), settings.train_records)
+        wall, processor = time.perf_counter(), time.process_time()
+        if settings.method == "external":
+            said = external(folder, settings.command)
+        else:
+            said = METHODS[settings.method](dataset, system)
+    about = {
+        "method": settings.method,
+        "message": "",
+        "system": system.name,
+        "train_records": len(dataset.train),
+        "seconds": round(time.perf_counter() - wall, 3),
+        "processor_seconds": round(time.process_time() - processor, 3),
+    }
+    return said | {"case": case.name, "run": about}
+
+
+def with_train_records(dataset: Dataset, count: int | None) -> Dataset:
+    """The dataset with its first train records only, and all test records."""
+    if count is None:
+        return dataset
+    if count < 1:
+        raise InputError("a diagnosis needs a train record; give at least one")
+    kept = {record.name for record in dataset.train[:count]}
+    return replace(dataset, records=tuple(r for r in dataset if r.role != "train" or r.name in kept))

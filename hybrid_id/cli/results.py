@@ -1,0 +1,133 @@
+"""What the commands write into a folder of results: pictures, TensorBoard events, the page, and the result itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hybrid_id.cli.console import remark, show
+from hybrid_id.cli.folder import EVENTS, RESULT
+from hybrid_id.config import StudyConfig
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.reporting.interactive import Drawn
+    from hybrid_id.reporting.page import Page
+    from hybrid_id.study import Study
+
+
+def write_report(
+    folder: Path,
+    home: Path,
+    config: StudyConfig,
+    command: str,
+    *,
+    figures: Callable[[], dict[str, Drawn]],
+    page: Callable[[dict[str, Drawn]], Page],
+    events: Callable[[Path, Mapping[str, np.ndarray]], None] | None = None,
+    facts: Mapping[str, object] | None = None,
+) -> None:
+    """Write the study file, and the pictures, TensorBoard events and page that it asks for.
+
+    Args:
+        folder: where to write.
+        home: where the folder will be at last.
+        config: what was asked for.
+        command: name of the command.
+        figures: draws the pictures, by the name of their file.
+        page: makes the page of them.
+        events: writes event files with the images into a folder.
+        facts: what the page says of how it was made, beside versions and study file.
+    """
+    config.save(folder / "config.yaml", home=home)
+    wish = config.output
+    if not (wish.figures or wish.tensorboard or wish.report):
+        return
+    from hybrid_id.reporting.page import how_made
+    from hybrid_id.reporting.style import save
+
+    drawn = figures()
+    if wish.figures:
+        for name, figure in drawn.items():
+            save(figure.image, folder / f"{name}.png")
+    if wish.tensorboard and events is not None:
+        events(folder / EVENTS, {name: figure.image for name, figure in drawn.items()})
+    if wish.report:
+        words = (folder / "config.yaml").read_text(encoding="utf-8")
+        how_made(page(drawn), command, words, facts).write(folder / "report.html")
+
+
+def write_last(file: Path, text: str) -> None:
+    """Write the result itself, whose presence says that all others are complete."""
+    file.write_text(text + "\n", encoding="utf-8")
+
+
+def files_in(home: Path, config: StudyConfig, *names: str) -> str:
+    """Where the results are, and which: those that the study asks for among them."""
+    page = ("report.html",) if config.output.report else ()
+    pictures = ("pictures",) if config.output.figures else ()
+    return f"results are in {home}: {', '.join((*page, *names, *pictures, 'config.yaml'))}"
+
+
+def write_study(
+    folder: Path, home: Path, command: str, config: StudyConfig, dataset: Dataset, study: Study
+) -> str:
+    """Write all files of a study; arguments as in `write_report`.
+
+    Returns:
+        The result as JSON.
+    """
+    from hybrid_id.records.quality import remarks
+    from hybrid_id.reporting.residuals import residual_result
+    from hybrid_id.reporting.results import as_json, study_result, write_models, write_parameters
+    from hybrid_id.reporting.study import study_page
+    from hybrid_id.reporting.study_figures import study_figures
+    from hybrid_id.reporting.tensorboard import write_study_events
+    from hybrid_id.study import replay
+    from hybrid_id.study.checks import study_residuals
+
+    reach, level = config.statistics.reach, config.statistics.level
+    residuals = study_residuals(dataset, study, signal_share=config.preprocessing.signal_share)
+    content: dict[str, Any] = study_result(study, reach=reach, level=level)
+    text = as_json(
+        command, {"dataset": dataset.name} | content | {"residual_tests": residual_result(residuals)}
+    )
+    write_models(folder, home, study)
+    write_parameters(folder / "parameters.csv", study, reach)
+
+    def figures() -> dict[str, Drawn]:
+        runs = replay(dataset, study.selected.system, engine=study.selected.engine, horizon=study.horizon)
+        return study_figures(dataset, study, reach, runs)
+
+    write_report(
+        folder,
+        home,
+        config,
+        command,
+        figures=figures,
+        page=lambda drawn: study_page(
+            dataset, study, drawn, reach=reach, level=level, findings=remarks(dataset), residuals=residuals
+        ),
+        events=lambda place, images: write_study_events(place, study, images, curves=command != "train"),
+        facts={"seed": config.identification.seed},
+    )
+    write_last(folder / RESULT, text)
+    return text
+
+
+def show_study(study: Study, config: StudyConfig, home: Path, text: str, *, as_json: bool) -> None:
+    """Print the study, as a table or as JSON, and where its files are; say so where it explains nothing."""
+    from hybrid_id.study import check_fit, check_priors
+
+    for words in (check_fit(study), *check_priors(study)):
+        if words:
+            remark(f"warning: {words}")
+    if as_json:
+        return show(text)
+    from hybrid_id.reporting.study import study_table
+
+    show(study_table(study, config.statistics.reach, config.statistics.level))
+    show(files_in(home, config, "parameters.csv", RESULT, "model.yaml"))

@@ -1,0 +1,46 @@
+"""Position loop of a servo or of MuJoCo's position actuator, in torque at the joint."""
+
+import torch
+
+from hybrid_id.components.base import Input
+from hybrid_id.parameters import Parameter
+
+
+class PositionServo(Input):
+    """``tau = clip(k_p e' - k_d w, -tau_max, tau_max)`` at the joint, ``e' = sgn e max(|e| - e_0, 0)``.
+
+    ``e = clip(goal, goal_min, goal_max) - q``.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | q, w | rad, rad/s | angle and speed of the link, which the servo's encoder reads |
+    | k_p | N m/rad | stiffness: torque at the joint per error |
+    | k_d | N m s/rad | damping by the loop, inside the limit only; viscous friction acts beyond it too |
+    | tau_max | N m | largest torque, the motor's at full duty and standstill |
+    | e_0 | rad | dead band: errors below it are left alone |
+    | goal_min, goal_max | rad | angle limits of the servo, to which it clips its goal |
+
+    A loop that sets the duty of a motor at constant supply gives the same law: ``tau_max`` is the stall torque, and
+    the back-EMF, which acts whatever the duty, is part of viscous friction. The loop runs much faster than records
+    are sampled; here it acts in continuous time on a goal that is held between samples.
+
+    Reads channel ``goal`` [rad]. Source: MuJoCo's ``position`` actuator (kp, kv, forcerange); dead band as in servo
+    registers (Feetech STS, Dynamixel).
+    """
+
+    kind = "position_servo"
+    gives = "N m"
+    channels = ("goal",)
+    at_joint = True
+    k_p = Parameter(10.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="stiffness of the position loop")
+    k_d = Parameter(0.0, upper=1e5, unit="N m s/rad", doc="damping of the position loop", estimate=False)
+    tau_max = Parameter(1e3, lower=1e-6, upper=1e6, unit="N m", doc="largest torque", estimate=False)
+    e_0 = Parameter(0.0, upper=1.0, unit="rad", doc="dead band of the error", estimate=False)
+    goal_min = Parameter(-1e4, lower=-1e5, upper=1e5, unit="rad", doc="least goal", estimate=False)
+    goal_max = Parameter(1e4, lower=-1e5, upper=1e5, unit="rad", doc="largest goal", estimate=False)
+
+    def command(self, p, channels, angle, speed):
+        goal = torch.maximum(torch.minimum(channels["goal"], p.goal_max), p.goal_min)
+        error = goal - angle
+        beyond = torch.sign(error) * (error.abs() - p.e_0).clamp_min(0.0)
+        return torch.maximum(torch.minimum(p.k_p * beyond - p.k_d * speed, p.tau_max), -p.tau_max)

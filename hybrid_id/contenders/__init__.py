@@ -1,5 +1,0 @@
-"""Those who take the blind check: the diagnosis, and the simple methods that it has to beat.
-
-Each sees the records and the nominal model of one case and nothing else, and answers as ``diagnosis.json`` does.
-None of them may know the generator.
-"""

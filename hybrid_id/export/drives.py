@@ -1,0 +1,254 @@
+"""What acts at a joint, as MuJoCo's attributes and actuators: friction, springs, loads and the motor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hybrid_id.components.input.position_loop import PositionLoop
+from hybrid_id.components.load.gravity import Gravity
+from hybrid_id.components.motor.dc_motor import DCMotor
+from hybrid_id.errors import InputError
+from hybrid_id.export.curves import SUPPLY, Resistance, left_out, noted, resistance
+from hybrid_id.systems.chain import System, Views
+from hybrid_id.systems.joint import Joint
+
+BRISTLE = 2.0 * math.pi * 300.0
+"""Angular frequency [rad/s] of an inertia on the bristle that stands for dry friction with a Stribeck curve."""
+STIFFEST = 0.5
+"""Largest such frequency times the time step: a stiffer bristle is unstable."""
+HARD = "0.99 0.999 0.001"
+"""Impedance of constraints that hardly give way."""
+DRY = {"solreffriction": "0.0005 1", "solimpfriction": HARD}
+TOP_SPEED = 500.0
+"""Speed [rad/s] of a rotor up to which friction is fitted where no back-EMF bounds it."""
+
+Attributes = dict[str, str]
+
+
+@dataclass(frozen=True)
+class Mjcf:
+    """An exported system.
+
+    Attributes:
+        text: the MJCF document.
+        notes: what it leaves out or carries otherwise, a sentence each.
+        joints, motors: names of the joints and of their actuators there.
+        home: folder that its files (meshes, includes) are named from; None where it names none.
+    """
+
+    text: str
+    notes: tuple[str, ...]
+    joints: tuple[str, ...]
+    motors: tuple[str, ...]
+    home: Path | None = None
+
+
+class Drives:
+    """The drives of a system on their way into an MJCF.
+
+    Args:
+        system: at the values to export.
+        step: MuJoCo's time step [s].
+
+    Attributes:
+        notes: what is left out or carried otherwise, a sentence each.
+        passive: tag and attributes of actuators that no command reaches.
+    """
+
+    def __init__(self, system: System, step: float) -> None:
+        self.system, self.step = system, step
+        self.p = system.views([value.detach().reshape(1) for value in system.theta()])
+        self.notes: list[str] = []
+        self.passive: list[tuple[str, Attributes]] = []
+
+    def label(self, joint: Joint) -> str:
+        """What the names of a joint's actuators end in."""
+        return str(joint.number)
+
+    def act(
+        self, joint: Joint, hinge: Attributes, link: Attributes, at_rotor: Attributes, at_link: Attributes
+    ) -> tuple[str, Attributes]:
+        """Write friction and springs of a joint into its attributes; returns tag and attributes of its motor.
+
+        Args:
+            joint: the joint.
+            hinge: attributes of the rotor's hinge.
+            link: of what is at the link's angle: the same hinge, or a tendon behind a compliant gear.
+            at_rotor: what actuators on the rotor name as their target.
+            at_link: the same on the link.
+        """
+        label, r = self.label(joint), joint.gear_ratio
+        key, part = joint.drive.motor
+        top = SUPPLY / max(float(self.p[key].P_m2), 1e-3) if isinstance(part, DCMotor) else TOP_SPEED
+        rotor = resistance(joint, "motor_friction", self.p, top)
+        side = resistance(joint, "link_friction", self.p, top / r)
+        self.notes += [*rotor.notes, *side.notes]
+        extras, notes = carried(joint.drive.torques, self.p)
+        self.notes += notes + carried(joint.gear.errors, self.p)[1]
+        extras |= self._friction(hinge, rotor, r, self._stopped(joint, "motor_friction"))
+        own = self._friction(link, side, 1.0, self._stopped(joint, "link_friction"))
+        if own:
+            self.passive.append(_passive(f"link_friction{label}", at_link, 1.0, own))
+        link.update(self._spring(joint, "springref" if "joint" in at_link else "springlength"))
+        if extras and not isinstance(part, DCMotor):
+            self.passive.append(_passive(f"rotor_friction{label}", at_rotor, r, extras))
+        head = {"name": f"motor{label}"} | at_rotor | {"gear": number(r)}
+        tag, attributes, notes = _motor(joint, self.p, self.step, extras)
+        self.notes += notes
+        self._uneven(f"friction{label}", rotor, r, at_rotor)
+        self._uneven(f"link_friction{label}", side, 1.0, at_link)
+        self._loads(joint, at_link)
+        return tag, head | attributes
+
+    def sensed(self, joint: Joint) -> None:
+        """Note what of a joint's sensors is left out."""
+        late = [] if joint.sensing.late is None else [joint.sensing.late[:2]]
+        self.notes += carried([*joint.sensing.sensors, *late], self.p)[1]
+
+    def _stopped(self, joint: Joint, place: str) -> float:
+        """Inertia that a place's friction stops, on its own side of the gear [kg m^2]."""
+        (key, mass), r, rotor = joint.inertia, joint.gear_ratio, place == "motor_friction"
+        if joint.rigid:
+            return float(mass.total(self.p[key], r)) * (1.0 if rotor else r**2)
+        return float((mass.rotor if rotor else mass.link)(self.p[key], r))
+
+    def _friction(self, target: Attributes, friction: Resistance, gear: float, inertia: float) -> Attributes:
+        """Write friction into a hinge or tendon; what falls with speed or has a bristle is returned as LuGre."""
+        before = [float(d) for d in target.get("damping", "0 0 0").split()]
+        damping = [
+            b + gear ** (k + 2) * d for k, (b, d) in enumerate(zip(before, friction.damping, strict=True))
+        ]
+        if any(damping):
+            target["damping"] = numbers(damping)
+        if friction.bristle is None and not friction.falls:
+            if friction.coulomb > 0:
+                level = gear * friction.coulomb + float(target.get("frictionloss", 0.0))
+                target |= {"frictionloss": number(level)} | DRY
+            return {}
+        bristle = friction.bristle or (inertia * min(BRISTLE, STIFFEST / self.step) ** 2, 0.0)
+        return {"lugre": numbers([*bristle, friction.coulomb, friction.static, friction.stribeck])}
+
+    def _spring(self, joint: Joint, rest: str) -> Attributes:
+        """A spring load as attributes of a hinge or a tendon."""
+        found = [own for key, part in joint.loads if "rest" in (own := part.mjcf(self.p[key])[0])]
+        if not found:
+            return {}
+        angle = float(found[0]["rest"][0])
+        if rest == "springlength" and angle == -1.0:
+            angle -= 1e-9  # MuJoCo takes -1 for "where the model stands at first"
+        return {"stiffness": numbers(found[0]["stiffness"]), rest: number(angle)}
+
+    def _loads(self, joint: Joint, at_link: Attributes) -> None:
+        for key, part in joint.loads:
+            own, missing = part.mjcf(self.p[key])
+            if "bias" in own:
+                self._bias(f"{part.kind}{self.label(joint)}", float(own["bias"][0]), at_link)
+            if isinstance(part, Gravity) and self.system.tree is not None:
+                missing = "is left out, the description's bodies have their own weight"
+            elif isinstance(part, Gravity) and len(self.system.joints) > 1:
+                missing = "is left out, no body of an arm weighs like that: take arm_gravity"
+            self.notes += [noted(key, missing)] if missing else []
+        self.notes += carried(joint.logged, self.p)[1]
+
+    def _uneven(self, name: str, friction: Resistance, gear: float, on: Attributes) -> None:
+        """What one direction of motion has beyond the other: a bias, and dampers that act one way up to a force."""
+        self._bias(f"{name}_bias", gear * friction.bias, on)
+        for k, (torque, speed) in enumerate(friction.ramps):
+            own = {"name": f"{name}_{k + 1}", "gear": number(gear), "gainprm": "0", "biastype": "affine"} | on
+            # the trace in the middle keeps the compiler from reading a rate that drives as a damping ratio
+            own["biasprm"] = numbers([0.0, -1e-12, -torque / speed])
+            own["forcerange"] = numbers(sorted((0.0, -torque)))
+            self.passive.append(("general", own))
+
+    def _bias(self, name: str, torque: float, on: Attributes) -> None:
+        """A constant torque against forward motion: an actuator that its command does not reach."""
+        if torque:
+            attributes = {
+                "name": name,
+                "gainprm": "0",
+                "biastype": "affine",
+                "biasprm": f"{number(-torque)} 0 0",
+            }
+            self.passive.append(("general", attributes | on))
+
+
+def carried(parts: Iterable[tuple[str, Any]], p: Views, *motor: float) -> tuple[Attributes, list[str]]:
+    """Attributes that components become, and a sentence on each of which these leave something out."""
+    found: Attributes = {}
+    notes = []
+    for key, part in parts:
+        own, missing = part.mjcf(p.get(key), *motor)
+        found |= written(own)
+        notes += [noted(key, missing)] if missing else []
+    return found, notes
+
+
+def _motor(joint: Joint, p: Views, step: float, extras: Attributes) -> tuple[str, Attributes, list[str]]:
+    """Tag, attributes beyond name, target and gear, and notes of a joint's actuator, whose length is the rotor's angle.
+
+    Args:
+        joint: the joint.
+        p: parameter views.
+        step: MuJoCo's time step [s].
+        extras: what else a ``dcmotor`` carries, friction and cogging.
+
+    Raises:
+        InputError: the motor has no back-EMF.
+    """
+    key, part = joint.drive.motor
+    limits, notes = _command(joint, p, step)
+    own, missing = part.mjcf(p[key])
+    notes += [noted(key, missing)] if missing else []
+    found = limits
+    windings = [(name, winding) for name, winding, _ in joint.drive.windings]
+    if "motorconst" not in own:
+        notes += [left_out(name, "MuJoCo has it in motors that take a voltage only") for name, _ in windings]
+        return "general", found | written(own or {"gainprm": (0.0,)}), notes
+    (constant, _), (resistance,) = own["motorconst"], own["resistance"]
+    if constant <= 0.0:
+        raise InputError(
+            f"{key}: P_m2 is {constant:g}, but MuJoCo's dcmotor needs a back-EMF; give it a value above 0"
+        )
+    wound, left = carried(windings, p, resistance, constant)
+    return "dcmotor", found | written(own) | extras | wound, notes + left
+
+
+def _command(joint: Joint, p: Views, step: float) -> tuple[Attributes, list[str]]:
+    """Limit and delay of the command, and what of the input stage stays outside."""
+    key, source = joint.drive.input
+    missing = source.mjcf(p[key])[1]
+    asked = f"{source.kind} ({', '.join(source.channels)})"
+    notes = [f"joint{joint.number}/input: ctrl is the motor's voltage; {asked} {missing}"] if missing else []
+    found, left = carried(joint.drive.maps, p)
+    notes += left
+    if joint.drive.delay is not None and (steps := round(float(p[joint.drive.delay[0]].T_d) / step)):
+        if isinstance(source, PositionLoop):  # MuJoCo would delay the angle that the loop reads, too
+            notes.append(f"{joint.drive.delay[0]}: it delays the goal, and stays with the controller")
+        else:
+            found |= {"delay": number(steps * step), "nsample": str(steps)}
+    return found, notes
+
+
+def _passive(name: str, on: Attributes, gear: float, extras: Attributes) -> tuple[str, Attributes]:
+    """Tag and attributes of an actuator without input that carries friction or cogging alone."""
+    head = {"name": name, "gear": number(gear), "input": "none", "motorconst": "0 0", "resistance": "1"}
+    return "dcmotor", head | on | extras
+
+
+def written(attributes: Mapping[str, Sequence[Any]]) -> Attributes:
+    """Attributes as MJCF writes them."""
+    return {name: numbers(values) for name, values in attributes.items()}
+
+
+def number(value: Any) -> str:
+    """A number as MJCF writes it."""
+    return f"{float(value):.10g}"
+
+
+def numbers(values: Iterable[Any]) -> str:
+    """Numbers as MJCF writes them."""
+    return " ".join(map(number, values))

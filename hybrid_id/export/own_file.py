@@ -1,0 +1,328 @@
+"""A robot's own description with the drives put in: only what they change is written, all else stays as it was.
+
+MuJoCo reads the description and says what holds at each joint, defaults and includes counted in; what differs is then
+written into the text of the file itself, at the joint's and the actuator's own elements, so that comments, layout,
+classes, meshes and includes survive. A URDF, which has no place for a rotor, is first turned into MJCF by MuJoCo.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+from hybrid_id import __version__
+from hybrid_id.errors import InputError
+from hybrid_id.export.curves import left_out
+from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, number
+from hybrid_id.robots.description import compiled, read_spec, without_missing_meshes
+from hybrid_id.robots.tree import RigidBodyTree, TreeJoint
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
+
+SAME = 1e-9
+"""Relative difference below which a value of the file stands."""
+UNITS = {"V": "voltage [V]", "A": "current [A]", "N m": "torque [N m]"}
+"""What a motor's command is."""
+
+
+def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mjcf:
+    """The description that a robot was read from, with the system's drives at its joints.
+
+    Args:
+        system: the system at the values to export.
+        tree: its tree.
+        step: time step [s] to set; the file's own by default.
+
+    Raises:
+        InputError: the robot was read from no file, or a joint stands in a file that it includes.
+    """
+    if not tree.source:
+        raise InputError("a robot that was read from no file has none to be edited; load its MJCF or URDF")
+    path = Path(tree.source)
+    spec, text = read_spec(path), path.read_bytes().decode("utf-8")
+    if converted := _Text(text).root == "robot":
+        text = spec.to_xml()
+    exported = _Edit(system, tree, path, text, compiled(path, spec), step).build(converted=converted)
+    try:
+        mujoco_model(exported)
+    except ValueError as error:
+        raise InputError(
+            f"{path}: MuJoCo does not take it with the drives put in ({' '.join(str(error).split())}); take out what "
+            "speaks of the actuators that are replaced."
+        ) from None
+    return exported
+
+
+def mujoco_model(exported: Mjcf) -> Any:
+    """MuJoCo's model of an exported system, its files found where the description's are.
+
+    Raises:
+        ValueError: MuJoCo does not take it.
+    """
+    import mujoco
+
+    if exported.home is None:
+        return mujoco.MjModel.from_xml_string(exported.text)  # type: ignore[attr-defined]
+    spec = mujoco.MjSpec.from_string(exported.text, include=_included(exported.text, exported.home))  # type: ignore[attr-defined]
+    spec.modelfiledir = str(exported.home)
+    without_missing_meshes(exported.home / "exported", mujoco, spec)
+    return spec.compile()
+
+
+def _included(text: str, home: Path) -> dict[str, bytes]:
+    """Files that a text includes, and those that they include, by the names it gives them."""
+    found: dict[str, bytes] = {}
+    for element in _Text(text).elements:
+        name = element.values.get("file", "")
+        if element.tag == "include" and (home / name).is_file():
+            found[name] = (home / name).read_bytes()
+            found |= _included(found[name].decode("utf-8"), home)
+    return found
+
+
+@dataclass(frozen=True)
+class _Element:
+    """An element of a file's text.
+
+    Attributes:
+        tag: its name.
+        values: its attributes.
+        above: names of the elements around it, outermost first.
+        start, head, end: where it begins, where its start tag ends and where it ends.
+    """
+
+    tag: str
+    values: Attributes
+    above: tuple[str, ...]
+    start: int
+    head: int
+    end: int
+
+
+class _Text:
+    """An XML text whose elements are found and changed where they stand."""
+
+    def __init__(self, text: str) -> None:
+        self.raw = text.encode()
+        self.elements: list[_Element] = []
+        self.changes: list[tuple[int, int, str]] = []
+        opened: list[tuple[str, Attributes, int, int]] = []
+        parser = expat.ParserCreate("utf-8")
+
+        def start(tag: str, values: Attributes) -> None:
+            opened.append((tag, values, parser.CurrentByteIndex, self._head(parser.CurrentByteIndex)))
+
+        def end(tag: str) -> None:
+            _, values, first, head = opened.pop()
+            empty = self.raw[head - 2 : head] == b"/>"
+            last = head if empty else self.raw.index(b">", parser.CurrentByteIndex) + 1
+            above = tuple(name for name, *_ in opened)
+            self.elements.append(_Element(tag, values, above, first, head, last))
+
+        parser.StartElementHandler, parser.EndElementHandler = start, end
+        parser.Parse(self.raw, True)
+
+    @property
+    def root(self) -> str:
+        """Name of the outermost element."""
+        return self.elements[-1].tag
+
+    def _head(self, start: int) -> int:
+        """Where a start tag ends: a value may hold the sign that ends tags."""
+        found = re.compile(rb"""<(?:[^>"']|"[^"]*"|'[^']*')*>""").match(self.raw, start)
+        assert found is not None
+        return found.end()
+
+    def put(self, element: _Element, values: Attributes) -> None:
+        """Set attributes of an element."""
+        head = self.raw[element.start : element.head].decode()
+        for name, value in values.items():
+            new = quoteattr(value)
+            old = re.compile(rf"""(\s{re.escape(name)}\s*=\s*)("[^"]*"|'[^']*')""")
+            if old.search(head):
+                head = old.sub(rf"\g<1>{new}", head, count=1)
+            else:
+                head = re.sub(r"(\s*/?>)$", rf" {name}={new}\1", head)
+        self.changes.append((element.start, element.head, head))
+
+    def replace(self, element: _Element, new: str) -> None:
+        """Put another element in the place of one."""
+        self.changes.append((element.start, element.end, new))
+
+    def append(self, element: _Element, lines: list[str]) -> None:
+        """Add lines at the end of an element, one step further in than itself."""
+        margin = self._margin(element)
+        inside = "".join(f"\n{margin}  {line}" for line in lines)
+        if self.raw[element.head - 2 : element.head] == b"/>":
+            head = self.raw[element.start : element.head - 2].decode().rstrip()
+            self.changes.append((element.start, element.end, f"{head}>{inside}\n{margin}</{element.tag}>"))
+            return
+        close = self.raw.rindex(b"</", element.start, element.end)
+        before = len(self.raw[:close].rstrip())
+        self.changes.append((before, before, inside))
+
+    def _margin(self, element: _Element) -> str:
+        line = self.raw[self.raw.rfind(b"\n", 0, element.start) + 1 : element.start].decode()
+        return line if not line.strip() else ""
+
+    def __str__(self) -> str:
+        found = self.raw
+        for start, end, new in sorted(self.changes, key=lambda change: change[:2], reverse=True):
+            found = found[:start] + new.encode() + found[end:]
+        return found.decode()
+
+
+class _Edit(Drives):
+    """One system on its way into its robot's description."""
+
+    def __init__(
+        self, system: System, tree: RigidBodyTree, path: Path, text: str, model: Any, step: float | None
+    ) -> None:
+        super().__init__(system, step or float(model.opt.timestep))
+        self.tree, self.path, self.model = tree, path, model
+        self.text, self.set_step = _Text(text), step is not None
+        self.added: list[str] = []
+        self.replaced: dict[tuple[str, str], list[str]] = {}
+
+    def label(self, joint: Joint) -> str:
+        """The joint's own name."""
+        return f"_{self.tree.names[joint.number - 1]}"
+
+    def build(self, *, converted: bool) -> Mjcf:
+        """Put every joint's drive in, then what has no place in the file yet."""
+        motors = tuple(
+            self._joint(joint, known)
+            for joint, known in zip(self.system.joints, self.tree.joints, strict=True)
+        )
+        self.added += [_written(tag, attributes) for tag, attributes in self.passive]
+        self.notes += carried(self.system.networks.items(), self.p)[1]
+        for (old, command), names in self.replaced.items():
+            self.notes.append(
+                f"{', '.join(names)}: in the place of a {old} the actuator takes the motor's {command}"
+            )
+        own = re.compile(r"\bjoint(\d+)(?=/)")
+        notes = [own.sub(lambda found: self.tree.names[int(found[1]) - 1], note) for note in self.notes]
+        if converted:
+            notes.insert(
+                0, f"{self.path.name} is a URDF, which has no place for a rotor: MuJoCo made an MJCF of it"
+            )
+        self._sections(notes)
+        files = any(e.tag == "include" or "file" in e.values for e in self.text.elements)
+        return Mjcf(
+            str(self.text), tuple(notes), self.tree.names, motors, self.path.parent if files else None
+        )
+
+    def _sections(self, notes: list[str]) -> None:
+        """What stands beside the joints: new actuators, the time step, and what is left out as a comment."""
+        root, top = self.text.elements[-1], (self.text.root,)
+        words = [f"hybrid_id {__version__}: drives of {', '.join(self.tree.names)}", *notes]
+        lines = [f"<!-- {'; '.join(words).replace('--', '- -')} -->"]
+        section = next((e for e in self.text.elements if e.tag == "actuator" and e.above == top), None)
+        if self.added and section is not None:
+            self.text.append(section, self.added)
+        elif self.added:
+            lines += ["<actuator>", *(f"  {line}" for line in self.added), "</actuator>"]
+        if self.set_step:
+            lines.append(f'<option timestep="{number(self.step)}"/>')
+        self.text.append(root, lines)
+
+    def _joint(self, joint: Joint, known: TreeJoint) -> str:
+        """Write a joint's drive; returns the name of its actuator."""
+        element = next(
+            (
+                e
+                for e in self.text.elements
+                if e.tag == "joint" and "worldbody" in e.above and e.values.get("name") == known.name
+            ),
+            None,
+        )
+        if element is None:
+            raise InputError(
+                f"{self.path}: joint '{known.name}' stands in a file that this one includes (or replicates); give that "
+                "file as the 'file' of 'robot' in model.yaml, so that the export can write into it."
+            )
+        (key, mass), r = joint.inertia, joint.gear_ratio
+        view = self.p[key]
+        if joint.rigid:
+            rotor = float(mass.total(view, r)) * r**2
+        else:
+            rotor = float(mass.rotor(view, r)) * r**2
+            gear = joint.gear.transmission[0]
+            self.notes.append(left_out(gear, "the joint stays rigid: its link would need a second joint"))
+        target = {"joint": known.name}
+        found: Attributes = {"armature": number(rotor), "damping": "0 0 0", "frictionloss": "0"}
+        tag, attributes = self.act(joint, found, found, target, target)
+        found["damping"] = re.sub(r"( 0)+$", "", found["damping"])
+        self.sensed(joint)
+        turned = known.kind == "hinge" and self._in_degrees()
+        if turned and "springref" in found:
+            found["springref"] = number(math.degrees(float(found["springref"])))
+        self.text.put(element, _changed(found, known, turned=turned))
+        return self._motor(joint, known, tag, attributes)
+
+    def _in_degrees(self) -> bool:
+        """Whether angles of the text are in degrees, as MJCF's are unless it says otherwise."""
+        said = [e.values["angle"] for e in self.text.elements if e.tag == "compiler" and "angle" in e.values]
+        return said[-1] != "radian" if said else True
+
+    def _motor(self, joint: Joint, known: TreeJoint, tag: str, attributes: Attributes) -> str:
+        """Put the drive's motor in the place of the joint's actuator, or beside the others; returns its name."""
+        mine = [
+            e
+            for e in self.text.elements
+            if "actuator" in e.above and known.name in (e.values.get("joint"), e.values.get("jointinparent"))
+        ]
+        if mine and self._same(mine[0], attributes, tag):
+            return mine[0].values["name"]
+        command = UNITS.get(joint.drive.input[1].gives, f"command [{joint.drive.input[1].gives}]")
+        if tag == "general":  # no default of the file is to reach into it
+            limited = "true" if "ctrlrange" in attributes else "false"
+            attributes = attributes | {"ctrllimited": limited, "forcelimited": "false"}
+            attributes |= {"dyntype": "none", "gaintype": "fixed", "biastype": "none"}
+        if not mine:
+            self.added.append(_written(tag, attributes))
+            return attributes["name"]
+        attributes["name"] = mine[0].values.get("name", attributes["name"])
+        self.text.replace(mine[0], _written(tag, attributes))
+        for other in mine[1:]:
+            self.text.replace(other, "")
+        self.replaced.setdefault((" and a ".join(e.tag for e in mine), command), []).append(known.name)
+        return attributes["name"]
+
+    def _same(self, element: _Element, attributes: Attributes, tag: str) -> bool:
+        """Whether the file's actuator does what the drive's would."""
+        if "name" not in element.values or tag != "general":
+            return False
+        if set(attributes) - {"name", "joint", "gear", "gainprm"}:  # limits or a delay
+            return False
+        here = self.model.actuator(element.values["name"])
+        gain = float(attributes["gear"]) * float(attributes["gainprm"])
+        plain = int(here.gaintype[0]) == 0 and int(here.biastype[0]) == 0 and int(here.dyntype[0]) == 0
+        return plain and math.isclose(here.gear[0] * here.gainprm[0], gain, rel_tol=SAME)
+
+
+def _changed(found: Attributes, known: TreeJoint, *, turned: bool) -> Attributes:
+    """Those attributes of a joint that differ from what holds there by the file."""
+    rest = math.degrees(known.reference) if turned else known.reference
+    before = {
+        "armature": known.armature,
+        "damping": known.damping,
+        "frictionloss": known.friction_loss,
+        "stiffness": known.stiffness,
+        "springref": rest,
+    }
+
+    def same(name: str, value: str) -> bool:
+        first, *more = value.split()
+        return not more and math.isclose(float(first), before[name], rel_tol=SAME, abs_tol=1e-300)
+
+    return {name: value for name, value in found.items() if name not in before or not same(name, value)}
+
+
+def _written(tag: str, attributes: Attributes) -> str:
+    return f"<{tag} {' '.join(f'{name}={quoteattr(value)}' for name, value in attributes.items())}/>"

@@ -1,0 +1,322 @@
+"""Least squares by whole rollouts and finite differences, for models too far from the records for a linearisation.
+
+Behind play, and where a link sticks and slips on a spring, the tangent of a trajectory grows with every event while the
+trajectory itself does not: exact sensitivities tell the wrong way, and Newton's method over all samples leaves the
+valley. Differences over a hundredth of a parameter see through the events. Every difference is a lane of one compiled
+rollout, and so is every trial step: the LM step of :mod:`.least_squares` for many dampings at once.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from hybrid_id.identification.fit import make_bounds
+from hybrid_id.identification.least_squares import damped_step, free_parameters
+from hybrid_id.identification.result import FitResult
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.lifted import shoot
+from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
+
+WORST = 1e3
+"""Weighted residual that stands for a simulation that has left all bounds."""
+REACH = 100.0
+"""Farthest that a first state may be from the measured one, in its standard errors."""
+STEPS = (0.01, 0.1, 0.01)
+"""Finite steps, as shares of the parameters: in between, a coarse one sees through the ripple of the cost."""
+DAMPINGS = 10.0 ** np.arange(-2, 4)
+"""Dampings that are tried side by side, relative to the last that was best."""
+FEW = DAMPINGS[1:5]
+"""Those of a coarse fit."""
+LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e6
+SETTLED = 1e-4
+"""A finite step has done its work when the cost falls by less than this share."""
+POOR = 0.02
+"""Updated slopes are simulated anew when a step lowers the cost by less than this share."""
+CLOSE, PATIENCE = 1.1, 3
+"""Cost, relative to the neighbouring model's, up to which a coarse fit's slopes are believed; steps after which."""
+
+
+class Rollouts:
+    """Weighted residuals of a batch for many parameter sets at once.
+
+    Args:
+        system: what is simulated.
+        batch: whole records.
+        engine: how (its sub-steps are raised where stability asks for it).
+        free: indices of the parameters that the points give.
+    """
+
+    def __init__(self, system: System, batch: Batch, engine: Engine, free: Sequence[int]) -> None:
+        self.system, self.batch, self.free = system, batch, list(free)
+        self.theta = system.theta().detach()
+        self.engine = with_substeps(system, engine, batch, self.theta[:, None].expand(-1, batch.rows))
+        # a delay changes the channels only: they arrive before the rollout, which then needs no past
+        self.plain = system
+        for key in [joint.drive.delay[0] for joint in system.joints if joint.drive.delay is not None]:
+            where, _, kind = key.rpartition("/")
+            self.plain = self.plain.without_component(where, kind)
+        place = {(info.component, info.symbol): i for i, info in enumerate(system.table)}
+        self.rows = [place[info.component, info.symbol] for info in self.plain.table]
+
+    def residuals(self, points: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
+        """Residuals ``(P, R, T, n_y)`` at the points ``(P, n_f)``, from first states ``(P, R, n_x)`` or the batch's."""
+        rows, count = self.batch.rows, len(points)
+        theta = self.theta[:, None].repeat(1, count)
+        theta[self.free] = torch.tensor(points.T)
+        theta = theta.repeat_interleave(rows, 1)
+        part = self.batch.take(torch.arange(rows).repeat(count))
+        if first is not None:
+            # a batch that is taken whole is the caller's own: its first states stay as measured
+            part = replace(part, x=part.x.clone()) if part is self.batch else part
+            part.x[:, 0] = torch.as_tensor(first).flatten(0, 1)
+        with torch.no_grad():
+            samples = part.x.shape[1]
+            views = self.system.views(list(theta.repeat_interleave(samples, 1)))
+            channels = self.system.hold(
+                {name: channel.reshape(-1) for name, channel in part.u.items()}, views
+            )
+            arrived = {name: channels[name].view_as(part.dt) for name in self.plain.input_names}
+            arrived |= {name: channel for name, channel in part.u.items() if name.startswith("enable")}
+            x = shoot(self.plain, self.engine, part.x, arrived, part.dt, theta[self.rows], samples)
+            y = self.system.outputs(part.outputs, x.reshape(-1, x.shape[-1]).unbind(1), channels, views)
+        run = torch.stack(y, -1).reshape(*x.shape[:2], -1)
+        residual = ((part.y - run) * part.weight).nan_to_num(WORST, WORST, -WORST).clamp(-WORST, WORST)
+        return residual.reshape(count, rows, *residual.shape[1:]).numpy()
+
+
+@dataclass(frozen=True, eq=False)
+class Slopes:
+    """Slopes of a batch's residuals at one model's fit, for others that have most of their parameters from it.
+
+    Attributes:
+        parameters: of each by its component and symbol, ``(R * T * n_y,)``.
+        first: of each state that is not known exactly at the start, by its name, ``(R, T * n_y)``.
+        least: cost that others have to get below to be of any interest.
+    """
+
+    parameters: Mapping[tuple[str, str], np.ndarray]
+    first: Mapping[str, np.ndarray]
+    least: float = math.inf
+
+
+class Cost:
+    """Residuals of the records and of what is known beforehand, as a function of parameters and first states.
+
+    A point holds the free parameters, then for every state that is not known exactly at the start its shift from the
+    measured one in each row.
+
+    Raises:
+        InputError: nothing to estimate.
+    """
+
+    def __init__(self, system: System, batch: Batch, engine: Engine) -> None:
+        free = free_parameters(system)
+        self.rollouts, bounds = Rollouts(system, batch, engine, free), make_bounds(system, free)
+        self.measured = batch.x[:, 0].numpy()
+        spread = batch.x0_std.numpy()
+        self.loose = [k for k in range(spread.shape[1]) if (spread[:, k] > 0).any()]
+        std = np.maximum(spread[:, self.loose], 1e-12).T.reshape(-1)
+        self.n_f, reach = len(free), REACH * std
+        self.start = self.rollouts.theta.numpy()[free]
+        self.low = np.concatenate([bounds.lower.numpy(), -reach])
+        self.high = np.concatenate([bounds.upper.numpy(), reach])
+        self.mean = np.concatenate([bounds.prior_mean.numpy(), np.zeros(len(std))])
+        self.precision = np.concatenate([bounds.prior_precision.numpy(), std**-2])
+        self.scale, self.std = bounds.scale.numpy(), std.reshape(len(self.loose), batch.rows)
+        self.keys = [(system.table[i].component, system.table[i].symbol) for i in free]
+        self.states = [system.state_names[k] for k in self.loose]
+
+    def point(self, values: np.ndarray, x0: np.ndarray) -> np.ndarray:
+        """The point of parameters ``(n_f,)`` and first states ``(R, n_x)``, inside the bounds."""
+        shift = (x0 - self.measured)[:, self.loose].T.reshape(-1)
+        return np.clip(np.concatenate([values, shift]), self.low, self.high)
+
+    def first_states(self, points: np.ndarray) -> np.ndarray:
+        """First states ``(P, R, n_x)`` of points."""
+        first = np.tile(self.measured, (len(points), 1, 1))
+        shifts = points[:, self.n_f :].reshape(len(points), len(self.loose), len(self.measured))
+        first[:, :, self.loose] += shifts.transpose(0, 2, 1)
+        return first
+
+    def residuals(self, points: np.ndarray) -> np.ndarray:
+        """Weighted residuals at points ``(P, n)``, then those of the priors."""
+        runs = self.rollouts.residuals(points[:, : self.n_f], self.first_states(points))
+        return np.hstack([runs.reshape(len(points), -1), np.sqrt(self.precision) * (self.mean - points)])
+
+    def slopes(
+        self, point: np.ndarray, left: np.ndarray, share: float, near: Slopes | None = None
+    ) -> np.ndarray:
+        """Slopes of the residuals ``left`` at a point by finite steps, a share of each parameter.
+
+        What ``near`` has is taken from there; the rest is simulated.
+        """
+        known = near or Slopes({}, {})
+        new = [i for i, key in enumerate(self.keys) if key not in known.parameters]
+        loose = [k for k, name in enumerate(self.states) if name not in known.first]
+        n_f, rows, value = self.n_f, self.std.shape[1], point[: self.n_f]
+        step = share * np.maximum(np.abs(value), self.scale)
+        up, down = self.high[:n_f] - value, value - self.low[:n_f]
+        # inside the bounds, to the side that has more room where neither has enough
+        step = np.where(step <= up, step, np.where(down >= up, -np.minimum(step, down), up))
+        lanes = np.tile(point, (len(new) + len(loose), 1))
+        lanes[np.arange(len(new)), new] += step[new]
+        # what a row starts with moves that row alone: one lane moves them all
+        for lane, k in enumerate(loose, len(new)):
+            lanes[lane, n_f + k * rows : n_f + (k + 1) * rows] += self.std[k]
+        data = len(left) - len(point)
+        change = self.residuals(lanes)[:, :data] - left[:data] if len(lanes) else np.empty((0, data))
+        slopes = np.zeros((len(left), len(point)))
+        for i, key in enumerate(self.keys):
+            if key in known.parameters:
+                slopes[:data, i] = known.parameters[key]
+        # what cannot move changes nothing
+        slopes[:data, new] = (change[: len(new)] / np.where(step == 0.0, 1.0, step)[new, None]).T
+        blocks = slopes[:data, n_f:].reshape(rows, data // rows, len(self.loose), rows)
+        moved = dict(zip(loose, change[len(new) :].reshape(len(loose), rows, data // rows), strict=True))
+        for k, name in enumerate(self.states):
+            own = moved[k] / self.std[k, :, None] if k in moved else known.first[name]
+            for r in range(rows):
+                blocks[r, :, k, r] = own[r]
+        slopes[:data, n_f:] = blocks.reshape(data, -1)
+        slopes[data:] = np.diag(-np.sqrt(self.precision))
+        return slopes
+
+    def steps(
+        self, point: np.ndarray, residual: np.ndarray, slopes: np.ndarray, dampings: np.ndarray
+    ) -> np.ndarray:
+        """Points to which an LM step leads inside the bounds, one for each damping, ``(D, n)``."""
+        hessian, gradient = torch.as_tensor(slopes.T @ slopes), torch.as_tensor(slopes.T @ residual)
+        # first states that are known exactly in some rows are stiff, and say nothing of the parameters' sizes
+        own = hessian.diagonal()[: self.n_f].amax().clamp_min(1e-300)
+        unit = hessian.diagonal().maximum(1e-12 * own).rsqrt().expand(len(dampings), -1)
+        low, high = (torch.as_tensor(limit - point).expand_as(unit) for limit in (self.low, self.high))
+        added = torch.as_tensor(dampings)[:, None].expand_as(unit)
+        step = damped_step(hessian[None], gradient[None], unit, added, low, high)[0]
+        return np.clip(point + (step * unit).numpy(), self.low, self.high)
+
+    def shared(self, slopes: np.ndarray) -> Slopes:
+        """Slopes at a point, for models that have most of their parameters from this one."""
+        rows, data = self.std.shape[1], len(slopes) - slopes.shape[1]
+        blocks = slopes[:data, self.n_f :].reshape(rows, data // rows, len(self.loose), rows)
+        own = [np.stack([blocks[r, :, k, r] for r in range(rows)]) for k in range(len(self.loose))]
+        columns = {key: slopes[:data, i].copy() for i, key in enumerate(self.keys)}
+        return Slopes(columns, dict(zip(self.states, own, strict=True)))
+
+
+def finite_difference_fit(
+    system: System,
+    batch: Batch,
+    *,
+    engine: Engine,
+    iterations: int = 20,
+    x0: np.ndarray | None = None,
+    near: Slopes | None = None,
+) -> FitResult:
+    """Fit one parameter set and the first states of all rows of a batch.
+
+    With ``near`` the fit is a coarse one, which ends where it comes to nothing: only what the neighbouring model lacks
+    is simulated for the first slopes, and every step updates them by Broyden's rank-one formula (C. G. Broyden, Math.
+    Comp. 19, 1965) instead of new ones.
+
+    Args:
+        system: model with start values and bounds.
+        batch: prepared records.
+        engine: how a sample is integrated; compiled rollouts make this affordable.
+        iterations: steps at most.
+        x0: where the search for the first states starts, ``(R, n_x)`` (default: as measured).
+        near: slopes of a model close to the start, to begin with.
+
+    Raises:
+        InputError: nothing to estimate.
+    """
+    cost = Cost(system, batch, engine)
+    point = cost.point(cost.start, batch.x[:, 0].numpy() if x0 is None else x0)
+    residual = cost.residuals(point[None])[0]
+    damping, stage, history = 1e-2, 0, [0.5 * float(residual @ residual)]
+    jacobian = None if near is None else cost.slopes(point, residual, STEPS[0], near)
+    fresh = False
+    while stage < len(STEPS) and len(history) <= iterations:
+        if jacobian is None:
+            jacobian, fresh = cost.slopes(point, residual, STEPS[stage]), True
+        dampings = np.clip(damping * (DAMPINGS if near is None else FEW), LEAST_DAMPING, MOST_DAMPING)
+        points = cost.steps(point, residual, jacobian, dampings)
+        trials = cost.residuals(points)
+        costs = 0.5 * np.square(trials).sum(1)
+        best = int(np.nanargmin(costs))
+        gained, least = history[-1] - costs[best], min(history[-1], float(costs[best]))
+        if near is not None and _idle(near, len(history), least, residual + jacobian @ (points[0] - point)):
+            stage = len(STEPS)
+        elif gained < SETTLED * history[-1] and (fresh or (near is not None and len(history) > 1)):
+            stage, jacobian, damping = stage + 1, None if near is None else jacobian, 1e-2
+        elif gained < POOR * history[-1] and (near is None or len(history) == 1):
+            jacobian = None
+        else:
+            jacobian = _broyden(jacobian, points[best] - point, trials[best] - residual)
+            fresh = False
+        if gained > 0:
+            point, residual, damping = points[best], trials[best], float(dampings[best])
+        history.append(least)
+    if jacobian is None or near is None:
+        jacobian = cost.slopes(point, residual, STEPS[-1])
+    shape, n_f = batch.y.shape, cost.n_f
+    tangents = -eliminated(jacobian, n_f)[0][: batch.y.numel()].reshape(*shape, n_f)
+    runs = residual[: batch.y.numel()].reshape(shape)
+    keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
+    info = [system.table[i] for i in cost.rollouts.free]
+    names = tuple(i.name for i in info)
+    return FitResult(
+        system=system.with_values(dict(zip(names, point[:n_f].tolist(), strict=True))),
+        names=names,
+        values=point[:n_f],
+        units=tuple(i.spec.unit for i in info),
+        status="converged" if stage == len(STEPS) else "max_iterations",
+        records=batch.names,
+        cost=history[-1],
+        n_samples=int((batch.weight > 0).sum()),
+        iterations=len(history) - 1,
+        jacobian=tuple(part[k] for part, k in zip(tangents, keep, strict=True)),
+        residual=tuple(part[k] for part, k in zip(runs, keep, strict=True)),
+        prior_precision=cost.precision[:n_f],
+        x0=cost.first_states(point[None])[0],
+        engine=cost.rollouts.engine,
+        history=tuple(history),
+    )
+
+
+def slopes_at(system: System, batch: Batch, engine: Engine) -> Slopes:
+    """Slopes at a model's own values, from measured first states, for coarse fits of its neighbours."""
+    cost = Cost(system, batch, engine)
+    point = cost.point(cost.start, cost.measured)
+    return cost.shared(cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]))
+
+
+def eliminated(slopes: np.ndarray, n_f: int) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes by the parameters while the first states follow these, and how far they do, ``(n_states, n_f)``."""
+    starts = slopes[:, n_f:]
+    follow = -np.linalg.solve(starts.T @ starts, starts.T @ slopes[:, :n_f])
+    return slopes[:, :n_f] + starts @ follow, follow
+
+
+def _idle(near: Slopes, iteration: int, cost: float, predicted: np.ndarray) -> bool:
+    """Whether a coarse fit has come to nothing: no better than what it starts beside, and its slopes promise no more.
+
+    They are believed where it has come near, or after a few steps; ``predicted`` are the residuals that they promise.
+    """
+    interesting = (1.0 - POOR) * near.least
+    if cost <= interesting or (cost >= CLOSE * near.least and iteration < PATIENCE):
+        return False
+    return 0.5 * float(np.square(predicted).sum()) > interesting
+
+
+def _broyden(jacobian: np.ndarray, step: np.ndarray, change: np.ndarray) -> np.ndarray:
+    """Slopes that tell the change that a step has brought, otherwise as they were (Broyden, in scaled parameters)."""
+    along = np.square(jacobian).sum(0) * step
+    length = float(along @ step)
+    return jacobian + np.outer(change - jacobian @ step, along / length) if length > 0 else jacobian

@@ -1,0 +1,328 @@
+"""Optimisers of the adjoint training, one gradient a call: damped quasi-Newton steps, or Adam for large networks.
+
+Quasi-Newton: every set has its own metric, damping and end. The metric of parameters and first states is the
+Gauss-Newton matrix, taken anew after a few accepted steps; in between, and for weights beyond the networks always, it
+follows the gradients by BFGS. Steps are those of Levenberg-Marquardt, inside the bounds.
+
+Adam serves where no matrix of the weights is affordable. Its gradient is that of the loss per measurement in the scaled
+decision vector, clipped to a largest length before it enters the moments: a record that nearly diverges then costs one
+step, not the course.
+
+Neither is one of torch.optim: those move parameters without bounds, take one set at a time, and keep a state that
+cannot be thrown away when a trial step diverges.
+
+Sources: J. Nocedal, S. Wright, Numerical Optimization, 2nd ed., 2006: BFGS eq. (6.19), Gauss-Newton sec. 10.3;
+H. B. Nielsen, Damping Parameter in Marquardt's Method, IMM-REP-1999-05; D. P. Kingma, J. Ba, Adam, ICLR 2015,
+algorithm 1; R. Pascanu, T. Mikolov, Y. Bengio, On the difficulty of training recurrent neural networks, ICML 2013,
+algorithm 1 (clipping).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from hybrid_id.identification.decision_vector import Problem
+from hybrid_id.identification.least_squares import damped_step
+from hybrid_id.simulation.rollout import rollout
+
+DECAY, DECAY_SQUARE, TINY = 0.9, 0.999, 1e-8
+"""Of Adam."""
+SMALLEST_RATE = 1e-4
+"""Share of the first step at which a descent that diverges again and again has stalled."""
+DAMPING, LARGEST_DAMPING = 1e-3, 1e4
+"""First damping relative to the metric's diagonal, and the one at which a set has stalled."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Training:
+    """Where a training stands: all that a checkpoint holds, for sets (G) and rows (R).
+
+    Attributes:
+        stage: number of the stage; began: gradients before it; iteration: gradients so far.
+        substeps, fine: steps of the engine.
+        q: decision vector, ``(G, N)``; slope, cost: gradient and cost there.
+        distance: what is left to go, ``(G,)``.
+        running: whether a set still moves, ``(G,)``.
+        nodes: free run of each row at q, ``(R, T, n_x)``; y: its outputs, ``(R, T, n_y)``.
+        status: of each set, as in a fit's result.
+        history: cost of each set after each gradient of the stage.
+    """
+
+    stage: int
+    began: int
+    iteration: int
+    substeps: int
+    fine: int
+    q: Tensor
+    slope: Tensor
+    cost: Tensor
+    distance: Tensor
+    running: Tensor
+    nodes: Tensor
+    y: Tensor
+    status: list[str]
+    history: list[Tensor]
+
+
+@dataclass(frozen=True, kw_only=True)
+class State(Training):
+    """Where a quasi-Newton training stands; ``distance`` is the length of the undamped step in standard errors.
+
+    Attributes:
+        metric: ``(G, N, N)``, positive definite.
+        damping: added share of the metric's diagonal, ``(G,)``; growth: its factor when a step fails.
+        age: accepted steps since the metric was taken anew, ``(G,)``.
+        steps: gradients of each set, ``(G,)``.
+    """
+
+    metric: Tensor
+    damping: Tensor
+    growth: Tensor
+    age: Tensor
+    steps: Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class Descent(Training):
+    """Where a training by Adam stands, for one set; ``distance`` is the length of the gradient before it is clipped.
+
+    Attributes:
+        mean, square: running means of the gradient and of its square, ``(1, N)``.
+        rate: share of the full step that is left after divergences.
+    """
+
+    mean: Tensor
+    square: Tensor
+    rate: float
+
+
+def _started(problem: Problem, theta: Tensor, stage: int, done: int) -> tuple[Problem, dict[str, Any]]:
+    """The problem with stable steps, and where a stage begins after so many gradients: fields of :class:`Training`."""
+    q = problem.start(theta)
+    engine = problem.engine.stable(problem.system, problem.batch, theta[:, problem.sets])
+    problem = replace(problem, engine=engine)
+    cost, slope, run = problem.value(q, problem.batch.x)
+    if not bool(torch.isfinite(cost).all()):  # the measured states were too far off for Newton's method
+        guess = rollout(problem.system, engine, problem.batch, theta[:, problem.sets])
+        cost, slope, run = problem.value(q, guess)
+    finite = torch.isfinite(cost) & torch.isfinite(slope).all(1)
+    return problem, {
+        "stage": stage, "began": done, "iteration": done + 1, "substeps": engine.substeps, "fine": engine.fine,
+        "q": q, "slope": slope, "cost": cost, "running": finite, "nodes": run.x, "y": run.y, "history": [cost],
+        "status": ["running" if ok else "diverged" for ok in finite.tolist()],
+    }  # fmt: skip
+
+
+def begin(problem: Problem, theta: Tensor, stage: int, before: State | None) -> State:
+    """The state at the start of a stage: steps of the engine, first gradient, Gauss-Newton metric.
+
+    Args:
+        problem: objective of the stage.
+        theta: parameters to start from, ``(n_p, G)``.
+        stage: its number.
+        before: end of the stage before.
+    """
+    problem, start = _started(problem, theta, stage, 0 if before is None else before.iteration)
+    running, zero = start["running"], torch.zeros_like(start["cost"])
+    steps = torch.zeros_like(running, dtype=torch.long) if before is None else before.steps
+    metric = problem.first_metric(start["q"], start["slope"])
+    state = State(
+        **start,
+        metric=metric,
+        damping=zero + DAMPING,
+        growth=zero + 2.0,
+        age=zero,
+        distance=zero,
+        steps=steps + 1,
+    )
+    return _renew(problem, state, running.nonzero().flatten())
+
+
+def _with_stable_steps(problem: Problem, state: State) -> tuple[Problem, State]:
+    """The problem with the steps that the engine needs where the sets stand now, and the state under it."""
+    problem.set_weights(state.q)
+    before = replace(problem.engine, substeps=state.substeps, fine=state.fine)
+    theta, batch = problem.theta(state.q)[:, problem.sets], replace(problem.batch, x=state.nodes)
+    engine = before.stable(problem.system, batch, theta)
+    problem = replace(problem, engine=engine)
+    if engine == before:
+        return problem, state
+    cost, slope, run = problem.value(state.q, state.nodes)
+    kept = state.running & torch.isfinite(cost) & torch.isfinite(slope).all(1)
+    rows = kept[problem.sets]
+    state = replace(
+        state, substeps=engine.substeps, fine=engine.fine, iteration=state.iteration + 1,
+        cost=cost.where(kept, state.cost), slope=slope.where(kept[:, None], state.slope),
+        nodes=run.x.where(rows[:, None, None], state.nodes), y=run.y.where(rows[:, None, None], state.y),
+        steps=state.steps + kept,
+    )  # fmt: skip
+    return problem, _renew(problem, state, kept.nonzero().flatten())
+
+
+def prolonged(state: State, max_iterations: int) -> State:
+    """A state read from a checkpoint, whose sets go on where a larger limit now leaves them gradients."""
+    if state.iteration - state.began >= max_iterations:
+        return state
+    status = ["running" if one == "max_iterations" else one for one in state.status]
+    running = torch.tensor([one == "running" for one in status], device=state.running.device)
+    return replace(state, status=status, running=running)
+
+
+def _renew(problem: Problem, state: State, chosen: Tensor) -> State:
+    """The state with the metric of some sets taken anew, that of the weights kept."""
+    if chosen.numel() == 0:
+        return state
+    part, rows = problem.of(chosen)
+    physical = part.curvature(state.q[chosen], state.nodes[rows], state.cost[chosen])
+    metric, age, size = state.metric.clone(), state.age.clone(), physical.shape[1]
+    metric[chosen, :size], metric[chosen, :, :size] = 0.0, 0.0
+    metric[chosen, :size, :size] = physical
+    age[chosen] = 0.0
+    return replace(state, metric=metric, age=age)
+
+
+def _step(metric: Tensor, slope: Tensor, damping: Tensor, box: tuple[Tensor, Tensor]) -> Tensor:
+    """Minimiser of the damped quadratic model of each set inside its box, ``(G, N)``."""
+    unit = metric.diagonal(dim1=1, dim2=2).rsqrt()
+    return unit * damped_step(metric, slope, unit, (damping[:, None] + 1e-12).expand_as(unit), *box)[0]
+
+
+def _distance(problem: Problem, state: State) -> Tensor:
+    """Length of the undamped step of each set in standard errors, ``(G,)``."""
+    box = problem.box(state.q, trust=False)
+    step = _step(state.metric, state.slope, torch.zeros_like(state.cost), box)
+    size = (step * (state.metric @ step[..., None])[..., 0]).sum(1)
+    return (size.clamp_min(0.0) * problem.data / (2.0 * state.cost).clamp_min(1e-300)).sqrt()
+
+
+def advance(problem: Problem, state: State, tolerance: float, max_iterations: int, refresh: int) -> State:
+    """One gradient of every running set: trial, acceptance, update of the metric.
+
+    A set ends when a metric that was taken at its own point says that it has arrived.
+
+    Args:
+        problem: objective.
+        state: where the sets stand.
+        tolerance: standard errors within which a set has arrived.
+        max_iterations: gradients in this stage.
+        refresh: accepted steps after which the metric is taken anew.
+    """
+    problem, state = _with_stable_steps(problem, state)
+    due = (state.age >= refresh) | ((state.age > 0) & (_distance(problem, state) < tolerance))
+    state = _renew(problem, state, (state.running & due).nonzero().flatten())
+    distance, status, running = _distance(problem, state), list(state.status), state.running.clone()
+    for g in running.nonzero().flatten().tolist():
+        if float(distance[g]) < tolerance:
+            status[g] = "converged"
+        elif float(state.damping[g]) > LARGEST_DAMPING:
+            status[g] = "stalled"
+        elif state.iteration - state.began >= max_iterations:
+            status[g] = "max_iterations"
+        running[g] = status[g] == "running"
+    state = replace(state, status=status, running=running, distance=distance)
+    chosen = running.nonzero().flatten()
+    if chosen.numel() == 0:
+        return state
+
+    part, rows = problem.of(chosen)
+    old, metric, damping = state.cost[chosen], state.metric[chosen], state.damping[chosen]
+    step = _step(metric, state.slope[chosen], damping, part.box(state.q[chosen]))
+    pulled = (metric @ step[..., None])[..., 0]
+    predicted = -(state.slope[chosen] * step).sum(1) - 0.5 * (step * pulled).sum(1)
+    cost, slope, run = part.value(state.q[chosen] + step, state.nodes[rows])
+    finite = torch.isfinite(cost) & torch.isfinite(slope).all(1)
+    accepted = finite & (old - cost >= 1e-4 * predicted - 1e-10 * old)
+    ratio = ((old - cost) / predicted).nan_to_num(0.0).clamp(-10.0, 10.0)
+    ease = (1.0 - (2.0 * ratio - 1.0) ** 3).clamp(0.1, 2.0)
+    growth = state.growth[chosen]
+
+    change = slope - state.slope[chosen]
+    curved, stiff = (step * change).sum(1), (step * pulled).sum(1)
+    usable = accepted & (curved > 1e-8 * step.norm(dim=1) * change.norm(dim=1))
+    update = _outer(change) / curved[:, None, None] - _outer(pulled) / stiff[:, None, None]
+    metric = torch.where(usable[:, None, None], metric + update, metric)
+
+    def at(old: Tensor, index: Tensor, new: Tensor) -> Tensor:
+        return old.index_copy(0, index, new.to(old.dtype))
+
+    taken, moved = chosen[accepted], accepted[part.sets].nonzero().flatten()
+    new_cost = at(state.cost, taken, cost[accepted])
+    return replace(
+        state,
+        iteration=state.iteration + 1,
+        q=at(state.q, taken, (state.q[chosen] + step)[accepted]),
+        slope=at(state.slope, taken, slope[accepted]),
+        cost=new_cost,
+        metric=at(state.metric, chosen, metric),
+        damping=at(state.damping, chosen, damping * torch.where(accepted, ease, growth)),
+        growth=at(state.growth, chosen, torch.where(accepted, torch.full_like(growth, 2.0), 2.0 * growth)),
+        age=at(state.age, chosen, state.age[chosen] + accepted),
+        steps=at(state.steps, chosen, state.steps[chosen] + 1),
+        nodes=at(state.nodes, rows[moved], run.x[moved]),
+        y=at(state.y, rows[moved], run.y[moved]),
+        history=[*state.history, new_cost],
+    )  # fmt: skip
+
+
+def _outer(vector: Tensor) -> Tensor:
+    return vector[:, :, None] * vector[:, None, :]
+
+
+def begin_descent(problem: Problem, theta: Tensor, stage: int) -> Descent:
+    """The descent at the start of a stage.
+
+    Args:
+        problem: objective of the stage, with one set.
+        theta: parameters to start from, ``(n_p, 1)``.
+        stage: its number.
+    """
+    problem, start = _started(problem, theta, stage, 0)
+    zero, length = torch.zeros_like(start["q"]), start["slope"].norm(dim=1) / problem.data
+    return Descent(**start, mean=zero, square=zero, rate=1.0, distance=length)
+
+
+def descend(problem: Problem, state: Descent, rate: float, clip: float, max_iterations: int) -> Descent:
+    """One step along the clipped gradient, and the gradient where it ends.
+
+    Args:
+        problem: objective.
+        state: where the descent stands.
+        rate: largest change of an entry of the decision vector in one step.
+        clip: largest length of the gradient.
+        max_iterations: gradients in this stage.
+    """
+    count = state.iteration - state.began
+    if count >= max_iterations or state.rate < SMALLEST_RATE:
+        status = "max_iterations" if count >= max_iterations else "stalled"
+        return replace(state, running=torch.zeros_like(state.running), status=[status])
+    theta, batch = problem.theta(state.q)[:, problem.sets], replace(problem.batch, x=state.nodes)
+    before = replace(problem.engine, substeps=state.substeps, fine=state.fine)
+    problem.set_weights(state.q)
+    engine = before.stable(problem.system, batch, theta)
+    problem = replace(problem, engine=engine)
+    gradient = clipped(state.slope / problem.data[:, None], clip)
+    mean = DECAY * state.mean + (1.0 - DECAY) * gradient
+    square = DECAY_SQUARE * state.square + (1.0 - DECAY_SQUARE) * gradient.square()
+    unbiased = mean / (1.0 - DECAY**count), square / (1.0 - DECAY_SQUARE**count)
+    step = -rate * state.rate * unbiased[0] / (unbiased[1].sqrt() + TINY)
+    low, high = problem.box(state.q)
+    q = state.q + torch.maximum(torch.minimum(step, high), low)
+    cost, slope, run = problem.value(q, state.nodes)
+    state = replace(state, iteration=state.iteration + 1, substeps=engine.substeps, fine=engine.fine)
+    if not bool(torch.isfinite(cost).all() and torch.isfinite(slope).all()):
+        # the averages count every gradient, as the correction of their beginning does
+        halved = replace(state, rate=0.5 * state.rate, history=[*state.history, state.cost])
+        return replace(halved, mean=mean, square=square)
+    return replace(
+        state, q=q, slope=slope, cost=cost, mean=mean, square=square, nodes=run.x, y=run.y,
+        distance=slope.norm(dim=1) / problem.data, history=[*state.history, cost],
+    )  # fmt: skip
+
+
+def clipped(gradient: Tensor, longest: float) -> Tensor:
+    """The gradient of each set, ``(G, N)``, shortened to a largest length."""
+    return gradient * (longest / gradient.norm(dim=1, keepdim=True).clamp_min(longest))

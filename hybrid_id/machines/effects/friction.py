@@ -1,0 +1,299 @@
+"""Effects of friction, on either side of the gear."""
+
+import numpy as np
+
+from hybrid_id.machines.effects.base import Effect, dry, fast
+from hybrid_id.machines.physics.friction import (
+    Coulomb,
+    Dahl,
+    LoadDependent,
+    LuGre,
+    MaxwellSlip,
+    PositionDependent,
+    Power,
+    SmoothCoulomb,
+    Stribeck,
+    Uneven,
+)
+from hybrid_id.machines.robots import log_uniform
+
+RIGID = ("one_link", "two_link")
+
+
+def without(drive, kind):
+    """Take the laws of a kind off a rotor and give the first of them back."""
+    found = [law for law in drive.rotor_laws if isinstance(law, kind)]
+    drive.rotor_laws = [law for law in drive.rotor_laws if not isinstance(law, kind)]
+    return found[0]
+
+
+class WithheldCoulomb(Effect):
+    """Dry friction of the motor that today's simulator does without."""
+
+    name, place, sized, size_keys = "coulomb_friction", "motor_friction", ("F_c",), {"F_c": "newton_metres"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"F_c": dry(robot, joint) * rng.uniform(0.7, 1.5)})
+
+    def alter(self, robot):
+        name = robot.name(self.joint, "F_c")
+        return robot.with_values({name: self.values["F_c"]}, withheld=True)
+
+
+class WithheldSmoothCoulomb(WithheldCoulomb):
+    """The same as a steep smooth law, which creeps."""
+
+    place, replaces = "motor_friction", True
+
+    def install(self, machine, robot):
+        drive = self.drive(machine)
+        without(drive, Coulomb)
+        drive.rotor_laws.append(SmoothCoulomb(self.values["F_c"], 0.4))
+
+
+class LinkCoulomb(Effect):
+    """Dry friction of the link's bearing behind a flexible gear."""
+
+    name, place, sized, size_keys = (
+        "coulomb_friction",
+        "link_friction",
+        ("F_c",),
+        {"F_c": "newton_metres_link"},
+    )
+    systems = ("one_link_flexible",)
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"F_c": dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.2)})
+
+    def law(self, robot):
+        return Coulomb(self.values["F_c"], on_link=True)
+
+
+class WithheldLinkViscous(Effect):
+    """Viscous friction of the link's bearing that today's simulator does without."""
+
+    name, place, sized = "viscous_friction", "link_friction", ("F_va",)
+    systems, size_keys = ("one_link_flexible",), {"F_va": "newton_metre_seconds_link"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"F_va": robot.values["F_va"] * rng.uniform(1.0, 4.0)})
+
+    def alter(self, robot):
+        return robot.with_values({"F_va": self.values["F_va"]}, withheld=True)
+
+
+class StribeckGaussian(Effect):
+    """Breakaway above Coulomb, falling with the square of the speed in the exponent."""
+
+    name, place, sized = "stribeck_friction", "motor_friction", ("drop",)
+    size_keys = {"drop": "newton_metres_above_coulomb", "v_s": "rad_per_second"}
+    shapes = ("v_s",)
+    shape = "gaussian"
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(
+            joint, {"drop": dry(robot, joint) * rng.uniform(0.2, 1.0), "v_s": log_uniform(rng, 4.0, 40.0)}
+        )
+
+    def law(self, robot):
+        return Stribeck(self.values["drop"], self.values["v_s"], self.shape)
+
+
+class StribeckExponential(StribeckGaussian):
+    """The same, exponential in the speed."""
+
+    place, shape = "motor_friction", "exponential"
+
+
+class StribeckLorentzian(StribeckGaussian):
+    """The same, with a long tail."""
+
+    place, shape = "motor_friction", "lorentzian"
+
+
+class UnevenDry(Effect):
+    """Dry friction that differs with the direction."""
+
+    name, place, sized = "asymmetric_friction", "motor_friction", ("excess",)
+    size_keys = {"excess": "newton_metres_difference"}
+    signed = ("excess", "slope")
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"excess": rng.choice([-1, 1]) * dry(robot, joint) * rng.uniform(0.2, 0.9)})
+
+    def law(self, robot):
+        # at most 1.9 times the level itself, so that friction opposes motion both ways
+        most = 1.9 * dry(robot, self.joint)
+        excess = np.clip(self.values["excess"], -most, most)
+        return Uneven(excess)
+
+
+class UnevenBoth(UnevenDry):
+    """Dry and viscous friction that differ with the direction."""
+
+    place, sized = "motor_friction", ("excess", "slope")
+    size_keys = {"excess": "newton_metres_difference", "slope": "newton_metre_seconds_difference"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        side = rng.choice([-1, 1])
+        excess = side * dry(robot, joint) * rng.uniform(0.2, 0.7)
+        slope = side * robot.value(joint, "F_v") * rng.uniform(0.2, 0.6)
+        return cls(joint, {"excess": excess, "slope": slope})
+
+    def law(self, robot):
+        most = 1.9 * dry(robot, self.joint)
+        excess = np.clip(self.values["excess"], -most, most)
+        steepest = 1.9 * robot.value(self.joint, "F_v")
+        slope = np.clip(self.values["slope"], -steepest, steepest)
+        return Uneven(excess, slope)
+
+
+class PreslidingDahl(Effect):
+    """The dry friction builds up over a deflection: Dahl's law in Coulomb's place."""
+
+    name, place, sized = "presliding_friction", "motor_friction", ("deflection",)
+    size_keys, replaces = {"deflection": "rad_of_deflection"}, True
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"deflection": log_uniform(rng, 0.3, 4.0)})
+
+    def install(self, machine, robot):
+        drive = self.drive(machine)
+        level = without(drive, Coulomb).F_c
+        drive.rotor_laws.append(self.with_memory(level, level / self.values["deflection"]))
+
+    def with_memory(self, level, stiffness):
+        """The law with memory that takes Coulomb's place."""
+        return Dahl(level, stiffness)
+
+
+class PreslidingLuGre(PreslidingDahl):
+    """LuGre's bristles with a little damping of their own."""
+
+    place = "motor_friction"
+
+    def with_memory(self, level, stiffness):
+        return LuGre(level, stiffness, damping=0.01 * stiffness)
+
+
+class PreslidingMaxwell(PreslidingDahl):
+    """Springs that slide one after the other."""
+
+    place = "motor_friction"
+
+    def with_memory(self, level, stiffness):
+        return MaxwellSlip(level, stiffness)
+
+
+class MotorDrag(Effect):
+    """Drag with the square of the rotor's speed."""
+
+    name, place, sized = "quadratic_drag", "motor_friction", ("F",)
+    size_keys = {"F": "newton_metre_seconds2"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"F": dry(robot, joint) * rng.uniform(0.3, 2.0) / fast(robot, joint) ** 2})
+
+    def law(self, robot):
+        return Power(self.values["F"])
+
+
+class LinkDrag(Effect):
+    """Drag with the square of the link's speed, behind a flexible gear."""
+
+    name, place, sized = "quadratic_drag", "link_friction", ("F",)
+    systems, size_keys = ("one_link_flexible",), {"F": "newton_metre_seconds2_link"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        speed = fast(robot, joint) / robot.ratio[joint]
+        return cls(joint, {"F": dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 2.0) / speed**2})
+
+    def law(self, robot):
+        return Power(self.values["F"], on_link=True)
+
+
+class LoadFriction(Effect):
+    """Dry friction with the torque that the gear carries."""
+
+    name, place, sized, size_keys = (
+        "load_dependent_friction",
+        "motor_friction",
+        ("mu",),
+        {"mu": "share_of_torque"},
+    )
+    by_effort = False
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"mu": rng.uniform(0.05, 0.3)})
+
+    def law(self, robot):
+        mu = np.minimum(self.values["mu"], 0.6)
+        return LoadDependent(mu, self.by_effort)
+
+
+class EffortFriction(LoadFriction):
+    """Dry friction with the torque of the motor."""
+
+    place, by_effort = "motor_friction", True
+
+
+class AngleFriction(Effect):
+    """Dry friction that waves over the joint's angle."""
+
+    name, place, sized = "position_dependent_friction", "motor_friction", ("amplitude",)
+    size_keys = {"amplitude": "newton_metres", "periods": "periods_per_joint_turn"}
+    shapes, signed = ("periods", "phase"), ("phase",)
+    spot = False
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(
+            joint,
+            {
+                "amplitude": dry(robot, joint) * rng.uniform(0.3, 1.2),
+                "periods": float(rng.integers(1, 9)),
+                "phase": rng.uniform(0, 2 * np.pi),
+            },
+        )
+
+    def law(self, robot):
+        v = self.values
+        return PositionDependent(v["amplitude"], v["periods"], v["phase"], self.spot)
+
+
+class TightSpot(AngleFriction):
+    """Dry friction in one narrow range of the joint's angle."""
+
+    place, spot = "motor_friction", True
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(
+            joint,
+            {
+                "amplitude": dry(robot, joint) * rng.uniform(0.5, 2.0),
+                "periods": rng.uniform(3.0, 8.0),
+                "phase": rng.uniform(-0.3, 0.3),
+            },
+        )
+
+
+class LinkAngleFriction(AngleFriction):
+    """The same at the bearing of a link behind a flexible gear."""
+
+    place, systems = "link_friction", ("one_link_flexible",)
+
+    def law(self, robot):
+        v = self.values
+        amplitude = v["amplitude"] * robot.ratio[self.joint]
+        return PositionDependent(amplitude, v["periods"], v["phase"], on_link=True)

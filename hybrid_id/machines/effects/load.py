@@ -1,0 +1,113 @@
+"""Effects that act on the links from outside, or between them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid_id.machines.effects.base import Effect, dry
+from hybrid_id.machines.physics.law import Lanes
+from hybrid_id.machines.physics.load import ConstantTorque, Gravity, RestSpring
+from hybrid_id.machines.robots import log_uniform
+
+GRAVITY = 9.81
+LINK = ("one_link", "one_link_flexible")
+
+
+class Unbalance(Effect):
+    """A weight off the axis of one link; where the model has gravity, off the link's own line too."""
+
+    name, place, sized, systems = "gravity_load", "load", ("G",), LINK
+    size_keys = {"G": "newton_metres_link_or_sine_of_tilt"}
+    shapes, signed = ("q_0",), ("q_0",)
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        G = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.2, 1.0)
+        aside = rng.choice([-1, 1]) * rng.uniform(0.8, 2.3)
+        return cls(joint, {"G": G, "q_0": aside if robot.vertical else rng.uniform(-np.pi, np.pi)})
+
+    def law(self, robot):
+        return Gravity(self.values["G"], self.values["q_0"])
+
+
+class Tilt(Effect):
+    """A base of an arm that is not level."""
+
+    name, place, sized, systems = "gravity_load", "load", ("sine",), ("two_link",)
+    size_keys = {"sine": "newton_metres_link_or_sine_of_tilt"}
+    shapes, signed = ("q_0",), ("q_0",)
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(0, {"sine": rng.uniform(0.02, 0.15), "q_0": rng.uniform(-np.pi, np.pi)})
+
+    @classmethod
+    def acts_at(cls, robot, joint):
+        return joint == 0  # a base has one tilt
+
+    def scaled(self, factor):
+        grown = super().scaled(factor)
+        return grown.with_values({"sine": np.clip(grown.values["sine"], -0.95, 0.95)})
+
+    def install(self, machine, robot):
+        pull: Lanes = GRAVITY * self.values["sine"]
+        first, second = (pull * moment for moment in robot.moments)
+        machine.links = replace(machine.links, G_1=first, G_2=second, q_0=self.values["q_0"])
+
+
+class Hose(Effect):
+    """A cable or hose that pulls towards a rest angle."""
+
+    name, place, sized = "spring_load", "load", ("k",)
+    size_keys = {"k": "newton_metres_per_rad_link", "rest": "rest_rad"}
+    shapes, signed = ("rest",), ("rest",)
+    cubic = 0.0
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        k = dry(robot, joint) * robot.ratio[joint] * rng.uniform(0.3, 1.5)
+        return cls(joint, {"k": k, "rest": rng.uniform(-0.5, 0.5)})
+
+    def law(self, robot):
+        k = self.values["k"]
+        return RestSpring(k, self.values["rest"], self.cubic * k)
+
+
+class StiffeningHose(Hose):
+    """The same, stiffer when it is drawn out."""
+
+    place, cubic = "load", 0.3
+
+
+class Bias(Effect):
+    """A constant torque, or an offset of the amplifier."""
+
+    name, place, sized, size_keys = "constant_torque", "load", ("bias",), {"bias": "newton_metres"}
+    signed = ("bias",)
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        size = rng.choice([-1, 1]) * dry(robot, joint) * log_uniform(rng, 0.08, 0.6)
+        return cls(joint, {"bias": size})
+
+    def install(self, machine, robot):
+        most = 0.95 * dry(robot, self.joint)  # the joint still starts at rest
+        bias = np.clip(self.values["bias"], -most, most)
+        self.drive(machine).rotor_laws.append(ConstantTorque(bias))
+
+
+class WithheldCoupling(Effect):
+    """Inertial coupling of two links that today's simulator does without."""
+
+    name, place, sized, systems = "joint_coupling", "load", ("P_3", "P_4"), ("two_link",)
+    size_keys = {"P_3": "P_3_kilogram_metres2", "P_4": "P_4_kilogram_metres2"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(0, {name: float(robot.values[name]) for name in ("P_3", "P_4")})
+
+    def scaled(self, factor):
+        return super().scaled(np.minimum(factor, 1.0))
+
+    def alter(self, robot):
+        return robot.with_values(self.values, withheld=True)

@@ -1,0 +1,168 @@
+"""Effects between the command and the rotor: amplifier, winding, magnets."""
+
+import numpy as np
+
+from hybrid_id.machines.effects.base import Effect, dry, stall
+from hybrid_id.machines.physics.motor import Cogging, Deadband, Delay, Saturation, SoftSaturation, SupplySag
+from hybrid_id.machines.robots import log_uniform
+
+
+class InputDelay(Effect):
+    """Dead time before the amplifier."""
+
+    name, place, sized, size_keys = "delay", "input", ("delay",), {"delay": "seconds"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"delay": log_uniform(rng, 0.003, 0.012)})
+
+    def install(self, machine, robot):
+        self.drive(machine).amplifier.insert(0, Delay(self.values["delay"]))
+
+
+class MeasurementDelay(InputDelay):
+    """Dead time behind the only encoder: the same from outside, up to what a controller makes of it."""
+
+    place = "input"
+    systems = ("one_link", "one_link_flexible")
+
+    @classmethod
+    def fits(cls, robot):
+        return super().fits(robot) and not robot.link_encoder
+
+    def install(self, machine, robot):
+        self.drive(machine).sensor_delay = self.values["delay"]
+
+
+class Threshold(Effect):
+    """Nothing below a threshold, the whole command above it."""
+
+    name, place, sized = "voltage_deadband", "input", ("volts",)
+    shift = 0.0
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        breakaway = dry(robot, joint) / robot.value(joint, "P_m1")
+        return cls(joint, {"volts": breakaway * rng.uniform(0.4, 1.5)})
+
+    def law(self, robot):
+        return Deadband(self.values["volts"], self.shift)
+
+
+class DeadZone(Threshold):
+    """Nothing below a threshold, the command less the threshold above it."""
+
+    place = "input"
+    shift = 1.0
+
+
+class HardLimit(Effect):
+    """A supply below the largest commands, which cuts them."""
+
+    name, place, sized, size_keys = "voltage_saturation", "input", ("excess",), {"volts": "volts"}
+    soft = False
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"excess": rng.uniform(0.5, 2.0), "supply": robot.supply})
+
+    @property
+    def limit(self):
+        """Highest voltage [V]."""
+        return self.values["supply"] / (1 + self.values["excess"])
+
+    def size(self):
+        return Effect(self.joint, {"volts": self.limit}).size()
+
+    def law(self, robot):
+        return SoftSaturation(self.limit) if self.soft else Saturation(self.limit)
+
+
+class SoftLimit(HardLimit):
+    """The same, neared gradually."""
+
+    place, replaces = "input", True
+    soft = True
+
+
+class WeakSupply(Effect):
+    """A supply whose voltage sags under load."""
+
+    name, place, sized, size_keys = "supply_sag", "input", ("sag",), {"sag": "volts_per_newton_metre"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        sag = rng.uniform(0.1, 0.5) * robot.supply / stall(robot, joint)
+        return cls(joint, {"sag": sag, "supply": robot.supply})
+
+    def law(self, robot):
+        # beyond it the voltage that is left swings from step to step
+        most = 0.9 / robot.value(self.joint, "P_m1")
+        return SupplySag(np.minimum(self.values["sag"], most), self.values["supply"])
+
+
+class WindingLag(Effect):
+    """First-order lag of the current, L / R."""
+
+    name, place, sized, size_keys = "electrical_lag", "motor", ("lag",), {"lag": "seconds"}
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"lag": log_uniform(rng, 0.002, 0.012)})
+
+    def install(self, machine, robot):
+        self.drive(machine).motor.lag = self.values["lag"]
+
+
+class CoggingTorque(Effect):
+    """One period of torque over the rotor's angle."""
+
+    name, place, sized = "cogging", "motor", ("amplitude",)
+    size_keys = {"amplitude": "newton_metres", "periods": "periods_per_turn"}
+    shapes, signed = ("phase",), ("phase",)
+    overtone = 0.0
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(
+            joint,
+            {
+                "amplitude": dry(robot, joint) * rng.uniform(0.3, 1.5),
+                "periods": float(rng.choice([1, 2, 4, 6, 8, 12])),
+                "phase": rng.uniform(0, 2 * np.pi),
+            },
+        )
+
+    def law(self, robot):
+        v = self.values
+        amplitudes, periods, phases = (v["amplitude"],), (v["periods"],), (v["phase"],)
+        if self.overtone:
+            amplitudes += (self.overtone * v["amplitude"],)
+            periods += (2 * v["periods"],)
+            phases += (2.7 * v["phase"],)
+        return Cogging(amplitudes, periods, phases)
+
+
+class CoggingWithOvertone(CoggingTorque):
+    """The same with a second harmonic of a third: no magnet is a sine."""
+
+    place = "motor"
+    overtone = 0.33
+
+
+class Warming(Effect):
+    """Winding that warms with the square of its torque; its resistance rises and takes torque away."""
+
+    name, place, sized = "thermal_derating", "motor", ("rise",)
+    size_keys = {"rise": "relative_rise_of_resistance", "cooling": "seconds_of_cooling"}
+    shapes = ("cooling",)
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"rise": rng.uniform(0.2, 0.8), "cooling": log_uniform(rng, 3.0, 30.0)})
+
+    def install(self, machine, robot):
+        motor, v = self.drive(machine).motor, self.values
+        # the rise after 5 s at a quarter of the stall torque, were there no cooling
+        motor.heating = v["rise"] / (5.0 * (0.25 * stall(robot, self.joint)) ** 2)
+        motor.cooling = v["cooling"]

@@ -1,0 +1,160 @@
+"""Effects of the gear."""
+
+import numpy as np
+
+from hybrid_id.machines.effects.base import Effect, link_inertia, stall
+from hybrid_id.machines.physics.transmission import (
+    Gear,
+    HardeningSpring,
+    LinearSpring,
+    Play,
+    PlaySpring,
+    TwoStageSpring,
+)
+from hybrid_id.machines.robots import log_uniform
+
+RIGID = ("one_link", "two_link")
+
+
+class FlatTeeth(Effect):
+    """Play between flat teeth of a rigid gear."""
+
+    name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
+    systems = RIGID
+    exponent, substeps, replaces = 1.0, 4, True
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(
+            joint,
+            {
+                "gap": log_uniform(rng, 0.004, 0.04),
+                "contact": link_inertia(robot, joint) * (2 * np.pi * rng.uniform(25, 50)) ** 2,
+                "loss": log_uniform(rng, 1.0, 8.0),
+            },
+        )
+
+    def install(self, machine, robot):
+        v = self.values
+        # a stiffness per power of depth that gives the same force one milliradian deep
+        contact = v["contact"] * 1e-3 ** (1 - self.exponent)
+        self.drive(machine).spring = Play(v["gap"], contact, v["loss"], self.exponent)
+
+
+class RoundTeeth(FlatTeeth):
+    """Play between round teeth (Hertz)."""
+
+    place, exponent = "transmission", 1.5
+
+
+class PlayBeforeSpring(Effect):
+    """Play in series with the spring of a flexible gear."""
+
+    replaces = True
+    name, place, sized, size_keys = "backlash", "transmission", ("gap",), {"gap": "rad_at_link"}
+    systems = ("one_link_flexible",)
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"gap": log_uniform(rng, 0.005, 0.05)})
+
+    def install(self, machine, robot):
+        spring = PlaySpring(self.values["gap"], robot.values["k"], robot.values["d"])
+        self.drive(machine).spring = spring
+
+
+class SoftGear(Effect):
+    """A spring where the model is rigid."""
+
+    name, place, sized, systems = "joint_flexibility", "transmission", ("compliance",), RIGID
+    size_keys = {"stiffness": "newton_metres_per_rad_link", "damping": "newton_metre_seconds_link"}
+    shapes, replaces = ("ratio",), True
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        stiffness = link_inertia(robot, joint) * (2 * np.pi * rng.uniform(3, 9)) ** 2
+        return cls(joint, {"compliance": 1 / stiffness, "ratio": rng.uniform(0.03, 0.2)})
+
+    def spring(self, robot):
+        """Stiffness and damping of the linear spring."""
+        stiffness = 1 / self.values["compliance"]
+        damping = 2 * self.values["ratio"] * np.sqrt(stiffness * link_inertia(robot, self.joint))
+        return stiffness, damping
+
+    def size(self):
+        return Effect(self.joint, {"newton_metres_per_rad_link": 1 / self.values["compliance"]}).size()
+
+    def install(self, machine, robot):
+        self.drive(machine).spring = LinearSpring(*self.spring(robot))
+
+
+class SlightlyHardSoftGear(SoftGear):
+    """The same, a little stiffer far out, as no gear is linear."""
+
+    place = "transmission"
+
+    def install(self, machine, robot):
+        k, damping = self.spring(robot)
+        twist = 0.3 * stall(robot, self.joint) * robot.ratio[self.joint] / k
+        self.drive(machine).spring = HardeningSpring(k, damping, 0.1 * k / twist**2)
+
+
+class CubicSpring(Effect):
+    """A cubic spring where the model's is linear."""
+
+    name, place, sized = "hardening_flexibility", "transmission", ("stiffening",)
+    systems, size_keys = ("one_link_flexible",), {"stiffening": "relative_stiffening_at_stall_torque"}
+    replaces = True
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        return cls(joint, {"stiffening": log_uniform(rng, 1.0, 20.0)})
+
+    def install(self, machine, robot):
+        k = robot.values["k"]
+        twist = stall(robot, self.joint) * robot.ratio[self.joint] / k
+        stiffer = self.values["stiffening"] * k / twist**2
+        self.drive(machine).spring = HardeningSpring(k, robot.values["d"], stiffer)
+
+
+class SteppedSpring(CubicSpring):
+    """A spring that gets stiffer beyond a knee."""
+
+    place = "transmission"
+
+    def install(self, machine, robot):
+        k = robot.values["k"]
+        knee = 0.04 * stall(robot, self.joint) * robot.ratio[self.joint] / k
+        self.drive(machine).spring = TwoStageSpring(k, robot.values["d"], self.values["stiffening"] * k, knee)
+
+
+class GearError(Effect):
+    """A ratio that waves with the rotor's angle."""
+
+    name, place, sized = "kinematic_error", "transmission", ("error",)
+    size_keys = {"error": "rad_at_link", "periods": "periods_per_motor_turn"}
+    shapes, signed = ("phase",), ("phase",)
+    overtone = 0.0
+
+    @classmethod
+    def draw(cls, rng, robot, joint):
+        periods = float(rng.choice([0.5, 1, 1, 2, 2]))
+        error = rng.uniform(0.05, 0.3) / (robot.ratio[joint] * periods)
+        return cls(joint, {"error": error, "periods": periods, "phase": rng.uniform(0, 2 * np.pi)})
+
+    def install(self, machine, robot):
+        v, ratio = self.values, robot.ratio[self.joint]
+        # the map must rise everywhere
+        error = np.minimum(v["error"], 0.6 / (ratio * v["periods"]))
+        errors, periods, phases = (error,), (v["periods"],), (v["phase"],)
+        if self.overtone:
+            errors += (self.overtone * error,)
+            periods += (2 * v["periods"],)
+            phases += (1.7 * v["phase"],)
+        self.drive(machine).gear = Gear(ratio, errors, periods, phases)
+
+
+class GearErrorWithOvertone(GearError):
+    """The same with a second harmonic."""
+
+    place, overtone = "transmission", 0.25

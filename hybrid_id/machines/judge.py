@@ -1,0 +1,254 @@
+"""One diagnosis held against its ground truth: what it has right, in plain figures."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations, permutations
+from typing import Any
+
+Truth = Mapping[str, Any]
+Said = Mapping[str, Any]
+"""The content of a ``diagnosis.json``."""
+SOUND = ("none", "parameters")
+"""Families whose structure is right; in those of earlier generators, ``none`` has wrong values, too."""
+LINK = ("link_friction", "load")
+"""Places on the link's side of a gear."""
+RIGHT, WRONG = 1.05, 1.2
+"""Error of today's values over that of the re-fit up to which they are right, and from which they are wrong."""
+
+
+@dataclass(frozen=True)
+class Judged:
+    """How one case went; None where a question does not arise.
+
+    Attributes:
+        case: its name.
+        family, level, system, engine: of the case.
+        realism: clean or messy.
+        effect: what was at work, of a messy machine what was dominant; several joined by ``+``.
+        records: train records that the diagnosis had.
+        broken: why there is no diagnosis, empty where there is one.
+        seconds: time that the diagnosis took.
+        said: what it stands by, in one word: an effect's name (that of the answer where it is accepted), ``unknown``,
+            ``none`` or ``broken``.
+        top_1, top_3: whether an accepted name is ranked first, among the first three (single effects; a messy machine's
+            dominant ones).
+        place: whether the first one's place is accepted (likewise).
+        top_1_at_place: both together.
+        pair: hits, named and true effects of a pair.
+        whole: whether exactly what was at work is named: all effects and no other, nothing where nothing was, and
+            "unknown" with no name beside it where it is outside the catalogue. Of a messy machine: a dominant effect
+            first, no name that was not at work, and "unknown" only where the dominant effect is outside the catalogue.
+        false_alarm: whether something is named in a case where the structure is right.
+        values: whether it is told there that nothing is wrong, or the parameters alone.
+        outside: whether something outside the catalogue is detected where it acts.
+        outside_at: whether the joint, and the side of its gear, at which it is said to act are right; None where
+            neither is told.
+        false_unknown: whether it is claimed where nothing like it acts.
+        claims: probability of each ranked effect, and whether it was at work.
+        share_errors: claimed share of the gap of each effect that is rightly named, less the true one [points].
+        share_covered: whether the interval of the first one's share holds the true one.
+        shrink_error: claimed share of the gap that closes, less the true one [points].
+        covered: whether the interval of the share holds the true one.
+        closed: share of the closable gap that is closed.
+    """
+
+    case: str
+    family: str
+    level: str
+    system: str
+    engine: str
+    realism: str
+    effect: str
+    records: int
+    broken: str
+    seconds: float
+    said: str
+    top_1: bool | None = None
+    top_3: bool | None = None
+    place: bool | None = None
+    top_1_at_place: bool | None = None
+    pair: tuple[int, int, int] | None = None
+    whole: bool = False
+    false_alarm: bool | None = None
+    values: bool | None = None
+    outside: bool | None = None
+    outside_at: bool | None = None
+    false_unknown: bool | None = None
+    claims: tuple[tuple[float, bool], ...] = ()
+    share_errors: tuple[float, ...] = ()
+    share_covered: bool | None = None
+    shrink_error: float | None = None
+    covered: bool | None = None
+    closed: float | None = None
+
+    @property
+    def f1(self) -> float | None:
+        """Harmonic mean of precision and recall of a pair's effects."""
+        return None if self.pair is None else 2 * self.pair[0] / max(self.pair[1] + self.pair[2], 1)
+
+
+def judge(case: str, answers: Truth, said: Said | None) -> Judged:
+    """Hold a diagnosis against its answers; a broken one, or None, has nothing right.
+
+    Args:
+        case: its name.
+        answers: its answers.
+        said: its diagnosis, with what the run tells of itself in ``run``.
+    """
+    run = (said or {}).get("run", {})
+    broken = "not run" if said is None else str(run.get("message") or "")
+    if broken or said is None:
+        said = {}
+    family, truth, realism = (
+        str(answers["family"]),
+        answers["effects"],
+        "messy" if "messy" in answers else "clean",
+    )
+    leading = [t for t in truth if t.get("role", "dominant") == "dominant"]
+    ranked: Sequence[Said] = said.get("effects", [])
+    chosen = [e for e in ranked if e["selected"]]
+    unknown = bool(said.get("unknown", False))
+    known, messy = family != "unknown", realism == "messy"
+    asked = family == "single" or (messy and family == "pair")
+    hits = _hits(chosen, truth) if known or messy else 0
+    first = ranked[0] if ranked else None
+    named = [any(_named(e, t) for t in leading) for e in ranked[:3]] if asked else []
+    at_place = bool(asked and first and any(_right(first, t) for t in leading))
+    if messy:
+        whole = len(chosen) == hits and (at_place if asked else True)
+    else:
+        whole = len(chosen) == hits == (len(truth) if known else 0)
+    error, covered = _shrink(said, answers)
+    errors, share_covered = _shares(chosen, truth) if messy else ((), None)
+    return Judged(
+        case=case,
+        family=family,
+        level=str(answers["level"]),
+        system=str(run.get("system") or answers.get("made_by", {}).get("system", "")),
+        engine=str(answers.get("made_by", {}).get("engine", "")),
+        realism=realism,
+        effect="+".join(t["name"] for t in leading) or "none",
+        records=int(run.get("train_records", 0)),
+        broken=broken,
+        seconds=float(run.get("seconds", math.nan)),
+        said="broken" if broken else _in_a_word(leading if asked else [], chosen, unknown),
+        top_1=any(named[:1]) if asked else None,
+        top_3=any(named) if asked else None,
+        place=bool(first and any(first["where"] in t["accept_where"] for t in leading)) if asked else None,
+        top_1_at_place=at_place if asked else None,
+        pair=(hits, len(chosen), len(truth)) if family == "pair" and not messy else None,
+        whole=not broken and unknown is not known and whole,
+        false_alarm=(bool(chosen) or unknown) if family in SOUND and not broken else None,
+        values=_values(said, answers) if family in SOUND and not broken else None,
+        outside=unknown if not known else None,
+        outside_at=_acts_there(said.get("unknown_at") or {}, truth[0]) if unknown and not known else None,
+        false_unknown=unknown if known and not broken else None,
+        claims=tuple((float(e["probability"]), bool(_hits([e], truth))) for e in ranked),
+        shrink_error=error,
+        covered=covered,
+        closed=None if broken else _closed(said, answers),
+        share_errors=errors,
+        share_covered=share_covered,
+    )  # fmt: skip
+
+
+def _named(effect: Said, truth: Truth) -> bool:
+    return effect["name"] in truth["accept"]
+
+
+def _right(effect: Said, truth: Truth) -> bool:
+    """Whether an effect is accepted at its place; answers that do not say which name goes where accept all pairs."""
+    if "right" in truth:
+        return f"{effect['name']}@{effect['where']}" in truth["right"]
+    return _named(effect, truth) and effect["where"] in truth["accept_where"]
+
+
+def _hits(chosen: Sequence[Said], truth: Sequence[Truth]) -> int:
+    """How many of the true effects are among the chosen ones, each of which serves once."""
+    if len(truth) > len(chosen):
+        return max((_hits(chosen, some) for some in combinations(truth, len(chosen))), default=0)
+    orders = permutations(chosen, len(truth))
+    return max(sum(map(_right, order, truth)) for order in orders)
+
+
+def _in_a_word(leading: Sequence[Truth], chosen: Sequence[Said], unknown: bool) -> str:
+    if unknown:
+        return "unknown"
+    if not chosen:
+        return "none"
+    return str(next((t["name"] for t in leading if _named(chosen[0], t)), chosen[0]["name"]))
+
+
+def _shares(chosen: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float, ...], bool | None]:
+    """Errors [points] of the claimed shares of the effects rightly named, and whether the first interval holds its own.
+
+    The true share is what an effect closes after those that are named before it. The answers know it alone, and after
+    all larger ones; of two dominant effects either may lead.
+    """
+    matched = [next((t for t in truth if _right(e, t)), None) for e in chosen]
+    errors, covered = [], None
+    for k, (said, own) in enumerate(zip(chosen, matched, strict=True)):
+        if own is None or own in matched[:k] or said.get("share") is None:
+            continue
+        before = matched[0]
+        true = own["closes"] if k == 0 else own["share"]
+        if k and before is not None and own["role"] == "dominant" and own is truth[0]:
+            true = own["share"] + before["share"] - before["closes"]
+        errors.append(100 * (float(said["share"]) - true))
+        interval = said.get("share_interval")
+        if k == 0 and interval and None not in interval:
+            covered = bool(interval[0] <= true <= interval[1])
+    return tuple(errors), covered
+
+
+def _acts_there(told: Said, truth: Truth) -> bool | None:
+    """Whether a joint, and a side where one is told, hold what acts outside the catalogue."""
+    if told.get("joint") is None:
+        return None
+    places = [where.split("/") for where in truth["accept_where"]]
+    return any(
+        joint == told["joint"] and told.get("place") in (None, "load" if place in LINK else "motor")
+        for joint, place in places
+    )
+
+
+def _values(said: Said, answers: Truth) -> bool | None:
+    """Whether the verdict has it right that today's values are right, or wrong; None of a method without a re-fit."""
+    ratio = answers["oracle"]["nominal"] / answers["oracle"]["refit"]
+    if RIGHT < ratio < WRONG or (said.get("gap") or {}).get("refit") is None:
+        return None
+    return said["verdict"] == ("no_gap" if ratio <= RIGHT else "parameters_only")
+
+
+def _shrink(said: Said, answers: Truth) -> tuple[float | None, bool | None]:
+    """Error [points] and coverage of the share of the gap that closes, where a diagnosis adds something.
+
+    Errors before and after are measured on the test records; what the diagnosis has to guess is the noise floor, which
+    the answers know.
+    """
+    gap = said.get("gap") or {}
+    before, after, claimed = gap.get("refit"), gap.get("with_effect"), gap.get("shrink")
+    closes = any(e["selected"] for e in said.get("effects", [])) and answers["family"] in ("single", "pair")
+    if said.get("opened"):  # its errors are those of other test records than the answers'
+        return None, None
+    if not closes or before is None or after is None or claimed is None:
+        return None, None
+    closable = before - answers["oracle"]["noise_floor"]
+    if closable <= 0:
+        return None, None
+    true = (before - after) / closable
+    interval = gap.get("shrink_interval")
+    low, high = interval or (None, None)  # numbers that are none are kept as nothing
+    covered = None if low is None or high is None else bool(low <= true <= high)
+    return 100 * (claimed - true), covered
+
+
+def _closed(said: Said, answers: Truth) -> float | None:
+    """Share of the oracle's closable gap that is closed; nothing where there is no corrected model."""
+    oracle = answers["oracle"]
+    closable = oracle["refit"] - oracle["with_effect"]
+    if answers["family"] not in ("single", "pair") or closable <= 0 or said.get("opened"):
+        return None
+    after = (said.get("gap") or {}).get("with_effect")
+    return 0.0 if after is None or not math.isfinite(after) else (oracle["refit"] - after) / closable

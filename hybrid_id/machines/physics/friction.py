@@ -1,0 +1,315 @@
+"""Friction of a shaft, with and without memory; every law may sit on the rotor or on the link."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hybrid_id.machines.physics.law import Lanes, Law, Push, Signals
+
+
+@dataclass
+class Viscous(Law):
+    """``F_v v`` [N m s/rad]."""
+
+    F_v: Lanes
+    on_link: bool = False
+    smooth = True
+
+    def act(self, push: Push, x: Signals) -> None:
+        push.slope = push.slope + self.F_v
+
+
+@dataclass
+class Coulomb(Law):
+    """``F_c Sgn(v)``, set-valued at rest [N m]."""
+
+    F_c: Lanes
+    on_link: bool = False
+    smooth = True
+
+    def act(self, push: Push, x: Signals) -> None:
+        push.dry(self.F_c)
+
+
+@dataclass
+class SmoothCoulomb(Law):
+    """``F_c tanh(v / w)``; it creeps where a set-valued law sticks; w [rad/s]."""
+
+    F_c: Lanes
+    width: Lanes
+    on_link: bool = False
+
+    def act(self, push: Push, x: Signals) -> None:
+        ratio = np.abs(self.speed(x)) / self.width
+        secant = np.where(ratio > 1e-6, np.tanh(ratio) / np.maximum(ratio, 1e-6), 1.0)
+        push.slope = push.slope + self.F_c / self.width * secant
+
+
+@dataclass
+class Stribeck(Law):
+    """Dry friction ``drop s(|v| / v_s)`` above Coulomb's, by one of three shapes.
+
+    exponential ``exp(-x)`` (Tustin), gaussian ``exp(-x^2)`` (Bo and Pavelescu), lorentzian ``1 / (1 + x^2)`` (Hess and
+    Soom); drop [N m], v_s [rad/s].
+    """
+
+    drop: Lanes
+    v_s: Lanes
+    shape: str = "gaussian"
+    on_link: bool = False
+    smooth = True
+
+    def act(self, push: Push, x: Signals) -> None:
+        ratio = np.abs(self.speed(x)) / self.v_s
+        if self.shape == "exponential":
+            share = np.exp(-ratio)
+        elif self.shape == "gaussian":
+            share = np.exp(-(ratio**2))
+        else:
+            share = 1 / (1 + ratio**2)
+        push.dry(self.drop * share)
+
+
+@dataclass
+class AsymmetricStribeck(Law):
+    """Asymmetric Stribeck friction, eq. (15) of the paper, its Neg read as -Pos(-v); viscous friction is `Viscous`.
+
+    F = f_i1 + (f_i2 - f_i1) exp(-((|v| - f_i3) / f_i4)^2) with i = 1 forwards, i = 2 backwards.
+
+    | symbol | meaning | unit |
+    | --- | --- | --- |
+    | f_11, f_21 | level at high speed | N m |
+    | f_12, f_22 | level at the peak | N m |
+    | f_13, f_23 | speed of the peak | rad/s |
+    | f_14, f_24 | width of the peak | rad/s |
+
+    The level at zero speed lies a little under its peak.
+    """
+
+    f_11: Lanes
+    f_12: Lanes
+    f_13: Lanes
+    f_14: Lanes
+    f_21: Lanes
+    f_22: Lanes
+    f_23: Lanes
+    f_24: Lanes
+    smooth = True
+
+    def __post_init__(self) -> None:
+        self._rises = (self.f_12 - self.f_11, self.f_22 - self.f_21)
+
+    def levels(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Opposing torques (B,) [N m] forwards and backwards, each smooth in the speed v [rad/s] through zero."""
+        forwards = self.f_11 + self._rises[0] * np.exp(-np.square((v - self.f_13) / self.f_14))
+        backwards = self.f_21 + self._rises[1] * np.exp(-np.square((v + self.f_23) / self.f_24))
+        return forwards, backwards
+
+    def act(self, push: Push, x: Signals) -> None:
+        forwards, backwards = self.levels(x.v_m)
+        push.plus = push.plus + forwards
+        push.minus = push.minus + backwards
+
+
+@dataclass
+class AsymmetricTanh(Law):
+    """Friction on the link's side, eq. (9) of the paper as the reading notes have it.
+
+    tau_fa = (f_a1 Pos(v) + f_a2 Pos(-v)) tanh(70 v). Smooth at rest, so that it brakes and does not hold.
+
+    | symbol | meaning | unit |
+    | --- | --- | --- |
+    | v | speed of the link | rad/s |
+    | f_a1, f_a2 | level forwards and backwards, at the link | N m |
+    """
+
+    f_a1: Lanes
+    f_a2: Lanes
+    on_link: bool = True
+    smooth = True
+
+    def act(self, push: Push, x: Signals) -> None:
+        v = self.speed(x)
+        push.torque = push.torque - np.where(v > 0, self.f_a1, self.f_a2) * np.tanh(70.0 * v)
+
+
+@dataclass
+class Uneven(Law):
+    """Friction higher forwards than backwards: dry by ``excess`` [N m], viscous by ``slope`` [N m s/rad]."""
+
+    excess: Lanes
+    slope: Lanes = 0.0
+    on_link: bool = False
+
+    def act(self, push: Push, x: Signals) -> None:
+        push.plus = push.plus + 0.5 * self.excess
+        push.minus = push.minus - 0.5 * self.excess
+        push.torque = push.torque - 0.5 * self.slope * np.abs(self.speed(x))
+
+
+@dataclass
+class Power(Law):
+    """``F |v|^n sgn(v)``: drag of a fan at n = 2, cubic at n = 3, shear thinning below 1; F [N m (s/rad)^n]."""
+
+    F: Lanes
+    exponent: float = 2.0
+    on_link: bool = False
+
+    def act(self, push: Push, x: Signals) -> None:
+        push.slope = push.slope + self.F * np.abs(self.speed(x)) ** (self.exponent - 1)
+
+
+@dataclass
+class LoadDependent(Law):
+    """Dry friction ``mu |tau|`` of the torque through the gear, or of the motor's own (`by_effort`)."""
+
+    mu: Lanes
+    by_effort: bool = False
+    needs_carried = needs_effort = True
+
+    def act(self, push: Push, x: Signals) -> None:
+        push.dry(self.mu * np.abs(x.effort if self.by_effort else x.carried))
+
+
+@dataclass
+class PositionDependent(Law):
+    """Dry friction over the joint's angle: ``A (1 + sin(n q + phi))``, or ``A exp(-(n (q - phi))^2)`` of a tight spot.
+
+    A [N m] at the body that it acts on; q is the link's angle on either side of the gear.
+    """
+
+    amplitude: Lanes
+    periods: float
+    phase: float
+    spot: bool = False
+    on_link: bool = False
+
+    def act(self, push: Push, x: Signals) -> None:
+        if self.spot:
+            push.dry(self.amplitude * np.exp(-((self.periods * (x.q_a - self.phase)) ** 2)))
+        else:
+            push.dry(self.amplitude * (1 + np.sin(self.periods * x.q_a + self.phase)))
+
+
+@dataclass
+class WearingIn(Law):
+    """Dry friction that grows as ``F (1 - exp(-t / T))`` in each record: grease that stiffens, a gear that warms."""
+
+    F: Lanes
+    T: float
+
+    def act(self, push: Push, x: Signals) -> None:
+        push.dry(self.F * (1 - np.exp(-max(x.time, 0.0) / self.T)))
+
+
+@dataclass
+class WarmingGear(Law):
+    """Viscous friction that falls while the gear works: ``F / (1 + E / E_0)``, E the work done on friction [J]."""
+
+    F: Lanes
+    E_0: Lanes
+    _work: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
+
+    def start(self, lanes: int) -> None:
+        self._work = np.zeros(lanes)
+
+    def act(self, push: Push, x: Signals) -> None:
+        slope = self.F / (1 + self._work / self.E_0)
+        self._work = self._work + x.step * slope * x.v_m**2
+        push.slope = push.slope + slope
+
+
+@dataclass
+class StickAfterRest(Law):
+    """Breakaway that grows with the time at rest: ``F (1 - exp(-t_rest / T))``, gone after ``slip`` [rad] of motion."""
+
+    F: Lanes
+    T: float
+    slip: Lanes
+    _rest: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
+
+    def start(self, lanes: int) -> None:
+        self._rest = np.zeros(lanes)
+
+    def act(self, push: Push, x: Signals) -> None:
+        push.dry(self.F * (1 - np.exp(-self._rest / self.T)))
+        moved = np.abs(x.v_m) * x.step / self.slip
+        self._rest = np.where(np.abs(x.v_m) > 0, self._rest * np.exp(-moved), self._rest + x.step)
+
+
+@dataclass
+class Dahl(Law):
+    """``F' = s (v - |v| F / F_c)`` (Dahl, 1968, exponent 1), stepped exactly for a held speed.
+
+    s [N m/rad], F_c [N m].
+    """
+
+    F_c: Lanes
+    stiffness: Lanes
+    on_link: bool = False
+    _force: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
+
+    def start(self, lanes: int) -> None:
+        self._force = np.zeros(lanes)
+
+    def act(self, push: Push, x: Signals) -> None:
+        speed = self.speed(x)
+        end = self.F_c * np.sign(speed)
+        after = end + (self._force - end) * np.exp(-self.stiffness * np.abs(speed) * x.step / self.F_c)
+        push.torque = push.torque - 0.5 * (self._force + after)
+        self._force = after
+
+
+@dataclass
+class LuGre(Law):
+    """``z' = v - s |v| z / g(v)``, ``F = s z + d z'``, ``g = F_c + drop exp(-(v/v_s)^2)``.
+
+    Canudas de Wit et al., IEEE Trans. Autom. Control 40(3), 1995. s [N m/rad], d [N m s/rad];
+    the viscous part of the law belongs to `Viscous`.
+    """
+
+    F_c: Lanes
+    stiffness: Lanes
+    damping: Lanes
+    drop: Lanes = 0.0
+    v_s: Lanes = 1.0
+    on_link: bool = False
+    _z: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
+
+    def start(self, lanes: int) -> None:
+        self._z = np.zeros(lanes)
+
+    def act(self, push: Push, x: Signals) -> None:
+        speed = self.speed(x)
+        level = self.F_c + self.drop * np.exp(-((speed / self.v_s) ** 2))
+        end = np.sign(speed) * level / self.stiffness
+        after = end + (self._z - end) * np.exp(-self.stiffness * np.abs(speed) * x.step / level)
+        force = self.stiffness * 0.5 * (self._z + after) + self.damping * (after - self._z) / x.step
+        push.torque = push.torque - force
+        self._z = after
+
+
+@dataclass
+class MaxwellSlip(Law):
+    """Parallel springs, each of which slides beyond its own force (Iwan, 1966): hysteresis with memory of reversals.
+
+    Springs of equal stiffness ``s / n`` slide at forces ``F_c 2 i / (n (n + 1))``, i = 1 .. n; s [N m/rad], F_c [N m].
+    """
+
+    F_c: Lanes
+    stiffness: Lanes
+    springs: int = 5
+    on_link: bool = False
+    _forces: np.ndarray = field(default_factory=lambda: np.zeros((1, 1)), repr=False)
+
+    def start(self, lanes: int) -> None:
+        self._forces = np.zeros((self.springs, lanes))
+
+    def act(self, push: Push, x: Signals) -> None:
+        n = self.springs
+        share = (np.arange(1, n + 1) * 2 / (n * (n + 1)))[:, None]
+        limit = share * self.F_c
+        after = self._forces + self.stiffness / n * self.speed(x) * x.step
+        after = np.clip(after, -limit, limit)
+        push.torque = push.torque - 0.5 * (self._forces + after).sum(axis=0)
+        self._forces = after

@@ -1,0 +1,168 @@
+"""From the commanded voltage to the torque on the rotor: amplifier, winding, magnets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hybrid_id.machines.physics.law import InputLaw, Lanes, Law, Push, Signals
+
+
+@dataclass
+class Delay(InputLaw):
+    """Dead time: ``u(t - delay)``, in fractions of a sample too, as its mean over a step; delay [s]."""
+
+    delay: Lanes
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        ends = [(x.time + side * x.step - self.delay) / x.sample_time for side in (-0.5, 0.5)]
+        first, last = (np.floor(np.broadcast_to(end, volts.shape) + 1e-9).astype(int) for end in ends)
+        # a step is no longer than a sample: at most one change of the held command falls into it
+        new = np.where(last > first, (ends[1] - last) * x.sample_time / x.step, 1.0)
+        return (1 - new) * self._held(x, first) + new * self._held(x, last)
+
+    def _held(self, x: Signals, sample: np.ndarray) -> np.ndarray:
+        """Command of a sample (B,) [V], none before the first."""
+        known = x.history[np.clip(sample, 0, len(x.history) - 1), np.arange(sample.size)]
+        return np.where(sample < 0, 0.0, known)
+
+
+@dataclass
+class Deadband(InputLaw):
+    """Nothing below the threshold [V]; above it the command less ``shift`` of the threshold (0: all of it)."""
+
+    threshold: Lanes
+    shift: float
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        size = np.abs(volts)
+        return np.where(size > self.threshold, np.sign(volts) * (size - self.shift * self.threshold), 0.0)
+
+
+@dataclass
+class Saturation(InputLaw):
+    """``|u| <= limit`` [V]."""
+
+    limit: Lanes
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        return np.clip(volts, -self.limit, self.limit)
+
+
+@dataclass
+class SoftSaturation(InputLaw):
+    """``u / (1 + |u / limit|^n)^(1/n)``: an amplifier that nears its limit [V] gradually."""
+
+    limit: Lanes
+    sharpness: float = 8.0
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        return volts / (1 + np.abs(volts / self.limit) ** self.sharpness) ** (1 / self.sharpness)
+
+
+@dataclass
+class SupplySag(InputLaw):
+    """A weak supply behind a PWM amplifier: ``u - sag d^2 T`` with the duty ``d = u / supply`` and the motor torque T.
+
+    The source carries ``d`` times the winding's current, and the winding sees ``d`` times what it is left with; ``sag``
+    [V/(N m)], ``supply`` [V]. Braking pumps it up.
+    """
+
+    sag: Lanes
+    supply: Lanes
+    needs_effort = True
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        return volts - self.sag * (volts / self.supply) ** 2 * x.effort
+
+
+@dataclass
+class UnevenGain(InputLaw):
+    """An amplifier that gives ``1 + excess`` of the command in one direction only."""
+
+    excess: Lanes
+
+    def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
+        return np.where(volts > 0, (1 + self.excess) * volts, volts)
+
+
+@dataclass
+class Motor:
+    """``tau = P_1 (u - P_2 v)``, with a warming resistance, a lagging current and a weakening field as options.
+
+    | symbol | meaning | unit |
+    | --- | --- | --- |
+    | P_1, P_2 | torque per volt, back-EMF | N m/V, V s/rad |
+    | lag | L / R of the winding, 0: none | s |
+    | heating | rise of R / R_0 - 1 per second and square of the torque | 1/(N m)^2/s |
+    | cooling | time constant of its fall | s |
+    | weakening | speed at which the torque's constant has fallen by half, 0: none | rad/s |
+
+    Whether some law reads its torque is told by `tells_effort`, which the drive sets at the start of a run.
+    """
+
+    P_1: Lanes
+    P_2: Lanes
+    lag: Lanes | None = None
+    heating: Lanes | None = None
+    cooling: Lanes = 1.0
+    weakening: Lanes | None = None
+    tells_effort: bool = field(default=True, repr=False)
+    _torque: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
+    _warmth: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
+
+    def start(self, lanes: int) -> None:
+        """Cold, and without current."""
+        self._torque, self._warmth = np.zeros(lanes), np.zeros(lanes)
+
+    def act(self, push: Push, x: Signals) -> None:
+        """Set torque and electrical damping, the first of what acts on a rotor.
+
+        The lagging current is stepped exactly for a held voltage.
+        """
+        gain = self.P_1
+        if self.heating is not None:
+            gain = gain / (1 + self._warmth)
+        if self.weakening is not None:
+            gain = gain / (1 + (x.v_m / self.weakening) ** 2)
+        if self.lag is None:
+            push.torque, push.slope = gain * x.volts, gain * self.P_2
+            if self.tells_effort or self.heating is not None:
+                x.effort = gain * (x.volts - self.P_2 * x.v_m)
+        else:
+            static = gain * (x.volts - self.P_2 * x.v_m)
+            rate = x.step / np.maximum(self.lag, 1e-9)
+            decay = np.exp(-rate)
+            mean = static + (self._torque - static) * (-np.expm1(-rate) / rate)
+            self._torque = static + (self._torque - static) * decay
+            push.torque = mean
+            x.effort = mean
+        if self.heating is not None:
+            self._warmth = self._warmth + x.step * (self.heating * x.effort**2 - self._warmth / self.cooling)
+
+
+@dataclass
+class Cogging(Law):
+    """``tau = -sum_i A_i sin(n_i q_m + phi_i)``: magnets that prefer some rotor angles; A [N m]."""
+
+    amplitudes: Sequence[Lanes]
+    periods: Sequence[float]
+    phases: Sequence[float]
+    smooth = True
+
+    def act(self, push: Push, x: Signals) -> None:
+        for amplitude, periods, phase in zip(self.amplitudes, self.periods, self.phases, strict=True):
+            push.torque = push.torque - amplitude * np.sin(periods * x.q_m + phase)
+
+
+@dataclass
+class TorqueRipple(Law):
+    """``tau = share tau_motor sin(n q_m + phi)``: commutation, a ripple that grows with the torque."""
+
+    share: Lanes
+    periods: float
+    phase: float
+    needs_effort = True
+
+    def act(self, push: Push, x: Signals) -> None:
+        push.torque = push.torque + self.share * x.effort * np.sin(self.periods * x.q_m + self.phase)

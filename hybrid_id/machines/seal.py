@@ -1,0 +1,185 @@
+"""Sealing: answers go into an archive apart, and its hash into a manifest beside the cases."""
+
+import hashlib
+import io
+import json
+import shutil
+import tarfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.whole_file import write_whole
+
+MANIFEST, ANSWERS = "manifest.json", "answers"
+
+Truth = dict[str, Any]
+"""The content of one ground truth."""
+
+
+def pack(folder: Path) -> bytes:
+    """The ground truths of a folder as one archive, whose bytes depend on nothing but names and contents.
+
+    It is not compressed, since compressed bytes depend on the version of the library.
+    """
+    file = io.BytesIO()
+    with tarfile.open(fileobj=file, mode="w", format=tarfile.USTAR_FORMAT) as archive:
+        for path in sorted(folder.glob("*.yaml")):
+            entry, content = tarfile.TarInfo(path.name), path.read_bytes()
+            entry.size, entry.mode = len(content), 0o644
+            archive.addfile(entry, io.BytesIO(content))
+    return file.getvalue()
+
+
+def seal(cases: Path, archive: Path | None, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Write the manifest of a folder of cases, and move their answers into an archive.
+
+    Args:
+        cases: folder of the cases, with their answers in `answers/`.
+        archive: file that takes the answers; None leaves them where they are, open, for development.
+        about: what else the manifest tells, say seed and version.
+
+    Returns:
+        The manifest.
+
+    Raises:
+        InputError: a case has no answers, or there is no case.
+    """
+    names = case_names(cases)
+    if missing := [name for name in names if not (cases / ANSWERS / f"{name}.yaml").is_file()]:
+        raise InputError(f"{cases} lacks the answers to {', '.join(missing[:5])}; make the cases anew")
+    content = pack(cases / ANSWERS)
+    manifest = {
+        **about,
+        "names": names,
+        "answers": {"sealed": archive is not None, "sha256": hashlib.sha256(content).hexdigest()},
+    }
+    if archive is not None:
+        archive.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(archive, content)
+    write_whole(cases / MANIFEST, json.dumps(manifest, indent=1) + "\n")
+    if archive is not None:
+        shutil.rmtree(cases / ANSWERS)
+    return manifest
+
+
+def is_half_sealed(cases: Path, archive: Path) -> bool:
+    """Whether an archive holds the answers beside the cases, for want of a manifest only."""
+    unsealed = (cases / ANSWERS).is_dir() and not (cases / MANIFEST).exists()
+    return unsealed and archive.is_file() and archive.read_bytes() == pack(cases / ANSWERS)
+
+
+def was_sealed(cases: Path, archive: Path) -> bool:
+    """Whether an archive holds the answers to the cases already; copies that a killed run has left beside them go."""
+    if not (cases / MANIFEST).is_file() or not archive.is_file():
+        return False
+    same = read_manifest(cases)["answers"]["sha256"] == _hash(archive)
+    if same:
+        shutil.rmtree(cases / ANSWERS, ignore_errors=True)
+    return same
+
+
+def case_names(cases: Path) -> list[str]:
+    """Names of the cases in a folder, sorted."""
+    if not cases.is_dir():
+        raise InputError(f"{cases} is no folder of cases; 'hybrid-id blind make' makes one")
+    found = sorted(path.parent.name for path in cases.glob("*/dataset.yaml") if path.parent.name[0] != ".")
+    if not found:
+        raise InputError(f"{cases} holds no case; 'hybrid-id blind make' makes some")
+    return found
+
+
+def read_manifest(cases: Path) -> dict[str, Any]:
+    """The manifest of a folder of cases.
+
+    Raises:
+        InputError: there is none, or it cannot be read.
+    """
+    file = cases / MANIFEST
+    try:
+        manifest = json.loads(file.read_text(encoding="utf-8"))
+        if len(manifest["answers"]["sha256"]) == 64 and isinstance(manifest["names"], list):
+            return manifest
+    except OSError:
+        raise InputError(
+            f"{cases} has no {MANIFEST}; make the cases with 'hybrid-id blind make', which seals their answers"
+        ) from None
+    except (ValueError, KeyError, TypeError):
+        pass
+    raise InputError(f"{file} does not tell the hash of the answers; make the cases anew") from None
+
+
+def refuse_others(cases: Path, **about: Any) -> None:
+    """Raise InputError where the cases of a folder were made otherwise than ``about`` tells."""
+    manifest = {"first": 1} | read_manifest(cases)
+    if any(manifest[key] != value for key, value in about.items()):
+        raise InputError(f"{cases} holds cases of another seed, number or kind; give another --out")
+
+
+def refuse_reachable(cases: Path, runs: Path, manifest: Mapping[str, Any]) -> None:
+    """Raise InputError where answers lie in the folder of the cases or of the runs, or beside either.
+
+    The archive is found under any name, as long as nobody has packed it once more.
+
+    Args:
+        cases: folder of the cases.
+        runs: folder of the diagnoses; need not exist.
+        manifest: of the cases.
+    """
+    cases, runs = cases.resolve(), runs.resolve()
+    sheets = {f"{name}.yaml" for name in manifest["names"]}
+    beside = [path for folder in (cases.parent, runs.parent) for path in _listed(folder, "*")]
+    for path in dict.fromkeys((*_listed(cases, "**/*"), *_listed(runs, "**/*"), *beside)):
+        named = ANSWERS in path.name.split(".") or path.name in sheets
+        if named or (_is_archive(path) and _hash(path) == manifest["answers"]["sha256"]):
+            raise InputError(
+                f"{path} can be read by the run, which must not see answers; move it to another folder"
+            )
+
+
+def _listed(folder: Path, pattern: str) -> list[Path]:
+    return sorted(folder.glob(pattern)) if folder.is_dir() else []
+
+
+def _is_archive(path: Path) -> bool:
+    """Whether a path, whatever its name, is a file that begins as an archive; what cannot be read tells nothing."""
+    try:
+        with path.open("rb") as file:
+            return file.read(262)[257:] == b"ustar"
+    except OSError:
+        return False
+
+
+def open_answers(archive: Path, sha256: str) -> dict[str, Truth]:
+    """The ground truths of an archive by case.
+
+    Args:
+        archive: file of the answers.
+        sha256: its hash as it was recorded before the run.
+
+    Raises:
+        InputError: the archive is another one, or cannot be read.
+    """
+    try:
+        content = archive.read_bytes()
+    except OSError as error:
+        raise InputError(f"answers {archive} cannot be read ({error.strerror}); give another file") from None
+    if hashlib.sha256(content).hexdigest() != sha256:
+        raise InputError(
+            f"{archive} is not the archive that was sealed before the run, which had the hash {sha256[:16]}…; "
+            "no score is given"
+        )
+    sheets = {}
+    with tarfile.open(fileobj=io.BytesIO(content)) as file:
+        for entry in file:
+            stream = file.extractfile(entry)
+            if stream is not None:
+                sheets[Path(entry.name).stem] = yaml.safe_load(stream.read())
+    return sheets
+
+
+def _hash(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

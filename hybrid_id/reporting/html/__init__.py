@@ -1,1 +1,0 @@
-"""One self-contained page for a result: text, tables and pictures in one file that opens without a network."""

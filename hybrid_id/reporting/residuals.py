@@ -1,0 +1,133 @@
+"""Residual tests in words and numbers: one sentence an output, and the table it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from rich.console import RenderableType
+from rich.text import Text
+
+from hybrid_id.reporting.tables import count, open_table
+from hybrid_id.statistics.residuals import LEVEL, ResidualTest
+
+Residuals = Mapping[str, Sequence[ResidualTest]]
+"""Tests of every output by what they are of: models, or roles of records."""
+FAINT = 0.5
+"""RMS over the noise up to which colour is sooner that of an encoder's counts than of something missing."""
+LABELS = {
+    "train": "records it was fitted to",
+    "test": "test records",
+    "re-fitted": "re-fitted model",
+    "corrected": "corrected model",
+    "physics": "physics alone",
+    "hybrid": "physics with networks",
+}
+_COLOURS = {"white": "green", "nearly white": "green", "not white": "yellow", "diverged": "red"}
+_HOW = (
+    "Residuals of free runs, measured minus simulated. Those of a right model are noise: no sample predicts the next "
+    f"one, no input what comes after it. White says that both tests pass at {100 * LEVEL:.0f} %; nearly white, that "
+    "neighbours correlate surely, but by no more than 0.1 (1 is a smooth curve). The table gives the RMS over the "
+    "noise that was declared (estimated where none was), the share of lags at which the autocorrelation leaves the "
+    "99 % band of white noise (1 % do by chance), the correlation of neighbours, and the strongest correlation with an "
+    "input before it, with what chance reaches."
+)
+_DIFFER = (
+    "The residuals of the records that it was fitted to are noise, those of the test records are not: parameters that "
+    "differ from record to record, or a motion that these records do not have."
+)
+
+
+def sound(tests: Sequence[ResidualTest]) -> bool:
+    """Whether the residual is noise, or next to it, at every output."""
+    return all(one.verdict in ("white", "nearly white") for one in tests)
+
+
+def residual_blocks(residuals: Residuals, where: str = "") -> list[RenderableType]:
+    """What is said of residuals: a sentence each, the table, and how to read it.
+
+    Args:
+        residuals: the tests.
+        where: records that were simulated, where the names of the tests do not say it.
+    """
+    pairs = [(LABELS.get(name, name), one) for name, tests in residuals.items() for one in tests]
+    words: list[RenderableType] = [Text(f"On {where}:")] if where else []
+    words += [
+        Text(f"{label[0].upper()}{label[1:]}, {one.output}: {sentence(one)}", style=_COLOURS[one.verdict])
+        for label, one in pairs
+    ]
+    if "test" in residuals and sound(residuals["train"]) and not sound(residuals["test"]):
+        words.append(_DIFFER)
+    table = open_table(
+        "", "output", "RMS / noise>", "lags outside>", "neighbours>", "strongest input", "correlation>", "by chance>",
+        "verdict",
+    )  # fmt: skip
+    for label, one in pairs:
+        table.add_row(label, *_cells(one))
+    return [*words, table, _HOW]
+
+
+def sentence(test: ResidualTest) -> str:
+    """The verdict on the residuals of one output."""
+    if test.verdict == "diverged":
+        return "the simulation has diverged, so there is no residual to test."
+    size = f"{test.rms:.3g} times the noise (RMS)" if np.isfinite(test.rms) else "of an output without noise"
+    if test.verdict == "white":
+        return f"white: nothing left to model. The residual is {size}."
+    if test.verdict == "nearly white":
+        return (
+            f"nearly white: next to nothing left to model. The residual is {size}, and neighbours correlate by "
+            f"{test.shared:.2f} only."
+        )
+    if test.followed:
+        first = test.followed[0]
+        after = count(first.lag, "sample")
+        return (
+            f"not white: the residual follows {first.input} (correlation {first.correlation:.2f}, {after} later), so "
+            f"the model lacks a part of what {first.input} does, or when. It is {size}."
+        )
+    if test.rms < FAINT:
+        return f"not white, but only {size}: the counts of an encoder, which dwell, look alike."
+    return (
+        f"not white: neighbours correlate by {test.shared:.2f}, so the model lacks something; the residual "
+        f"follows no input surely. It is {size}."
+    )
+
+
+def residual_result(residuals: Residuals) -> dict[str, list[dict[str, object]]]:
+    """The tests as plain data, by what they are of."""
+    return {
+        name: [
+            {
+                "output": one.output,
+                "verdict": one.verdict,
+                "samples": one.samples,
+                "rms_over_noise": one.rms,
+                "lags": one.lags,
+                "lags_outside": one.outside,
+                "chance_of_white": one.chance,
+                "neighbours": one.shared,
+                "inputs": {
+                    f.input: {"correlation": f.correlation, "lag": f.lag, "by_chance": f.band}
+                    for f in one.follows
+                },
+            }
+            for one in tests
+        ]
+        for name, tests in residuals.items()
+    }
+
+
+def _cells(test: ResidualTest) -> list[str]:
+    first = test.follows[0] if test.follows else None
+    correlated = ["none moves", "", ""]
+    if first is not None:
+        correlated = [
+            first.input,
+            f"{first.correlation:.2f} ({count(first.lag, 'sample')})",
+            f"± {first.band:.2f}",
+        ]
+    outside = f"{100 * test.outside:.0f} % of {test.lags}" if np.isfinite(test.outside) else ""
+    shared = f"{test.shared:.2f}" if np.isfinite(test.shared) else ""
+    size = f"{test.rms:.3g}" if np.isfinite(test.rms) else "none"
+    return [test.output, size, outside, shared, *correlated, test.verdict]

@@ -1,0 +1,185 @@
+"""A study as tables and as one page: parameters with intervals and reliability, then what they rest on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.quality import Finding
+from hybrid_id.reporting.interactive import Drawn
+from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.residuals import Residuals, residual_blocks, sound
+from hybrid_id.reporting.tables import (
+    RELIABILITY,
+    count,
+    findings_list,
+    identifiability_table,
+    interval_words,
+    records_table,
+    table,
+    two_a_row,
+)
+from hybrid_id.study import Study
+from hybrid_id.systems.chain import System
+
+LEGEND = (
+    "reliability: good where the ways to compute the error agree (the plain covariance alone may be too confident), "
+    "doubtful where they disagree, not on its own where the value must not be used alone"
+)
+JUDGED = ("reliability", "lower bound>", "upper bound>", "why")
+_STYLE = {"good": "green", "doubtful": "yellow", "not on its own": "red"}
+
+
+def study_table(study: Study, reach: float, level: float, *, full: bool = False) -> RenderableType:
+    """Parameters of the selected set with intervals, their variation and reliability, and what follows.
+
+    With ``full`` their bounds and the reasons of the reliability are given, too, for which a terminal has no room.
+    """
+    errors, spread = reach * study.standard_errors(study.selection.index), study.variation
+    heads = ["parameter", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
+    heads += [f"{100 * level:g} % interval>", "unit"]
+    heads += [] if spread is None else ["mean of sets>", "std/mean>"]
+    rows = []
+    for k, name in enumerate(study.names):
+        value = study.selected.values[k]
+        row = [name, f"{value:.5g}", interval_words(value, errors[k]), study.selected.units[k]]
+        if spread is not None:
+            colour = "" if spread.acceptable[k] or spread.held[k] else "red"
+            row += [f"{spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
+        rows.append([*row, *judged_cells(study, name)[: None if full else 1]])
+    found = table([*heads, *JUDGED[: None if full else 1]], rows)
+    return Group(found, *combinations_table(study, reach, level), *(Text(line) for line in _remarks(study)))
+
+
+def judged_cells(study: Study, name: str) -> list[Text]:
+    """Reliability, lower and upper bound of a parameter of the selected set, and why it is not more reliable."""
+    trust = study.reliability[study.names.index(name)]
+    word, why = RELIABILITY[trust.grade], "" if trust.grade == "A" else trust.reason
+    return [Text(word, style=_STYLE[word]), *bound_cells(study.selected_model, name), Text(why)]
+
+
+def bound_cells(system: System, name: str) -> list[Text]:
+    """Lower and upper bound of a parameter, in its unit; the one that its value has reached is marked."""
+    spec, cells = system.parameter(name).spec, []
+    for bound in (spec.lower, spec.upper):
+        at = abs(spec.value - bound) <= 1e-9 * max(abs(spec.value), 1e-300)
+        words = f"{bound:.4g}" if np.isfinite(bound) else "none"
+        cells.append(Text(f"{words}, reached", style="red") if at else Text(words))
+    return cells
+
+
+def combinations_table(study: Study, reach: float, level: float) -> list[Table]:
+    """The functions of parameters that do have an interval where parameters alone have none; no table without any."""
+    if study.identifiability.claimable.all():
+        return []
+    found, index = study.combinations, study.selection.index
+    heads = ["what is identified", "value>", f"{100 * level:g} % interval>"]
+    rows = [
+        [name, f"{value:.5g}", interval_words(value, reach * error)]
+        for name, value, error in zip(found.names, found.values[index], found.std_error[index], strict=True)
+        if name not in study.names
+    ]
+    if not rows:
+        return []
+    if found.variation is None:
+        return [two_a_row(heads, rows)]
+    percent = dict(zip(found.names, found.variation.percent, strict=True))
+    return [table([*heads, "std/mean>"], ([*row, f"{percent[row[0]]:.2f} %"] for row in rows))]
+
+
+def _remarks(study: Study) -> list[str]:
+    lines = [LEGEND]
+    lines += [] if study.horizon.kind == "whole" else [f"horizon: {study.horizon}"]
+    lines += [f"identifiability: {direction.text}" for direction in study.identifiability.directions]
+    failed = [result for result in study.sets if not result.ok]
+    lines += [f"{', '.join(list(dict.fromkeys(r.records))[:3])}: {r.message}" for r in failed[:3]]
+    hits = [sum(name in result.at_bound for result in study.sets) for name in study.names]
+    if any(hits):
+        of = f" (in {{}} of {len(study.sets)} sets)" if len(study.sets) > 1 else ""
+        words = [name + of.format(n) for name, n in zip(study.names, hits, strict=True) if n]
+        lines.append(f"at a bound: {', '.join(words)}")
+    if len(study.sets) > 1 or not study.selection.candidate.any():
+        lines.append(f"selection: {study.selection.summary()}")
+    if study.test_nrmse:
+        seen = count(len(study.test_nrmse), "record")
+        lines.append(f"test: normalised RMSE {study.test_error:.4g} on {seen} that no fit has seen")
+    lines.append(f"integration error (step halved): {study.engine_error:.2g} standard errors at most")
+    lines += [
+        f"profile of {n}: {p.lower:.5g} to {p.upper:.5g}, {p.message}" for n, p in study.profiles.items()
+    ]
+    return lines
+
+
+_CAPTIONS = {
+    "parameters": "Each parameter over the experiments, with its interval where one may be claimed.",
+    "cross_validation": "Fit of every parameter set on every record.",
+    "profiles": "Profile likelihoods: the least cost over all other parameters, above the least of all; the interval "
+    "is where it stays below the dashed line. The grey parabola is what the standard error says.",
+    "residuals": "Residuals of the selected set on the records that it was fitted to: autocorrelation, distribution.",
+}
+
+
+def study_page(
+    dataset: Dataset,
+    study: Study,
+    figures: Mapping[str, Drawn],
+    *,
+    reach: float,
+    level: float,
+    findings: Sequence[Finding] = (),
+    residuals: Residuals | None = None,
+) -> Page:
+    """The page of a study.
+
+    Args:
+        dataset: the records.
+        study: the result.
+        figures: its pictures by name, with their interactive form.
+        reach: half-width of an interval in standard errors.
+        level: level of the intervals.
+        findings: what the check of the records remarked.
+        residuals: tests of the residuals of the selected set.
+    """
+    page = Page(f"Identification of {dataset.name}", _lead(dataset, study, residuals))
+    page.section("Parameters").add(study_table(study, reach, level, full=True))
+    identified = page.section("What these records identify").add(identifiability_table(study.identifiability))
+    residual, fits = page.section("Residuals"), page.section("Measured and simulated")
+    if residuals:
+        residual.add(*residual_blocks(residuals))
+    for name, figure in figures.items():
+        if name in ("parameters", "profiles"):
+            identified.figure(figure, _CAPTIONS[name])
+        elif name == "residuals":
+            residual.figure(figure, _CAPTIONS[name])
+        elif name == "cross_validation":
+            page.section("Every set on every record").figure(figure, _CAPTIONS[name])
+        else:
+            fits.figure(figure, f"Record {name.removeprefix('fit_')}.")
+    records = page.section("Records").add(records_table(dataset))
+    if findings:
+        records.add(findings_list(findings))
+    return page
+
+
+def _lead(dataset: Dataset, study: Study, residuals: Residuals | None) -> str:
+    """The outcome in plain words: how many parameters to rely on, then how they were found and what they predict."""
+    usable = sum(one.grade in ("A", "B") for one in study.reliability)
+    verdict = f"{usable} of {count(len(study.names), 'parameter')} can be relied on."
+    kind = "One parameter set over all records" if study.pooled else "One parameter set for each record"
+    words = f"{verdict} {kind} ({count(len(dataset.train), 'train record')})."
+    if not study.pooled and len(study.sets) > 1:
+        words += f" Set {study.selection.name} carries over best."
+    if study.test_nrmse:
+        words += f" On {count(len(study.test_nrmse), 'unseen record')} its normalised RMSE is {study.test_error:.3g}."
+    if residuals:
+        noise = all(map(sound, residuals.values()))
+        words += f" Its residual is {'noise' if noise else 'not only noise: see Residuals'}."
+    unclaimed = study.identifiability.not_claimable
+    if unclaimed:
+        words += f" These records identify {', '.join(unclaimed)} only in combinations."
+    return words

@@ -1,0 +1,431 @@
+"""Pictures of a study: parameter sets over the experiments, cross-validation, residuals, profiles, records."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.excitation import Multisine
+from hybrid_id.records.units import stem
+from hybrid_id.reporting.interactive import Drawn, Plot, drawn, short
+from hybrid_id.reporting.style import (
+    COLOURS,
+    DASHES,
+    GREY,
+    WIDTH,
+    journal,
+    label,
+    legend_above,
+    new_figure,
+    pad,
+    power_of_ten,
+    scaled_unit,
+    shortened,
+    symbol,
+)
+from hybrid_id.reporting.tables import count
+from hybrid_id.statistics.profile import Profile
+from hybrid_id.study import Comparison, Replay, Study
+from hybrid_id.study.truth import against_truth
+
+MAX_TITLE = 50
+"""Characters of a title that leave room for the legend."""
+MAX_TICKS, MAX_NAME = 7, 14
+"""Records that are named under one panel, and characters of such a name."""
+MAX_NUMBERED = 14
+"""Largest matrix whose cells are given as numbers too."""
+
+
+def study_figures(dataset: Dataset, study: Study, reach: float, runs: Sequence[Replay]) -> dict[str, Drawn]:
+    """Every picture of a study by the name of its file, with its interactive form.
+
+    Args:
+        dataset: the records.
+        study: the result.
+        reach: half-width of an interval in standard errors.
+        runs: replays of all records by the selected set.
+    """
+    figures = {"parameters": parameter_figure(study, reach)}
+    if min(study.cross_validation.fits.shape[:2]) > 1:
+        figures["cross_validation"] = cross_validation_figure(study)
+    figures["residuals"] = residual_figure(study, dataset[study.selected.records[0]].sample_time)
+    if study.profiles:
+        figures["profiles"] = profile_figure(study, reach)
+    for run in runs:
+        title = f"{run.record.name} ({run.record.role})"
+        with_set = f"{title}, parameter set {study.selection.name}"
+        title = with_set if len(with_set) < MAX_TITLE else title
+        figures[f"fit_{run.record.name}"] = fit_figure(dataset, run, title)
+    found = {name: drawn(figure) for name, figure in figures.items()}
+    return found | {"parameters": found["parameters"]._replace(plot=parameter_plot(study, reach))}
+
+
+@journal()
+def parameter_figure(study: Study, reach: float = 1.96) -> Figure:
+    """Every parameter over the experiments, with intervals of ``reach`` standard errors, mean and std/mean."""
+    count = len(study.names)
+    columns = 3 if count in (3, 5, 6, 9) else min(4, count)
+    rows = math.ceil(count / columns)
+    errors = np.array([study.standard_errors(i) for i in range(len(study.sets))])
+    longest = max(len(shortened(name, MAX_NAME)) for name in study.cross_validation.set_names)
+    figure = new_figure(1.45 * rows + 0.5 + 0.045 * longest, WIDTH * columns / 4 if columns > 1 else 3.5)
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
+    for k, axes in enumerate(grid.flat):
+        if k >= count:
+            axes.set_axis_off()
+            continue
+        _parameter(axes, study, k, reach * errors[:, k])
+    for k in range(max(0, count - columns), count):
+        grid.flat[k].tick_params(labelbottom=True)
+        grid.flat[k].set_xlabel("set" if study.pooled else "record")
+    if not np.isfinite(errors).all():
+        grid.flat[0].plot(
+            [], [], "o", ms=3.5, mfc="white", mec=COLOURS[0], label="no interval may be claimed"
+        )
+    legend_above(figure, grid.flat[0])
+    return figure
+
+
+def _parameter(axes: Axes, study: Study, k: int, reach: np.ndarray) -> None:
+    x = np.arange(len(study.sets))
+    exponent = power_of_ten(study.values[:, k])
+    values, reach = study.values[:, k] / 10.0**exponent, reach / 10.0**exponent
+    spec = study.system.parameter(study.names[k]).spec
+    selected = study.selection.index
+    if spec.prior_std is not None and spec.prior_mean is not None:
+        low, high = ((spec.prior_mean + side * spec.prior_std) / 10.0**exponent for side in (-1, 1))
+        axes.axhspan(low, high, color=COLOURS[5], alpha=0.18, lw=0, label="prior ± 1 std")
+    axes.plot(
+        [], [], "o", ms=3.5, color=COLOURS[0], label="one set a record" if not study.pooled else "pooled set"
+    )
+    axes.plot([], [], "o", ms=4.5, color=COLOURS[1], label="selected")
+    for i in x:
+        colour, size = (COLOURS[1], 4.5) if i == selected else (COLOURS[0], 3.5)
+        known = bool(np.isfinite(reach[i]))
+        bar = reach[i] if known else None
+        axes.errorbar(
+            x[i], values[i], yerr=bar, fmt="o", ms=size, mfc=colour if known else "white", mec=colour, ecolor=colour,
+            elinewidth=0.9, capsize=1.8, capthick=0.9,
+        )  # fmt: skip
+    title = symbol(study.names[k])
+    if study.variation is not None:
+        axes.axhline(
+            study.variation.mean[k] / 10.0**exponent,
+            color=GREY,
+            lw=0.8,
+            ls=(0, (4, 2)),
+            zorder=0,
+            label="mean",
+        )
+        percent = study.variation.percent[k]
+        title += f",  std/mean {'< 0.01' if percent < 0.01 else f'{percent:.3g}'} %"
+    axes.set_title(title, loc="left")
+    axes.set_ylabel(scaled_unit(study.selected.units[k], exponent))
+    axes.set_xlim(-0.6, len(x) - 0.4)
+    shown = x[:: math.ceil(len(x) / MAX_TICKS)]
+    names = [
+        "all" if study.pooled else shortened(study.cross_validation.set_names[i], MAX_NAME) for i in shown
+    ]
+    axes.set_xticks(shown, names, rotation=45, ha="right", rotation_mode="anchor")
+
+
+@journal()
+def cross_validation_figure(study: Study) -> Figure:
+    """Fit of every set on every record; own records framed, the selected set marked."""
+    matrix, cross = study.cross_validation.matrix(), study.cross_validation
+    n_sets, n_records = matrix.shape
+    shown = np.where(np.isfinite(matrix), matrix, np.nan)
+    cell = min(0.5, (WIDTH - 2.2) / n_records)
+    figure = new_figure(max(0.42 * n_sets, cell * n_sets) + 1.25, min(WIDTH, cell * n_records + 3.6))
+    axes = figure.subplots()
+    low = math.floor(np.clip(np.nanmin(shown), 0.0, 99.0)) if np.isfinite(shown).any() else 0
+    edges = (np.arange(count + 1) - 0.5 for count in (n_records, n_sets))
+    image = axes.pcolormesh(*edges, shown, cmap="cividis", vmin=low, vmax=100)
+    axes.invert_yaxis()
+    if n_records <= MAX_NUMBERED:
+        for i, j in np.ndindex(matrix.shape):
+            text = _percent(float(matrix[i, j])) if np.isfinite(matrix[i, j]) else "div."
+            dark = np.isfinite(shown[i, j]) and shown[i, j] < 0.5 * (low + 100)
+            axes.text(j, i, text, ha="center", va="center", color="white" if dark else "black", fontsize=7)
+    for i, j in enumerate(cross.own_record):
+        if j >= 0:
+            axes.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, ec="black", lw=1.4, zorder=3))
+    chosen = study.selection.index
+    axes.set_yticks(
+        range(n_sets), [f"{'► ' if i == chosen else ''}{n}" for i, n in enumerate(cross.set_names)]
+    )
+    axes.get_yticklabels()[chosen].set_fontweight("bold")
+    axes.set_xticks(range(n_records), cross.record_names, rotation=45, ha="right", rotation_mode="anchor")
+    # the numbers by which the set was selected
+    side = axes.secondary_yaxis("right")
+    pairs = zip(study.selection.mean, study.selection.std, strict=True)
+    side.set_yticks(range(n_sets), [f"{_percent(mean)} ± {_percent(std)}" for mean, std in pairs])
+    side.tick_params(length=0)
+    axes.annotate("mean ± std", (1.0, 1.0), (4, 6), xycoords="axes fraction", textcoords="offset points")
+    side.spines[:].set_visible(False)
+    axes.set_xticks(np.arange(n_records + 1) - 0.5, minor=True)
+    axes.set_yticks(np.arange(n_sets + 1) - 0.5, minor=True)
+    axes.grid(which="minor", color="white", lw=0.8)
+    axes.tick_params(which="both", length=0)
+    axes.spines[:].set_visible(False)
+    axes.set(xlabel="replayed on record", ylabel="parameter set")
+    signals = ", ".join(symbol(name) for name in cross.signal_names)
+    axes.set_title(f"fit [%], mean of {signals}", loc="left")
+    figure.colorbar(image, ax=axes, fraction=0.04, pad=0.03)
+    return figure
+
+
+@journal()
+def residual_figure(study: Study, sample_time: float) -> Figure:
+    """Autocorrelation and distribution of the selected set's weighted residuals."""
+    white = study.whiteness
+    outputs = study.cross_validation.signal_names[: white.correlation.shape[1]]
+    residual = np.concatenate(study.selected.residual)
+    figure = new_figure(2.4)
+    left, right = figure.subplots(1, 2, width_ratios=(2, 1))
+    lags = 1e3 * sample_time * white.lags
+    left.axhspan(
+        -white.band,
+        white.band,
+        color=GREY,
+        alpha=0.35,
+        lw=0,
+        label=f"{100 * white.level:.0f} % band of white noise",
+    )
+    left.axhline(0.0, color="black", lw=0.5)
+    bins, sizes = np.linspace(-4, 4, 42), np.sqrt(np.mean(residual**2, axis=0))
+    for k, name in enumerate(outputs):
+        left.plot(lags, white.correlation[:, k], color=COLOURS[k % len(COLOURS)], label=symbol(name))
+        shown = np.clip(residual[:, k] / max(sizes[k], 1e-300), -4, 4)
+        words, colour = f"{symbol(name)}, RMS {sizes[k]:.2g}", COLOURS[k % len(COLOURS)]
+        right.hist(shown, bins, density=True, alpha=0.6, color=colour, label=words)
+    grid = np.linspace(-4, 4, 301)
+    right.plot(grid, np.exp(-0.5 * grid**2) / math.sqrt(2 * math.pi), color="black", lw=0.9, label="normal")
+    left.set_title(
+        f"set {study.selection.name}: {100 * white.outside.max():.0f} % of the lags leave the band",
+        loc="left",
+    )
+    right.set_title("RMS in units of the assumed noise", loc="left")
+    left.set(xlabel="lag [ms]", ylabel="autocorrelation", xlim=(0, lags[-1]), ylim=(None, 1.05))
+    left.legend(loc="upper right")
+    right.set(
+        xlabel="residual / RMS of its output",
+        ylabel="density",
+        xlim=(-4, 4),
+        ylim=(0, (1.3 + 0.12 * len(outputs)) * right.get_ylim()[1]),
+    )
+    right.legend(loc="upper right")
+    return figure
+
+
+@journal()
+def truth_figure(study: Study, truth: Mapping[str, float], level: float = 0.95) -> Figure:
+    """Selected set against known values: relative error of each parameter with its interval."""
+    rows = against_truth(study, truth, level)
+    errors = [100 * one.relative_error for one in rows]
+    halves = [100 * one.half_width / abs(one.truth) for one in rows]
+    finite = [half for half in halves if np.isfinite(half)]
+    far = 4.0 * float(np.median(finite)) if finite else np.inf  # one wide interval must not hide all others
+    figure = new_figure(0.21 * len(rows) + 0.8, 4.5)
+    axes = figure.subplots()
+    axes.axvline(0.0, color="black", lw=0.6)
+    for row, (error, half) in enumerate(zip(errors, halves, strict=True)):
+        known = bool(np.isfinite(half))
+        if far <= half < np.inf:
+            axes.annotate(f"± {half:.0f} %", (1.0, row), (3, 0), xycoords=("axes fraction", "data"),
+                          textcoords="offset points", va="center", fontsize=7, annotation_clip=False)  # fmt: skip
+        axes.errorbar(
+            error, row, xerr=half if known else None, fmt="o", ms=4, mfc=COLOURS[1] if known else "white",
+            mec=COLOURS[1], ecolor=COLOURS[0], elinewidth=1.2, capsize=2,
+        )  # fmt: skip
+    axes.set_yticks(range(len(rows)), [symbol(one.name) for one in rows])
+    reaches = (abs(e) + (half if half < far else 0.0) for e, half in zip(errors, halves, strict=True))
+    limit = 1.15 * max(reaches, default=1.0)
+    axes.set_xlim(-limit, limit)
+    for row, (error, half) in enumerate(zip(errors, halves, strict=True)):
+        for side, arrow in ((-1, "<"), (1, ">")):  # an arrow where an interval leaves the panel
+            if limit < side * error + half < np.inf:
+                axes.plot(0.985 * side * limit, row, arrow, ms=5, color=COLOURS[0])
+    axes.invert_yaxis()
+    axes.set_xlabel("estimate − truth [% of the truth], with its interval")
+    return figure
+
+
+def _percent(value: float) -> str:
+    """A fit as it fits into a cell; how bad a bad one is does not matter."""
+    return (
+        f"{value:.1f}"
+        if 0 <= value < 1000
+        else f"{value:.0f}"
+        if -100 < value < 0
+        else "<−99"
+        if value < 0
+        else ">999"
+    )
+
+
+COLUMNS, TOP = 3, 2.5
+"""Panels beside each other, and how far up they show, in heights of the threshold."""
+
+
+@journal()
+def profile_figure(study: Study, reach: float = 1.96) -> Figure:
+    """Rise of the cost over each profiled parameter by its threshold, and the parabola of ``reach`` standard errors."""
+    count = len(study.profiles)
+    columns = min(COLUMNS, count)
+    rows = math.ceil(count / columns)
+    figure = new_figure(1.9 * rows + 0.3, WIDTH * columns / COLUMNS if columns > 1 else 3.5)
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for axes, (name, profile) in zip(grid.flat, study.profiles.items(), strict=False):
+        _panel(axes, study, name, profile, reach)
+    for axes in list(grid.flat)[count:]:
+        axes.set_axis_off()
+    for axes in grid[:, 0]:
+        axes.set_ylabel("rise of the cost\n/ threshold")
+    return figure
+
+
+def _panel(axes: Axes, study: Study, name: str, profile: Profile, reach: float) -> None:
+    k, index = study.names.index(name), study.selection.index
+    estimate = study.selected.values[k]
+    minimum = profile.costs[np.argmin(np.abs(profile.values - estimate))]
+    exponent = power_of_ten(np.array([estimate, *profile.values]))
+    factor = 10.0**-exponent
+    rise = (profile.costs - minimum) / (profile.threshold - minimum)
+    ends = [e for e, closed in zip((profile.lower, profile.upper), profile.closed, strict=True) if closed]
+    axes.plot(factor * profile.values, rise, "o-", ms=3, color=COLOURS[0])
+    axes.plot(factor * estimate, 0.0, "o", ms=4.5, color=COLOURS[1])
+    error = study.standard_errors(index)[k]
+    if np.isfinite(error):
+        value = np.linspace(profile.values.min(), profile.values.max(), 100)
+        axes.plot(factor * value, ((value - estimate) / (reach * error)) ** 2, color=GREY, lw=0.8)
+    axes.axhline(1.0, color="black", lw=0.8, ls="--")
+    for end in ends:
+        axes.axvline(factor * end, color=COLOURS[0], lw=0.8, ls=":")
+    axes.set(ylim=(-0.1, TOP), xlabel=f"{symbol(name)} {scaled_unit(study.selected.units[k], exponent)}")
+
+
+SYMBOLS = ("circle", "diamond", "square", "cross")
+"""Marks of parameters in their interactive picture."""
+MAX_INPUTS = 3
+MAX_LABEL = 32
+
+
+def fit_figure(dataset: Dataset, replay: Replay, title: str = "") -> Figure:
+    """One record: each output measured and simulated, its residual, and the inputs below."""
+    return _overlay(dataset, {"simulated": replay}, title or f"{replay.record.name} ({replay.record.role})")
+
+
+def comparison_figure(dataset: Dataset, comparison: Comparison, record: str) -> Figure:
+    """One record: each output measured and simulated by every model, residuals and inputs below."""
+    row = comparison.records.index(record)
+    replays = {name: replays[row] for name, replays in comparison.replays.items()}
+    return _overlay(dataset, replays, f"{record} ({dataset[record].role})")
+
+
+@journal()
+def excitation_figure(design: Multisine, name: str = "u1") -> Figure:
+    """A designed multisine over time, and the amplitude of its tones."""
+    figure = new_figure(2.3)
+    left, right = figure.subplots(1, 2, width_ratios=(3, 1))
+    left.plot(design.time, design.signal, color=COLOURS[0], lw=0.8)
+    for limit in (design.offset - design.peak, design.offset + design.peak):
+        left.axhline(limit, color=GREY, lw=0.6, ls=(0, (4, 2)))
+    left.set(xlabel="time [s]", ylabel=label(name, "V"))
+    left.set_title(f"crest factor {design.crest_factor:.3f}", loc="left")
+    left.margins(x=0)
+    right.vlines(design.frequencies, 0, design.amplitudes, color=COLOURS[0])
+    right.plot(design.frequencies, design.amplitudes, "o", ms=3, color=COLOURS[0])
+    right.set(xlabel="frequency [Hz]", ylabel="amplitude [V]", ylim=(0, None))
+    right.set_title(count(len(design.frequencies), "tone"), loc="left")
+    return figure
+
+
+@journal()
+def _overlay(dataset: Dataset, replays: Mapping[str, Replay], title: str) -> Figure:
+    record = next(iter(replays.values())).record
+    inputs = _moving(record.inputs)
+    signals = [
+        channel for channel in dataset.outputs if all(channel.name in r.outputs for r in replays.values())
+    ]
+    heights = [2.4, 1.0] * len(signals) + [0.9] * len(inputs)
+    figure = new_figure(0.65 * sum(heights) + 0.5)
+    panels = np.ravel(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
+    for k, channel in enumerate(signals):
+        _signal(panels[2 * k], panels[2 * k + 1], record.time, channel, replays)
+    panels[0].set_title(title, loc="left")
+    units = {channel.name: channel.unit for channel in dataset.inputs}
+    for axes, name in zip(panels[2 * len(signals) :], inputs, strict=True):
+        axes.step(
+            record.time, record.inputs[name], where="post", color="black", lw=0.7, label=f"_{symbol(name)}"
+        )
+        axes.set_ylabel(f"{symbol(name)}\n{scaled_unit(units[name], 0)}".rstrip())
+        pad(axes)
+    panels[-1].set_xlabel("time [s]")
+    panels[-1].set_xlim(record.time[0], record.time[-1])
+    figure.align_ylabels(panels)
+    return figure
+
+
+def _signal(
+    main: Axes, below: Axes, time: np.ndarray, channel: Channel, replays: Mapping[str, Replay]
+) -> None:
+    measured = next(iter(replays.values())).record.signal(channel.name)
+    main.plot(time, measured, color=GREY, lw=2.4, alpha=0.75, label="measured", solid_capstyle="round")
+    below.axhline(0.0, color="black", lw=0.5)
+    for k, (long_name, replay) in enumerate(replays.items()):
+        name = shortened(long_name, MAX_LABEL)
+        colour, dash = COLOURS[k % len(COLOURS)], DASHES[k % len(DASHES)]
+        if replay.status != "ok":
+            main.plot([], [], color=colour, ls=dash, label=f"{name}: diverged")
+            continue
+        fit = replay.fit[channel.name]
+        error = measured - replay.outputs[channel.name]
+        main.plot(
+            time,
+            replay.outputs[channel.name],
+            color=colour,
+            ls=dash,
+            lw=1.0,
+            label=f"{name}, fit {fit:.2f} %",
+        )
+        below.plot(time, error, color=colour, lw=0.6, alpha=0.9, label=f"_residual, {name}")
+    main.set_ylabel(label(channel.name, channel.unit))
+    pad(main)
+    main.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, borderaxespad=0.0)
+    below.set_ylabel("residual\n" + label(channel.name, channel.unit).split(" ")[-1])
+    pad(below)
+
+
+def _moving(inputs: Mapping[str, np.ndarray]) -> list[str]:
+    """The inputs that are worth a panel: those that change, settings of the loop last."""
+    moving = [name for name, values in inputs.items() if np.ptp(values) > 0]
+    settings = ("gain", "enable", "supply")
+    return sorted(moving, key=lambda name: stem(name) in settings)[:MAX_INPUTS]
+
+
+def parameter_plot(study: Study, reach: float) -> Plot:
+    """Difference of every parameter from the selected set's [%], with intervals where one may be claimed."""
+    names, chosen = list(study.cross_validation.set_names), study.selection.index
+    errors = np.array([study.standard_errors(i) for i in range(len(study.sets))])
+    data = []
+    for k, name in enumerate(study.names):
+        base = study.values[chosen, k]
+        if base == 0:
+            continue
+        known = np.isfinite(errors[:, k])
+        curve: Plot = {"type": "scatter", "mode": "markers", "x": names, "name": name, "visible": True}
+        curve["y"] = short(100 * (study.values[:, k] / base - 1.0))
+        curve["error_y"] = {"array": short(np.where(known, 100 * reach * errors[:, k] / abs(base), 0.0))}
+        curve["marker"] = {"color": COLOURS[k % len(COLOURS)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 8}
+        curve["text"] = [f"{value:.4g}" for value in study.values[:, k]]
+        data.append(curve | {"hovertemplate": f"{name} = %{{text}}, set %{{x}}<extra></extra>"})
+    title = f"differs from set {names[chosen]} by [%]"
+    layout: Plot = {"height": 420, "yaxis": {"title": {"text": title}}, "scattermode": "group"}
+    return {"data": data, "layout": layout}

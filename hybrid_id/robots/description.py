@@ -1,0 +1,263 @@
+"""A robot's MJCF or URDF as a rigid-body tree; MuJoCo's own parser reads both."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hybrid_id.errors import InputError
+from hybrid_id.robots.rows import Matrix, Vector, constant, constant_vector
+from hybrid_id.robots.tree import Body, Point, RigidBodyTree, Servo, SpatialInertia, TreeJoint, frame
+
+LARGEST = 32 * 2**20
+"""Bytes of a description at most."""
+FORBIDDEN = ("<!DOCTYPE", "<!ENTITY")
+"""What lets an XML file grow or fetch others while it is read."""
+
+MASSLESS = 1e-12
+"""Mass [kg] and inertia [kg m^2] of a body that has none."""
+
+Pose = tuple[np.ndarray, np.ndarray]
+"""Rotation ``(3, 3)`` and position ``(3,)`` [m] in a parent's axes."""
+
+
+def load_tree(path: str | Path) -> RigidBodyTree:
+    """The rigid-body tree of a robot on a fixed base, with its joints named as in the file.
+
+    Contacts and sensors are left out, and of the actuators all but MuJoCo's ``position`` at a joint. Of meshes that
+    are not there a body does not need any, where its inertia is written down.
+
+    Args:
+        path: MJCF or URDF file.
+
+    Raises:
+        InputError: the file cannot be read, or it holds what is not supported: a floating base, ball joints, tendons,
+            equality constraints (closed loops), gravity compensation, or a fluid. The sentence names the element.
+    """
+    path = Path(path)
+    spec = read_spec(path)
+    model = compiled(path, spec)
+    if model.opt.density or model.opt.viscosity:
+        raise InputError(
+            f"{path}: <option> has a fluid (density or viscosity), which is not simulated; set it to 0."
+        )
+    return _tree(path, _mujoco(path), model)
+
+
+def read_spec(path: Path) -> Any:
+    """A description as MuJoCo's specification, what the package cannot simulate refused.
+
+    Raises:
+        InputError: see :func:`load_tree`.
+    """
+    mujoco, spec = _parsed(path)
+    _refuse(path, mujoco, spec)
+    without_missing_meshes(path, mujoco, spec)
+    return spec
+
+
+def compiled(path: Path, spec: Any) -> Any:
+    """MuJoCo's model of a specification; ``path`` is for messages."""
+    spec.compiler.fusestatic = False  # bodies keep their names
+    # a body without a mass is one whose inertia is to be estimated; MuJoCo wants some
+    spec.compiler.boundmass = max(spec.compiler.boundmass, MASSLESS)
+    spec.compiler.boundinertia = max(spec.compiler.boundinertia, MASSLESS)
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise InputError(
+            f"{path}: {_first_line(error)}; MuJoCo cannot compile it, so mend it there."
+        ) from error
+
+
+def _mujoco(path: Path) -> Any:
+    try:
+        import mujoco
+    except ImportError as error:
+        raise InputError(
+            f"{path}: reading a robot's description needs MuJoCo; install it with pip install 'hybrid_id[robots]'."
+        ) from error
+    return mujoco
+
+
+def _parsed(path: Path) -> tuple[Any, Any]:
+    mujoco = _mujoco(path)
+    try:
+        size = path.stat().st_size
+        text = "" if size > LARGEST else path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
+        raise InputError(f"{path}: cannot be read ({reason}); give an MJCF or URDF file.") from error
+    if size > LARGEST:
+        raise InputError(
+            f"{path}: {size / 2**20:.0f} MB are too much for a description; {LARGEST >> 20} MB at most."
+        )
+    if found := next((word for word in FORBIDDEN if word in text), None):
+        raise InputError(f"{path}: {found} is not read in a robot's description; take it out.")
+    try:
+        return mujoco, mujoco.MjSpec.from_file(str(path))  # type: ignore[attr-defined]
+    except ValueError as error:
+        raise InputError(f"{path}: {_first_line(error)}; give an MJCF or URDF file.") from error
+
+
+def _first_line(error: Exception) -> str:
+    words = str(error).strip().splitlines()
+    return " ".join(words[:2])[:300].rstrip(".") or "it cannot be parsed"
+
+
+def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
+    """Refuse what a fixed tree of hinges and slides cannot be."""
+    free, ball = mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL
+    for joint in spec.joints:
+        if joint.type in (free, ball):
+            kind, cure = "free joint (a floating base)", "hang the robot up and take the joint out"
+            if joint.type == ball:
+                kind, cure = "ball joint", "put hinges in its place, or take it out where it does not move"
+            raise InputError(
+                f"{path}: body '{joint.parent.name}' has a {kind}, which is not supported; {cure}."
+            )
+    for kind, elements in (("tendon", spec.tendons), ("equality constraint", spec.equalities)):
+        if elements:
+            name = elements[0].name or "without a name"
+            raise InputError(
+                f"{path}: {kind} '{name}' couples joints or closes a loop, which is not supported; take it out."
+            )
+    for body in spec.bodies:
+        if body.gravcomp:
+            raise InputError(f"{path}: body '{body.name}' has gravcomp, which no machine has; set it to 0.")
+
+
+def without_missing_meshes(path: Path, mujoco: Any, spec: Any) -> None:
+    """Take out shapes whose mesh is not there: only a body without an inertia of its own needs them."""
+    # a URDF names its meshes as packages do
+    home = path.parent / (spec.compiler.meshdir or "")
+    missing = {mesh.name for mesh in spec.meshes if mesh.file and not (home / Path(mesh.file)).is_file()}
+    missing |= {mesh.name or Path(mesh.file).stem for mesh in spec.meshes if mesh.name in missing}
+    for geom in list(spec.geoms):
+        if geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.meshname in missing:
+            body = geom.parent
+            if not body.explicitinertial and body.name != "world":
+                raise InputError(
+                    f"{path}: the mesh '{geom.meshname}' of body '{body.name}' is not there and the body has no "
+                    "<inertial>; add one of them."
+                )
+            spec.delete(geom)
+    for mesh in list(spec.meshes):
+        if mesh.name in missing:
+            spec.delete(mesh)
+
+
+def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
+    """Joints and bodies of a compiled model, each body's pose in the frame of the joint that moves it."""
+    joints: list[TreeJoint] = []
+    bodies: list[Body] = []
+    points: dict[str, Point] = {}
+    held: dict[int, tuple[int, Pose]] = {0: (-1, (np.eye(3), np.zeros(3)))}  # body: its joint, its pose there
+    for b in range(1, model.nbody):
+        joint, pose = held[int(model.body_parentid[b])]
+        pose = _after(pose, (_rotation(mujoco, model.body_quat[b]), model.body_pos[b]))
+        first = int(model.body_jntadr[b])
+        for j in range(first, first + int(model.body_jntnum[b])):
+            turned = np.array(frame(model.jnt_axis[j].tolist()), dtype=float)
+            there = (turned, np.array(model.jnt_pos[j]))  # in the body's axes
+            start = _after(pose, there)
+            joints.append(_joint(path, mujoco, model, j, joint, start))
+            joint, pose = len(joints) - 1, _inverse(there)
+        held[b] = (joint, pose)
+        if joint >= 0:
+            bodies.append(_body(mujoco, model, b, joint, pose))
+            points[bodies[-1].name] = Point(joint, _vector(pose[1]))
+    for number in range(model.nsite):
+        joint, pose = held[int(model.site_bodyid[number])]
+        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, number)
+        if joint >= 0 and name:
+            points[name] = Point(joint, _vector(pose[1] + pose[0] @ model.site_pos[number]))
+    if not joints:
+        raise InputError(f"{path}: it has no joint that moves; give the description of an arm.")
+    return RigidBodyTree(
+        tuple(joints), tuple(bodies), constant_vector(model.opt.gravity), points, source=str(path.resolve())
+    )
+
+
+def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose) -> TreeJoint:
+    """A joint whose frame at MuJoCo's zero is known: at ``qpos0`` it stands as the file draws it."""
+    slide = model.jnt_type[j] == mujoco.mjtJoint.mjJNT_SLIDE
+    zero, at = float(model.qpos0[j]), int(model.jnt_dofadr[j])
+    sine, cosine = np.sin(-zero), np.cos(-zero)
+    turn = np.eye(3) if slide else np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
+    rotation, position = _after(start, (turn, np.array([0.0, 0.0, -zero if slide else 0.0])))
+    limited = bool(model.jnt_limited[j])
+    low, high = (float(end) for end in model.jnt_range[j])
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, j)
+    if not name:
+        body = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, int(model.jnt_bodyid[j]))
+        raise InputError(f"{path}: a joint of body '{body}' has no name; give it one.")
+    return TreeJoint(
+        name=name,
+        kind="slide" if slide else "hinge",
+        parent=parent,
+        rotation=constant(rotation.tolist()),
+        position=_vector(position),
+        limits=(low, high) if limited else (-float("inf"), float("inf")),
+        armature=float(model.dof_armature[at]),
+        damping=float(np.ravel(model.dof_damping[at])[0]),
+        friction_loss=float(model.dof_frictionloss[at]),
+        stiffness=float(np.ravel(model.jnt_stiffness[j])[0]),
+        reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
+        servo=_servo(mujoco, model, j),
+    )
+
+
+def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
+    """The position loop of a joint: an actuator whose force is ``kp (ctrl - q) - kv v``."""
+    for i in range(model.nu):
+        if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT or int(model.actuator_trnid[i][0]) != j:
+            continue
+        stiffness, (constant_part, by_angle, by_speed) = (
+            model.actuator_gainprm[i][0],
+            model.actuator_biasprm[i][:3],
+        )
+        alone = model.actuator_gear[i][0] == 1.0 and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
+        fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
+        if alone and fixed and stiffness > 0 and by_angle == -stiffness and constant_part == 0.0:
+            low, high = (abs(float(end)) for end in model.actuator_forcerange[i])
+            largest = min(low, high) if model.actuator_forcelimited[i] else None
+            return Servo(float(stiffness), float(-by_speed), largest)
+    return None
+
+
+def _body(mujoco: Any, model: Any, b: int, joint: int, pose: Pose) -> Body:
+    axes = _rotation(mujoco, model.body_iquat[b])
+    mass, moments = (np.where(x > MASSLESS, x, 0.0) for x in (model.body_mass[b], model.body_inertia[b]))
+    about_centre = axes @ np.diag(moments) @ axes.T
+    inertia = SpatialInertia.about_centre(
+        float(mass), constant_vector(model.body_ipos[b]), _numbers(about_centre)
+    )
+    name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_BODY, b) or f"body{b}"
+    rotation, position = pose
+    return Body(name, joint, constant(rotation.tolist()), _vector(position), inertia)
+
+
+def _rotation(mujoco: Any, quaternion: np.ndarray) -> np.ndarray:
+    found = np.empty(9)
+    mujoco.mju_quat2Mat(found, quaternion)
+    return found.reshape(3, 3)
+
+
+def _after(one: Pose, other: Pose) -> Pose:
+    return one[0] @ other[0], one[1] + one[0] @ other[1]
+
+
+def _inverse(pose: Pose) -> Pose:
+    return pose[0].T, -pose[0].T @ pose[1]
+
+
+def _numbers(matrix: np.ndarray) -> Matrix:
+    x, y, z = (_vector(row) for row in matrix)
+    return x, y, z
+
+
+def _vector(values: np.ndarray) -> Vector:
+    return constant_vector(values.tolist())

@@ -1,0 +1,457 @@
+"""Rigid-body tree: mass matrix, bias and gravity torques of any open chain or tree of hinges and slides.
+
+Every joint has a frame whose z axis is the joint's; its pose in its parent's frame is a constant one followed by a turn
+about z or a shift along it. Forces and moments are taken at the joints' origins, in the joints' own frames.
+
+Sources: R. Featherstone, Rigid Body Dynamics Algorithms, 2008: recursive Newton-Euler (section 5.3) and composite
+rigid bodies (section 6.2), here with 3-vectors. Differs from them by a fixed base and one degree of freedom a joint.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import reduce
+from typing import Literal
+
+from hybrid_id.errors import InputError
+from hybrid_id.robots.rows import (
+    ZERO,
+    Matrix,
+    Row,
+    Vector,
+    add,
+    constant,
+    constant_vector,
+    cross,
+    dot,
+    multiply,
+    plus,
+    product,
+    scale,
+    sine_and_cosine,
+    subtract,
+    times,
+    transposed,
+)
+
+Rows = Sequence[Row]
+
+
+@dataclass(frozen=True)
+class SpatialInertia:
+    """Ten inertial parameters of a rigid body about the origin of a frame.
+
+    Attributes:
+        mass: [kg].
+        moment: mass times the centre of mass [kg m].
+        inertia: symmetric matrix about the frame's origin [kg m^2].
+    """
+
+    mass: Row
+    moment: Vector
+    inertia: Matrix
+
+    @classmethod
+    def about_centre(cls, mass: Row, centre: Vector, inertia: Matrix) -> SpatialInertia:
+        """From the mass [kg], its centre [m] and the inertia about that centre [kg m^2], in one frame's axes."""
+        return cls(mass, ZERO, inertia).seen_from(_IDENTITY, centre)
+
+    def seen_from(self, rotation: Matrix, position: Vector) -> SpatialInertia:
+        """The same body about another frame's origin, in that frame's axes.
+
+        Args:
+            rotation: turns vectors of this frame into the other's axes.
+            position: of this frame's origin in the other frame [m].
+        """
+        moment = times(rotation, self.moment)
+        turned = product(product(rotation, self.inertia), transposed(rotation))
+        shift = multiply(2.0, dot(position, moment))
+        square = dot(position, position)
+        rows = []
+        for i in range(3):
+            row = []
+            for j in range(3):
+                mixed = add(multiply(position[i], moment[j]), multiply(moment[i], position[j]))
+                steiner = multiply(position[i], position[j])
+                diagonal = (shift, square) if i == j else (0.0, 0.0)
+                weight = multiply(self.mass, subtract(diagonal[1], steiner))
+                row.append(add(turned[i][j], add(subtract(diagonal[0], mixed), weight)))
+            rows.append((row[0], row[1], row[2]))
+        return SpatialInertia(
+            self.mass, plus(moment, scale(self.mass, position)), (rows[0], rows[1], rows[2])
+        )
+
+    def __add__(self, other: SpatialInertia) -> SpatialInertia:
+        x, y, z = (plus(a, b) for a, b in zip(self.inertia, other.inertia, strict=True))
+        return SpatialInertia(add(self.mass, other.mass), plus(self.moment, other.moment), (x, y, z))
+
+
+_IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_NOTHING = SpatialInertia(0.0, ZERO, (ZERO, ZERO, ZERO))
+
+
+@dataclass(frozen=True)
+class Body:
+    """A named body of the description, rigidly fixed to what one joint moves.
+
+    Attributes:
+        name: as in the file.
+        joint: number of the joint that moves it, from 0.
+        rotation: turns vectors of the body's axes into the joint's, ``(3, 3)``.
+        position: of the body's origin in the joint's frame [m], ``(3,)``.
+        inertia: about the body's origin, in its axes.
+    """
+
+    name: str
+    joint: int
+    rotation: Matrix
+    position: Vector
+    inertia: SpatialInertia
+
+
+@dataclass(frozen=True)
+class Point:
+    """A named point that moves with a joint, a site or a body's origin of the description.
+
+    Attributes:
+        joint: number of the joint that moves it, from 0.
+        position: in the joint's frame [m], ``(3,)``.
+    """
+
+    joint: int
+    position: Vector
+
+
+@dataclass(frozen=True)
+class Servo:
+    """A position loop at a joint, MuJoCo's ``position`` actuator.
+
+    Attributes:
+        stiffness: torque or force per error [N m/rad or N/m].
+        damping: [N m s/rad or N s/m].
+        largest: torque or force that it does not exceed [N m or N]; None where there is no limit.
+    """
+
+    stiffness: float
+    damping: float = 0.0
+    largest: float | None = None
+
+
+@dataclass(frozen=True)
+class TreeJoint:
+    """A joint of the tree.
+
+    Attributes:
+        name: as in the file.
+        kind: ``hinge``, about its z axis, or ``slide``, along it.
+        parent: number of the joint that carries it, from 0; -1 for the base.
+        rotation: turns vectors of its frame at position zero into its parent's axes, ``(3, 3)``.
+        position: of its origin at position zero in its parent's frame [m], ``(3,)``.
+        limits: least and largest position [rad or m].
+        armature: inertia of its rotor at the joint [kg m^2 or kg].
+        damping: [N m s/rad or N s/m].
+        friction_loss: dry friction [N m or N].
+        stiffness: of the spring at the joint [N m/rad or N/m], at rest at ``reference``.
+        reference: [rad or m].
+        servo: its position loop; None where it is driven by a torque or a force.
+    """
+
+    name: str
+    kind: Literal["hinge", "slide"]
+    parent: int
+    rotation: Matrix
+    position: Vector
+    limits: tuple[float, float] = (-float("inf"), float("inf"))
+    armature: float = 0.0
+    damping: float = 0.0
+    friction_loss: float = 0.0
+    stiffness: float = 0.0
+    reference: float = 0.0
+    servo: Servo | None = None
+
+
+@dataclass(frozen=True)
+class RigidBodyTree:
+    """An open chain or tree of rigid bodies on a fixed base.
+
+    Attributes:
+        joints: each after the joint that carries it.
+        bodies: everything that moves and has a mass.
+        gravity: acceleration of free fall in the base's axes [m/s^2].
+        points: sites and origins of bodies, by name.
+        source: the description that it was read from; empty where there is none.
+        held: joints of that description that do not move, and where they stand [rad or m].
+
+    Raises:
+        InputError: a joint that stands before its parent, or two of one name.
+    """
+
+    joints: tuple[TreeJoint, ...]
+    bodies: tuple[Body, ...]
+    gravity: Vector = (0.0, 0.0, -9.81)
+    points: Mapping[str, Point] = field(default_factory=dict, compare=False)
+    source: str = field(default="", compare=False)
+    held: Mapping[str, float] = field(default_factory=dict, compare=False)
+    _fixed: Mapping[str, SpatialInertia] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        for number, joint in enumerate(self.joints):
+            if not -1 <= joint.parent < number:
+                raise InputError(f"Joint '{joint.name}' stands before the joint that carries it; sort them.")
+        names = [joint.name for joint in self.joints]
+        if twice := {name for name in names if names.count(name) > 1}:
+            raise InputError(f"Several joints are called '{min(twice)}'; give each a name of its own.")
+        seen = {b.name: b.inertia.seen_from(b.rotation, b.position) for b in self.bodies}
+        object.__setattr__(self, "_fixed", seen)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return tuple(joint.name for joint in self.joints)
+
+    def holding(self, at: Mapping[str, float]) -> RigidBodyTree:
+        """The tree with some joints held still: what they carry is part of what carries them.
+
+        Args:
+            at: position of each held joint by its name [rad or m].
+
+        Raises:
+            InputError: a name that no joint has, or no joint left that moves.
+        """
+        if unknown := [name for name in at if name not in self.names]:
+            raise InputError(
+                f"The robot has no joint '{unknown[0]}' to hold; it has {', '.join(self.names)}."
+            )
+        joints: list[TreeJoint] = []
+        seat: list[tuple[int, Matrix, Vector]] = []  # of each joint: what moves it, and its frame there
+        for joint in self.joints:
+            parent, rotation, position = joint.parent, joint.rotation, joint.position
+            if parent >= 0:
+                parent, turned, origin = seat[parent]
+                rotation, position = chained([(turned, origin), (rotation, position)])
+            moved = replace(joint, parent=parent, rotation=rotation, position=position)
+            if joint.name in at:
+                seat.append((parent, *_pose(moved, at[joint.name])))
+            else:
+                seat.append((len(joints), _IDENTITY, ZERO))
+                joints.append(moved)
+        if not joints:
+            raise InputError("Every joint of the robot is held; let one of them move.")
+        bodies = []
+        for body in self.bodies:
+            number, turned, origin = seat[body.joint]
+            rotation, position = chained([(turned, origin), (body.rotation, body.position)])
+            if number >= 0:  # what stands on the base does not move
+                bodies.append(replace(body, joint=number, rotation=rotation, position=position))
+        points = {}
+        for name, point in self.points.items():
+            number, rotation, position = seat[point.joint]
+            if number >= 0:
+                points[name] = Point(number, plus(position, times(rotation, point.position)))
+        tree = replace(self, joints=tuple(joints), bodies=tuple(bodies), points=points)
+        return replace(tree, held={**self.held, **at})
+
+    def inertias(self, free: Mapping[str, SpatialInertia] | None = None) -> list[SpatialInertia]:
+        """What each joint carries rigidly, about the joint's origin.
+
+        Args:
+            free: inertias of bodies by name, about their own origins, that take the place of the description's.
+        """
+        free = free or {}
+        found = [_NOTHING] * len(self.joints)
+        for body in self.bodies:
+            own = free.get(body.name)
+            seen = self._fixed[body.name] if own is None else own.seen_from(body.rotation, body.position)
+            found[body.joint] = found[body.joint] + seen
+        return found
+
+    def poses(self, q: Rows) -> list[tuple[Matrix, Vector]]:
+        """Pose of each joint's frame in its parent's: rotation and position [m].
+
+        Args:
+            q: positions of the joints [rad or m].
+        """
+        return [_pose(joint, angle) for joint, angle in zip(self.joints, q, strict=True)]
+
+    def pose(self, poses: Sequence[tuple[Matrix, Vector]], joint: int) -> tuple[Matrix, Vector]:
+        """Pose of a joint's frame in the base's axes: rotation and position [m]."""
+        found = []
+        while joint >= 0:
+            found.append(poses[joint])
+            joint = self.joints[joint].parent
+        return chained(found[::-1])
+
+    def place(self, poses: Sequence[tuple[Matrix, Vector]], point: Point) -> Vector:
+        """Where a point is in the base's axes [m]."""
+        rotation, position = self.pose(poses, point.joint)
+        return plus(position, times(rotation, point.position))
+
+    def mass_matrix(
+        self, poses: Sequence[tuple[Matrix, Vector]], inertias: Sequence[SpatialInertia]
+    ) -> list[list[Row]]:
+        """Mass matrix M(q), rotors' armature left out: rows of ``(B,)`` or numbers.
+
+        Args:
+            poses: see :meth:`poses`.
+            inertias: see :meth:`inertias`.
+        """
+        n = len(self.joints)
+        composite = list(inertias)
+        for k in reversed(range(n)):
+            parent = self.joints[k].parent
+            if parent >= 0:
+                composite[parent] = composite[parent] + composite[k].seen_from(*poses[k])
+        found: list[list[Row]] = [[0.0] * n for _ in range(n)]
+        for k, joint in enumerate(self.joints):
+            force, moment = _unit_acceleration(joint, composite[k])
+            found[k][k] = _along(joint, force, moment)
+            below = k
+            while (above := self.joints[below].parent) >= 0:
+                force, moment = _carried(force, moment, *poses[below])
+                found[k][above] = found[above][k] = _along(self.joints[above], force, moment)
+                below = above
+        return found
+
+    def inverse_dynamics(
+        self,
+        poses: Sequence[tuple[Matrix, Vector]],
+        inertias: Sequence[SpatialInertia],
+        v: Rows,
+        a: Rows | None = None,
+        pushes: Sequence[tuple[Point, Vector]] = (),
+    ) -> list[Row]:
+        """Torques or forces at the joints for a motion, rotors' armature left out.
+
+        With no acceleration this is the bias: gravity, centrifugal and Coriolis torques. At rest it is gravity's.
+
+        Args:
+            poses: see :meth:`poses`.
+            inertias: see :meth:`inertias`.
+            v: speeds [rad/s or m/s].
+            a: accelerations [rad/s^2 or m/s^2]; None for none.
+            pushes: forces from outside [N], in the base's axes, and the points where they act.
+        """
+        n = len(self.joints)
+        a = [0.0] * n if a is None else a
+        forces, moments = [ZERO] * n, [ZERO] * n
+        motion: list[tuple[Vector, Vector, Vector]] = []
+        base = (ZERO, ZERO, scale(-1.0, self.gravity))
+        for k, joint in enumerate(self.joints):
+            before = base if joint.parent < 0 else motion[joint.parent]
+            motion.append(_moved(joint, *poses[k], *before, v[k], a[k]))
+            forces[k], moments[k] = _needed(inertias[k], *motion[k])
+        for point, push in pushes:
+            force = scale(-1.0, times(transposed(self.pose(poses, point.joint)[0]), push))
+            forces[point.joint] = plus(forces[point.joint], force)
+            moments[point.joint] = plus(moments[point.joint], cross(point.position, force))
+        found: list[Row] = [0.0] * n
+        for k in reversed(range(n)):
+            joint = self.joints[k]
+            found[k] = _along(joint, forces[k], moments[k])
+            if joint.parent >= 0:
+                force, moment = _carried(forces[k], moments[k], *poses[k])
+                forces[joint.parent] = plus(forces[joint.parent], force)
+                moments[joint.parent] = plus(moments[joint.parent], moment)
+        return found
+
+    def dynamics(
+        self, q: Rows, v: Rows, free: Mapping[str, SpatialInertia] | None = None
+    ) -> tuple[list[list[Row]], list[Row]]:
+        """Mass matrix with the rotors' armature, and bias: ``M a + bias`` are the torques at the joints.
+
+        Args:
+            q: positions [rad or m].
+            v: speeds [rad/s or m/s].
+            free: see :meth:`inertias`.
+        """
+        poses, inertias = self.poses(q), self.inertias(free)
+        mass = self.mass_matrix(poses, inertias)
+        for k, joint in enumerate(self.joints):
+            mass[k][k] = add(mass[k][k], joint.armature)
+        return mass, self.inverse_dynamics(poses, inertias, v)
+
+
+def frame(axis: Sequence[float]) -> Matrix:
+    """Rotation whose third column is an axis: a joint's frame in the axes that the axis is given in.
+
+    Args:
+        axis: unit vector.
+    """
+    x, y, z = axis
+    if abs(z) > 1.0 - 1e-12:  # z itself, or turned about x by half a turn
+        way = 1.0 if z > 0 else -1.0
+        return constant([[1.0, 0.0, 0.0], [0.0, way, 0.0], [0.0, 0.0, way]])
+    length = (x * x + y * y) ** 0.5
+    first = (y / length, -x / length, 0.0)
+    second = cross(constant_vector(axis), first)
+    return constant([[first[i], _number(second[i]), axis[i]] for i in range(3)], 1e-14)
+
+
+def _number(row: Row) -> float:
+    return float(row)
+
+
+def _pose(joint: TreeJoint, q: Row) -> tuple[Matrix, Vector]:
+    if joint.kind == "slide":
+        along = times(joint.rotation, (0.0, 0.0, q))
+        return joint.rotation, plus(joint.position, along)
+    sine, cosine = sine_and_cosine(q)
+    turn: Matrix = ((cosine, multiply(-1.0, sine), 0.0), (sine, cosine, 0.0), (0.0, 0.0, 1.0))
+    return product(joint.rotation, turn), joint.position
+
+
+def _along(joint: TreeJoint, force: Vector, moment: Vector) -> Row:
+    """What of a force and a moment acts on a joint's coordinate."""
+    return moment[2] if joint.kind == "hinge" else force[2]
+
+
+def _unit_acceleration(joint: TreeJoint, body: SpatialInertia) -> tuple[Vector, Vector]:
+    """Force and moment that accelerate a body by 1 along a joint's coordinate."""
+    if joint.kind == "hinge":
+        x, y, _ = body.moment
+        return (multiply(-1.0, y), x, 0.0), (body.inertia[0][2], body.inertia[1][2], body.inertia[2][2])
+    return (0.0, 0.0, body.mass), cross(body.moment, (0.0, 0.0, 1.0))
+
+
+def _carried(force: Vector, moment: Vector, rotation: Matrix, position: Vector) -> tuple[Vector, Vector]:
+    """Force and moment at a joint's origin as the parent carries them, at the parent's origin."""
+    turned = times(rotation, force)
+    return turned, plus(times(rotation, moment), cross(position, turned))
+
+
+def _moved(
+    joint: TreeJoint,
+    rotation: Matrix,
+    position: Vector,
+    spin: Vector,
+    turn: Vector,
+    pull: Vector,
+    v: Row,
+    a: Row,
+) -> tuple[Vector, Vector, Vector]:
+    """Angular velocity, angular acceleration and acceleration of a joint's origin, from those of its parent."""
+    back = transposed(rotation)
+    centripetal = cross(spin, cross(spin, position))
+    pull = times(back, plus(pull, cross(turn, position), centripetal))
+    spin, turn = times(back, spin), times(back, turn)
+    along, faster = (0.0, 0.0, v), (0.0, 0.0, a)
+    if joint.kind == "slide":
+        return spin, turn, plus(pull, scale(2.0, cross(spin, along)), faster)
+    return plus(spin, along), plus(turn, cross(spin, along), faster), pull
+
+
+def _needed(body: SpatialInertia, spin: Vector, turn: Vector, pull: Vector) -> tuple[Vector, Vector]:
+    """Force and moment at a frame's origin that move a body so (Newton and Euler)."""
+    force = plus(scale(body.mass, pull), cross(turn, body.moment), cross(spin, cross(spin, body.moment)))
+    moment = plus(times(body.inertia, turn), cross(spin, times(body.inertia, spin)), cross(body.moment, pull))
+    return force, moment
+
+
+def chained(poses: Sequence[tuple[Matrix, Vector]]) -> tuple[Matrix, Vector]:
+    """One pose after the other, the first one outermost."""
+
+    def after(one: tuple[Matrix, Vector], other: tuple[Matrix, Vector]) -> tuple[Matrix, Vector]:
+        return product(one[0], other[0]), plus(one[1], times(one[0], other[1]))
+
+    return reduce(after, poses, (_IDENTITY, ZERO))

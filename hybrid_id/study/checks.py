@@ -1,0 +1,335 @@
+"""Checks of a model, a study and its records: identifiability, plausibility, residual tests, profile likelihoods."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import torch
+
+from hybrid_id.errors import InputError, listed
+from hybrid_id.identification.fit import fit, make_bounds
+from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.identification.least_squares import Options, free_parameters
+from hybrid_id.identification.objective import evaluate
+from hybrid_id.identification.result import FitResult, sensitivities
+from hybrid_id.parameters import Bounded
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.derivatives import noise_level
+from hybrid_id.records.measures import less_half_a_count
+from hybrid_id.records.quality import Finding
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.compiled import compiled_for
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.simulation.solvers import stable_engine
+from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.step import Engine
+from hybrid_id.statistics.identifiability import Identifiability, identifiability
+from hybrid_id.statistics.profile import Profile, profile_likelihood
+from hybrid_id.statistics.residuals import ResidualTest, residual_test
+from hybrid_id.study.replays import batch_of, replay, simulated_over
+from hybrid_id.study.result import Study
+from hybrid_id.systems.chain import System
+
+REFERENCES = ("P_m1", "k_t", "P_m1m1", "P_m1m2")
+"""Parameters by which identifiable combinations are divided, where the model has them."""
+FROM_PRIOR = 6.0
+"""Standard deviations of a prior from which its parameter is called odd."""
+ALIKE, UNIT = 0.9, 5.0
+"""Correlation of a signal with its simulation, and factor between the two, from which its unit is doubted: 9.5 is a
+speed's in rpm, 57 an angle's in degrees."""
+FAR_OUT = 20.0
+"""Error of a record over the median of all from which it contradicts the others."""
+FIRST_STEP = 0.1
+"""First step as a share of the estimate, where no standard error is known."""
+
+
+def identifiability_of(result: FitResult, *, inflation: float = 1.0) -> Identifiability:
+    """What the records of a fit tell about its parameters, at its estimates and its noise."""
+    scale = max(result.noise_scale, 1e-300)
+    bounds = [result.system.parameter(n).spec for n in result.names]
+    size = np.array(
+        [
+            abs(v) or max((abs(b) for b in (s.lower, s.upper) if np.isfinite(b)), default=0.0) or 1.0
+            for v, s in zip(result.values, bounds, strict=True)
+        ]
+    )
+    return identifiability(
+        result.values,
+        result.names,
+        jacobian=[j / scale for j in result.jacobian],
+        prior_information=result.prior_precision,
+        scale=size,
+        inflation=inflation,
+        references=REFERENCES,
+    )
+
+
+def check_identifiability(
+    dataset: Dataset, system: System, *, signal_share: float = SIGNAL_SHARE
+) -> Identifiability:
+    """What the train records can tell about the model's parameters, before any fit, at its start values.
+
+    The sensitivities are those of a free run linearised along the measured motion.
+
+    Raises:
+        InputError: nothing to estimate, or missing channels.
+    """
+    free = free_parameters(system)
+    batch = batch_of(dataset, system, dataset.train or dataset.records, signal_share)
+    theta = system.theta().detach()[:, None].expand(-1, batch.rows)
+    engine = with_substeps(system, compiled_for(system, Engine()), batch, theta)
+    options = Options()
+    at = evaluate(system, engine, batch, batch.x, theta, free, loss=options.loss, chunk=options.chunk)
+    every = torch.arange(batch.rows)
+    jacobian, _ = sensitivities(at, every, every, batch, options)
+    info = [system.table[i] for i in free]
+    bounds = make_bounds(system, free)
+    return identifiability(
+        np.array([i.spec.value for i in info]),
+        [i.name for i in info],
+        jacobian=jacobian,
+        prior_information=bounds.prior_precision.numpy(),
+        scale=(10.0 * bounds.scale).numpy(),
+        references=REFERENCES,
+    )
+
+
+def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
+    """Simulate the train records with the model's start values; one warning where that explains nothing."""
+    names = [record.name for record in dataset.train or dataset.records]
+    runs = replay(dataset.select(names), system)
+    words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs])
+    found = [words] if words else []
+    for output in runs[0].outputs:
+        pairs = [(run.record.signal(output), run.outputs[output]) for run in runs if run.status == "ok"]
+        if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
+            found.append(
+                f"{output} moves {times:.3g} times as far in the records as with the model's start values, and alike "
+                "otherwise; check its unit"
+            )
+    return [Finding("warning", "start_values", one) for one in found]
+
+
+def _times(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
+    """Factor between two signals that are alike but for one that no start value explains; 0 where there is none."""
+    both, own, other = (float(sum(np.vdot(p[i], p[j]) for p in pairs)) for i, j in ((0, 1), (0, 0), (1, 1)))
+    if (
+        not all(np.isfinite((both, own, other)))
+        or own <= 0
+        or other <= 0
+        or both < ALIKE * (own * other) ** 0.5
+    ):
+        return 0.0
+    times = (own / other) ** 0.5
+    return times if max(times, 1.0 / times) > UNIT else 0.0
+
+
+def check_fit(study: Study) -> str:
+    """The same of the selected set on train and test records; empty where it explains something."""
+    cross, index = study.cross_validation, study.selection.index
+    outputs = study.selected.residual[0].shape[-1]
+    train = 1.0 - cross.fits[index, :, :outputs] / 100.0
+    test = [[value] for value in study.test_nrmse.values()]
+    who = "the identified parameters"
+    return _verdict(who, cross.record_names, train) or _verdict(who, tuple(study.test_nrmse), test)
+
+
+def check_priors(study: Study) -> list[str]:
+    """Say which identified values lie further from their priors than data sheets are wrong: units are, or the model."""
+    lines, selected = [], study.selected
+    for name, value in zip(selected.names, selected.values, strict=True):
+        spec = selected.system.parameter(name).spec
+        if spec.prior_std is None or spec.prior_mean is None:
+            continue
+        away = abs(value - spec.prior_mean) / spec.prior_std
+        if away > FROM_PRIOR:
+            lines.append(
+                f"{name} = {value:.4g} is {away:.0f} standard deviations from its prior {spec.prior_mean:.4g}; check "
+                "the units of commands and outputs, and that nothing is missing ('hybrid-id diagnose')"
+            )
+    return lines
+
+
+def _verdict(who: str, names: Sequence[str], nrmse: Sequence[Sequence[float]] | np.ndarray) -> str:
+    """Say that the normalised RMSE (n_records, n_outputs) of the worst output, median of the records, is above 1.
+
+    Or that of single records which stand far out of the others.
+    """
+    errors = np.array(nrmse, float)
+    if not errors.size:
+        return ""
+    moving = errors[:, ~np.isnan(errors).all(0)]  # an output that stands still in all records has none
+    worst = float(np.max(np.nanmedian(moving, axis=0), initial=0.0)) if moving.size else 0.0
+    if worst > 1.0:
+        size = f"normalised RMSE {worst:.3g}" if np.isfinite(worst) else "the simulation diverges"
+        return f"{who} explain less than the mean of the records ({size}); check signs, units and gear ratio"
+    largest = np.nanmax(np.where(np.isnan(errors), -np.inf, errors), axis=1)
+    out = [k for k, error in enumerate(largest) if error > max(1.0, FAR_OUT * float(np.median(largest)))]
+    if not out:
+        return ""
+    return (
+        f"{who} explain the records but for {listed([names[k] for k in out])} (normalised RMSE {largest[out[0]]:.3g}, "
+        f"median {np.median(largest):.2g}); check signs, units and columns there"
+    )
+
+
+def residual_tests(
+    dataset: Dataset,
+    system: System,
+    engine: Engine,
+    *,
+    records: Sequence[Record] = (),
+    x0: np.ndarray | None = None,
+    horizon: Horizon = WHOLE,
+    signal_share: float = SIGNAL_SHARE,
+) -> tuple[ResidualTest, ...]:
+    """Test what a model's free runs leave; an output that stands still in all of the records is left out.
+
+    Args:
+        dataset: the records, with the noise that it declares; it is estimated from the records where it is not.
+        system: the model.
+        engine: how it was fitted.
+        records: which to simulate (default: the test records, or the train records where none is a test).
+        x0: first state of each, ``(R, n_x)`` (default: as measured); of whole records only.
+        horizon: how long the free runs are (default: whole records).
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    """
+    records = records or dataset.test or dataset.train
+    batch = batch_of(dataset, system, records, signal_share)
+    if x0 is not None and horizon.kind == "whole":
+        batch.x[:, 0] = torch.as_tensor(x0)
+    runs = simulated_over(horizon, system, stable_engine(system, engine, batch), batch)
+    declared = {channel.name: channel.noise_std for channel in dataset.outputs}
+    tests = []
+    for column, output in enumerate(batch.outputs):
+        residual, inputs, noise = [], [], []
+        for run, record in zip(runs, records, strict=True):
+            measured = record.outputs[output][: len(run)]
+            if np.ptp(measured) == 0.0:
+                continue
+            left = measured - run[:, column]
+            residual.append(less_half_a_count(left, measured) if np.isfinite(left).all() else left)
+            inputs.append({name: values[: len(run)] for name, values in record.inputs.items()})
+            given = declared[output]
+            noise.append(float(noise_level(measured)) if given is None else given)
+        if residual:
+            tests.append(residual_test(output, residual, inputs, noise))
+    return tuple(tests)
+
+
+def study_residuals(
+    dataset: Dataset, study: Study, *, signal_share: float = SIGNAL_SHARE
+) -> dict[str, tuple[ResidualTest, ...]]:
+    """What the selected set leaves of the records that it was fitted to (``train``), and of the test records."""
+    chosen = study.selected
+    fitted = [dataset[name] for name in dict.fromkeys(chosen.records)]
+    parts = {"train": (fitted, chosen.x0)} | ({"test": (dataset.test, None)} if dataset.test else {})
+    return {
+        role: residual_tests(
+            dataset,
+            chosen.system,
+            chosen.engine,
+            records=records,
+            x0=x0,
+            horizon=study.horizon,
+            signal_share=signal_share,
+        )
+        for role, (records, x0) in parts.items()
+    }
+
+
+def profiles(
+    dataset: Dataset,
+    study: Study,
+    names: Sequence[str],
+    *,
+    level: float = 0.95,
+    options: Options | None = None,
+    signal_share: float = SIGNAL_SHARE,
+    progress: Callable[[str], object] | None = None,
+) -> dict[str, Profile]:
+    """Profile likelihood of some parameters of the selected set, by name: every point is a fit of all the others.
+
+    The cost rises to where the larger of the plain and the robust standard error would end if the model were linear, so
+    that noise, autocorrelation and priors count as they do there. Ctrl-C ends it with the profiles that are complete.
+
+    Args:
+        dataset: of the study.
+        study: whose selected set is profiled.
+        names: of parameters that it estimates.
+        level: confidence of the intervals.
+        options: settings of the fits; those of the study's own.
+        signal_share: as in the study.
+        progress: called with words before each fit.
+
+    Raises:
+        InputError: a name that the study does not estimate, or no other parameter is estimated.
+    """
+    check_names(names, study.names)
+    chosen, index = study.selected, study.selection.index
+    records = [record for record in dataset.train if record.name in chosen.records]
+    batch = batch_of(dataset, chosen.system, records, signal_share)
+    batch = study.horizon.cut(chosen.system, chosen.engine, batch)
+    plain, robust = study.covariances[index], study.robust[index]
+
+    def profile(name: str) -> Profile:
+        k = chosen.names.index(name)
+        errors = plain.std_error[k], robust.std_error[k]
+        known = bool(np.isfinite(errors).all()) and min(errors) > 0.0
+        variance = max(errors) ** 2 / plain.inverse_hessian[k, k] if known else plain.noise_variance
+        spec, number = chosen.system.parameter(name).spec, count(1)
+
+        def fitted(start: System) -> FitResult:
+            if progress is not None:
+                progress(f"profile of {name}, fit {next(number)}")
+            return fit(start, batch, pooled=True, engine=chosen.engine, options=options, warm=False)[0]
+
+        def cost_at(value: float, start: np.ndarray) -> tuple[float, np.ndarray]:
+            moved = chosen.system.with_values(dict(zip(chosen.names, start, strict=True)))
+            one = fitted(moved.with_specs({name: replace(spec, value=value, estimate=False)}))
+            found = dict(zip(one.names, one.values, strict=True)) | {name: value}
+            return 2.0 * one.cost + _prior(spec, value), np.array([found[n] for n in chosen.names])
+
+        best = fitted(chosen.system)
+        return profile_likelihood(
+            cost_at,
+            best.values,
+            k,
+            minimum=2.0 * best.cost,
+            step=max(errors) if known else FIRST_STEP * abs(best.values[k]) or FIRST_STEP,
+            noise_variance=variance,
+            level=level,
+            bounds=(spec.lower, spec.upper),
+        )
+
+    found: dict[str, Profile] = {}
+    try:
+        for name in names:
+            found[name] = profile(name)
+    except KeyboardInterrupt:
+        return found
+    return found
+
+
+def _prior(spec: Bounded, value: float) -> float:
+    """What the prior of a parameter that is held adds to twice the cost."""
+    if spec.prior_std is None or spec.prior_mean is None:
+        return 0.0
+    return ((value - spec.prior_mean) / spec.prior_std) ** 2
+
+
+def check_names(names: Sequence[str], estimated: Sequence[str]) -> None:
+    """Refuse names that a study does not estimate, and a profile without other parameters to fit."""
+    for name in names:
+        if name not in estimated:
+            raise InputError(
+                f"key 'statistics.profile': '{name}' is not estimated; give some of {', '.join(estimated)}"
+            )
+    if names and len(estimated) < 2:
+        raise InputError(
+            f"key 'statistics.profile': nothing but {estimated[0]} is estimated, so that its interval is its profile; "
+            "leave it out"
+        )

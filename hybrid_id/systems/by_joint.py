@@ -1,0 +1,137 @@
+"""One joint of a robot by itself, the others moving as they were measured."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+
+from hybrid_id.components.base import Component
+from hybrid_id.components.load.floor_contact import FloorContact
+from hybrid_id.errors import InputError, close_match
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.derivatives import smooth_derivatives
+from hybrid_id.records.record import Record
+from hybrid_id.robots.tree import RigidBodyTree
+from hybrid_id.systems.arm import MOTION
+from hybrid_id.systems.builders import joint_names
+from hybrid_id.systems.chain import System
+
+UNITS = {"hinge": ("rad", "rad/s", "rad/s^2"), "slide": ("m", "m/s", "m/s^2")}
+
+
+def joint_number(system: System, name: str) -> int:
+    """Number, from 0, of a robot's joint by its name; InputError where it has none of that name."""
+    names = _tree(system).names
+    if name not in names:
+        raise InputError(
+            f"The robot has no joint '{name}'{close_match(name, names)}; it has {', '.join(names)}."
+        )
+    return names.index(name)
+
+
+def alone(system: System, joint: int) -> System:
+    """The drive of one joint in the robot's tree; the motion of the others comes with the records.
+
+    ``M_ii a_i + sum_j M_ij a_j + h_i(q, v) = tau_i``, the sum and all q_j, v_j of the others as logged. Its parameters
+    keep the names that they have in the robot, so that what is found goes back with ``with_specs``.
+
+    Args:
+        system: a robot with a tree.
+        joint: number of the joint in the tree, from 0.
+    """
+    tree, here = _tree(system), f"joint{joint + 1}/"
+    parts, moved = [], {}
+    for key, part in system.components.items():
+        if key.startswith(here) or isinstance(part, FloorContact):  # which acts on all that carry it
+            moved[key] = f"joint1/{key.split('/', 1)[1]}"
+            parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
+    aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
+    one = System([system.gear_ratio[joint]], parts, aliases, system.name, tree, (joint,))
+    one.whole = (system,)
+    return one
+
+
+def together(one: System) -> System:
+    """The whole robot with the drive that :func:`alone` took out of it, as it is now."""
+    (whole,), here = one.whole, f"joint{(one.seats or (0,))[0] + 1}/"
+    floors = {
+        key.split("/", 1)[1]: key for key, part in whole.components.items() if isinstance(part, FloorContact)
+    }
+    parts = {key: part for key, part in whole.components.items() if not key.startswith(here)}
+    for key, part in one.components.items():
+        place = key.removeprefix("joint1/")
+        parts[floors[place] if isinstance(part, FloorContact) else here + place] = part
+    placed = [(key.rpartition("/")[0], copy.deepcopy(cast(Component, part))) for key, part in parts.items()]
+    return System(whole.gear_ratio, placed, joint_names(_tree(whole), placed), whole.name, whole.tree)
+
+
+def with_others_measured(dataset: Dataset, system: System, joint: int) -> Dataset:
+    """The records as :func:`alone` reads them: the joint's own channels, and the smoothed motion of the others.
+
+    The others' motion is that of the middle of each sample, during which it is held.
+
+    Args:
+        dataset: of the whole robot, its channels numbered as its joints are.
+        system: the robot.
+        joint: number of the joint, from 0.
+
+    Raises:
+        InputError: an angle of another joint was not measured.
+    """
+    own = str(joint + 1)
+    inputs = tuple(replace(c, name=_renamed(c.name, own)) for c in dataset.inputs if _number(c.name) == own)
+    outputs = tuple(replace(c, name=_renamed(c.name, own)) for c in dataset.outputs if _number(c.name) == own)
+    records = []
+    for record in dataset.records:
+        given = {_renamed(n, own): v for n, v in record.inputs.items() if _number(n) == own}
+        measured = {_renamed(n, own): v for n, v in record.outputs.items() if _number(n) == own}
+        records.append(replace(record, inputs={**given, **_others(record, system, joint)}, outputs=measured))
+    motion = tuple(
+        Channel(f"{name}{k + 1}", unit)
+        for k, other in enumerate(_tree(system).joints)
+        if k != joint
+        for name, unit in zip(MOTION, UNITS[other.kind], strict=True)
+    )
+    return replace(dataset, inputs=(*inputs, *motion), outputs=outputs, records=tuple(records))
+
+
+def _others(record: Record, system: System, joint: int) -> Mapping[str, np.ndarray]:
+    found = {}
+    for k, other in enumerate(system.joints):
+        if k == joint:
+            continue
+        sides = {f"q_a{k + 1}": 1.0, f"q_m{k + 1}": 1.0 / other.gear_ratio}
+        name = next((n for n in sides if n in record.outputs), None)
+        if name is None:
+            raise InputError(
+                f"{record.title} has no angle of joint '{_tree(system).names[k]}'; add {' or '.join(sides)}, or hold "
+                "that joint still in the model."
+            )
+        sensors = [(key, part) for key, part in other.sensing.sensors if part.channel == name[:3]]
+        offset = sum(part.specs["offset"].value for _, part in sensors if "offset" in part.specs)
+        steps = record.sample_time if record.is_uniform else record.time
+        values = smooth_derivatives((record.outputs[name] - offset) * sides[name], steps)
+        for channel, rows in zip(MOTION, values, strict=True):
+            middle = np.append(0.5 * (rows[1:] + rows[:-1]), rows[-1])
+            found[f"{channel}{k + 1}"] = middle
+    return found
+
+
+def _tree(system: System) -> RigidBodyTree:
+    if system.tree is None or system.seats is not None:
+        raise InputError(
+            "Joints are taken one by one of a whole robot; give a model that names its description."
+        )
+    return system.tree
+
+
+def _number(channel: str) -> str:
+    return channel[len(channel.rstrip("0123456789")) :]
+
+
+def _renamed(channel: str, number: str) -> str:
+    return f"{channel.removesuffix(number)}1"

@@ -1,0 +1,98 @@
+"""An arm of many joints on the command line: what works on it, and what is refused in one sentence."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.study.replays import replay
+from hybrid_id.systems.model_file import load_model
+
+pytest.importorskip("mujoco")
+
+NAMES = ("base", "joint 1/x", "tip")
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Dataset and model of three joints; the records are the model's own, with noise."""
+    folder = tmp_path_factory.mktemp("arm") / "arm"
+    bodies = "".join(
+        f'<body pos="0 0 {-0.1 * k}"><joint name="{name}" axis="{k % 2} {1 - k % 2} 0" armature="0.01" damping="0.1" '
+        'frictionloss="0.01"/><inertial mass="0.1" pos="0 0 -0.05" diaginertia="1e-4 1e-4 1e-4"/>'
+        for k, name in enumerate(NAMES)
+    )
+    text = f"<mujoco><worldbody>{bodies}{'</body>' * 3}</worldbody></mujoco>"
+    files = {"arm.xml": text, "model.yaml": "robot: {file: arm.xml}\ngear_ratio: [2, 3, 4]\n"}
+    for name, content in files.items():
+        (folder.parent / name).write_text(content)
+    time, rng = 0.01 * np.arange(200), np.random.default_rng(0)
+    blanks = [
+        Record(
+            f"run_{n}",
+            time,
+            {f"tau{k}": 0.1 * np.sin((3 + k + n) * time) for k in (1, 2, 3)},
+            {f"q_m{k}": 0.0 * time for k in (1, 2, 3)},
+            role="test" if n else "train",
+        )
+        for n in range(2)
+    ]
+    channels = (
+        tuple(Channel(f"tau{k}", "N m") for k in (1, 2, 3)),
+        tuple(Channel(f"q_m{k}", "rad", 1e-3) for k in (1, 2, 3)),
+    )
+    runs = replay(Dataset("arm", *channels, tuple(blanks), 0.01), load_model(folder.parent / "model.yaml"))
+    records = [
+        replace(blank, outputs={k: v + 1e-3 * rng.standard_normal(len(time)) for k, v in run.outputs.items()})
+        for blank, run in zip(blanks, runs, strict=True)
+    ]
+    Dataset("arm", *channels, tuple(records), 0.01).save(folder)
+    for name in files:
+        (folder.parent / name).rename(folder / name)
+    return folder
+
+
+@pytest.mark.parametrize("command", ["train", "diagnose", "ablate"])
+def test_a_command_that_would_not_end_is_refused(run, arm: Path, tmp_path: Path, command: str) -> None:
+    done = run(command, arm, "--model", arm / "model.yaml", "--out", tmp_path / "out")
+    assert done.code == 2, done.out
+    assert f"'{command}' takes 2 joints at most so far, this arm has 3; check, identify" in " ".join(
+        done.err.split()
+    )
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_name_the_file_from_their_own_folder(run, arm: Path, tmp_path: Path) -> None:
+    out = arm.parent / "runs" / "found"
+    done = run("identify", arm, "--model", arm / "model.yaml", "--pooled", "--out", out)
+    assert done.code == 0, done.err
+    assert "{file: ../../arm/arm.xml}" in (out / "model.yaml").read_text()
+    assert load_model(out / "model.yaml").parameter("F_c_joint 1/x")
+    done = run(
+        "compare",
+        arm,
+        "--model",
+        arm / "model.yaml",
+        "--model",
+        out / "model.yaml",
+        "--out",
+        tmp_path / "both",
+    )
+    assert done.code == 0, done.err
+    done = run("export", out, "--to", "mjcf", "--out", tmp_path / "arm.xml", "--check", arm)
+    assert done.code == 0, done.err
+    assert (
+        "MuJoCo replays these records" in done.out
+        and 'name="motor_tip"' in (tmp_path / "arm.xml").read_text()
+    )
+
+
+def test_rotors_that_a_description_lacks_are_said(run, arm: Path, tmp_path: Path) -> None:
+    (arm / "bare.xml").write_text((arm / "arm.xml").read_text().replace('armature="0.01"', ""))
+    (arm / "bare.yaml").write_text("robot: {file: bare.xml}\n")
+    done = run("check", arm, "--model", arm / "bare.yaml")
+    words = " ".join(done.err.split())
+    assert "bare.xml gives no armature for base, joint 1/x, tip: these rotors are taken at a tenth" in words

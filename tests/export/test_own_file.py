@@ -1,0 +1,187 @@
+"""A robot's own description with the drives put in: what changes, what stays, and that it moves as the model does."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybrid_id.components import MotorEncoder
+from hybrid_id.errors import InputError
+from hybrid_id.export.mjcf import to_mjcf
+from hybrid_id.export.own_file import mujoco_model
+from hybrid_id.export.replay import agreement
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_file import load_model
+
+mujoco = pytest.importorskip("mujoco")
+
+ARM = """<?xml version="1.0"?>
+<!-- my arm > the second -->
+<mujoco model="mine">
+  <compiler angle="degree"/>
+  <option timestep="0.00025"/>
+  <default>
+    <default class="big"><joint armature="0.02" damping="0.1" frictionloss="0.05"/></default>
+  </default>
+  <worldbody>
+    <body name="upper">
+      <joint name='lift' class="big"
+             axis="0 1 0" range="-170 170"/>  <!-- of 'steel' -->
+      <inertial mass="0.5" pos="0 0 -0.1" diaginertia="0.001 0.001 0.0003"/>
+      <body name="lower" pos="0 0 -0.2">
+        <joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" stiffness="0.3" springref="20" />
+        <inertial mass="0.2" pos="0 0 -0.08" diaginertia="0.0004 0.0004 0.0001"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="servo" joint="lift" kp="50" ctrlrange="-90 90"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def arm(folder: Path, model: str = "robot: {file: arm.xml}\n", text: str = ARM) -> System:
+    (folder / "arm.xml").write_text(text)
+    (folder / "model.yaml").write_text(model)
+    return load_model(folder / "model.yaml")
+
+
+def changed(before: str, after: str) -> dict[str, str]:
+    """Lines that differ, in files of which one has lines more at its end."""
+    one, other = (text.splitlines() for text in (before, after))
+    new = [line for line in other if line not in one]
+    assert all(line in other for line in one if not re.search("lift|elbow|axis=", line))
+    return {re.search(r"<(\S+)|axis", line)[0]: line for line in new}  # type: ignore[index]
+
+
+def waves(system: System, sizes: list[float], channels: list[str]) -> Dataset:
+    time = 0.004 * np.arange(400)
+    inputs = {
+        name: size * np.where(time < 0.05, 0.0, np.sin(2 * np.pi * (0.6 + 0.3 * k) * time))
+        for k, (name, size) in enumerate(zip(channels, sizes, strict=True))
+    }
+    outputs = {f"q_m{joint.number}": 0.0 * time for joint in system.joints}
+    return Dataset(
+        "waves",
+        tuple(Channel(name, "V" if name[0] == "u" else "N m") for name in inputs),
+        tuple(Channel(name, "rad", 1e-4) for name in outputs),
+        (Record("run", time, inputs, outputs),),
+        0.004,
+    )
+
+
+def apart(system: System, data: Dataset) -> float:
+    return max(row.apart for row in agreement(system, to_mjcf(system), data))
+
+
+def test_only_what_the_drives_change_is_written(tmp_path: Path) -> None:
+    system = arm(tmp_path).with_values({"F_c_lift": 0.07, "J_m_elbow": 0.03})
+    exported = to_mjcf(system)
+    new = changed(ARM, exported.text)
+    assert set(new) == {"axis", "<joint", "<general", "<!--"}  # the lift's tag is of two lines
+    stiff = 'solreffriction="0.0005 1" solimpfriction="0.99 0.999 0.001"'
+    assert new["axis"] == (
+        f'             axis="0 1 0" range="-170 170" frictionloss="0.07" {stiff}/>  <!-- of \'steel\' -->'
+    )
+    assert '<joint name="elbow" axis="0 1 0" armature="0.03" damping="0.05" stiffness="0.3"' in new["<joint"]
+    model = mujoco_model(exported)
+    assert model.dof_armature.tolist() == pytest.approx([0.02, 0.03])
+    assert np.ravel(model.dof_frictionloss).tolist() == pytest.approx([0.07, 0.0])
+    assert exported.motors == ("servo", "motor_elbow") and exported.joints == ("lift", "elbow")
+    assert any(
+        "lift: in the place of a position the actuator takes the motor's torque" in n for n in exported.notes
+    )
+    assert apart(system, waves(system, [0.4, 0.2], ["tau1", "tau2"])) < 2e-3
+
+
+def test_what_holds_already_stays_as_it_is(tmp_path: Path) -> None:
+    motors = '<motor name="servo" joint="lift"/><general name="other" joint="elbow" gear="2" gainprm="0.5"/>'
+    text = re.sub("<position.*/>", motors, ARM).replace(' frictionloss="0.05"', "")
+    exported = to_mjcf(arm(tmp_path, text=text))
+    assert changed(text, exported.text).keys() == {"<!--"}
+    assert exported.notes == () and exported.motors == ("servo", "other")
+
+
+def test_drives_of_other_kinds_move_alike(tmp_path: Path) -> None:
+    system = arm(
+        tmp_path,
+        """
+robot: {file: arm.xml}
+gear_ratio: [50, 20]
+components:
+  - {place: lift/input, kind: voltage}
+  - {place: lift/input, kind: delay, parameters: {T_d: 0.008}}
+  - {place: lift/motor, kind: dc_motor, parameters: {P_m1: 0.004, P_m2: 0.01}}
+  - {place: elbow/motor_friction, kind: stribeck_friction, parameters: {F_drop: 0.001, v_s: 5}}
+  - {place: elbow/link_friction, kind: viscous_friction, parameters: {F_v: 0.02}}
+  - {place: elbow/load, kind: spring_load, parameters: {k_s: 0.5, q_s: 0.2}}
+""",
+    )
+    data = waves(system, [6.0, 0.02], ["u1", "tau2"])
+    exported = to_mjcf(system)
+    assert 'springref="11.4591559"' in exported.text and '<dcmotor name="servo"' in exported.text
+    assert apart(system, data) < 5e-3
+    held = system.with_component("joint1/sensor", MotorEncoder(offset=0.1))
+    assert any(note.startswith("lift/sensor") for note in to_mjcf(held).notes)
+
+
+def test_twelve_joints(tmp_path: Path) -> None:
+    bodies = "".join(
+        f'<body pos="0 0 {-0.1 if k else 0}"><joint name="j{k}" axis="{k % 2} {1 - k % 2} 0" armature="0.02" '
+        f'damping="0.3" frictionloss="0.02"/><inertial mass="0.1" pos="0 0 -0.05" diaginertia="1e-4 1e-4 1e-4"/>'
+        for k in range(12)
+    )
+    option = '<option timestep="0.00025"/>'
+    system = arm(tmp_path, text=f"<mujoco>{option}<worldbody>{bodies}{'</body>' * 12}</worldbody></mujoco>")
+    assert [i.name for i in system.table if i.symbol == "J_m"] == [f"J_m_j{k}" for k in range(12)]
+    assert apart(system, waves(system, [0.2] * 12, [f"tau{k + 1}" for k in range(12)])) < 5e-3
+
+
+def test_a_urdf_becomes_an_mjcf(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(
+        """<robot name="r"><link name="base"/><link name="rod"><inertial><origin xyz="0 0 -0.1"/><mass value="0.4"/>
+<inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.0003"/></inertial></link>
+<joint name="lift" type="continuous"><parent link="base"/><child link="rod"/><axis xyz="0 1 0"/></joint></robot>"""
+    )
+    (tmp_path / "model.yaml").write_text("robot: {file: arm.urdf}\n")
+    system = load_model(tmp_path / "model.yaml")
+    exported = to_mjcf(system, step=2.5e-4)
+    assert "MuJoCo made an MJCF of it" in exported.notes[0]
+    assert mujoco_model(exported).dof_armature[0] == pytest.approx(system.parameter("J_m_lift").spec.value)
+    data = waves(system, [0.3], ["tau1"])
+    assert max(row.apart for row in agreement(system, exported, data)) < 2e-3
+
+
+def test_an_included_joint_is_refused_and_an_included_rest_is_kept(tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text("robot: {file: scene.xml}\n")
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "scene.xml").write_text('<mujoco><include file="arm.xml"/></mujoco>')
+    with pytest.raises(InputError, match=r"'lift' stands in a file that this one includes.*model.yaml"):
+        to_mjcf(load_model(tmp_path / "model.yaml"))
+    (tmp_path / "floor.xml").write_text(
+        '<mujoco><worldbody><geom name="f" type="plane" size="1 1 1"/></worldbody></mujoco>'
+    )
+    text = ARM.replace("  <option", '  <include file="floor.xml"/>\n  <option')
+    exported = to_mjcf(arm(tmp_path, text=text))
+    assert exported.home == tmp_path.resolve() and '<include file="floor.xml"/>' in exported.text
+    assert mujoco_model(exported).ngeom == 1
+
+
+def test_an_actuator_that_something_else_needs(tmp_path: Path) -> None:
+    more = '<velocity name="brake" joint="lift" kv="1"/></actuator><sensor><actuatorpos actuator="brake"/></sensor>'
+    text = ARM.replace("</actuator>", more)
+    with pytest.raises(InputError, match="take out what speaks of the actuators"):
+        to_mjcf(arm(tmp_path, text=text))
+
+
+def test_a_tree_without_a_file_has_nothing_to_edit(tmp_path: Path) -> None:
+    system = arm(tmp_path)
+    assert system.tree is not None
+    system.tree = replace(system.tree, source="")
+    with pytest.raises(InputError, match="read from no file"):
+        to_mjcf(system)

@@ -1,0 +1,352 @@
+"""Judging: right, equivalent, wrong, tied, pair, none, unknown and broken; scores by hand."""
+
+import math
+from typing import Any
+
+import pytest
+
+from hybrid_id.cli.blind_runs import resolved
+from hybrid_id.machines.judge import Judged, judge
+from hybrid_id.machines.score import against_targets, confusion, figures, median, reliability, scores, share
+
+FRICTION = "joint1/motor_friction"
+ORACLE = {"nominal": 0.4, "refit": 0.11, "with_effect": 0.01, "noise_floor": 0.01}
+
+
+def truth(name: str, where: str = FRICTION, *, also: tuple[str, ...] = ()) -> dict[str, Any]:
+    accept_where = [where, where.replace("motor_friction", "link_friction")]
+    accept = [] if name == "unknown" else [name, *also]
+    return {"name": name, "where": where, "accept": accept, "accept_where": accept_where}
+
+
+def sheet(family: str, *effects: dict[str, Any], level: str = "strong") -> dict[str, Any]:
+    about = {"level": level, "oracle": ORACLE, "made_by": {"engine": "in_house"}}
+    return {"family": family, "effects": list(effects), **about}
+
+
+def effect(
+    name: str, where: str = FRICTION, p: float = 0.5, selected: bool = False, **more: Any
+) -> dict[str, Any]:
+    return {"name": name, "where": where, "probability": p, "selected": selected, "tied_with": []} | more
+
+
+def said(
+    *effects: dict[str, Any], unknown: bool = False, gap: dict[str, Any] | None = None
+) -> dict[str, Any]:
+    about = {"message": "", "system": "one_link", "train_records": 6, "seconds": 2.0}
+    return {"effects": list(effects), "unknown": unknown, "gap": gap or {}, "run": about}
+
+
+STRIBECK = sheet("single", truth("stribeck_friction", also=("presliding_friction",)))
+PAIR = sheet("pair", truth("stribeck_friction"), truth("delay", "joint1/input"))
+NONE = sheet("none", level="none")
+OUTSIDE = sheet("unknown", truth("unknown"))
+
+
+def test_right_name_at_right_place() -> None:
+    gap = {"refit": 0.11, "with_effect": 0.02, "shrink": 0.95, "shrink_interval": [0.85, 0.97]}
+    one = judge("c1", STRIBECK, said(effect("stribeck_friction", p=0.9, selected=True), gap=gap))
+    assert one.top_1 and one.top_3 and one.place and one.top_1_at_place and one.whole
+    assert one.said == one.effect == "stribeck_friction" and one.claims == ((0.9, True),)
+    assert one.shrink_error == pytest.approx(5.0) and one.covered and one.closed == pytest.approx(0.9)
+    assert (one.system, one.records, one.engine, one.level) == ("one_link", 6, "in_house", "strong")
+    assert one.false_unknown is False and one.false_alarm is None and one.outside is None and one.pair is None
+
+
+def test_a_case_that_broke_and_an_interval_without_ends_say_nothing_of_the_gap() -> None:
+    gap = {"refit": 0.11, "with_effect": 0.02, "shrink": 0.95, "shrink_interval": [None, 1.0]}
+    one = judge("c1", STRIBECK, said(effect("stribeck_friction", selected=True), gap=gap))
+    assert one.covered is None and one.shrink_error == pytest.approx(5.0)
+    broke = judge("c1", STRIBECK, {"run": {"message": "ValueError: no"}})
+    assert broke.closed is None and broke.whole is False
+
+
+def test_equivalent_of_a_tie_counts_as_the_effect() -> None:
+    tied = effect(
+        "presliding_friction", FRICTION.replace("motor", "link"), 0.6, True, tied_with=["stribeck_friction@x"]
+    )
+    one = judge("c1", STRIBECK, said(tied))
+    assert one.top_1_at_place and one.whole and one.said == "stribeck_friction"
+
+
+def test_wrong_name_keeps_its_place_and_its_rank() -> None:
+    guesses = [
+        effect("coulomb_friction", p=0.8, selected=True),
+        effect("delay", "joint1/input"),
+        effect("stribeck_friction"),
+    ]
+    one = judge("c1", STRIBECK, said(*guesses))
+    assert (one.top_1, one.top_3, one.place, one.top_1_at_place, one.whole) == (
+        False,
+        True,
+        True,
+        False,
+        False,
+    )
+    assert one.said == "coulomb_friction" and one.claims[0] == (0.8, False)
+    assert one.closed == 0.0 and one.shrink_error is None
+
+
+def test_right_name_at_wrong_place() -> None:
+    one = judge("c1", STRIBECK, said(effect("stribeck_friction", "joint2/motor_friction", selected=True)))
+    assert (one.top_1, one.place, one.top_1_at_place, one.whole) == (True, False, False, False)
+
+
+@pytest.mark.parametrize(
+    ("nominal", "verdict", "right"),
+    [
+        (0.4, "parameters_only", True), (0.4, "no_gap", False), (0.4, "effects", False),
+        (0.11, "no_gap", True), (0.11, "parameters_only", False), (0.12, "no_gap", None),
+    ],
+)  # fmt: skip
+def test_values_are_rightly_called_right_or_wrong(nominal: float, verdict: str, right: bool | None) -> None:
+    family = "none" if nominal == 0.11 else "parameters"
+    about = NONE | {"family": family, "oracle": ORACLE | {"nominal": nominal}}
+    one = judge("c1", about, said(gap={"refit": 0.11}) | {"verdict": verdict})
+    assert one.values is right and one.false_alarm is False
+    assert judge("c1", about, said() | {"verdict": verdict}).values is None  # a method that fits nothing
+
+
+@pytest.mark.parametrize(
+    ("names", "hits", "f1"),
+    [
+        (["stribeck_friction", "delay"], 2, 1.0),
+        (["stribeck_friction"], 1, 2 / 3),
+        (["stribeck_friction", "cogging"], 1, 0.5),
+        (["cogging", "delay", "stribeck_friction"], 2, 0.8),
+        ([], 0, 0.0),
+    ],
+)
+def test_pair_by_the_f1_of_its_set(names: list[str], hits: int, f1: float) -> None:
+    where = {"delay": "joint1/input", "cogging": "joint1/motor"}
+    one = judge("c1", PAIR, said(*(effect(n, where.get(n, FRICTION), selected=True) for n in names)))
+    assert one.pair == (hits, len(names), 2) and one.f1 == pytest.approx(f1)
+    assert one.whole == (f1 == 1.0) and one.top_1 is None and one.effect == "stribeck_friction+delay"
+
+
+def test_one_answer_serves_one_effect_of_a_pair() -> None:
+    twice = sheet("pair", truth("stribeck_friction", also=("dahl",)), truth("dahl"))
+    one = judge("c1", twice, said(effect("dahl", selected=True)))
+    assert one.pair == (1, 1, 2)
+
+
+def test_a_rivals_name_is_right_at_the_rivals_place_only() -> None:
+    both = truth("stribeck_friction", also=("tight_spot",))
+    both |= {"accept_where": [FRICTION, "joint2/motor_friction"]}
+    both["right"] = [f"stribeck_friction@{FRICTION}", "tight_spot@joint2/motor_friction"]
+    crossed = said(effect("stribeck_friction", "joint2/motor_friction", selected=True))
+    assert not judge("c1", sheet("single", both), crossed).whole
+    assert judge(
+        "c1", sheet("single", both), said(effect("tight_spot", "joint2/motor_friction", selected=True))
+    ).whole
+
+
+def test_a_pair_is_matched_as_well_as_it_can_be() -> None:
+    first, second = truth("delay", also=("cogging",)), truth("backlash", also=("cogging",))
+    named = said(effect("cogging", selected=True), effect("delay", selected=True))
+    assert judge("c1", sheet("pair", first, second), named).pair == (2, 2, 2)
+
+
+def test_errors_on_other_test_records_than_the_answers_are_not_compared() -> None:
+    gap = {"refit": 0.03, "with_effect": 0.03, "shrink": 0.0, "shrink_interval": [0.0, 1.0]}
+    found = judge(
+        "c1", STRIBECK, said(effect("stribeck_friction", selected=True), gap=gap) | {"opened": "rec_06"}
+    )
+    assert (found.closed, found.shrink_error, found.covered) == (None, None, None) and found.whole
+
+
+def test_nothing_at_work() -> None:
+    quiet = judge("c1", NONE, said(effect("delay", p=0.1)))
+    assert quiet.false_alarm is False and quiet.whole and quiet.said == "none" and quiet.closed is None
+    assert quiet.claims == ((0.1, False),)
+    for loud in (said(effect("delay", selected=True)), said(unknown=True)):
+        assert judge("c1", NONE, loud).false_alarm and not judge("c1", NONE, loud).whole
+    assert judge("c1", NONE, said(unknown=True)).false_unknown
+
+
+def test_outside_the_catalogue() -> None:
+    seen = judge("c1", OUTSIDE, said(effect("delay", p=0.3), unknown=True))
+    assert seen.outside and seen.whole and seen.said == "unknown" and seen.false_unknown is None
+    missed = judge("c1", OUTSIDE, said(effect("delay", selected=True)))
+    assert seen.outside_at is None
+    for told, right in (
+        ({"joint": "joint1", "place": None}, True), ({"joint": "joint1", "place": "motor"}, True),
+        ({"joint": "joint1", "place": "load"}, False), ({"joint": "joint2", "place": None}, False),
+    ):  # fmt: skip
+        sheet_of = sheet("unknown", truth("unknown") | {"accept_where": ["joint1/motor"]})
+        one = judge("c1", sheet_of, said(unknown=True) | {"unknown_at": told})
+        assert one.outside_at is right
+    assert missed.outside is False and not missed.whole and missed.said == "delay"
+
+
+@pytest.mark.parametrize(
+    "broken", [None, {"case": "c1", "run": {"message": "ValueError: no", "method": "bic"}}]
+)
+def test_broken_case_has_nothing_right(broken: dict[str, Any] | None) -> None:
+    one = judge("c1", STRIBECK, broken)
+    assert one.top_1 is False and one.place is False and not one.whole and one.said == "broken" and one.broken
+    assert one.closed is None and one.claims == ()
+    quiet = judge("c1", NONE, broken)
+    assert quiet.false_alarm is None and not quiet.whole
+
+
+def cases() -> list[Judged]:
+    right = said(effect("stribeck_friction", p=0.95, selected=True))
+    return [
+        judge("c1", STRIBECK, right),
+        judge("c2", STRIBECK, right),
+        judge("c3", STRIBECK, said(effect("cogging", p=0.95, selected=True))),
+        judge("c4", NONE, said()),
+        judge("c5", OUTSIDE, said(unknown=True)),
+        judge("c6", PAIR, right),
+        judge("c7", STRIBECK, None),
+    ]
+
+
+def test_figures_of_a_group() -> None:
+    found = figures(cases())
+    assert found["cases"]["value"] == 7
+    assert (
+        found["top_1"]["value"] == 0.5
+        and found["top_1"]["n"] == 4
+        and found["top_1"]["wrong"] == ["c3", "c7"]
+    )
+    assert found["false_alarms"]["value"] == 0 and found["outside_detected"]["value"] == 1
+    assert found["f1"]["value"] == pytest.approx(2 / 3) and found["f1"]["wrong"] == ["c6"]
+    assert found["broken"]["wrong"] == ["c7"]
+    assert "covered" not in found
+
+
+def test_scores_by_group_and_confusion() -> None:
+    told = scores(cases())
+    assert told["by"]["family"]["none"]["cases"]["value"] == 1
+    assert told["by"]["family and level"]["single, strong"]["top_1"]["n"] == 4
+    assert told["by"]["train records"]["6"]["cases"]["value"] == 6
+    table = confusion(cases())
+    assert table["rows"] == ["stribeck_friction", "none", "unknown"]
+    assert table["columns"] == ["cogging", "stribeck_friction", "none", "unknown", "broken"]
+    assert table["counts"] == [[1, 2, 0, 0, 1], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0]]
+
+
+def test_wilson_interval() -> None:
+    # Newcombe, Stat. Med. 17 (1998), table I: 81 of 263, method 3
+    found = share([True] * 81 + [False] * 182)
+    assert (found["low"], found["high"]) == (pytest.approx(0.2553, abs=1e-4), pytest.approx(0.3662, abs=1e-4))
+
+
+def test_median_and_its_interval() -> None:
+    found = median([float(k) for k in range(1, 11)])
+    # n = 10: order statistics 2 and 9 hold the median with 97.9 %
+    assert (found["value"], found["low"], found["high"]) == (5.5, 2.0, 9.0)
+    assert median([1.0, 2.0])["low"] is None
+
+
+def test_reliability_over_bins_of_equal_count() -> None:
+    told = reliability([(0.9, True)] * 3 + [(0.9, False)] * 3 + [(0.2, False)] * 4)
+    assert [b["n"] for b in told["bins"]] == [1] * 10
+    told = reliability([(0.9, k % 2 == 0) for k in range(20)] + [(0.1, False)] * 20)
+    assert [b["n"] for b in told["bins"]] == [4] * 10
+    assert told["expected_error"] == pytest.approx(0.5 * 0.1 + 0.5 * 0.4)
+    assert told["brier"] == pytest.approx((20 * 0.01 + 10 * 0.01 + 10 * 0.81) / 40)
+    assert reliability([])["expected_error"] is None
+
+
+def test_absent_names_of_no_probability_are_no_claims() -> None:
+    names = [effect("cogging", p=0.01), effect("delay", p=0.3), effect("stribeck_friction", p=0.01)]
+    assert scores([judge("c1", STRIBECK, said(*names))])["reliability"]["n"] == 2
+
+
+def test_targets_say_what_fell_short_and_where_to_look() -> None:
+    rows = {row["claim"]: row for row in against_targets(scores(cases()))}
+    strong = rows["strong effects: first name right"]
+    assert strong["target"] == "≥ 95 %" and strong["met"] is False and strong["cases"] == ["c3", "c7"]
+    assert rows["medium effects: first name right"]["met"] is None
+    assert rows["false alarms where the structure is right"]["met"]
+    assert rows["95 % intervals that hold the true shrink"]["target"] == "90-99 %"
+    assert all(math.isfinite(row["seen"]["value"]) for row in rows.values() if row["seen"])
+
+
+def test_a_tie_is_not_parted_by_naming_nothing() -> None:
+    named = said(effect("stribeck_friction", selected=True)) | {"ties": []}
+    silent = said(effect("stribeck_friction")) | {"ties": []}
+    tied = named | {"ties": [["stribeck_friction@a", "delay@b"]]}
+    sheets = dict.fromkeys(("named", "silent", "tied", "broken"), STRIBECK)
+    found = resolved({"named": named, "silent": silent, "tied": tied, "broken": None}, sheets)
+    assert [name for name, one in found["cases"].items() if one["resolved"]] == ["named"]
+
+
+def test_a_tie_of_two_names_for_one_thing_is_resolved_and_so_is_one_of_what_has_no_name() -> None:
+    bias = truth("constant_torque", "joint1/load")
+    bias |= {"right": ["constant_torque@joint1/load", "asymmetric_friction@joint1/motor_friction"]}
+    tied = said(effect("constant_torque", "joint1/load", selected=True)) | {"ties": [bias["right"]]}
+    other = said(effect("constant_torque", "joint1/load", selected=True))
+    other |= {"ties": [[*bias["right"], "spring_load@joint1/load"]]}
+    unknown = said(unknown=True) | {"ties": []}
+    sheets = dict.fromkeys(("tied", "other", "unknown"), sheet("single", bias))
+    found = resolved({"tied": tied, "other": other, "unknown": unknown}, sheets)["cases"]
+    assert [found[name]["resolved"] for name in ("tied", "other", "unknown")] == [True, False, True]
+    assert [found[name]["right"] for name in ("tied", "other", "unknown")] == [True, False, False]
+
+
+def part(name: str, role: str, share: float, closes: float, where: str = FRICTION) -> dict[str, Any]:
+    return truth(name, where) | {"role": role, "share": share, "closes": closes}
+
+
+LEAD, NEXT = (
+    part("stribeck_friction", "dominant", 0.5, 0.5),
+    part("delay", "dominant", 0.3, 0.45, "joint1/input"),
+)
+SMALL = part("cogging", "small", 0.1, 0.12, "joint1/motor")
+NAMELESS = part("unknown", "small", 0.1, 0.1, "joint1/load")
+MESSY = sheet("pair", LEAD, NEXT, SMALL, NAMELESS) | {"messy": {"outside_share": 0.1}}
+
+
+def test_either_dominant_effect_of_a_messy_machine_may_lead() -> None:
+    for name, where in (("stribeck_friction", FRICTION), ("delay", "joint1/input")):
+        one = judge("c1", MESSY, said(effect(name, where, p=0.97, selected=True)))
+        assert one.top_1 and one.place and one.top_1_at_place and one.whole and one.said == name
+    small = judge("c1", MESSY, said(effect("cogging", "joint1/motor", p=0.97, selected=True)))
+    assert small.top_1 is False and small.whole is False and small.claims == ((0.97, True),)
+    assert small.pair is None and small.realism == "messy" and small.effect == "stribeck_friction+delay"
+    loud = said(effect("stribeck_friction", selected=True), effect("backlash", selected=True))
+    assert judge("c1", MESSY, loud).top_1 and not judge("c1", MESSY, loud).whole
+
+
+def test_claimed_shares_are_compared_in_the_order_in_which_they_are_claimed() -> None:
+    def claims(*named: dict[str, Any]) -> tuple[float, ...]:
+        return judge("c1", MESSY, said(*(one | {"selected": True} for one in named))).share_errors
+
+    first, second = effect("stribeck_friction", share=0.55), effect("delay", "joint1/input", share=0.3)
+    assert claims(first, second) == pytest.approx((5.0, 0.0))
+    # the second one alone closes 0.45, so that the first one after it closes 0.35 of the 0.8 of both
+    swapped = effect("delay", "joint1/input", share=0.45), effect("stribeck_friction", share=0.30)
+    assert claims(*swapped) == pytest.approx((0.0, -5.0))
+    assert claims(effect("stribeck_friction")) == ()  # a method that tells no shares
+    held = effect("stribeck_friction", selected=True, share=0.55, share_interval=[0.48, 0.6])
+    assert judge("c1", MESSY, said(held)).share_covered
+    assert judge("c1", MESSY, said(held | {"share_interval": [None, 0.6]})).share_covered is None
+
+
+def test_outside_dominant_and_drift_only_messy_machines() -> None:
+    outside = part("unknown", "dominant", 0.6, 0.6, "joint1/load")
+    about = sheet("unknown", outside, SMALL) | {"messy": {"outside_share": 0.6}}
+    one = judge("c1", about, said(effect("cogging", "joint1/motor", selected=True), unknown=True))
+    assert one.outside and one.whole and one.false_unknown is None and one.top_1 is None
+    drift = sheet("parameters", level="none") | {"messy": {"outside_share": 0.0}}
+    assert judge("c1", drift, said()).false_alarm is False
+    assert judge("c1", drift, said(unknown=True)).false_alarm
+
+
+def test_figures_and_targets_of_messy_machines() -> None:
+    named = said(effect("stribeck_friction", p=0.97, selected=True, share=0.55))
+    wrong = said(effect("backlash", p=0.99, selected=True, share=0.5))
+    told = scores([judge("c1", MESSY, named), judge("c2", MESSY, wrong)])
+    assert told["all"]["sure"]["value"] == 0.5 and told["all"]["sure"]["wrong"] == ["c2"]
+    assert told["all"]["share_error"]["value"] == pytest.approx(5.0)
+    assert told["all"]["slowest"]["value"] == told["all"]["seconds"]["most"] == 2.0
+    rows = {row["claim"]: row for row in against_targets(told, "messy")}
+    assert rows["a dominant effect first"]["seen"]["value"] == 0.5
+    sure = rows["claims of 0.95 or more right: pair"]
+    assert sure["target"] == "not surely below 95 %" and sure["met"] is False  # 1 of 2: at most 91 %
+    assert rows["expected calibration error"]["target"] == "≤ 0.05"
+    assert rows["time per case, most"]["target"] == "≤ 300 s"

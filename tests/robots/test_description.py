@@ -1,0 +1,102 @@
+"""Descriptions that are read, and those that are refused in one sentence that names the element."""
+
+from pathlib import Path
+
+import pytest
+
+from hybrid_id.errors import InputError
+from hybrid_id.robots.description import load_tree
+
+pytest.importorskip("mujoco")
+
+SHARED = Path(__file__).parents[3] / "shared" / "data"
+BODY = (
+    '<body name="{name}">{joint}<inertial mass="1" pos="0 0 0.1" diaginertia="0.1 0.1 0.1"/>{inside}</body>'
+)
+HINGE = '<joint name="turn" axis="0 1 0"/>'
+
+
+def described(tmp_path, world, rest=""):
+    path = tmp_path / "robot.xml"
+    path.write_text(f"<mujoco>{rest}<worldbody>{world}</worldbody></mujoco>")
+    return path
+
+
+def arm(joint=HINGE, inside=""):
+    return BODY.format(name="link", joint=joint, inside=inside)
+
+
+@pytest.mark.parametrize(
+    ("world", "rest", "words"),
+    [
+        (arm('<freejoint name="float"/>'), "", "'link' has a free joint"),
+        (arm('<joint name="b" type="ball"/>'), "", "'link' has a ball joint.*put hinges in its place"),
+        (
+            arm(),
+            '<tendon><fixed name="cable"><joint joint="turn" coef="1"/></fixed></tendon>',
+            "tendon 'cable'",
+        ),
+        (arm(), '<equality><joint name="mimic" joint1="turn"/></equality>', "equality constraint 'mimic'"),
+        (arm().replace('name="link"', 'name="link" gravcomp="1"'), "", "'link' has gravcomp"),
+        (arm(), '<option viscosity="1"/>', "fluid"),
+        (BODY.format(name="stone", joint="", inside=""), "", "no joint that moves"),
+        (arm('<joint axis="0 1 0"/>'), "", "joint of body 'link' has no name"),
+        ("<body", "", "robot.xml"),
+    ],
+)
+def test_what_is_not_supported_is_refused(tmp_path, world, rest, words):
+    with pytest.raises(InputError, match=words) as error:
+        load_tree(described(tmp_path, world, rest))
+    assert "\n" not in str(error.value)
+    assert str(error.value).startswith(str(tmp_path / "robot.xml"))
+
+
+def test_entities_are_refused_unread(tmp_path):
+    path = tmp_path / "robot.xml"
+    path.write_text('<!DOCTYPE x [<!ENTITY a "b">]><mujoco/>')
+    with pytest.raises(InputError, match="DOCTYPE"):
+        load_tree(path)
+
+
+def test_a_file_that_is_not_there_is_said(tmp_path):
+    with pytest.raises(InputError, match=r"none\.xml: cannot be read"):
+        load_tree(tmp_path / "none.xml")
+
+
+def test_a_missing_mesh_hurts_only_where_the_inertia_comes_from_it(tmp_path):
+    assets = '<asset><mesh name="shape" file="gone.stl"/></asset>'
+    shape = '<geom type="mesh" mesh="shape"/>'
+    tree = load_tree(described(tmp_path, arm(inside=shape), assets))
+    assert tree.names == ("turn",)
+    world = f'<body name="bare">{HINGE}{shape}</body>'
+    with pytest.raises(InputError, match="mesh 'shape' of body 'bare'"):
+        load_tree(described(tmp_path, world, assets))
+
+
+def test_what_a_drive_starts_from_is_kept(tmp_path):
+    joint = '<joint name="turn" axis="0 1 0" armature="0.1" damping="0.2" frictionloss="0.3" range="-1 1" '
+    joint += 'limited="true" stiffness="2" springref="0.1"/>'
+    (found,) = load_tree(described(tmp_path, arm(joint), '<compiler angle="radian"/>')).joints
+    assert (found.armature, found.damping, found.friction_loss, found.stiffness) == (0.1, 0.2, 0.3, 2.0)
+    assert found.limits == (-1.0, 1.0)
+    assert found.reference == 0.1
+
+
+@pytest.mark.parametrize("file", ["so101/so101_new_calib.xml", "so101/so101_new_calib.urdf"])
+def test_the_so101_has_six_joints_under_their_own_names(file):
+    if not (SHARED / file).exists():
+        pytest.skip("the shared data are not beside the project")
+    tree = load_tree(SHARED / file)
+    assert tree.names == (
+        "shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper",
+    )  # fmt: skip
+
+
+def test_a_link_without_an_inertia_is_one_to_be_estimated(tmp_path):
+    inside = '<body name="tip"><joint name="wrist" axis="0 0 1"/></body>'
+    tree = load_tree(described(tmp_path, arm(inside=inside)))
+    assert tree.inertias()[1].mass == 0.0
+    path = SHARED / "staubli_tx40" / "tx40_mdh_modified.urdf"
+    if not path.exists():
+        pytest.skip("the shared data are not beside the project")
+    assert len(load_tree(path).joints) == 6

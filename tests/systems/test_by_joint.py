@@ -1,0 +1,132 @@
+"""One joint of a robot with the others as measured: the same motion as all simulated, and the same parameters."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybrid_id.components import FloorContact, Stribeck
+from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
+from hybrid_id.study import identify
+from hybrid_id.systems.by_joint import alone, joint_number, together, with_others_measured
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_file import load_model, save_model
+
+pytest.importorskip("mujoco")
+
+STEP = 0.004
+ENGINE = Engine("dry", 4, compiled=True)
+ARM = """<mujoco><compiler angle="radian"/><worldbody>
+<body quat="0 1 0 0"><joint name="pan" axis="0 0 1" armature="0.02" damping="0.1" frictionloss="0.05"/>
+<inertial mass="0.5" pos="0.02 0 0.05" diaginertia="0.001 0.001 0.001"/>
+<body pos="0 0 0.1"><joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
+<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
+<body pos="0 0 0.2"><joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
+<inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/><site name="tip" pos="0 0 0.2"/>
+</body></body></body></worldbody><actuator><position joint="pan" kp="6" kv="0.1" forcerange="-2 2"/>
+<position joint="lift" kp="8"/><position joint="elbow" kp="3"/></actuator></mujoco>"""
+
+
+def arm(folder: Path) -> System:
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "model.yaml").write_text("robot: {file: arm.xml}\n")
+    return load_model(folder / "model.yaml")
+
+
+def records_of(system: System, count: int = 2, noise: float = 0.0) -> Dataset:
+    """Goals of the joints and what the whole arm does with them."""
+    rng, time = np.random.default_rng(3), STEP * np.arange(750)
+    channels = {"goal1": 0.5, "goal2": 0.4, "goal3": 0.5}
+    records = []
+    for k in range(count):
+        inputs = {
+            name: size
+            * sum(np.sin(2 * np.pi * f * time + rng.uniform(0, 6.28)) for f in (0.5, 1.1, 1.9))
+            * np.minimum(time / 0.2, 1.0)
+            for name, size in channels.items()
+        }
+        blank = Record(f"run_{k}", time, inputs, {f"q_m{j}": 0.0 * time for j in (1, 2, 3)})
+        batch = make_batch(system, [blank], noise_std={f"q_m{j}": 1e-6 for j in (1, 2, 3)})
+        angles = simulate(system, ENGINE, batch).y[0].numpy()
+        angles = angles + noise * rng.standard_normal(angles.shape)
+        outputs = {f"q_m{j}": angles[:, j - 1] for j in (1, 2, 3)}
+        records.append(Record(blank.name, time, inputs, outputs))
+    return Dataset(
+        "arm",
+        (Channel("goal1", "rad"), Channel("goal2", "rad"), Channel("goal3", "rad")),
+        tuple(Channel(f"q_m{j}", "rad", noise or None) for j in (1, 2, 3)),
+        tuple(records),
+        STEP,
+    )
+
+
+def test_position_actuators_of_the_description_become_servos(tmp_path: Path) -> None:
+    system = arm(tmp_path)
+    assert system.input_names == ["goal1", "goal2", "goal3"]
+    assert system.parameter("k_p_pan").spec.value == 6.0
+    assert system.parameter("tau_max_pan").spec.value == 2.0
+    assert system.parameter("k_p_lift").spec.value == 8.0
+
+
+@pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
+def test_a_joint_moves_as_in_the_whole_arm(tmp_path: Path, joint: str) -> None:
+    system = arm(tmp_path).with_component("joint3/load", FloorContact("tip", z_f=-0.36, k_f=300.0))
+    data = records_of(system)
+    k = joint_number(system, joint)
+    one, own = alone(system, k), with_others_measured(data, system, k)
+    assert {i.name for i in one.table} <= {i.name for i in system.table}
+    batch = make_batch(one, own.records, noise_std={"q_m1": 1e-6})
+    found = simulate(one, ENGINE, batch).y[..., 0].numpy()
+    for row, record in zip(found, data.records, strict=True):
+        measured = record.outputs[f"q_m{k + 1}"]
+        assert np.abs(row - measured).max() < 0.01 * np.ptp(measured)
+
+
+def test_a_joint_alone_gives_the_parameters_that_the_arm_has(tmp_path: Path) -> None:
+    truth = arm(tmp_path)
+    data = records_of(truth, count=3)
+    guess = truth.with_values({i.name: 1.3 * i.spec.value for i in truth.table if i.spec.estimate})
+    k = joint_number(truth, "lift")
+    study = identify(with_others_measured(data, truth, k), alone(guess, k), pooled=True)
+    for name, value in zip(study.names, study.selected.values, strict=True):
+        assert value == pytest.approx(truth.parameter(name).spec.value, rel=0.05), name
+
+
+def test_what_a_joint_alone_lacks_is_said(tmp_path: Path) -> None:
+    system = arm(tmp_path)
+    data = records_of(system, count=1)
+    record = data.records[0]
+    blind = Dataset(
+        "arm", data.inputs, data.outputs[1:],
+        (Record("run", record.time, record.inputs, {n: record.outputs[n] for n in ("q_m2", "q_m3")}),),
+    )  # fmt: skip
+    with pytest.raises(InputError, match="no angle of joint 'pan'"):
+        with_others_measured(blind, system, 1)
+    with pytest.raises(InputError, match="no joint 'elbo'"):
+        joint_number(system, "elbo")
+    with pytest.raises(InputError, match="whole robot"):
+        alone(alone(system, 1), 0)
+
+
+def test_a_floor_needs_a_point_of_the_robot(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'hand', which the robot does not have; give one of"):
+        arm(tmp_path).with_component("joint3/load", FloorContact("hand"))
+
+
+def test_what_was_found_of_a_joint_goes_back_into_the_robot(tmp_path: Path) -> None:
+    system = arm(tmp_path).with_component("joint3/load", FloorContact("tip", z_f=-0.36, k_f=300.0))
+    one = alone(system, 1).with_values({"F_c_lift": 0.07, "z_f": -0.3})
+    whole = together(one.with_component("joint1/motor_friction", Stribeck(F_drop=0.02, v_s=0.3)))
+    assert {i.name: i.spec.value for i in whole.table if i.symbol in ("F_c", "F_drop", "z_f", "k_f")} == {
+        "F_c_pan": 0.05, "F_c_lift": 0.07, "F_drop_lift": 0.02, "F_c_elbow": 0.03,
+        "z_f_elbow": -0.3, "k_f_elbow": 300.0,
+    }  # fmt: skip
+    save_model(one, tmp_path / "found.yaml")
+    found = load_model(tmp_path / "found.yaml")
+    assert found.tree == system.tree
+    assert found.parameter("F_c_lift").spec.value == 0.07
