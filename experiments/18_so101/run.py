@@ -5,9 +5,10 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import so101
@@ -27,6 +28,8 @@ from hybrid_id.systems.model_file import save_model
 ENGINE = Engine("dry", 1, compiled=True)
 VARIANTS: tuple[tuple[str, ...], ...] = ((), ("load",), ("load", "stribeck"))
 FOLDS = 3
+Run = Callable[..., Any]
+"""Runs delayed calls, some at once."""
 REACH = so101.JOINTS[1:4]
 """Joints that a push at the gripper from below turns."""
 
@@ -105,7 +108,7 @@ def variant(
     return found
 
 
-def floor_of(folder: Path, data: Dataset, run: Parallel) -> dict[str, float]:
+def floor_of(folder: Path, data: Dataset, run: Run) -> dict[str, float]:
     """Height and stiffness of the table: of each joint that it pushes, then by all joints at once."""
     system = so101.model(folder)
     first = run(delayed(fit_joint)(system, data, k) for k in range(5))
@@ -121,13 +124,16 @@ def floor_of(folder: Path, data: Dataset, run: Parallel) -> dict[str, float]:
 
 def choose(folder: Path, out: Path, jobs: int) -> None:
     """Everything from the train motions: the table, the laws, the values."""
-    began, data, run = time.time(), so101.load(folder)["train"], Parallel(n_jobs=jobs)
+    began, data = time.time(), so101.load(folder)["train"]
+    run = cast(Run, Parallel(n_jobs=jobs))
     out.mkdir(parents=True, exist_ok=True)
     if not (out / "floor.json").exists():
         (out / "floor.json").write_text(json.dumps(floor_of(folder, data, run)))
     floor = json.loads((out / "floor.json").read_text())
     print(f"table: {floor}, {time.time() - began:.0f} s", flush=True)
-    tried = run(delayed(variant)(folder, out, data, k, laws, floor) for k in range(5) for laws in VARIANTS)
+    tried: list[dict[str, Any]] = run(
+        delayed(variant)(folder, out, data, k, laws, floor) for k in range(5) for laws in VARIANTS
+    )
     chosen = {}
     for name in so101.JOINTS:
         own = [one for one in tried if one["joint"] == name]

@@ -83,6 +83,7 @@ class Drives:
         """
         label, r = self.label(joint), joint.gear_ratio
         key, part = joint.drive.motor
+        servo = self.closes(joint)
         top = SUPPLY / max(float(self.p[key].P_m2), 1e-3) if isinstance(part, DCMotor) else TOP_SPEED
         rotor = resistance(joint, "motor_friction", self.p, top)
         side = resistance(joint, "link_friction", self.p, top / r)
@@ -96,13 +97,19 @@ class Drives:
         link.update(self._spring(joint, "springref" if "joint" in at_link else "springlength"))
         if extras and not isinstance(part, DCMotor):
             self.passive.append(_passive(f"rotor_friction{label}", at_rotor, r, extras))
-        head = {"name": f"motor{label}"} | at_rotor | {"gear": number(r)}
-        tag, attributes, notes = _motor(joint, self.p, self.step, extras)
+        head = {"name": f"motor{label}"} | at_rotor | {"gear": "1" if servo else number(r)}
+        tag, attributes, notes = (
+            _servo(joint, self.p, self.step) if servo else _motor(joint, self.p, self.step, extras)
+        )
         self.notes += notes
         self._uneven(f"friction{label}", rotor, r, at_rotor)
         self._uneven(f"link_friction{label}", side, 1.0, at_link)
         self._loads(joint, at_link)
         return tag, head | attributes
+
+    def closes(self, joint: Joint) -> bool:
+        """Whether MuJoCo closes the joint's position loop itself: one that acts at the angle that it reads."""
+        return joint.drive.input[1].at_joint and bool(self.system.tree or joint.rigid)
 
     def sensed(self, joint: Joint) -> None:
         """Note what of a joint's sensors is left out."""
@@ -217,6 +224,28 @@ def _motor(joint: Joint, p: Views, step: float, extras: Attributes) -> tuple[str
     return "dcmotor", found | written(own) | extras | wound, notes + left
 
 
+def _servo(joint: Joint, p: Views, step: float) -> tuple[str, Attributes, list[str]]:
+    """Tag, attributes beyond name, target and gear, and notes of a position loop, whose command is its goal.
+
+    MuJoCo delays the goal alone and reads the angle as it is, as the model does.
+    """
+    (key, source), (motor, part) = joint.drive.input, joint.drive.motor
+    own, missing = source.mjcf(p[key])
+    driven, other = part.mjcf(p[motor])
+    (gain,) = driven.get("gainprm", (0.0,))
+    scaled = {name: [float(gain) * float(v) for v in own[name]] for name in own if name != "ctrlrange"}
+    found = written(scaled | {name: own[name] for name in own if name == "ctrlrange"})
+    notes = [noted(name, words) for name, words in ((key, missing), (motor, other)) if words]
+    notes += [left_out(name, "MuJoCo's position loop has no such stage") for name, _ in joint.drive.maps]
+    return "general", found | {"biastype": "affine"} | _delay(joint, p, step), notes
+
+
+def _delay(joint: Joint, p: Views, step: float) -> Attributes:
+    """What holds a command back by whole steps."""
+    steps = 0 if joint.drive.delay is None else round(float(p[joint.drive.delay[0]].T_d) / step)
+    return {"delay": number(steps * step), "nsample": str(steps)} if steps else {}
+
+
 def _command(joint: Joint, p: Views, step: float) -> tuple[Attributes, list[str]]:
     """Limit and delay of the command, and what of the input stage stays outside."""
     key, source = joint.drive.input
@@ -225,12 +254,12 @@ def _command(joint: Joint, p: Views, step: float) -> tuple[Attributes, list[str]
     notes = [f"joint{joint.number}/input: ctrl is the motor's voltage; {asked} {missing}"] if missing else []
     found, left = carried(joint.drive.maps, p)
     notes += left
-    if joint.drive.delay is not None and (steps := round(float(p[joint.drive.delay[0]].T_d) / step)):
-        if isinstance(source, PositionLoop):  # MuJoCo would delay the angle that the loop reads, too
-            notes.append(f"{joint.drive.delay[0]}: it delays the goal, and stays with the controller")
-        else:
-            found |= {"delay": number(steps * step), "nsample": str(steps)}
-    return found, notes
+    held = _delay(joint, p, step)
+    if held and joint.drive.delay and (isinstance(source, PositionLoop) or source.at_joint):
+        # MuJoCo would delay the angle that the loop reads, too
+        notes.append(f"{joint.drive.delay[0]}: it delays the goal, and stays with the controller")
+        held = {}
+    return found | held, notes
 
 
 def _passive(name: str, on: Attributes, gear: float, extras: Attributes) -> tuple[str, Attributes]:

@@ -15,6 +15,8 @@ from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
+import numpy as np
+
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
 from hybrid_id.export.curves import left_out
@@ -202,9 +204,7 @@ class _Edit(Drives):
         self.added += [_written(tag, attributes) for tag, attributes in self.passive]
         self.notes += carried(self.system.networks.items(), self.p)[1]
         for (old, command), names in self.replaced.items():
-            self.notes.append(
-                f"{', '.join(names)}: in the place of a {old} the actuator takes the motor's {command}"
-            )
+            self.notes.append(f"{', '.join(names)}: in the place of a {old} the actuator takes the {command}")
         own = re.compile(r"\bjoint(\d+)(?=/)")
         notes = [own.sub(lambda found: self.tree.names[int(found[1]) - 1], note) for note in self.notes]
         if converted:
@@ -279,11 +279,16 @@ class _Edit(Drives):
         ]
         if mine and self._same(mine[0], attributes, tag):
             return mine[0].values["name"]
-        command = UNITS.get(joint.drive.input[1].gives, f"command [{joint.drive.input[1].gives}]")
+        if len(mine) == 1 and self.closes(joint) and self._adjusted(mine[0], attributes):
+            return mine[0].values["name"]
+        gives = joint.drive.input[1].gives
+        command = "motor's " + UNITS.get(gives, f"command [{gives}]")
+        if self.closes(joint):
+            command = "goal [rad]" if known.kind == "hinge" else "goal [m]"
         if tag == "general":  # no default of the file is to reach into it
-            limited = "true" if "ctrlrange" in attributes else "false"
-            attributes = attributes | {"ctrllimited": limited, "forcelimited": "false"}
-            attributes |= {"dyntype": "none", "gaintype": "fixed", "biastype": "none"}
+            limits = ("ctrllimited", "ctrlrange"), ("forcelimited", "forcerange")
+            set_here = {name: str(end in attributes).lower() for name, end in limits}
+            attributes = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"} | attributes | set_here
         if not mine:
             self.added.append(_written(tag, attributes))
             return attributes["name"]
@@ -293,6 +298,36 @@ class _Edit(Drives):
             self.text.replace(other, "")
         self.replaced.setdefault((" and a ".join(e.tag for e in mine), command), []).append(known.name)
         return attributes["name"]
+
+    def _adjusted(self, element: _Element, attributes: Attributes) -> bool:
+        """Set what of a file's own position loop differs from the drive's; False where its element cannot carry it."""
+        taken = {"position": ("kp", "kv"), "general": ("gainprm", "biasprm")}.get(element.tag)
+        others = {"dampratio", "timeconst", "inheritrange", "delay"} & set(element.values)
+        if taken is None or "name" not in element.values or others:
+            return False
+        here = self.model.actuator(element.values["name"])
+        if here.gear[0] != 1.0 or here.dyntype[0] != 0:
+            return False
+        bias = [float(v) for v in attributes["biasprm"].split()]
+        new: Attributes = {}
+        if not np.allclose([-bias[1], *bias], [here.gainprm[0], *here.biasprm[:3]], rtol=SAME, atol=0.0):
+            both = (
+                number(-bias[1]),
+                number(0.0 - bias[2]) if element.tag == "position" else attributes["biasprm"],
+            )
+            new = dict(zip(taken, both, strict=True))
+        for limit in ("force", "ctrl"):
+            name, flag = f"{limit}range", f"{limit}limited"
+            limited = bool(getattr(here, flag)[0])
+            if limited and name not in attributes:
+                return False
+            after = [float(v) for v in attributes.get(name, "").split()]
+            if after and not (limited and np.allclose(after, getattr(here, name), rtol=SAME, atol=0.0)):
+                new |= {name: attributes[name], flag: "true"}
+        held = {name: attributes[name] for name in ("delay", "nsample") if name in attributes}
+        if new or held:
+            self.text.put(element, new | held)
+        return True
 
     def _same(self, element: _Element, attributes: Attributes, tag: str) -> bool:
         """Whether the file's actuator does what the drive's would."""

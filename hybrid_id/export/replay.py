@@ -122,17 +122,18 @@ def mujoco_replay(
             state[f"gear{joint.number}"] = [b - a for a, b in zip(rotor, link, strict=True)]
         for hinge, (angle, speed) in state.items():
             data.joint(hinge).qpos[:], data.joint(hinge).qvel[:] = angle, speed
-    commands = [
-        _Command(system, joint, name, record, model.opt.timestep)
-        for joint, name in zip(system.joints, exported.joints, strict=True)
-    ]
     motors = [model.actuator(name).id for name in exported.motors]
+    commands = [
+        _Command(system, joint, name, record, model.opt.timestep, bool(model.actuator_biastype[motor]))
+        for joint, name, motor in zip(system.joints, exported.joints, motors, strict=True)
+    ]
     for command, motor in zip(commands, motors, strict=True):
         if command.delays:
             model.actuator_delay[motor] = 0.0
         else:
             _fill_delay(mujoco, model, data, motor, command(0, data))
     limited = model.actuator_ctrllimited[motors].copy()
+    pulls = [(matrix, matrix[motors].copy()) for matrix in (model.actuator_gainprm, model.actuator_biasprm)]
     found: dict[str, list[float]] = {n: [] for n in record.outputs if _channel(n)[0] in READ}
     ticks = np.rint((record.time - record.time[0]) / model.opt.timestep).astype(int)
     for k in range(record.n_samples):
@@ -141,6 +142,8 @@ def mujoco_replay(
         for tick in range(ticks[k + 1] - ticks[k] if k + 1 < record.n_samples else 0):
             if tick == 0:
                 model.actuator_ctrllimited[motors] = limited * [command.on[k] == 1.0 for command in commands]
+                for matrix, own in pulls:  # a servo that is off lets go
+                    matrix[motors] = [c.pull(k) * row for c, row in zip(commands, own, strict=True)]
             if tick == 0 or any(command.follows(k) for command in commands):
                 data.ctrl[motors] = [command(k, data) for command in commands]
             mujoco.mj_step(model, data)  # type: ignore[attr-defined]
@@ -189,10 +192,13 @@ class _Command:
 
     Attributes:
         on: whether the motor is switched on at each sample, ``(T,)``.
+        servo: whether MuJoCo closes the position loop itself and takes its goal.
         delays: whether the command is held back here: a switch acts at once, and MuJoCo would delay it as well.
     """
 
-    def __init__(self, system: System, joint: Joint, name: str, record: Record, tick: float) -> None:
+    def __init__(
+        self, system: System, joint: Joint, name: str, record: Record, tick: float, servo: bool
+    ) -> None:
         key, self._source = joint.drive.input
         self._name, self._joint, self._view = name, joint, system.components[key].view()  # type: ignore[operator]
         self.on = record.inputs.get(f"enable{joint.number}", np.ones(record.n_samples))
@@ -203,24 +209,38 @@ class _Command:
             for c in self._source.channels
         }
         self._encoders = [(part, part.view()) for _, part in joint.drive.encoders]
-        self._closed = isinstance(self._source, PositionLoop)
+        self.servo = servo = servo and self._source.at_joint
+        self._closed = not servo and (isinstance(self._source, PositionLoop) or self._source.at_joint)
         self._tick = tick
         self._time, delay = record.time - record.time[0], joint.drive.delay
         self._late = 0.0 if delay is None else delay[1].specs["T_d"].value
         zero = torch.zeros(1, dtype=torch.float64)
-        self._held = None if self._closed else self._at(self._channels, zero).expand(record.n_samples)
-        self.delays = bool(self._late) and not self._closed and bool((self.on != 1.0).any())
+        if servo:
+            self._held: torch.Tensor | None = self._channels["goal"]
+        else:
+            self._held = (
+                None if self._closed else self._at(self._channels, zero, zero).expand(record.n_samples)
+            )
+        self.delays = bool(self._late) and not self._closed and not servo and bool((self.on != 1.0).any())
 
     @torch.no_grad()
-    def _at(self, channels: Mapping[str, torch.Tensor], angle: torch.Tensor) -> torch.Tensor:
-        return self._source.command(self._view, channels, angle, torch.zeros_like(angle))
+    def _at(
+        self, channels: Mapping[str, torch.Tensor], angle: torch.Tensor, speed: torch.Tensor
+    ) -> torch.Tensor:
+        return self._source.command(self._view, channels, angle, speed)
 
     def follows(self, sample: int) -> bool:
         """Whether the command follows the motion within a sample."""
         return self._closed or self.delays or self.on[sample] != 1.0
 
+    def pull(self, sample: int) -> float:
+        """Share of a servo's torque at a sample."""
+        return float(self.on[sample]) if self.servo else 1.0
+
     def __call__(self, sample: int, data: Any) -> float:
         """The command at a sample."""
+        if self.servo:
+            return self._given(sample, data)
         speed = self._joint.gear_ratio * data.joint(self._name).qvel[0]
         on = float(self.on[sample])
         return on * self._given(sample, data) + (1.0 - on) * self._induced * speed
@@ -228,12 +248,21 @@ class _Command:
     def _given(self, sample: int, data: Any) -> float:
         if self._held is not None:  # whose delay is the actuator's
             return float(self._held[self._arrived(data) if self.delays else sample])
-        turned = self._joint.gear_ratio * data.joint(self._name).qpos[0]
-        angle = torch.tensor([turned], dtype=torch.float64)
+        angle, speed = (torch.tensor([end], dtype=torch.float64) for end in self._motion(data))
         for encoder, view in self._encoders:  # the loop closes over what its encoder reads
             angle = encoder.read(view, angle)
         row = self._arrived(data) if self._late else sample  # a delay holds back the goal, not the angle
-        return float(self._at({c: v[row : row + 1] for c, v in self._channels.items()}, angle)[0])
+        command = self._at({c: v[row : row + 1] for c, v in self._channels.items()}, angle, speed)
+        return float(command[0]) / (self._joint.gear_ratio if self._source.at_joint else 1.0)
+
+    def _motion(self, data: Any) -> tuple[float, float]:
+        """Angle and speed that the loop is closed over: of the rotor, or of the link."""
+        hinge, r = data.joint(self._name), self._joint.gear_ratio
+        if not self._source.at_joint:
+            return r * hinge.qpos[0], r * hinge.qvel[0]
+        gear = None if self._joint.rigid else data.joint(f"gear{self._joint.number}")
+        turned, speed = (0.0, 0.0) if gear is None else (gear.qpos[0], gear.qvel[0])
+        return hinge.qpos[0] + turned, hinge.qvel[0] + speed
 
     def _arrived(self, data: Any) -> int:
         """The sample whose command has arrived; half a step forgives the rounding to MuJoCo's."""

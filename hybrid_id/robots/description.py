@@ -224,7 +224,9 @@ def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
         if alone and fixed and stiffness > 0 and by_angle == -stiffness and constant_part == 0.0:
             low, high = (abs(float(end)) for end in model.actuator_forcerange[i])
             largest = min(low, high) if model.actuator_forcelimited[i] else None
-            return Servo(float(stiffness), float(-by_speed), largest)
+            least, most = model.actuator_ctrlrange[i]
+            goals = (float(least), float(most)) if model.actuator_ctrllimited[i] else None
+            return Servo(float(stiffness), float(-by_speed), largest, goals)
     return None
 
 

@@ -131,11 +131,13 @@ class Servo:
         stiffness: torque or force per error [N m/rad or N/m].
         damping: [N m s/rad or N s/m].
         largest: torque or force that it does not exceed [N m or N]; None where there is no limit.
+        goals: least and largest goal [rad or m], to which it clips; None where there is no limit.
     """
 
     stiffness: float
     damping: float = 0.0
     largest: float | None = None
+    goals: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

@@ -141,7 +141,8 @@ def robot(tree: RigidBodyTree, gear_ratio: Sequence[float] | None = None) -> Sys
 def position_servo(servo: Servo) -> PositionServo:
     """The input that a description's position loop is."""
     limit = {} if servo.largest is None else {"tau_max": servo.largest}
-    return PositionServo(k_p=servo.stiffness, k_d=servo.damping, **limit)
+    goals = {} if servo.goals is None else dict(zip(("goal_min", "goal_max"), servo.goals, strict=True))
+    return PositionServo(k_p=servo.stiffness, k_d=servo.damping, **limit, **goals)
 
 
 def started(tree: RigidBodyTree) -> list[TreeJoint]:

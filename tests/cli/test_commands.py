@@ -285,9 +285,7 @@ def test_simulate_writes_what_the_model_says(
     assert error < 0.01
 
 
-def test_compare_ranks_the_models(
-    run, drive: Path, plain: Path, identified: tuple[Path, str], tmp_path: Path
-) -> None:
+def test_compare_ranks_the_models(run, drive: Path, identified: tuple[Path, str], tmp_path: Path) -> None:
     models = drive / "model.yaml", identified[0] / "model.yaml"
     arguments = [word for model in models for word in ("-m", model)]
     outcome = run("compare", drive, *arguments, "--out", tmp_path / "out", "--json")
@@ -298,28 +296,26 @@ def test_compare_ranks_the_models(
     assert (tmp_path / "out" / "run_3.png").exists()
     rows = pd.read_csv(tmp_path / "out" / "comparison.csv")
     assert len(rows) == 2 * 4
-    assert "mean" in run("compare", plain, *arguments, "--out", tmp_path / "table").out
+    assert "mean" in run("compare", drive, *arguments, "--out", tmp_path / "table").out
 
 
-def test_force_replaces_results_only_when_the_new_ones_are_complete(
-    run, drive: Path, plain: Path, tmp_path: Path
-) -> None:
+def test_force_replaces_results_only_when_the_new_ones_are_complete(run, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "sim"
-    assert run("simulate", plain, "--out", out).code == 0
+    assert run("simulate", drive, "--out", out).code == 0
     first = (out / "result.json").read_text()
-    assert run("simulate", plain, "--model", drive / "gone.yaml", "--out", out, "--force").code == 2
+    assert run("simulate", drive, "--model", drive / "gone.yaml", "--out", out, "--force").code == 2
     assert (out / "result.json").read_text() == first
     (out / "stale.txt").write_text("of the first run")
-    assert run("simulate", plain, "--out", out).code == 2
-    assert run("simulate", plain, "--out", out, "--force").code == 0
+    assert run("simulate", drive, "--out", out).code == 2
+    assert run("simulate", drive, "--out", out, "--force").code == 0
     assert not (out / "stale.txt").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["sim"]
 
 
-def test_force_never_takes_what_a_command_reads(run, drive: Path, plain: Path, tmp_path: Path) -> None:
+def test_force_never_takes_what_a_command_reads(run, drive: Path, tmp_path: Path) -> None:
     home = tmp_path / "work"
     shutil.copytree(drive, home / "data")
-    assert run("simulate", plain, "--out", tmp_path / "sim").code == 0
+    assert run("simulate", drive, "--out", tmp_path / "sim").code == 0
     shutil.copy(tmp_path / "sim" / "result.json", home)
     outcome = run("simulate", home / "data", "--out", home, "--force")
     assert outcome.code == 2 and "which this command reads" in outcome.err
@@ -339,11 +335,11 @@ def test_a_training_that_was_killed_before_its_first_checkpoint_is_begun_anew(tm
     refuse_taken(out, force=True)
 
 
-def test_force_never_takes_results_that_lie_inside_the_folder(run, plain: Path, tmp_path: Path) -> None:
+def test_force_never_takes_results_that_lie_inside_the_folder(run, drive: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert run("simulate", plain, "--out", out).code == 0
-    assert run("simulate", plain, "--out", out / "second").code == 0
-    said = run("simulate", plain, "--out", out, "--force")
+    assert run("simulate", drive, "--out", out).code == 0
+    assert run("simulate", drive, "--out", out / "second").code == 0
+    said = run("simulate", drive, "--out", out, "--force")
     assert said.code == 2 and f"holds other results, in {out / 'second'}; move them" in said.err
     assert (out / "second" / "result.json").exists()
 

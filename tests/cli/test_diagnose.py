@@ -117,7 +117,7 @@ def test_json_is_the_file(run, known, plain: Path, tmp_path: Path) -> None:
 
 
 def test_written_models_are_those_of_the_diagnosis(
-    run, known, diagnosed, plain: Path, tmp_path: Path
+    run, known, diagnosed, drive: Path, plain: Path, tmp_path: Path
 ) -> None:
     dataset, _, found = diagnosed
     run("diagnose", plain, "--out", tmp_path / "gap")
@@ -128,7 +128,7 @@ def test_written_models_are_those_of_the_diagnosis(
         runs = [replay(dataset, s, engine=fitted.result.engine)[3] for s in (again, fitted.system)]
         assert runs[0].nrmse["q_m1"] == pytest.approx(runs[1].nrmse["q_m1"], rel=1e-9)
     # the next command takes it as it is
-    said = run("simulate", plain, "--model", tmp_path / "gap" / "model.yaml", "--out", tmp_path / "replay")
+    said = run("simulate", drive, "--model", tmp_path / "gap" / "model.yaml", "--out", tmp_path / "replay")
     assert said.code == 0
 
 

@@ -68,7 +68,7 @@ def waves(system: System, sizes: list[float], channels: list[str]) -> Dataset:
     outputs = {f"q_m{joint.number}": 0.0 * time for joint in system.joints}
     return Dataset(
         "waves",
-        tuple(Channel(name, "V" if name[0] == "u" else "N m") for name in inputs),
+        tuple(Channel(name, {"u": "V", "t": "N m", "g": "rad"}[name[0]]) for name in inputs),
         tuple(Channel(name, "rad", 1e-4) for name in outputs),
         (Record("run", time, inputs, outputs),),
         0.004,
@@ -80,10 +80,10 @@ def apart(system: System, data: Dataset) -> float:
 
 
 def test_only_what_the_drives_change_is_written(tmp_path: Path) -> None:
-    system = arm(tmp_path).with_values({"F_c_lift": 0.07, "J_m_elbow": 0.03})
+    system = arm(tmp_path).with_values({"F_c_lift": 0.07, "J_m_elbow": 0.03, "k_p_lift": 40.0})
     exported = to_mjcf(system)
     new = changed(ARM, exported.text)
-    assert set(new) == {"axis", "<joint", "<general", "<!--"}  # the lift's tag is of two lines
+    assert set(new) == {"axis", "<joint", "<position", "<general", "<!--"}
     stiff = 'solreffriction="0.0005 1" solimpfriction="0.99 0.999 0.001"'
     assert new["axis"] == (
         f'             axis="0 1 0" range="-170 170" frictionloss="0.07" {stiff}/>  <!-- of \'steel\' -->'
@@ -93,10 +93,8 @@ def test_only_what_the_drives_change_is_written(tmp_path: Path) -> None:
     assert model.dof_armature.tolist() == pytest.approx([0.02, 0.03])
     assert np.ravel(model.dof_frictionloss).tolist() == pytest.approx([0.07, 0.0])
     assert exported.motors == ("servo", "motor_elbow") and exported.joints == ("lift", "elbow")
-    assert any(
-        "lift: in the place of a position the actuator takes the motor's torque" in n for n in exported.notes
-    )
-    assert apart(system, waves(system, [0.4, 0.2], ["tau1", "tau2"])) < 2e-3
+    assert exported.notes == () and 'kp="40" ctrlrange="-90 90" kv="0"' in new["<position"]
+    assert apart(system, waves(system, [0.4, 0.2], ["goal1", "tau2"])) < 2e-3
 
 
 def test_what_holds_already_stays_as_it_is(tmp_path: Path) -> None:
@@ -105,6 +103,43 @@ def test_what_holds_already_stays_as_it_is(tmp_path: Path) -> None:
     exported = to_mjcf(arm(tmp_path, text=text))
     assert changed(text, exported.text).keys() == {"<!--"}
     assert exported.notes == () and exported.motors == ("servo", "other")
+
+
+@pytest.mark.parametrize("element", ["position", "general", "motor"])
+def test_a_position_loop_is_closed_by_mujoco(tmp_path: Path, element: str) -> None:
+    own = {
+        "position": '<position name="servo" joint="lift" kp="50"/>',
+        "general": '<general name="servo" joint="lift" biastype="affine" gainprm="50" biasprm="0 -50"/>',
+        "motor": '<motor name="servo" joint="lift" gear="3"/>',
+    }[element]
+    system = arm(
+        tmp_path,
+        """
+robot: {file: arm.xml}
+gear_ratio: [50, 1]
+components:
+  - place: lift/input
+    kind: position_servo
+    parameters: {k_p: 20, k_d: 0.4, tau_max: 1.5, e_0: 0.001, goal_min: -0.5, goal_max: 0.6}
+  - {place: lift/input, kind: delay, parameters: {T_d: 0.008}}
+""",
+        text=re.sub("<position.*/>", own, ARM),
+    )
+    exported = to_mjcf(system)
+    replaced = [n for n in exported.notes if "in the place of a motor the actuator takes the goal [rad]" in n]
+    assert len(replaced) == (element == "motor")
+    assert any("lift/input: position_servo is carried without its dead band" in n for n in exported.notes)
+    model = mujoco_model(exported)
+    assert model.actuator("servo").biasprm[:3].tolist() == [0.0, -20.0, -0.4]
+    assert model.actuator("servo").forcerange.tolist() == [-1.5, 1.5]
+    data = waves(system, [0.8, 0.2], ["goal1", "tau2"])
+    assert apart(system, data) < 1e-2
+    (record,) = data.records
+    off = {**record.inputs, "enable1": (record.time < 0.8).astype(float)}
+    switched = replace(
+        data, inputs=(*data.inputs, Channel("enable1", "1")), records=(replace(record, inputs=off),)
+    )
+    assert apart(system, switched) < 1e-2
 
 
 def test_drives_of_other_kinds_move_alike(tmp_path: Path) -> None:

@@ -44,3 +44,10 @@ class PositionServo(Input):
         error = goal - angle
         beyond = torch.sign(error) * (error.abs() - p.e_0).clamp_min(0.0)
         return torch.maximum(torch.minimum(p.k_p * beyond - p.k_d * speed, p.tau_max), -p.tau_max)
+
+    def mjcf(self, p):
+        found = {"gainprm": (p.k_p,), "biasprm": (0.0, -p.k_p, -p.k_d)}
+        ends = {"forcerange": (-p.tau_max, p.tau_max), "ctrlrange": (p.goal_min, p.goal_max)}
+        top = {"forcerange": self.declared["tau_max"].default, "ctrlrange": self.declared["goal_max"].default}
+        found |= {name: end for name, end in ends.items() if max(abs(float(e)) for e in end) < top[name]}
+        return found, "is carried without its dead band" if float(p.e_0) > 0 else ""
