@@ -10,7 +10,7 @@ import typer
 
 from hybrid_id.cli.console import SearchProgress, remark, show
 from hybrid_id.cli.folder import DIAGNOSIS, keep_after, kept_fits, required, results_folder
-from hybrid_id.cli.inputs import checked_records, load_system, refuse_arm, remark_uneven
+from hybrid_id.cli.inputs import check_window, checked_records, load_system, refuse_arm, remark_uneven
 from hybrid_id.cli.options import (
     ForceOption,
     JsonOption,
@@ -78,6 +78,8 @@ def diagnose(
                 f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
             )
         dataset = checked_records(config)
+        with config.at("identification.window"):
+            check_window(config.identification.window, dataset.records)
         remark_uneven(dataset)
         use_threads(1)
         system = load_system(config, dataset)

@@ -7,7 +7,7 @@ import typer
 
 from hybrid_id.cli.console import FitProgress, remark
 from hybrid_id.cli.folder import RESULT, refuse_taken, required, results_folder
-from hybrid_id.cli.inputs import checked_records, load_system, one_joint
+from hybrid_id.cli.inputs import check_window, checked_records, load_system, one_joint
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
@@ -79,6 +79,8 @@ def identify(
             "--jobs shares records between processes, but --pooled needs all in one; leave one of them out"
         )
     dataset = checked_records(config)
+    with config.at("identification.window"):
+        check_window(config.identification.window, dataset.records)
     use_threads(threads)
     from hybrid_id.cli.results import show_study, write_study
     from hybrid_id.study.checks import check_names

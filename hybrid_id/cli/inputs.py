@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from statistics import median
 from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import remark
@@ -149,6 +150,23 @@ def remark_uneven(records: "Iterable[Record]") -> None:
         remark(
             f"warning: sample times differ between records ({min(steps):.3g} to {max(steps):.3g} s), and windows count "
             "samples of the usual one; 'resample' in dataset.yaml brings all to one"
+        )
+
+
+def check_window(window: str | float, records: "Sequence[Record]") -> None:
+    """Refuse windows that hold too few samples, or of which no record has four."""
+    from hybrid_id.identification.horizons import Horizon
+    from hybrid_id.identification.windows import SHORTEST
+
+    horizon = Horizon.of(window)
+    if horizon is None or horizon.kind != "windows" or not records:
+        return
+    least = SHORTEST * median(record.sample_time for record in records)
+    most = max(record.n_samples * record.sample_time for record in records) / 4
+    if not least * (1.0 - 1e-9) <= horizon.seconds <= most:
+        raise InputError(
+            f"windows of {horizon.seconds:g} s do not fit: a window holds {SHORTEST} samples or more, and the longest "
+            f"record four windows; give {least:.3g} to {most:.3g} s, or whole, strokes or auto"
         )
 
 

@@ -7,7 +7,7 @@ import typer
 
 from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
-from hybrid_id.cli.inputs import load_records, read_model
+from hybrid_id.cli.inputs import check_window, load_records, read_model
 from hybrid_id.cli.options import (
     DatasetArgument,
     ForceOption,
@@ -92,6 +92,7 @@ def _replay(
     from hybrid_id.study import Horizon
     from hybrid_id.study import compare as side_by_side
 
+    check_window(window, dataset.records)
     labels, horizon = _labels(models), Horizon.of(window)
     comparison = side_by_side(
         dataset, {labels[model]: read_model(model) for model in models}, horizon=horizon

@@ -165,6 +165,11 @@ def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
     [
         ("dataset: DATA\ngap: {max_effects: 0}\n", ("gap.max_effects", "0")),
         ("dataset: DATA\nidentification: {window: 0}\n", ("identification.window", "0")),
+        (
+            "dataset: DATA\nidentification: {window: 1.0e-9}\n",
+            ("identification.window", "25 samples or more"),
+        ),
+        ("dataset: DATA\nidentification: {window: 100}\n", ("identification.window", "four windows")),
         ("dataset: DATA\ngap: {colour: 2}\n", ("gap.colour", "unknown")),
         ("dataset: DATA\nmodel: gone.yaml\n", ("gone.yaml", "does not exist")),
         ("dataset: DATA\npreprocessing: {records: [run_3]}\n", ("no train record",)),
@@ -259,7 +264,7 @@ def test_terminated_is_interrupted() -> None:
         (["--max-effects", 2], 2, "auto"),
         (["--most", 2], 2, "auto"),
         (["--window", "whole"], 3, "whole"),
-        (["--window", "0.5"], 3, 0.5),
+        (["--window", "0.25"], 3, 0.25),
     ],
 )
 def test_options_reach_the_search(
