@@ -10,7 +10,14 @@ import typer
 
 from hybrid_id.cli.console import SearchProgress, remark, show
 from hybrid_id.cli.folder import DIAGNOSIS, keep_after, kept_fits, required, results_folder
-from hybrid_id.cli.inputs import check_window, checked_records, load_system, refuse_arm, remark_uneven
+from hybrid_id.cli.inputs import (
+    check_window,
+    checked_records,
+    load_system,
+    refuse_arm,
+    remark_start_values,
+    remark_uneven,
+)
 from hybrid_id.cli.options import (
     ForceOption,
     JsonOption,
@@ -84,6 +91,7 @@ def diagnose(
         use_threads(1)
         system = load_system(config, dataset)
         refuse_arm(system, config.model, "diagnose")
+        remark_start_values(dataset, system)
         diagnosis = run(dataset, system, config, kept)
         with results_folder(home, force=True) as folder:  # kept_fits has asked
             text = write_diagnosis(folder, home, config, diagnosis)

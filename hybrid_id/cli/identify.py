@@ -7,7 +7,7 @@ import typer
 
 from hybrid_id.cli.console import FitProgress, remark
 from hybrid_id.cli.folder import RESULT, refuse_taken, required, results_folder
-from hybrid_id.cli.inputs import check_window, checked_records, load_system, one_joint
+from hybrid_id.cli.inputs import check_window, checked_records, load_system, one_joint, remark_start_values
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
@@ -88,6 +88,7 @@ def identify(
     system = load_system(config, dataset)
     if joint is not None:
         dataset, system = one_joint(dataset, system, joint)
+    remark_start_values(dataset, system)
     use_device(config.identification.device)
     check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
     study, progress = run(dataset, system, config, jobs=jobs)

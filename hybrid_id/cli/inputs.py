@@ -135,6 +135,14 @@ def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
         raise InputError(f"previous ({stage.model}): {error}") from None
 
 
+def remark_start_values(dataset: "Dataset", system: "System") -> None:
+    """Say what the start values do not explain: a sign, a unit."""
+    from hybrid_id.study import check_start_values
+
+    for finding in check_start_values(dataset, system):
+        remark(f"warning: {finding.message}")
+
+
 def one_joint(dataset: "Dataset", system: "System", name: str) -> "tuple[Dataset, System]":
     """One joint of a robot by itself, and the records that bring the motion of the others."""
     from hybrid_id.systems.by_joint import alone, joint_number, with_others_measured

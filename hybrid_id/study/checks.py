@@ -40,6 +40,8 @@ FROM_PRIOR = 6.0
 ALIKE, UNIT = 0.9, 5.0
 """Correlation of a signal with its simulation, and factor between the two, from which its unit is doubted: 9.5 is a
 speed's in rpm, 57 an angle's in degrees."""
+INSTANTS, TURNED = 50, 0.5
+"""Instants of a record between which motions are compared, and their negative correlation from which a sign is doubted."""
 FAR_OUT = 20.0
 """Error of a record over the median of all from which it contradicts the others."""
 FIRST_STEP = 0.1
@@ -98,7 +100,7 @@ def check_identifiability(
 
 
 def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
-    """Simulate the train records with the model's start values; one warning where that explains nothing."""
+    """Simulate the train records with the model's start values: warnings of what these do not explain."""
     names = [record.name for record in dataset.train or dataset.records]
     runs = replay(dataset.select(names), system)
     words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs])
@@ -109,6 +111,11 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
             found.append(
                 f"{output} moves {times:.3g} times as far in the records as with the model's start values, and alike "
                 "otherwise; check its unit"
+            )
+        if _turned([(_steps(a), _steps(b)) for a, b in pairs]):
+            found.append(
+                f"{output} turns the other way than with the model's start values; if the sign of the sensor or of the "
+                "command is reversed, give its channel 'scale: -1' in dataset.yaml"
             )
     return [Finding("warning", "start_values", one) for one in found]
 
@@ -125,6 +132,17 @@ def _times(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
         return 0.0
     times = (own / other) ** 0.5
     return times if max(times, 1.0 / times) > UNIT else 0.0
+
+
+def _steps(signal: np.ndarray) -> np.ndarray:
+    """How far a signal goes from one of so many instants to the next: it may drift, and still turns as it does."""
+    return np.diff(signal[:: max(1, len(signal) // INSTANTS)])
+
+
+def _turned(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> bool:
+    """Whether signals go where their simulations do with the sign reversed."""
+    both, own, other = (float(sum(np.vdot(p[i], p[j]) for p in pairs)) for i, j in ((0, 1), (0, 0), (1, 1)))
+    return bool(np.isfinite(both) and both < -TURNED * (own * other) ** 0.5)
 
 
 def check_fit(study: Study) -> str:

@@ -141,6 +141,7 @@ def test_wrong_units_and_signs_do_not_pass_silently(
     file.write_text(yaml.safe_dump(values))
     words = run("check", tmp_path / "wrong", "--json").out
     assert "the model's start values explain less than the mean of the records (normalised RMSE" in words
+    assert ("q_m1 turns the other way than with the model's start values" in words) == ("scale" in change)
     assert "start values explain" not in run("check", drive, "--json").out
 
 
