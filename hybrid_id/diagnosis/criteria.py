@@ -38,6 +38,10 @@ class Criteria:
         vague: smallest relative standard error of any combination of parameters from which the records are too short to
             identify an effect.
         least_probability: below which no effect is asserted.
+        base_rate: probability that any one effect of the catalogue is at work where something structural is left:
+            a real machine lacks several. Chosen on twelve generated machines.
+        left_worth: independent errors that what a model leaves is worth, where it is structural: neighbouring ones go
+            together, and so do those of one record. Chosen with it.
     """
 
     false_alarms: float = 0.05
@@ -57,6 +61,8 @@ class Criteria:
     wrong_values: float = 1.1
     vague: float = 0.1
     least_probability: float = 0.5
+    base_rate: float = 0.1
+    left_worth: float = 30.0
 
 
 CRITERIA = Criteria()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import expit
 
 from hybrid_id.diagnosis.catalogue import effect
 from hybrid_id.diagnosis.criteria import CRITERIA
@@ -116,7 +117,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         name: ((a.error - b.error) / gap, _interval(draws[:, k]))
         for k, (name, a, b) in enumerate(zip(names, models[:-1], models[1:], strict=True))
     }
-    rated = [_with_share(c, shares, found, gap) for c in _candidates(found)]
+    rated = [_with_share(c, shares, found, gap) for c in _candidates(found, structural)]
     rated.sort(key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability))
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
@@ -229,8 +230,11 @@ def _interval(draws: np.ndarray) -> Interval:
     return float(np.quantile(draws, 0.025)), float(np.quantile(draws, 0.975))
 
 
-def _candidates(found: Selection) -> list[Candidate]:
-    """Every effect that was tried, with the probability that the last step which compared it gives."""
+def _candidates(found: Selection, structural: float) -> list[Candidate]:
+    """Every effect that was tried, with the probability that the last step which compared it gives.
+
+    Where something structural is left, none of the others is excluded by what is selected.
+    """
     chosen = set(found.chosen.effects)
     best: dict[Name, Candidate] = {}
     for step in found.steps:
@@ -248,10 +252,34 @@ def _candidates(found: Selection) -> list[Candidate]:
     least = min((c.probability for c in best.values() if c.selected), default=0.0)
     if found.own is not None:
         return [replace(c, probability=CRITERIA.false_alarms * c.probability) for c in best.values()]
-    return [
+    rated = [
         c if c.selected or not chosen else replace(c, probability=min(c.probability, 1.0 - least))
         for c in best.values()
     ]
+    rivals = {rival for c in rated if c.selected for rival in c.tied_with}
+    others = {name: structural * p for name, p in _beside(found).items() if "@".join(name) not in rivals}
+    return [
+        c if c.selected else replace(c, probability=max(c.probability, others.get((c.name, c.where), 0.0)))
+        for c in rated
+    ]
+
+
+def _beside(found: Selection) -> dict[Name, float]:
+    """Probability of each effect that was tried beside the chosen model, where something structural is left.
+
+    Of several that a machine lacks, the largest is found and the others stay too small to be accepted. The odds are
+    those of the base rate, times the ratio of likelihoods of the fits; no more than what may be asserted.
+    """
+    falls = {added_effect(e, step.before): 1.0 for step in found.steps for e in step.candidates}
+    for step in found.steps:
+        if set(step.before.effects) == set(found.chosen.effects):
+            falls |= {
+                added_effect(e, step.before): min(e.trained / max(step.before.trained, 1e-300), 1.0)
+                for e in step.candidates
+            }
+    rate, power = CRITERIA.base_rate, -0.5 * CRITERIA.left_worth
+    odds = {name: rate / (1.0 - rate) * max(left, 1e-6) ** power for name, left in falls.items()}
+    return {name: min(o / (1.0 + o), CRITERIA.least_probability) for name, o in odds.items()}
 
 
 def _probabilities(step: Step) -> np.ndarray:
@@ -278,7 +306,7 @@ def _present(one: Model, before: Model, p: float) -> float:
     """
     fall = one.validation.fall(before.validation) / needed_fall(one, before)
     against = -np.e * p * np.log(p) if p < np.exp(-1.0) else 1.0
-    return float(1.0 / (1.0 + against) / (1.0 + np.exp(-8.0 * (fall - 1.0))))
+    return float(expit(8.0 * (fall - 1.0)) / (1.0 + against))
 
 
 def _contains(model: Model, step: Step) -> bool:

@@ -13,7 +13,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.diagnosis_words import (
     LEAST_SHARE,
-    UNLIKELY,
+    LIKELY,
     capital,
     caution_lines,
     change_lines,
@@ -210,8 +210,7 @@ def diagnosis_page(
         if name in figures:
             section.figure(figures[name], captions[name])
 
-    likely = sum(one.selected or one.probability >= UNLIKELY for one in diagnosis.effects)
-    shown = max(likely, SHOWN)
+    shown = max(sum(one.selected or one.probability >= LIKELY for one in diagnosis.effects), SHOWN)
     remarks = (
         *varying_lines(diagnosis),
         *rejected_lines(diagnosis),
@@ -224,7 +223,7 @@ def diagnosis_page(
     effects.add(effects_table(diagnosis, shown), *map(_sentence, (*values, *remarks)))
     others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
     if others:
-        effects.add(_sentence(f"also tried, probability below {UNLIKELY:g}: {', '.join(others)}."))
+        effects.add(_sentence(f"also tried, each less probable: {', '.join(others)}."))
     if diagnosis.ties:
         effects.add(Text(_TIED, style="yellow"))
     picture(effects, "candidates")

@@ -17,7 +17,7 @@ from hybrid_id.reporting.tables import count, interval_words
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
-UNLIKELY = 0.01
+LIKELY = 0.2
 """Probability below which an effect stands in no table of a page."""
 WORSE = 1.5
 """Error of the re-fitted model over that of the nominal one from which it is said."""
