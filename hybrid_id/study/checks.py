@@ -41,7 +41,7 @@ ALIKE, UNIT = 0.9, 5.0
 """Correlation of a signal with its simulation, and factor between the two, from which its unit is doubted: 9.5 is a
 speed's in rpm, 57 an angle's in degrees."""
 INSTANTS, TURNED = 50, 0.5
-"""Instants of a record between which motions are compared, and their correlation (below 0) that makes a sign doubtful."""
+"""Instants of a record between which motions are compared, and the negative correlation that casts doubt on a sign."""
 FAR_OUT = 20.0
 """Error of a record over the median of all from which it contradicts the others."""
 FIRST_STEP = 0.1
