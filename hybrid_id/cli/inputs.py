@@ -78,7 +78,12 @@ def checked_records(config: StudyConfig) -> "Dataset":
         remark(f"warning: {finding.message}")
     if len(warnings) - MAX_WARNINGS > 0:
         remark(f"({len(warnings) - MAX_WARNINGS} more: 'hybrid-id check {config.dataset}')")
-    return dataset
+    if (wish := config.preprocessing.fourier) is None:
+        return dataset
+    from hybrid_id.records.fourier import fourier
+
+    with config.at("preprocessing.fourier"):
+        return fourier(dataset, wish.band, speeds=wish.speeds)
 
 
 def read_model(path: Path) -> "System":
@@ -163,19 +168,11 @@ def remark_uneven(records: "Iterable[Record]") -> None:
 
 def check_window(window: str | float, records: "Sequence[Record]") -> None:
     """Refuse windows that hold too few samples, or of which no record has four."""
-    from hybrid_id.identification.horizons import Horizon
-    from hybrid_id.identification.windows import SHORTEST
+    from hybrid_id.study import Horizon
 
-    horizon = Horizon.of(window)
-    if horizon is None or horizon.kind != "windows" or not records:
-        return
-    least = SHORTEST * median(record.sample_time for record in records)
-    most = max(record.n_samples * record.sample_time for record in records) / 4
-    if not least * (1.0 - 1e-9) <= horizon.seconds <= most:
-        raise InputError(
-            f"windows of {horizon.seconds:g} s do not fit: a window holds {SHORTEST} samples or more, and the longest "
-            f"record four windows; give {least:.3g} to {most:.3g} s, or whole, strokes or auto"
-        )
+    if (horizon := Horizon.of(window)) is not None and records:
+        step = median(record.sample_time for record in records)
+        horizon.check(max(record.n_samples for record in records), step)
 
 
 def check_windows(config: StudyConfig, key: str, records: "Sequence[Record]") -> None:

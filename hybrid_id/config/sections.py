@@ -26,6 +26,18 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class Fourier(Section):
+    """Angles without the frequencies of their noise (paper, section II.E).
+
+    Attributes:
+        band: lowest and highest frequency to keep [Hz]; all below the noise floor where it is left out.
+        speeds: whether their derivatives become outputs, too.
+    """
+
+    band: tuple[float, float] | None = None
+    speeds: bool = False
+
+
 class Preprocessing(Section):
     """What is done to the records before anything else.
 
@@ -33,12 +45,14 @@ class Preprocessing(Section):
         records: names of the records to use; all where it is left out.
         between: only the samples stamped between these two [s].
         resample: bring jittered stamps to a uniform grid.
+        fourier: filter the angles by the discrete Fourier transform.
         signal_share: standard deviation added to each measurement's noise, as a share of the record's own.
     """
 
     records: list[str] | None = Field(default=None, min_length=1)
     between: tuple[float, float] | None = None
     resample: ResampleEntry | None = None
+    fourier: Fourier | None = None
     signal_share: float = Field(default=0.004, ge=0, lt=1)
 
 

@@ -84,6 +84,23 @@ class Horizon:
         words = names.get(self.kind, f"free runs of {self.seconds:g} s from measured states")
         return f"{words}, for {self.reason}" if self.reason else words
 
+    def check(self, samples: int, step: float) -> None:
+        """Refuse windows of too few samples, and windows of which no record has four.
+
+        Args:
+            samples: of the longest record.
+            step: sample time [s].
+
+        Raises:
+            InputError: they do not fit; the sentence gives the range that does.
+        """
+        least, most = SHORTEST * step, samples * step / 4
+        if self.kind == "windows" and not least * (1.0 - 1e-9) <= self.seconds <= most:
+            raise InputError(
+                f"windows of {self.seconds:g} s do not fit: a window holds {SHORTEST} samples or more, and the longest "
+                f"record four windows; give {least:.3g} to {most:.3g} s, or whole, strokes or auto"
+            )
+
     def cut(self, system: System, engine: Engine, batch: Batch) -> Batch:
         """The pieces of a batch over which a model runs free; the batch itself where there is only one a record.
 
