@@ -32,6 +32,9 @@ SIDES = {"motor": "motor side", "load": "link side"}
 # ---- the headline ----
 
 
+_CAUSES = "an effect outside the catalogue, or several small ones"
+
+
 def headline(diagnosis: Diagnosis) -> str:
     """What the diagnosis states, what is known first."""
     sentence = {
@@ -54,7 +57,7 @@ def _effects(diagnosis: Diagnosis) -> str:
     ]
     sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
     if diagnosis.unknown:
-        sentence += " An effect outside the catalogue acts as well."
+        sentence += f" More remains than is explained: {_CAUSES}."
     return sentence
 
 
@@ -111,8 +114,8 @@ def _signal(diagnosis: Diagnosis, joint: str, side: str | None) -> Location | No
 def _outside(diagnosis: Diagnosis) -> str:
     share = f"{percent(diagnosis.remainder)} ({range_percent(diagnosis.remainder_interval)})"
     return (
-        f"An effect outside the catalogue explains {share} of the gap{_acting(diagnosis)}; none of "
-        f"{count(len(diagnosis.effects), 'effect')} of the catalogue does."
+        f"None of {count(len(diagnosis.effects), 'effect')} of the catalogue surely explains any of the gap; {share} "
+        f"remains unexplained{_acting(diagnosis)}: {_CAUSES}."
     )
 
 

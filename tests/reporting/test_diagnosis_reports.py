@@ -81,9 +81,10 @@ def variants(found: Diagnosis, sound: Diagnosis) -> dict[str, Diagnosis]:
 
 WORDS = {
     "effects": "Spring load explains 43 % (37-48 %; probability 0.97) of the gap; 57 % (50-62 %) remains unexplained, "
-    "at joint 2, on the link side, with the angle. An effect outside the catalogue acts as well.",
-    "outside_catalogue": "An effect outside the catalogue explains 57 % (50-62 %) of the gap, at joint 2, on the link "
-    "side, with the angle; none of ",
+    "at joint 2, on the link side, with the angle. More remains than is explained: an effect outside the catalogue, or "
+    "several small ones.",
+    "outside_catalogue": "None of 18 effects of the catalogue surely explains any of the gap; 57 % (50-62 %) remains "
+    "unexplained, at joint 2, on the link side, with the angle: an effect outside the catalogue, or several",
     "parameters_only": "Wrong parameter values explain the gap, and no effect is missing. A load explains the new "
     "values.",
     "no_gap": "There is no gap: none of ",
@@ -108,9 +109,9 @@ def test_headline_of_a_whole_explanation(diagnosed) -> None:
 
 def test_no_place_is_named_unless_it_is_identified(diagnosed) -> None:
     two = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 0.68, 1.0))
-    assert "unexplained. An effect" in headline(half_explained(diagnosed[2], disturbances=two))
+    assert "unexplained. More remains" in headline(half_explained(diagnosed[2], disturbances=two))
     weak = half_explained(diagnosed[2], residual_after=(replace(PLACE, share=0.03),))
-    assert "unexplained, at joint 2, on the link side. An effect" in headline(weak)
+    assert "unexplained, at joint 2, on the link side. More remains" in headline(weak)
     one_side = half_explained(diagnosed[2], disturbances=(ACTS[0], Disturbance("joint2", "motor", 0.69, 1.0)))
     assert "at joint 2, with the angle" in headline(one_side)
 
