@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
+import torch
 
 from hybrid_id.components.base import Component
 from hybrid_id.components.load.floor_contact import FloorContact
@@ -37,7 +38,8 @@ def alone(system: System, joint: int) -> System:
     """The drive of one joint in the robot's tree; the motion of the others comes with the records.
 
     ``M_ii a_i + sum_j M_ij a_j + h_i(q, v) = tau_i``, the sum and all q_j, v_j of the others as logged. Its parameters
-    keep the names that they have in the robot, so that what is found goes back with ``with_specs``.
+    keep the names that they have in the robot, so that what is found goes back with ``with_specs``. Payloads and
+    inertias that are listed at other joints stay at their values.
 
     Args:
         system: a robot with a tree.
@@ -50,6 +52,10 @@ def alone(system: System, joint: int) -> System:
             moved[key] = f"joint1/{key.split('/', 1)[1]}"
             parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
+    views = {key: cast(Component, part).view() for key, part in system.components.items()}
+    with torch.no_grad():
+        others = [body for key, body in system.arm.bodies(views).items() if not key.startswith(here)]
+    tree = tree.with_bodies([body.held() for body in others])
     one = System([system.gear_ratio[joint]], parts, aliases, system.name, tree, (joint,))
     one.whole = (system,)
     return one

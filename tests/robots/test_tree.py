@@ -1,6 +1,7 @@
 """Rigid-body trees against MuJoCo and pinocchio, and against a pendulum by hand."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -170,7 +171,7 @@ def test_the_torque_is_the_energys_derivative():
 def test_free_inertias_take_the_place_of_the_descriptions():
     tree = pendulum()
     heavy = SpatialInertia.about_centre(torch.tensor([4.0], dtype=torch.float64), (0.0, 0.0, 0.0), IDENTITY)
-    mass, _ = tree.dynamics(rows([0.0]), rows([0.0]), {"bob": heavy})
+    mass, _ = tree.dynamics(rows([0.0]), rows([0.0]), [replace(tree.bodies[0], inertia=heavy)])
     assert float(mass[0][0]) == pytest.approx(1.0 + 4.0 * 0.25)
 
 
