@@ -83,6 +83,12 @@ class SpatialInertia:
             self.mass, plus(moment, scale(self.mass, position)), (rows[0], rows[1], rows[2])
         )
 
+    def at_centre(self) -> tuple[float, Vector, Matrix]:
+        """Mass [kg], centre [m] and inertia about that centre [kg m^2] of a body of plain numbers."""
+        mass = _number(self.mass)
+        centre = scale(1.0 / mass, self.moment)
+        return mass, centre, self.seen_from(_IDENTITY, scale(-1.0, centre)).inertia
+
     def deviating(self, mass: Row, shift: Vector, stretch: Matrix) -> SpatialInertia:
         """The body with its mass multiplied, its centre shifted, and all of it stretched about the centre.
 
@@ -94,12 +100,11 @@ class SpatialInertia:
             shift: of the centre [m].
             stretch: L, applied to vectors from the centre [1], ``(3, 3)``.
         """
-        centre = scale(1.0 / _number(self.mass), self.moment)
-        about = self.seen_from(_IDENTITY, scale(-1.0, centre)).inertia
+        own, centre, about = self.at_centre()
         spread = product(product(stretch, _complement(about, 0.5)), transposed(stretch))
         x, y, z = _complement(spread, 1.0)
         inertia = scale(mass, x), scale(mass, y), scale(mass, z)
-        return SpatialInertia.about_centre(multiply(mass, self.mass), plus(centre, shift), inertia)
+        return SpatialInertia.about_centre(multiply(mass, own), plus(centre, shift), inertia)
 
     def __add__(self, other: SpatialInertia) -> SpatialInertia:
         x, y, z = (plus(a, b) for a, b in zip(self.inertia, other.inertia, strict=True))

@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import cast
 
 import numpy as np
-import torch
 
 from hybrid_id.components.base import Component
 from hybrid_id.components.load.floor_contact import FloorContact
@@ -52,10 +51,8 @@ def alone(system: System, joint: int) -> System:
             moved[key] = f"joint1/{key.split('/', 1)[1]}"
             parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
-    views = {key: cast(Component, part).view() for key, part in system.components.items()}
-    with torch.no_grad():
-        others = [body for key, body in system.arm.bodies(views).items() if not key.startswith(here)]
-    tree = tree.with_bodies([body.held() for body in others])
+    bodies = system.arm.bodies(system.views([value.reshape(1) for value in system.theta().detach()]))
+    tree = tree.with_bodies([body.held() for key, body in bodies.items() if not key.startswith(here)])
     one = System([system.gear_ratio[joint]], parts, aliases, system.name, tree, (joint,))
     one.whole = (system,)
     return one

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 from torch import Tensor
 
-from hybrid_id.components.base import Attached
+from hybrid_id.components.base import Attached, Counterpart
 from hybrid_id.parameters import Parameter
 
 
@@ -31,3 +31,7 @@ class FloorContact(Attached):
     def force(self, p: SimpleNamespace, height: Tensor | float) -> Tensor:
         """Force upwards [N], ``(B,)``, at a height [m]."""
         return p.k_f * (p.z_f - height).clamp_min(0.0)
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Nothing: contacts belong to the description."""
+        return {}, "is left out, a plane in the description does it"
