@@ -106,6 +106,12 @@ class SpatialInertia:
         inertia = scale(mass, x), scale(mass, y), scale(mass, z)
         return SpatialInertia.about_centre(multiply(mass, own), plus(centre, shift), inertia)
 
+    @property
+    def ten(self) -> tuple[Row, ...]:
+        """The ten parameters in the order of :data:`TEN`."""
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = self.inertia
+        return self.mass, *self.moment, xx, xy, xz, yy, yz, zz
+
     def __add__(self, other: SpatialInertia) -> SpatialInertia:
         x, y, z = (plus(a, b) for a, b in zip(self.inertia, other.inertia, strict=True))
         return SpatialInertia(add(self.mass, other.mass), plus(self.moment, other.moment), (x, y, z))
@@ -119,6 +125,16 @@ def _complement(matrix: Matrix, factor: float) -> Matrix:
 
 
 _IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+TEN = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+"""Inertial parameters of a body: mass [kg], mass times centre [kg m], inertia about the frame's origin [kg m^2]."""
+
+
+def _of_ten(ten: Sequence[Row]) -> SpatialInertia:
+    m, x, y, z, xx, xy, xz, yy, yz, zz = ten
+    return SpatialInertia(m, (x, y, z), ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+
+
+_UNITS = tuple(_of_ten([float(i == k) for i in range(len(TEN))]) for k in range(len(TEN)))
 _NOTHING = SpatialInertia(0.0, ZERO, (ZERO, ZERO, ZERO))
 
 
@@ -387,14 +403,9 @@ class RigidBodyTree:
             pushes: forces from outside [N], in the base's axes, and the points where they act.
         """
         n = len(self.joints)
-        a = [0.0] * n if a is None else a
         forces, moments = [ZERO] * n, [ZERO] * n
-        motion: list[tuple[Vector, Vector, Vector]] = []
-        base = (ZERO, ZERO, scale(-1.0, self.gravity))
-        for k, joint in enumerate(self.joints):
-            before = base if joint.parent < 0 else motion[joint.parent]
-            motion.append(_moved(joint, *poses[k], *before, v[k], a[k]))
-            forces[k], moments[k] = _needed(inertias[k], *motion[k])
+        for k, motion in enumerate(self._motions(poses, v, [0.0] * n if a is None else a)):
+            forces[k], moments[k] = _needed(inertias[k], *motion)
         for point, push in pushes:
             force = scale(-1.0, times(transposed(self.pose(poses, point.joint)[0]), push))
             forces[point.joint] = plus(forces[point.joint], force)
@@ -408,6 +419,41 @@ class RigidBodyTree:
                 forces[joint.parent] = plus(forces[joint.parent], force)
                 moments[joint.parent] = plus(moments[joint.parent], moment)
         return found
+
+    def regressor(self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows) -> list[list[Row]]:
+        """W(q, v, a) with ``tau = W phi``: the inverse dynamics as it depends on the inertial parameters, linearly.
+
+        phi holds :data:`TEN` of what each joint carries rigidly, about the joint's origin in its axes, as
+        :meth:`inertias` has it; ten columns a joint, rotors' armature left out.
+
+        Source: C. Atkeson, C. An, J. Hollerbach, Estimation of Inertial Parameters of Manipulator Loads and Links,
+        Int. J. Robotics Research 5(3), 1986.
+
+        Args:
+            poses: see :meth:`poses`.
+            v: speeds [rad/s or m/s].
+            a: accelerations [rad/s^2 or m/s^2].
+        """
+        found: list[list[Row]] = [[0.0] * (len(TEN) * len(self.joints)) for _ in self.joints]
+        for k, motion in enumerate(self._motions(poses, v, a)):
+            for column, unit in enumerate(_UNITS, len(TEN) * k):
+                (force, moment), below = _needed(unit, *motion), k
+                while below >= 0:
+                    found[below][column] = _along(self.joints[below], force, moment)
+                    force, moment = _carried(force, moment, *poses[below])
+                    below = self.joints[below].parent
+        return found
+
+    def _motions(
+        self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows
+    ) -> list[tuple[Vector, Vector, Vector]]:
+        """Angular velocity and acceleration of each joint's frame, and the acceleration of its origin less gravity."""
+        motion: list[tuple[Vector, Vector, Vector]] = []
+        base = (ZERO, ZERO, scale(-1.0, self.gravity))
+        for k, joint in enumerate(self.joints):
+            before = base if joint.parent < 0 else motion[joint.parent]
+            motion.append(_moved(joint, *poses[k], *before, v[k], a[k]))
+        return motion
 
     def dynamics(self, q: Rows, v: Rows, bodies: Sequence[Body] = ()) -> tuple[list[list[Row]], list[Row]]:
         """Mass matrix with the rotors' armature, and bias: ``M a + bias`` are the torques at the joints.
