@@ -104,24 +104,38 @@ def with_others_measured(dataset: Dataset, system: System, joint: int) -> Datase
 
 def _others(record: Record, system: System, joint: int) -> Mapping[str, np.ndarray]:
     found = {}
-    for k, other in enumerate(system.joints):
+    for k in range(len(system.joints)):
         if k == joint:
             continue
-        sides = {f"q_a{k + 1}": 1.0, f"q_m{k + 1}": 1.0 / other.gear_ratio}
-        name = next((n for n in sides if n in record.outputs), None)
-        if name is None:
-            raise InputError(
-                f"{record.title} has no angle of joint '{_tree(system).names[k]}'; add {' or '.join(sides)}, or hold "
-                "that joint still in the model."
-            )
-        sensors = [(key, part) for key, part in other.sensing.sensors if part.channel == name[:3]]
-        offset = sum(part.specs["offset"].value for _, part in sensors if "offset" in part.specs)
-        steps = record.sample_time if record.is_uniform else record.time
-        values = smooth_derivatives((record.outputs[name] - offset) * sides[name], steps)
-        for channel, rows in zip(MOTION, values, strict=True):
+        for channel, rows in zip(MOTION, measured_motion(record, system, k), strict=True):
             middle = np.append(0.5 * (rows[1:] + rows[:-1]), rows[-1])
             found[f"{channel}{k + 1}"] = middle
     return found
+
+
+def measured_motion(record: Record, system: System, joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smoothed position [rad or m] of a robot's joint, with its speed and acceleration, ``(T,)`` each.
+
+    Args:
+        record: of the whole robot.
+        system: the robot.
+        joint: number of the joint, from 0.
+
+    Raises:
+        InputError: the record has no angle of the joint.
+    """
+    own = system.joints[joint]
+    sides = {f"q_a{own.number}": 1.0, f"q_m{own.number}": 1.0 / own.gear_ratio}
+    name = next((n for n in sides if n in record.outputs), None)
+    if name is None:
+        raise InputError(
+            f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add {' or '.join(sides)}, or hold "
+            "that joint still in the model."
+        )
+    sensors = [(key, part) for key, part in own.sensing.sensors if part.channel == name[:3]]
+    offset = sum(part.specs["offset"].value for _, part in sensors if "offset" in part.specs)
+    steps = record.sample_time if record.is_uniform else record.time
+    return smooth_derivatives((record.outputs[name] - offset) * sides[name], steps)
 
 
 def _tree(system: System) -> RigidBodyTree:
