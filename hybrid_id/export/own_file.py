@@ -25,7 +25,6 @@ from hybrid_id.errors import InputError
 from hybrid_id.export.curves import left_out
 from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, number, numbers
 from hybrid_id.robots.description import compiled, read_spec, without_missing_meshes
-from hybrid_id.robots.rows import Vector
 from hybrid_id.robots.tree import Body, RigidBodyTree, TreeJoint
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
@@ -273,10 +272,10 @@ class _Edit(Drives):
 
     def _set_inertial(self, element: _Element, body: Body) -> None:
         known = next(one for one in self.tree.bodies if one.name == body.name)
-        mass, centre, moments = _ten(body)
-        if np.allclose(np.hstack(_ten(known)), np.hstack((mass, centre, moments)), rtol=SAME, atol=1e-12):
+        ten = _ten(body)
+        if np.allclose(_ten(known), ten, rtol=SAME, atol=1e-12):
             return
-        values = {"pos": numbers(centre), "mass": number(mass), "fullinertia": numbers(moments)}
+        values = {"mass": number(ten[0]), "pos": numbers(ten[1:4]), "fullinertia": numbers(ten[4:])}
         inside = (*element.above, "body")
         own = [e for e in self.text.elements if e.tag == "inertial" and e.above == inside]
         own = [e for e in own if element.start < e.start < element.end]
@@ -409,10 +408,11 @@ class _Edit(Drives):
         return plain and math.isclose(here.gear[0] * here.gainprm[0], gain, rel_tol=SAME)
 
 
-def _ten(body: Body) -> tuple[float, Vector, list[float]]:
+def _ten(body: Body) -> list[float]:
     """Mass [kg], centre [m], and inertia about it in MuJoCo's order xx, yy, zz, xy, xz, yz [kg m^2]."""
     mass, centre, about = body.inertia.at_centre()
-    return mass, centre, [float(about[i][j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    moments = [about[i][j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    return [float(value) for value in (mass, *centre, *moments)]
 
 
 def _changed(found: Attributes, known: TreeJoint, *, turned: bool) -> Attributes:

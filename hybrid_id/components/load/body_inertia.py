@@ -7,6 +7,8 @@ from torch import Tensor
 from hybrid_id.components.base import Attached
 from hybrid_id.parameters import Parameter
 
+_Row = tuple[float | Tensor, float | Tensor, float | Tensor]
+
 
 def _shift(axis: str) -> Parameter:
     return Parameter(
@@ -56,6 +58,6 @@ class BodyInertia(Attached):
         """Shift of the centre [m], ``(B,)`` each."""
         return p.x_c, p.y_c, p.z_c
 
-    def stretch(self, p: SimpleNamespace) -> tuple[tuple[float | Tensor, ...], ...]:
+    def stretch(self, p: SimpleNamespace) -> tuple[_Row, _Row, _Row]:
         """Rows of L [1], ``(B,)`` each."""
         return (p.s_x, p.s_xy, p.s_xz), (0.0, p.s_y, p.s_yz), (0.0, 0.0, p.s_z)
