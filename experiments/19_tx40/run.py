@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import csv
 import gzip
-import re
 from pathlib import Path
 
 import numpy as np
@@ -96,9 +95,7 @@ def published(path: Path, base: BaseParameters) -> list[tuple[str, np.ndarray, f
                 phi = np.zeros(len(base.names))
                 for term in text.replace("- ", "+ -").split(" + "):
                     factor, _, name = term.rpartition("*")
-                    symbol, joint = re.fullmatch(r"([A-Za-z]+?)m?(\d)", name.strip()).groups()
-                    symbol = "Ia" if name.strip() == "Iam6" else symbol
-                    symbol = "m" if name.strip()[0] == "m" and len(name.strip()) == 2 else symbol
+                    symbol, joint = name.strip()[:-1].replace("Iam", "Ia"), name.strip()[-1]
                     phi[base.names.index(f"{symbol}_joint_{joint}")] += float(factor or 1)
                 short = phi[list(base.independent)]
                 if not np.allclose(short @ base.grouping, phi, atol=1e-6):
