@@ -27,25 +27,33 @@ def check(
     data = load_records(dataset)
     findings = check_dataset(data)
     path = model or (beside(dataset) if beside(dataset).exists() else None)
-    identified, contradicted = None, False
+    identified, based, contradicted = None, None, False
     if path is not None:
         use_threads(threads)
         from hybrid_id.records.quality import check_encoders, worst_first
-        from hybrid_id.study import check_identifiability, check_start_values
+        from hybrid_id.study import check_base_parameters, check_identifiability, check_start_values
 
         system = read_model(path)
         odd = check_encoders(data, system.gear_ratio)
         contradicted = any(finding.severity == "error" for finding in odd)
         if not contradicted:  # else what the model would do means nothing, and takes its time
             identified = check_identifiability(data, system)
+            based = check_base_parameters(data, system) if system.tree is not None else None
             odd += check_start_values(data, system)
         findings = worst_first([*odd, *findings])
     if as_json:
         from hybrid_id.reporting.results import check_result
 
-        show_json("check", check_result(data, findings, identified))
+        show_json("check", check_result(data, findings, identified, based))
     else:
-        from hybrid_id.reporting.tables import count, findings_list, identifiability_table, records_table
+        from hybrid_id.reporting.tables import (
+            MOST_ROWS,
+            base_parameters_table,
+            count,
+            findings_list,
+            identifiability_table,
+            records_table,
+        )
 
         shown = [one for one in findings if full or one.severity != "info" or one.code == "resampled"]
         show(records_table(data), "", findings_list(shown))
@@ -54,6 +62,12 @@ def check(
         if identified is not None:
             show("", f"What these records identify of {path}, at its start values and before any fit:")
             show(identifiability_table(identified))
+            if based is not None:
+                show(
+                    "",
+                    "What any motion can say of the robot's masses and inertias, and what these records do:",
+                )
+                show(base_parameters_table(based, 0 if full else MOST_ROWS))
         elif not contradicted:
             show(
                 f"no {beside(dataset)}: with a model (docs/formats.md), check says which of its parameters these "

@@ -407,6 +407,36 @@ class Coupling(Component):
         raise NotImplementedError
 
 
+class Attached(Component):
+    """Place ``load``: sits at a named point of a robot's description, and so acts on all joints that carry it.
+
+    Args:
+        point: name of the site or body.
+        values: see :class:`Component`.
+    """
+
+    places = ("load",)
+    option: ClassVar[str] = "point"
+    """What a model file calls the name."""
+    names: ClassVar[str] = "the name of a site or body of the robot"
+    """What the name is of."""
+
+    def __init__(self, point: str = "", **values: float | Bounded) -> None:
+        super().__init__(**values)
+        self.point = point
+
+    def options(self) -> dict[str, str]:
+        """What a model file says of it beside its parameters."""
+        return {self.option: self.point}
+
+    @classmethod
+    def restored(cls, values: Mapping[str, Bounded], options: Mapping, weights: Mapping) -> Component:
+        """The component that a model file describes."""
+        if weights or set(options) != {cls.option} or not isinstance(options[cls.option], str):
+            raise InputError(f"{cls.kind} needs one option, {cls.option}: {cls.names}.")
+        return cls(options[cls.option], **values)
+
+
 class Sensor(Component):
     """Place ``sensor``: the true quantity to the measured output."""
 

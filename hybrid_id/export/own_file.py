@@ -11,18 +11,21 @@ import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from hybrid_id import __version__
+from hybrid_id.components.load.payload import Payload
 from hybrid_id.errors import InputError
 from hybrid_id.export.curves import left_out
-from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, number
+from hybrid_id.export.drives import Attributes, Drives, Mjcf, carried, number, numbers
 from hybrid_id.robots.description import compiled, read_spec, without_missing_meshes
-from hybrid_id.robots.tree import RigidBodyTree, TreeJoint
+from hybrid_id.robots.tree import Body, RigidBodyTree, TreeJoint
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
@@ -156,6 +159,10 @@ class _Text:
         """Put another element in the place of one."""
         self.changes.append((element.start, element.end, new))
 
+    def insert(self, element: _Element, line: str) -> None:
+        """Add a line at the beginning of an element, one step further in than itself."""
+        self.changes.append((element.head, element.head, f"\n{self._margin(element)}  {line}"))
+
     def append(self, element: _Element, lines: list[str]) -> None:
         """Add lines at the end of an element, one step further in than itself."""
         margin = self._margin(element)
@@ -202,7 +209,8 @@ class _Edit(Drives):
             for joint, known in zip(self.system.joints, self.tree.joints, strict=True)
         )
         self.added += [_written(tag, attributes) for tag, attributes in self.passive]
-        self.notes += carried(self.system.networks.items(), self.p)[1]
+        self._masses()
+        self.notes += carried([*self.system.networks.items(), *self.system.arm.contacts], self.p)[1]
         for (old, command), names in self.replaced.items():
             self.notes.append(f"{', '.join(names)}: in the place of a {old} the actuator takes the {command}")
         own = re.compile(r"\bjoint(\d+)(?=/)")
@@ -216,6 +224,65 @@ class _Edit(Drives):
         return Mjcf(
             str(self.text), tuple(notes), self.tree.names, motors, self.path.parent if files else None
         )
+
+    def _masses(self) -> None:
+        """Write inertias that differ from the file's into their bodies, and payloads as bodies of their own."""
+        bodies = self.system.arm.bodies(self.p)
+        for key, part in self.system.arm.masses:
+            element, reason = self._body(part.point), self._overruled()
+            if element is None:
+                reason = f"'{part.point}' stands in a file that this one includes"
+            if element is None or reason:
+                self.notes.append(left_out(key, reason))
+            elif isinstance(part, Payload):
+                self._add_payload(element, part, self.p[key])
+            else:
+                self._set_inertial(element, bodies[key].held())
+
+    def _overruled(self) -> str:
+        """What of the file takes masses from elsewhere than its bodies' own elements; empty where nothing does."""
+        for compiler in (e.values for e in self.text.elements if e.tag == "compiler"):
+            for name in ("inertiafromgeom", "settotalmass"):
+                if compiler.get(name, "auto") not in ("auto", "false"):
+                    return f'the file\'s compiler has {name}="{compiler[name]}"'
+        return ""
+
+    def _body(self, point: str) -> _Element | None:
+        """The element of a body by its name, or of the body around a site of that name."""
+        named = [e for e in self.text.elements if "worldbody" in e.above and e.values.get("name") == point]
+        found = next((e for tag in ("site", "body") for e in named if e.tag == tag), None)
+        if found is None or found.tag == "body":
+            return found
+        around = [e for e in self.text.elements if e.tag == "body" and e.start < found.start < e.end]
+        return max(around, key=lambda e: e.start, default=None)
+
+    def _add_payload(self, element: _Element, part: Payload, p: SimpleNamespace) -> None:
+        mass, centre = part.mass(p)
+        place = np.array([float(value) for value in centre])
+        sites = {self.model.site(i).name: i for i in range(self.model.nsite)}
+        if (i := sites.get(part.point)) is not None:
+            turn = Rotation.from_quat(self.model.site_quat[i], scalar_first=True)
+            place = self.model.site_pos[i] + turn.apply(place)
+        if float(mass):
+            inertial = {"pos": "0 0 0", "mass": number(float(mass)), "diaginertia": "0 0 0"}
+            head = (
+                f"<body name={quoteattr(f'payload_{part.point}')} pos={quoteattr(numbers(place.tolist()))}>"
+            )
+            self.text.append(element, [f"{head}{_written('inertial', inertial)}</body>"])
+
+    def _set_inertial(self, element: _Element, body: Body) -> None:
+        known = next(one for one in self.tree.bodies if one.name == body.name)
+        ten = _ten(body)
+        if np.allclose(_ten(known), ten, rtol=SAME, atol=1e-12):
+            return
+        values = {"mass": number(ten[0]), "pos": numbers(ten[1:4]), "fullinertia": numbers(ten[4:])}
+        inside = (*element.above, "body")
+        own = [e for e in self.text.elements if e.tag == "inertial" and e.above == inside]
+        own = [e for e in own if element.start < e.start < element.end]
+        if own:
+            self.text.replace(own[0], _written("inertial", values))
+        else:
+            self.text.insert(element, _written("inertial", values))
 
     def _sections(self, notes: list[str]) -> None:
         """What stands beside the joints: new actuators, the time step, and what is left out as a comment."""
@@ -339,6 +406,13 @@ class _Edit(Drives):
         gain = float(attributes["gear"]) * float(attributes["gainprm"])
         plain = int(here.gaintype[0]) == 0 and int(here.biastype[0]) == 0 and int(here.dyntype[0]) == 0
         return plain and math.isclose(here.gear[0] * here.gainprm[0], gain, rel_tol=SAME)
+
+
+def _ten(body: Body) -> list[float]:
+    """Mass [kg], centre [m], and inertia about it in MuJoCo's order xx, yy, zz, xy, xz, yz [kg m^2]."""
+    mass, centre, about = body.inertia.at_centre()
+    moments = [about[i][j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    return [float(value) for value in (mass, *centre, *moments)]
 
 
 def _changed(found: Attributes, known: TreeJoint, *, turned: bool) -> Attributes:

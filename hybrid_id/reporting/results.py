@@ -16,7 +16,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.tables import RELIABILITY
 from hybrid_id.statistics.identifiability import Identifiability
-from hybrid_id.study import Comparison, Horizon, Replay, Study
+from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, Replay, Study
 from hybrid_id.systems.model_file import save_model
 
 
@@ -134,7 +134,10 @@ def identifiability_result(identified: Identifiability) -> dict[str, Any]:
 
 
 def check_result(
-    dataset: Dataset, findings: Sequence[Finding], identified: Identifiability | None
+    dataset: Dataset,
+    findings: Sequence[Finding],
+    identified: Identifiability | None,
+    based: BaseParameterCheck | None = None,
 ) -> dict[str, Any]:
     """Result of a check as plain data."""
     return {
@@ -152,6 +155,28 @@ def check_result(
         ],
         "findings": [vars(finding) for finding in findings],
         "identifiability": None if identified is None else identifiability_result(identified),
+        "base_parameters": None if based is None else base_parameters_result(based),
+    }
+
+
+def base_parameters_result(based: BaseParameterCheck) -> dict[str, Any]:
+    """Base parameters of a robot and how the records excite them, as plain data."""
+    rows = zip(based.values, based.std, based.relative_std, strict=True)
+    return {
+        "inertial_parameters": len(based.base.names),
+        "without_effect": based.base.without_effect,
+        "condition_number": based.condition_number,
+        "missing": based.missing,
+        "parameters": [
+            {
+                "text": based.base.text(k),
+                "coefficients": based.base.coefficients(k),
+                "value": value,
+                "std_error": std,
+                "relative_std": relative,
+            }
+            for k, (value, std, relative) in enumerate(rows)
+        ],
     }
 
 

@@ -14,12 +14,15 @@ from rich.text import Text
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
-from hybrid_id.study import Comparison, Study
+from hybrid_id.study import BaseParameterCheck, Comparison, Study
+from hybrid_id.study.base_parameters import INDEPENDENT, TORQUE_ERROR
 from hybrid_id.study.truth import against_truth
 
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": "dim"}
 
 
+MOST_ROWS, TERMS = 12, 3
+"""Rows of the table of base parameters, and terms of a combination that are written out."""
 RELIABILITY = {"A": "good", "B": "good", "C": "doubtful", "D": "not on its own"}
 """A grade of :class:`hybrid_id.statistics.reliability.Reliability` in words."""
 
@@ -76,6 +79,52 @@ def identifiability_table(identified: Identifiability) -> RenderableType:
     elif identified.directions:
         parts.append(Text("with the priors every parameter has an interval of its own", style="green"))
     return Group(*parts)
+
+
+def base_parameters_table(based: BaseParameterCheck, most: int = MOST_ROWS) -> RenderableType:
+    """Number of base parameters, condition number of the motion, and the worst excited ones."""
+    base = based.base
+    silent = len(base.without_effect)
+    words = (
+        f"{len(base.names)} inertial parameters of links and rotors act through {len(base.independent)} combinations "
+        f"(base parameters); {silent} have no effect on any torque"
+    )
+    if based.missing:
+        return Group(
+            Text(words), Text(f"how the records excite them is not known: {based.missing}", style="yellow")
+        )
+    dead = int(np.isinf(based.std).sum())
+    if dead:
+        motion = Text(f"the records' motion does not excite {count(dead, 'base parameter')}", style="yellow")
+    else:
+        motion = Text(
+            f"the records' motion excites all of them (condition number {based.condition_number:.3g})"
+        )
+    relative = based.relative_std
+    # not excited, then by relative error, then those whose start value is 0
+    worst = sorted(
+        range(len(relative)), key=lambda k: (based.std[k] < np.inf, relative[k] == np.inf, -relative[k])
+    )
+    shown = worst[:most] if most else worst
+    rows = (
+        (base.text(k, TERMS), f"{based.values[k]:.4g}", _figure(based.std[k]), _percent(relative[k]))
+        for k in shown
+    )
+    title = "base parameter" if len(shown) == len(worst) else f"{len(shown)} of {len(worst)}, the worst first"
+    heads = (title, "start value>", "std. error>", "relative>")
+    note = (
+        f"standard errors for torques that are off by {100 * TORQUE_ERROR:g} % (RMS), anew every "
+        f"{1e3 * INDEPENDENT:g} ms; kg, kg m, kg m^2 in the joints' own axes"
+    )
+    return Group(Text(words), motion, table(heads, rows), Text(note, style="dim"))
+
+
+def _figure(value: float) -> str:
+    return f"{value:.2g}" if math.isfinite(value) else "none"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.2g} %" if math.isfinite(value) else "-"
 
 
 def two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

@@ -168,12 +168,15 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
         held[b] = (joint, pose)
         if joint >= 0:
             bodies.append(_body(mujoco, model, b, joint, pose))
-            points[bodies[-1].name] = Point(joint, _vector(pose[1]))
+            points[bodies[-1].name] = Point(joint, bodies[-1].position, bodies[-1].rotation)
     for number in range(model.nsite):
         joint, pose = held[int(model.site_bodyid[number])]
         name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_SITE, number)
         if joint >= 0 and name:
-            points[name] = Point(joint, _vector(pose[1] + pose[0] @ model.site_pos[number]))
+            rotation, position = _after(
+                pose, (_rotation(mujoco, model.site_quat[number]), model.site_pos[number])
+            )
+            points[name] = Point(joint, _vector(position), constant(rotation.tolist()))
     if not joints:
         raise InputError(f"{path}: it has no joint that moves; give the description of an arm.")
     return RigidBodyTree(

@@ -32,6 +32,7 @@ from hybrid_id.robots.rows import (
     sine_and_cosine,
     subtract,
     times,
+    total,
     transposed,
 )
 
@@ -82,12 +83,58 @@ class SpatialInertia:
             self.mass, plus(moment, scale(self.mass, position)), (rows[0], rows[1], rows[2])
         )
 
+    def at_centre(self) -> tuple[float, Vector, Matrix]:
+        """Mass [kg], centre [m] and inertia about that centre [kg m^2] of a body of plain numbers."""
+        mass = _number(self.mass)
+        centre = scale(1.0 / mass, self.moment)
+        return mass, centre, self.seen_from(_IDENTITY, scale(-1.0, centre)).inertia
+
+    def deviating(self, mass: Row, shift: Vector, stretch: Matrix) -> SpatialInertia:
+        """The body with its mass multiplied, its centre shifted, and all of it stretched about the centre.
+
+        ``S' = mass L S L^T`` with the second moments ``S = tr(I) / 2 - I`` about the centre: positive definite wherever
+        S is and L has an inverse.
+
+        Args:
+            mass: factor of the mass [1].
+            shift: of the centre [m].
+            stretch: L, applied to vectors from the centre [1], ``(3, 3)``.
+        """
+        own, centre, about = self.at_centre()
+        spread = product(product(stretch, _complement(about, 0.5)), transposed(stretch))
+        x, y, z = _complement(spread, 1.0)
+        inertia = scale(mass, x), scale(mass, y), scale(mass, z)
+        return SpatialInertia.about_centre(multiply(mass, own), plus(centre, shift), inertia)
+
+    @property
+    def ten(self) -> tuple[Row, ...]:
+        """The ten parameters in the order of :data:`TEN`."""
+        (xx, xy, xz), (_, yy, yz), (_, _, zz) = self.inertia
+        return self.mass, *self.moment, xx, xy, xz, yy, yz, zz
+
     def __add__(self, other: SpatialInertia) -> SpatialInertia:
         x, y, z = (plus(a, b) for a, b in zip(self.inertia, other.inertia, strict=True))
         return SpatialInertia(add(self.mass, other.mass), plus(self.moment, other.moment), (x, y, z))
 
 
+def _complement(matrix: Matrix, factor: float) -> Matrix:
+    """``factor tr(A) 1 - A``: from an inertia to its second moments with 0.5, and back with 1."""
+    half = multiply(factor, total([matrix[k][k] for k in range(3)]))
+    x, y, z = ([subtract(half if i == j else 0.0, matrix[i][j]) for j in range(3)] for i in range(3))
+    return (x[0], x[1], x[2]), (y[0], y[1], y[2]), (z[0], z[1], z[2])
+
+
 _IDENTITY: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+TEN = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
+"""Inertial parameters of a body: mass [kg], mass times centre [kg m], inertia about the frame's origin [kg m^2]."""
+
+
+def _of_ten(ten: Sequence[Row]) -> SpatialInertia:
+    m, x, y, z, xx, xy, xz, yy, yz, zz = ten
+    return SpatialInertia(m, (x, y, z), ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+
+
+_UNITS = tuple(_of_ten([float(i == k) for i in range(len(TEN))]) for k in range(len(TEN)))
 _NOTHING = SpatialInertia(0.0, ZERO, (ZERO, ZERO, ZERO))
 
 
@@ -109,6 +156,15 @@ class Body:
     position: Vector
     inertia: SpatialInertia
 
+    def held(self) -> Body:
+        """The body with plain numbers in the place of tensors of one value."""
+        mass, moment, inertia = self.inertia.mass, self.inertia.moment, self.inertia.inertia
+        x, y, z = (constant_vector([_number(value) for value in row]) for row in inertia)
+        still = SpatialInertia(
+            _number(mass), constant_vector([_number(value) for value in moment]), (x, y, z)
+        )
+        return replace(self, inertia=still)
+
 
 @dataclass(frozen=True)
 class Point:
@@ -117,10 +173,12 @@ class Point:
     Attributes:
         joint: number of the joint that moves it, from 0.
         position: in the joint's frame [m], ``(3,)``.
+        rotation: turns vectors of the site's or body's axes into the joint's, ``(3, 3)``.
     """
 
     joint: int
     position: Vector
+    rotation: Matrix = _IDENTITY
 
 
 @dataclass(frozen=True)
@@ -195,7 +253,7 @@ class RigidBodyTree:
     points: Mapping[str, Point] = field(default_factory=dict, compare=False)
     source: str = field(default="", compare=False)
     held: Mapping[str, float] = field(default_factory=dict, compare=False)
-    _fixed: Mapping[str, SpatialInertia] = field(init=False, repr=False, compare=False)
+    _fixed: dict[str, SpatialInertia] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for number, joint in enumerate(self.joints):
@@ -248,24 +306,34 @@ class RigidBodyTree:
                 bodies.append(replace(body, joint=number, rotation=rotation, position=position))
         points = {}
         for name, point in self.points.items():
-            number, rotation, position = seat[point.joint]
+            number, turned, origin = seat[point.joint]
+            rotation, position = chained([(turned, origin), (point.rotation, point.position)])
             if number >= 0:
-                points[name] = Point(number, plus(position, times(rotation, point.position)))
+                points[name] = Point(number, position, rotation)
         tree = replace(self, joints=tuple(joints), bodies=tuple(bodies), points=points)
         return replace(tree, held={**self.held, **at})
 
-    def inertias(self, free: Mapping[str, SpatialInertia] | None = None) -> list[SpatialInertia]:
+    def carries(self, joint: int, other: int) -> bool:
+        """Whether a joint moves what another one moves, by their numbers from 0."""
+        while other > joint:
+            other = self.joints[other].parent
+        return other == joint
+
+    def with_bodies(self, bodies: Sequence[Body]) -> RigidBodyTree:
+        """The tree with bodies in the place of those of the same name, and the others beside them."""
+        named = {body.name: body for body in (*self.bodies, *bodies)}
+        return replace(self, bodies=tuple(named.values()))
+
+    def inertias(self, bodies: Sequence[Body] = ()) -> list[SpatialInertia]:
         """What each joint carries rigidly, about the joint's origin.
 
         Args:
-            free: inertias of bodies by name, about their own origins, that take the place of the description's.
+            bodies: those that take the place of the description's of the same name, and others beside them.
         """
-        free = free or {}
+        seen = self._fixed | {b.name: b.inertia.seen_from(b.rotation, b.position) for b in bodies}
         found = [_NOTHING] * len(self.joints)
-        for body in self.bodies:
-            own = free.get(body.name)
-            seen = self._fixed[body.name] if own is None else own.seen_from(body.rotation, body.position)
-            found[body.joint] = found[body.joint] + seen
+        for name, body in {body.name: body for body in (*self.bodies, *bodies)}.items():
+            found[body.joint] = found[body.joint] + seen[name]
         return found
 
     def poses(self, q: Rows) -> list[tuple[Matrix, Vector]]:
@@ -335,14 +403,9 @@ class RigidBodyTree:
             pushes: forces from outside [N], in the base's axes, and the points where they act.
         """
         n = len(self.joints)
-        a = [0.0] * n if a is None else a
         forces, moments = [ZERO] * n, [ZERO] * n
-        motion: list[tuple[Vector, Vector, Vector]] = []
-        base = (ZERO, ZERO, scale(-1.0, self.gravity))
-        for k, joint in enumerate(self.joints):
-            before = base if joint.parent < 0 else motion[joint.parent]
-            motion.append(_moved(joint, *poses[k], *before, v[k], a[k]))
-            forces[k], moments[k] = _needed(inertias[k], *motion[k])
+        for k, motion in enumerate(self._motions(poses, v, [0.0] * n if a is None else a)):
+            forces[k], moments[k] = _needed(inertias[k], *motion)
         for point, push in pushes:
             force = scale(-1.0, times(transposed(self.pose(poses, point.joint)[0]), push))
             forces[point.joint] = plus(forces[point.joint], force)
@@ -357,17 +420,50 @@ class RigidBodyTree:
                 moments[joint.parent] = plus(moments[joint.parent], moment)
         return found
 
-    def dynamics(
-        self, q: Rows, v: Rows, free: Mapping[str, SpatialInertia] | None = None
-    ) -> tuple[list[list[Row]], list[Row]]:
+    def regressor(self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows) -> list[list[Row]]:
+        """W(q, v, a) with ``tau = W phi``: the inverse dynamics as it depends on the inertial parameters, linearly.
+
+        phi holds :data:`TEN` of what each joint carries rigidly, about the joint's origin in its axes, as
+        :meth:`inertias` has it; ten columns a joint, rotors' armature left out.
+
+        Source: C. Atkeson, C. An, J. Hollerbach, Estimation of Inertial Parameters of Manipulator Loads and Links,
+        Int. J. Robotics Research 5(3), 1986.
+
+        Args:
+            poses: see :meth:`poses`.
+            v: speeds [rad/s or m/s].
+            a: accelerations [rad/s^2 or m/s^2].
+        """
+        found: list[list[Row]] = [[0.0] * (len(TEN) * len(self.joints)) for _ in self.joints]
+        for k, motion in enumerate(self._motions(poses, v, a)):
+            for column, unit in enumerate(_UNITS, len(TEN) * k):
+                (force, moment), below = _needed(unit, *motion), k
+                while below >= 0:
+                    found[below][column] = _along(self.joints[below], force, moment)
+                    force, moment = _carried(force, moment, *poses[below])
+                    below = self.joints[below].parent
+        return found
+
+    def _motions(
+        self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows
+    ) -> list[tuple[Vector, Vector, Vector]]:
+        """Angular velocity and acceleration of each joint's frame, and the acceleration of its origin less gravity."""
+        motion: list[tuple[Vector, Vector, Vector]] = []
+        base = (ZERO, ZERO, scale(-1.0, self.gravity))
+        for k, joint in enumerate(self.joints):
+            before = base if joint.parent < 0 else motion[joint.parent]
+            motion.append(_moved(joint, *poses[k], *before, v[k], a[k]))
+        return motion
+
+    def dynamics(self, q: Rows, v: Rows, bodies: Sequence[Body] = ()) -> tuple[list[list[Row]], list[Row]]:
         """Mass matrix with the rotors' armature, and bias: ``M a + bias`` are the torques at the joints.
 
         Args:
             q: positions [rad or m].
             v: speeds [rad/s or m/s].
-            free: see :meth:`inertias`.
+            bodies: see :meth:`inertias`.
         """
-        poses, inertias = self.poses(q), self.inertias(free)
+        poses, inertias = self.poses(q), self.inertias(bodies)
         mass = self.mass_matrix(poses, inertias)
         for k, joint in enumerate(self.joints):
             mass[k][k] = add(mass[k][k], joint.armature)

@@ -197,6 +197,7 @@ def structure(system: System) -> tuple[object, ...]:
     return (
         system.gear_ratio,
         system.tree,
+        () if system.tree is None else tuple(system.tree.points.items()),
         system.seats,
         tuple((key, type(part), _own(part)) for key, part in system.components.items()),
     )

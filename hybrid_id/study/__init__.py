@@ -1,6 +1,7 @@
 """The main job: from records and a model to parameter sets with their statistics, and models side by side."""
 
 from hybrid_id.identification.horizons import Horizon
+from hybrid_id.study.base_parameters import BaseParameterCheck, check_base_parameters
 from hybrid_id.study.checks import (
     check_fit,
     check_identifiability,
@@ -13,12 +14,14 @@ from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import analyse_fits, identify
 
 __all__ = [
+    "BaseParameterCheck",
     "Combinations",
     "Comparison",
     "Horizon",
     "Replay",
     "Study",
     "analyse_fits",
+    "check_base_parameters",
     "check_fit",
     "check_identifiability",
     "check_priors",

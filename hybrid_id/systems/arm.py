@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from types import SimpleNamespace
+from typing import cast
 
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Component, Coupling
+from hybrid_id.components.base import Attached, Component, Coupling
+from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.floor_contact import FloorContact
+from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
-from hybrid_id.robots.rows import Vector
-from hybrid_id.robots.tree import Point, RigidBodyTree
+from hybrid_id.robots.rows import ZERO, Vector
+from hybrid_id.robots.tree import Body, Point, RigidBodyTree, SpatialInertia
 from hybrid_id.systems.balance import Balances, SpeedBalance
 from hybrid_id.systems.joint import Joint
 
@@ -59,13 +63,16 @@ class Arm:
                 f"The robot has {len(tree.joints)} joints and the system {len(joints)}; describe a drive for each."
             )
         self.contacts = [(key, part) for key, part in components.items() if isinstance(part, FloorContact)]
-        for key, part in self.contacts:
-            points = () if tree is None else tree.points
-            if part.point not in points:
-                raise InputError(
-                    f"{part.kind} at '{key.rsplit('/', 1)[0]}' acts at '{part.point}', which the robot does not have; "
-                    f"give one of {', '.join(points) or 'a robot with a description'}."
-                )
+        self.masses = [
+            (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
+        ]
+        for key, part in components.items():
+            if isinstance(part, Attached):
+                self._check_attached(key, part)
+        known = [(part.kind, part.point) for _, part in self.masses]
+        for kind, point in known:
+            if known.count((kind, point)) > 1:
+                raise InputError(f"{kind} is listed twice at '{point}'; keep one of them.")
         for key, part in components.items():
             if tree is None and isinstance(part, RotorInertia):
                 raise InputError(
@@ -87,6 +94,45 @@ class Arm:
                 raise InputError(
                     f"{part.kind} sits at both joints; it acts on both from either, so keep one of them."
                 )
+
+    def _check_attached(self, key: str, part: Attached) -> None:
+        """Refuse a part at a point that is not there, and a mass at a joint that does not carry it."""
+        place, tree = key.rsplit("/", 1)[0], self.tree
+        found = {} if tree is None else {name: point.joint for name, point in tree.points.items()}
+        if tree is not None and isinstance(part, BodyInertia):
+            found = {body.name: body.joint for body in tree.bodies if body.inertia.mass}
+        if tree is None or part.point not in found:
+            lacks = (
+                "is no body of it with a mass" if isinstance(part, BodyInertia) else "the robot does not have"
+            )
+            raise InputError(
+                f"{part.kind} at '{place}' acts at '{part.point}', which {lacks}; "
+                f"give one of {', '.join(found) or 'a robot with a description'}."
+            )
+        seat = self.seats[int(place.split("/")[0][5:]) - 1]
+        if isinstance(part, Payload | BodyInertia) and not tree.carries(seat, found[part.point]):
+            fit = ", ".join(name for k, name in enumerate(tree.names) if tree.carries(k, found[part.point]))
+            raise InputError(
+                f"{part.kind} at '{place}' acts at '{part.point}', which that joint does not carry; list it at {fit}."
+            )
+
+    def bodies(self, p: Views) -> dict[str, Body]:
+        """Bodies whose inertia components say, by their keys: of the tree, and payloads as bodies of their own."""
+        found = {}
+        for key, part in self.masses:
+            tree = cast(RigidBodyTree, self.tree)
+            if isinstance(part, Payload):
+                mass, centre = part.mass(p[key])
+                inertia = SpatialInertia.about_centre(mass, centre, (ZERO, ZERO, ZERO))
+                point = tree.points[part.point]
+                found[key] = Body(
+                    f"{part.kind} {part.point}", point.joint, point.rotation, point.position, inertia
+                )
+                continue
+            body = next(body for body in tree.bodies if body.name == part.point)
+            inertia = body.inertia.deviating(p[key].c_m, part.shift(p[key]), part.stretch(p[key]))
+            found[key] = replace(body, inertia=inertia)
+        return found
 
     def couple(
         self, speeds: list[SpeedBalance], x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
@@ -149,7 +195,7 @@ class Arm:
             every.append(
                 [own[seat[j]] if j in seat else u[f"{name}{j + 1}"] for j in range(len(tree.joints))]
             )
-        poses, inertias = tree.poses(every[0]), tree.inertias()
+        poses, inertias = tree.poses(every[0]), tree.inertias(tuple(self.bodies(p).values()))
         pushes: list[tuple[Point, Vector]] = []
         for key, part in self.contacts:
             point = tree.points[part.point]

@@ -37,7 +37,8 @@ def alone(system: System, joint: int) -> System:
     """The drive of one joint in the robot's tree; the motion of the others comes with the records.
 
     ``M_ii a_i + sum_j M_ij a_j + h_i(q, v) = tau_i``, the sum and all q_j, v_j of the others as logged. Its parameters
-    keep the names that they have in the robot, so that what is found goes back with ``with_specs``.
+    keep the names that they have in the robot, so that what is found goes back with ``with_specs``. Payloads and
+    inertias that are listed at other joints stay at their values.
 
     Args:
         system: a robot with a tree.
@@ -50,6 +51,8 @@ def alone(system: System, joint: int) -> System:
             moved[key] = f"joint1/{key.split('/', 1)[1]}"
             parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
+    bodies = system.arm.bodies(system.views([value.reshape(1) for value in system.theta().detach()]))
+    tree = tree.with_bodies([body.held() for key, body in bodies.items() if not key.startswith(here)])
     one = System([system.gear_ratio[joint]], parts, aliases, system.name, tree, (joint,))
     one.whole = (system,)
     return one
@@ -101,24 +104,38 @@ def with_others_measured(dataset: Dataset, system: System, joint: int) -> Datase
 
 def _others(record: Record, system: System, joint: int) -> Mapping[str, np.ndarray]:
     found = {}
-    for k, other in enumerate(system.joints):
+    for k in range(len(system.joints)):
         if k == joint:
             continue
-        sides = {f"q_a{k + 1}": 1.0, f"q_m{k + 1}": 1.0 / other.gear_ratio}
-        name = next((n for n in sides if n in record.outputs), None)
-        if name is None:
-            raise InputError(
-                f"{record.title} has no angle of joint '{_tree(system).names[k]}'; add {' or '.join(sides)}, or hold "
-                "that joint still in the model."
-            )
-        sensors = [(key, part) for key, part in other.sensing.sensors if part.channel == name[:3]]
-        offset = sum(part.specs["offset"].value for _, part in sensors if "offset" in part.specs)
-        steps = record.sample_time if record.is_uniform else record.time
-        values = smooth_derivatives((record.outputs[name] - offset) * sides[name], steps)
-        for channel, rows in zip(MOTION, values, strict=True):
+        for channel, rows in zip(MOTION, measured_motion(record, system, k), strict=True):
             middle = np.append(0.5 * (rows[1:] + rows[:-1]), rows[-1])
             found[f"{channel}{k + 1}"] = middle
     return found
+
+
+def measured_motion(record: Record, system: System, joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smoothed position [rad or m] of a robot's joint, with its speed and acceleration, ``(T,)`` each.
+
+    Args:
+        record: of the whole robot.
+        system: the robot.
+        joint: number of the joint, from 0.
+
+    Raises:
+        InputError: the record has no angle of the joint.
+    """
+    own = system.joints[joint]
+    sides = {f"q_a{own.number}": 1.0, f"q_m{own.number}": 1.0 / own.gear_ratio}
+    name = next((n for n in sides if n in record.outputs), None)
+    if name is None:
+        raise InputError(
+            f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add {' or '.join(sides)}, or hold "
+            "that joint still in the model."
+        )
+    sensors = [(key, part) for key, part in own.sensing.sensors if part.channel == name[:3]]
+    offset = sum(part.specs["offset"].value for _, part in sensors if "offset" in part.specs)
+    steps = record.sample_time if record.is_uniform else record.time
+    return smooth_derivatives((record.outputs[name] - offset) * sides[name], steps)
 
 
 def _tree(system: System) -> RigidBodyTree:

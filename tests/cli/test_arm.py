@@ -1,5 +1,6 @@
 """An arm of many joints on the command line: what works on it, and what is refused in one sentence."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -96,3 +97,20 @@ def test_rotors_that_a_description_lacks_are_said(run, arm: Path, tmp_path: Path
     done = run("check", arm, "--model", arm / "bare.yaml")
     words = " ".join(done.err.split())
     assert "bare.xml gives no armature for base, joint 1/x, tip: these rotors are taken at a tenth" in words
+
+
+def test_check_counts_base_parameters_and_says_how_they_are_excited(run, arm: Path) -> None:
+    done = run("check", arm, "--model", arm / "model.yaml")
+    words = " ".join(done.out.split())
+    assert "33 inertial parameters of links and rotors act through" in words
+    assert "excites all of them (condition number" in words and "the worst first" in words
+    full = run("check", arm, "--model", arm / "model.yaml", "--full")
+    assert "the worst first" not in full.out and "base parameter" in full.out
+    found = json.loads(run("check", arm, "--model", arm / "model.yaml", "--json").out)["base_parameters"]
+    assert found["inertial_parameters"] == 33 and found["condition_number"] > 1
+    for row in found["parameters"]:
+        assert (
+            row["coefficients"]
+            and row["std_error"] > 0
+            and row["text"].startswith(next(iter(row["coefficients"])))
+        )

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
+from typing import cast
 
 import pytest
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 
 from hybrid_id.components import PLACES, REGISTRY
 from hybrid_id.components.base import (
+    Attached,
     CommandMap,
     Component,
     Coupling,
@@ -29,7 +31,9 @@ from hybrid_id.components.bristle import Bristle, relax
 from hybrid_id.components.input.delay import Delay
 from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.components.input.torque_command import TorqueCommand
+from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.floor_contact import FloorContact
+from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.components.sensor.late_reading import LateReading
@@ -86,7 +90,15 @@ def made(kind: str) -> Component:
     """A component with limits that the probing signals reach, and at a point that the robot has."""
     if kind == PositionServo.kind:
         return PositionServo(tau_max=6.0, goal_min=0.2, goal_max=0.31)
-    return FloorContact("tip", z_f=0.05) if kind == FloorContact.kind else REGISTRY[kind]()
+    attached = {
+        "floor_contact": ("tip", {"z_f": 0.05}),
+        "payload": ("tip", {"x_l": 0.1}),
+        "body_inertia": ("two", {}),
+    }
+    if kind in attached:
+        point, values = attached[kind]
+        return cast(type[Attached], REGISTRY[kind])(point, **values)
+    return REGISTRY[kind]()
 
 
 def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> dict[str, Tensor]:
@@ -128,6 +140,17 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
             found[f"drive of {name}"], found[f"rate of {name}"] = pair
     if isinstance(part, FloorContact):
         found["force"] = part.force(p, 0.1 * q)
+    if isinstance(part, Payload):
+        mass, centre = part.mass(p)
+        found |= {"mass": mass * one} | {
+            f"centre {axis}": c * one for axis, c in zip("xyz", centre, strict=True)
+        }
+    if isinstance(part, BodyInertia):
+        found["mass"] = p.c_m * one
+        found |= {f"shift {axis}": c * one for axis, c in zip("xyz", part.shift(p), strict=True)}
+        found |= {
+            f"stretch {i}{j}": e * one for i, row in enumerate(part.stretch(p)) for j, e in enumerate(row)
+        }
     if isinstance(part, ResidualNetwork):
         found["output"] = part.output(p, [v], [])
     if isinstance(part, Motor):
@@ -332,7 +355,7 @@ def test_refuses_what_is_out_of_bounds(kind: str) -> None:
 def hosts(part: Component, place: str) -> list[Callable[[], System]]:
     """Systems into which a component fits."""
     arm = [lambda: two_link((50.0, 30.0))]
-    if isinstance(part, RotorInertia | FloorContact):
+    if isinstance(part, RotorInertia | Attached):
         robots = [lambda: robot(TREE, (50.0, 30.0)).with_component("joint2/input", TorqueCommand())]
         return [
             *robots,

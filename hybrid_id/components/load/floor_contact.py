@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from types import SimpleNamespace
 
 from torch import Tensor
 
-from hybrid_id.components.base import Component
-from hybrid_id.errors import InputError
-from hybrid_id.parameters import Bounded, Parameter
+from hybrid_id.components.base import Attached, Counterpart
+from hybrid_id.parameters import Parameter
 
 
-class FloorContact(Component):
+class FloorContact(Attached):
     """``f = k_f max(z_f - z, 0)`` upwards at a point of the robot at height z: it acts on all joints that carry it.
 
     | symbol | unit | meaning |
@@ -24,33 +22,16 @@ class FloorContact(Component):
     option ``point``.
 
     Source: penalty contact, e.g. W. J. Stronge, Impact Mechanics, 2nd ed., 2018, section 11.1.
-
-    Args:
-        point: name of the site or body.
-        values: see :class:`hybrid_id.components.base.Component`.
     """
 
     kind = "floor_contact"
-    places = ("load",)
     z_f = Parameter(0.0, lower=-100.0, upper=100.0, unit="m", doc="height of the floor")
     k_f = Parameter(1e3, upper=1e8, unit="N/m", doc="stiffness of the contact")
-
-    def __init__(self, point: str = "", **values: float | Bounded) -> None:
-        super().__init__(**values)
-        self.point = point
 
     def force(self, p: SimpleNamespace, height: Tensor | float) -> Tensor:
         """Force upwards [N], ``(B,)``, at a height [m]."""
         return p.k_f * (p.z_f - height).clamp_min(0.0)
 
-    def options(self) -> dict[str, str]:
-        """What a model file says of it beside its parameters."""
-        return {"point": self.point}
-
-    @classmethod
-    def restored(cls, values: Mapping[str, Bounded], options: Mapping, weights: Mapping) -> Component:
-        if weights or set(options) != {"point"}:
-            raise InputError(
-                "floor_contact needs one option, point: the name of a site or body of the robot."
-            )
-        return cls(options["point"], **values)
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Nothing: contacts belong to the description."""
+        return {}, "is left out, a plane in the description does it"
