@@ -55,4 +55,5 @@ def _filtered(record: Record, angles: list[str], band: tuple[float, float] | Non
         raise InputError(
             f"{record.title}: too short for the Fourier transform, which rings in all of it; leave it out"
         )
-    return replace(record, outputs=outputs).between(record.time[kept[0]], record.time[kept[-1]])
+    first, last = (float(record.time[k]) for k in kept[[0, -1]])
+    return replace(record, outputs=outputs).between(first, last)
