@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hybrid_id.machines.twin.desk_arm import write_arm
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.study.replays import replay
@@ -114,3 +115,17 @@ def test_check_counts_base_parameters_and_says_how_they_are_excited(run, arm: Pa
             and row["std_error"] > 0
             and row["text"].startswith(next(iter(row["coefficients"])))
         )
+
+
+def test_demo_of_a_robot_shows_the_truth_beside_the_estimates(run, tmp_path: Path) -> None:
+    done = run("demo", "--robot", "--out", tmp_path / "demo", "--json")
+    assert done.code == 0, done.err
+    (found,) = json.loads(done.out)["sets"]
+    truth = write_arm(tmp_path / "again")[1]
+    off = [
+        abs(value / truth[name] - 1.0) for name, value in zip(found["names"], found["values"], strict=True)
+    ]
+    assert len(off) == 24 and max(off) < 0.05
+    assert (tmp_path / "demo" / "truth.png").exists()
+    refused = run("demo", "--robot", "--settings", tmp_path / "twin.yaml", "--out", tmp_path / "other")
+    assert refused.code == 2 and "--settings belongs to the drive" in refused.err
