@@ -120,10 +120,11 @@ def test_check_counts_base_parameters_and_says_how_they_are_excited(run, arm: Pa
 def test_demo_of_a_robot_shows_the_truth_beside_the_estimates(run, tmp_path: Path) -> None:
     done = run("demo", "--robot", "--out", tmp_path / "demo", "--json")
     assert done.code == 0, done.err
-    (found,) = json.loads(done.out)["sets"]
+    found = json.loads(done.out)
     truth = write_arm(tmp_path / "again")[1]
     off = [
-        abs(value / truth[name] - 1.0) for name, value in zip(found["names"], found["values"], strict=True)
+        abs(value / truth[name] - 1.0)
+        for name, value in zip(found["parameters"], found["sets"][0]["values"], strict=True)
     ]
     assert len(off) == 24 and max(off) < 0.05
     assert (tmp_path / "demo" / "truth.png").exists()
