@@ -35,6 +35,7 @@ from hybrid_id.components import (
     TorqueCommand,
     TorqueMotor,
     TwoInertias,
+    UnsignedCurrent,
     Viscous,
 )
 from hybrid_id.components.base import Component
@@ -215,6 +216,8 @@ def test_loads_springs_and_sensors() -> None:
     assert bias.torque(view(bias), tensor([0.7, 0.8]), tensor([9.0, 1.0])).tolist() == [-0.2, -0.2]
     assert MotorEncoder().read(view(MotorEncoder(offset=0.3)), tensor([1.0])).item() == pytest.approx(1.3)
     assert LoadDependent(mu=0.2).load_factor(view(LoadDependent(mu=0.2))).item() == 0.2
+    amperes = UnsignedCurrent(i_0=0.1)
+    assert amperes.read(view(amperes), tensor([-0.5, 0.5])).tolist() == pytest.approx([0.6, 0.6])
 
 
 def test_friction_over_the_angle() -> None:
