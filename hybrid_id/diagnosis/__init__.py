@@ -1,1 +1,1 @@
-"""Where the gap between records and today's simulator lies, which effect causes it, and how far it shrinks."""
+"""Where the gap between records and the nominal model lies, which effect causes it, and how far it shrinks."""

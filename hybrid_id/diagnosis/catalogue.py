@@ -41,7 +41,7 @@ def with_effect(
         left: what the model's fit leaves, for laws that look for their start points there.
     """
     joint, places = system.joints[scales.joint - 1], effect.places
-    if joint.rigid:  # where today's model has its friction, else the first
+    if joint.rigid:  # where the nominal model has its friction, else the first
         beyond = "link_friction" in places and joint.frictions["link_friction"]
         places = ("link_friction",) if beyond and not joint.frictions["motor_friction"] else places[:1]
     found: dict[str, list[System]] = {}

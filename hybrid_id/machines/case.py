@@ -1,4 +1,4 @@
-"""One case: a machine with something at work in it, its records, and today's simulator."""
+"""One case: a machine with something at work in it, its records, and the nominal model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ class Case:
         robot: the machine without effects.
         effects: none, one or two.
         campaign: planned records.
-        model: today's simulator, as the content of a model file.
+        model: the nominal model, as the content of a model file.
         engine: in_house or mujoco.
     """
 
@@ -46,7 +46,7 @@ class Case:
         return replace(self, effects=tuple(effects))
 
     def truth(self) -> Robot:
-        """The robot with what its effects are as parameters, and what today's simulator lacks of them."""
+        """The robot with what its effects are as parameters, and what the nominal model lacks of them."""
         robot = self.robot
         for effect in self.effects:
             robot = effect.alter(robot)

@@ -59,7 +59,7 @@ def refit_model(
     *,
     rounds: int | None = None,
 ) -> Refit:
-    """Re-fit today's simulator of a case, without the effects, from several starts; the least error counts.
+    """Re-fit the nominal model of a case, without the effects, from several starts; the least error counts.
 
     Args:
         case: of the records.
@@ -82,7 +82,7 @@ def refit_model(
 
 
 def nominal_error(case: Case, records: Records) -> float:
-    """Normalised RMSE of today's simulator as it stands, on the test records."""
+    """Normalised RMSE of the nominal model as it stands, on the test records."""
     given = {name: entry["nominal"] for name, entry in case.model["parameters"].items()}
     robot = case.truth().with_values(dict.fromkeys(case.truth().values, 0.0)).with_values(given)
     return float(Bench(case, records, lambda values: robot.assemble(substeps=1)).test_errors({})[0])
@@ -238,7 +238,7 @@ FACTORS = np.geomspace(0.03, 8.0, 10)
 
 @dataclass(frozen=True)
 class Errors:
-    """Normalised RMSE of today's simulator on the test records, as it stands and re-fitted on the train records.
+    """Normalised RMSE of the nominal model on the test records, as it stands and re-fitted on the train records.
 
     Attributes:
         nominal, refit: these.
@@ -257,7 +257,7 @@ class Graded:
     Attributes:
         case: with its effects in their final size.
         records: its records.
-        errors: of today's simulator.
+        errors: of the nominal model.
     """
 
     case: Case
@@ -283,14 +283,14 @@ def level_of(ratio: float) -> str:
 
 
 def errors_of(case: Case, records: Records) -> Errors:
-    """Errors of today's simulator."""
+    """Errors of the nominal model."""
     found = refit_model(case, records)
     clean = float(np.mean(Bench(case, records, lambda _: build(case.robot, case.effects)).clean_error() ** 2))
     return Errors(nominal_error(case, records), found.test, float(np.sqrt(found.train / clean)))
 
 
 def grade(case: Case) -> Graded:
-    """Record a case and re-fit today's simulator."""
+    """Record a case and re-fit the nominal model."""
     records = record(case)
     return Graded(case, records, errors_of(case, records))
 

@@ -14,7 +14,7 @@ SOUND = ("none", "parameters")
 LINK = ("link_friction", "load")
 """Places on the link's side of a gear."""
 RIGHT, WRONG = 1.05, 1.2
-"""Error of today's values over that of the re-fit up to which they are right, and from which they are wrong."""
+"""Error of the nominal values over that of the re-fit up to which they are right, and from which they are wrong."""
 
 
 @dataclass(frozen=True)
@@ -214,7 +214,7 @@ def _acts_there(told: Said, truth: Truth) -> bool | None:
 
 
 def _values(said: Said, answers: Truth) -> bool | None:
-    """Whether the verdict has it right that today's values are right, or wrong; None of a method without a re-fit."""
+    """Whether the verdict has it right that the nominal values are right, or wrong; None of a method without a re-fit."""
     ratio = answers["oracle"]["nominal"] / answers["oracle"]["refit"]
     if RIGHT < ratio < WRONG or (said.get("gap") or {}).get("refit") is None:
         return None

@@ -340,7 +340,7 @@ def _mixed(
 
 
 def _graded(case: Case, made: Measured, fit: Fit, floor: float) -> Graded:
-    """The records as they are written, and the errors of today's simulator."""
+    """The records as they are written, and the errors of the nominal model."""
     records = replace(logged(case, made.volts, made.angles, made.angles), noise_floor=floor)
     return Graded(case, records, Errors(nominal_error(case, records), fit.test, float(np.sqrt(fit.train))))
 
@@ -464,7 +464,7 @@ class _Found:
         sizes: factor of each effect.
         made: its records.
         floor: error of the machine itself.
-        base: today's simulator, re-fitted.
+        base: the nominal model, re-fitted.
         alone: the same with each leading effect.
     """
 
@@ -548,7 +548,7 @@ def _parts(
 def _rivals(
     rng: np.random.Generator, mixtures: Mixtures, made: list[Measured], base: Fit, own: Fit, truth: Effect
 ) -> list[Rival]:
-    """Other effects that today's simulator may be given instead of a dominant one, the best first.
+    """Other effects that the nominal model may be given instead of a dominant one, the best first.
 
     A rival counts where it predicts the test records within 6 % of the error with the true effect and leaves less than
     a tenth of what that closes, all small effects missing from both.

@@ -1,6 +1,6 @@
 """Which other effects explain a case as well as the true one does: they count as right answers.
 
-Each named effect is built into today's simulator in every place where it fits, and fitted with it to the train
+Each named effect is built into the nominal model in every place where it fits, and fitted with it to the train
 records, from the simulator's re-fitted values and from the true ones: a re-fit that has been bent is no place to start.
 A rival counts when it predicts the test records within 6 % of the true effect's error, fitted alike, and leaves less
 than a tenth of the gap (mean square). Those that could close little of it even in the linear prediction are not fitted.
@@ -71,7 +71,7 @@ def find_rivals(case: Case, records: Records, seed: int, number: int = 0) -> lis
     floor, truth = records.noise_floor, case.effects[number]
     beside = tuple(effect for effect in case.effects if effect is not truth)
     if any(type(effect).alter is not Effect.alter for effect in beside):
-        # its parameters are some of those that today's simulator lacks: they stand in the rivals' simulator
+        # its parameters are some of those that the nominal model lacks: they stand in the rivals' simulator
         robot = replace(case.truth(), lacks=truth.alter(case.robot).lacks)
         case, beside = replace(case, robot=robot, effects=(truth,)), ()
     model = refit_model(case, records)
@@ -173,7 +173,7 @@ def _fitted(effect: Effect) -> list[str]:
 
 
 def candidates(robot: Robot, *, every: bool) -> list[type[Effect]]:
-    """Formulas that today's simulator could have beside its own parameters: every one, or the first of name and place.
+    """Formulas that the nominal model could have beside its own parameters: every one, or the first of name and place.
 
     What no name stands for must not be what another formula of a name explains.
     """
@@ -298,7 +298,7 @@ def with_only(case: Case, records: Records) -> dict[str, Alone] | None:
 
 
 def _fitted_with(case: Case, records: Records, effects: tuple[Effect, ...]) -> Refit | None:
-    """Best fit of today's simulator with some of a case's effects; None where none ends."""
+    """Best fit of the nominal model with some of a case's effects; None where none ends."""
     truth = case.truth()
     brought = {name for effect in effects for name in effect.alter(case.robot).lacks - case.robot.lacks}
     case = replace(case, robot=replace(truth, lacks=truth.lacks - brought), effects=())

@@ -40,7 +40,7 @@ class Robot:
         supply: voltage that the amplifier is built for [V].
         link_encoder: whether the link has an encoder of its own.
         moments: mass times distance of each link of an arm [kg m], for tilts.
-        lacks: parameters that the machine has and today's simulator does not.
+        lacks: parameters that the machine has and the nominal model does not.
     """
 
     system: str
@@ -80,7 +80,7 @@ class Robot:
         return own / self.ratio[joint] ** 2
 
     def with_values(self, values: Mapping[str, Lanes], *, withheld: bool = False) -> "Robot":
-        """The same robot with some parameters replaced, which today's simulator may lack."""
+        """The same robot with some parameters replaced, which the nominal model may lack."""
         lacks = self.lacks | set(values) if withheld else self.lacks
         return replace(self, values={**self.values, **values}, lacks=lacks)
 

@@ -1,4 +1,4 @@
-"""The model file: today's simulator as YAML, and back."""
+"""The model file: the nominal model as YAML, and back."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class Effect:
         return {name: float(f"{float(np.mean(self.values[key])):.4g}") for key, name in keys.items()}
 
     def alter(self, robot: Robot) -> Robot:
-        """The robot with the effect, where it is a parameter that today's simulator lacks."""
+        """The robot with the effect, where it is a parameter that the nominal model lacks."""
         return robot
 
     def law(self, robot: Robot) -> Law | InputLaw | None:

@@ -28,7 +28,7 @@ def without(drive, kind):
 
 
 class WithheldCoulomb(Effect):
-    """Dry friction of the motor that today's simulator does without."""
+    """Dry friction of the motor that the nominal model does without."""
 
     name, place, sized, size_keys = "coulomb_friction", "motor_friction", ("F_c",), {"F_c": "newton_metres"}
 
@@ -72,7 +72,7 @@ class LinkCoulomb(Effect):
 
 
 class WithheldLinkViscous(Effect):
-    """Viscous friction of the link's bearing that today's simulator does without."""
+    """Viscous friction of the link's bearing that the nominal model does without."""
 
     name, place, sized = "viscous_friction", "link_friction", ("F_va",)
     systems, size_keys = ("one_link_flexible",), {"F_va": "newton_metre_seconds_link"}

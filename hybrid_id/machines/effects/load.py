@@ -97,7 +97,7 @@ class Bias(Effect):
 
 
 class WithheldCoupling(Effect):
-    """Inertial coupling of two links that today's simulator does without."""
+    """Inertial coupling of two links that the nominal model does without."""
 
     name, place, sized, systems = "joint_coupling", "load", ("P_3", "P_4"), ("two_link",)
     size_keys = {"P_3": "P_3_kilogram_metres2", "P_4": "P_4_kilogram_metres2"}
