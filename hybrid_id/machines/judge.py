@@ -214,7 +214,7 @@ def _acts_there(told: Said, truth: Truth) -> bool | None:
 
 
 def _values(said: Said, answers: Truth) -> bool | None:
-    """Whether the verdict has it right that the nominal values are right, or wrong; None of a method without a re-fit."""
+    """Whether the verdict is right about the nominal values, right or wrong; None of a method without a re-fit."""
     ratio = answers["oracle"]["nominal"] / answers["oracle"]["refit"]
     if RIGHT < ratio < WRONG or (said.get("gap") or {}).get("refit") is None:
         return None
