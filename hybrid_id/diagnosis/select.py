@@ -146,23 +146,24 @@ def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> b
         simpler: with fewer.
         rivals: all candidates among which the richer one has been found.
     """
-    fall = richer.validation.fall(simpler.validation)
     # what has not been fitted to the end has seen the records that would judge it
-    return (
-        richer.finished
-        and fall >= needed_fall(richer, simpler)
-        and chance(richer, simpler, rivals) <= CRITERIA.false_alarms
-    )
+    return richer.finished and _passes(richer, simpler, chance(richer, simpler, rivals))
+
+
+def _passes(richer: Model, simpler: Model, p: float) -> bool:
+    """Whether a fall of the error on records left out is large enough and no chance's.
+
+    Chance explains the errors of a model that leaves noise. Where it leaves structure, a few records that go together
+    have no power against chance, and none is needed for a fall by the greater part.
+    """
+    fall = richer.validation.fall(simpler.validation)
+    sure = p <= CRITERIA.false_alarms or (fall >= CRITERIA.much and not simpler.right)
+    return sure and fall >= needed_fall(richer, simpler)
 
 
 def accepted_ones(step: Step) -> list[Model]:
     """The candidates of a step that are accepted, in its order: one draw of chance serves them all."""
-    before = step.before
-    return [
-        e
-        for e, p in chances(step).items()
-        if p <= CRITERIA.false_alarms and e.validation.fall(before.validation) >= needed_fall(e, before)
-    ]
+    return [e for e, p in chances(step).items() if _passes(e, step.before, p)]
 
 
 def chances(step: Step) -> dict[Model, float]:
