@@ -85,7 +85,7 @@ def packages() -> dict[str, str | None]:
 def _say(state: dict[str, Any]) -> None:
     """The same for a reader."""
     from hybrid_id.reporting.tables import open_table
-    from hybrid_id.study.self_test import FIT, REACH
+    from hybrid_id.study.self_test import FIT, MOST_ERRORS
 
     table = open_table("what", "here")
     words = {"gpu": "none", "compiler": "none: the compiled engine is not available"}
@@ -107,5 +107,5 @@ def _say(state: dict[str, Any]) -> None:
     show(
         table,
         f"self-test {verdict}: a drive of known truth identified in {test['seconds']:.1f} s, {how}; each estimate "
-        f"with a standard error has to lie within {REACH:g} of them",
+        f"with a standard error has to lie within {MOST_ERRORS:g} of them",
     )

@@ -28,7 +28,7 @@ from hybrid_id.systems.chain import System
 
 WIDTHS = (0.05, 0.07, 0.1)
 """Standard deviations [s] of the pulses that are looked for."""
-REACH = 4.0
+HALF_LENGTH = 4.0
 """Half-length of a filter, in widths; pulses closer than this at one joint or to a record's end are not told."""
 FADE = 2.5
 """Width of the weights within a filter, in widths of the pulse."""
@@ -188,7 +188,7 @@ def _sizes(one: Torques, widths: Sequence[float]) -> np.ndarray:
 def _filtered(series: np.ndarray, step: float, width: float, margin: int) -> np.ndarray:
     """Coefficient of a Gaussian pulse beside a constant and a slope, fitted around each sample but the ends'."""
     half = _margin(step, (width,))
-    if half < REACH:
+    if half < HALF_LENGTH:
         raise InputError(f"A pulse of {width:g} s is narrower than the sample time of {step:g} s.")
     time = np.arange(-half, half + 1) * step / width
     basis = np.stack([np.exp(-0.5 * time**2), np.ones_like(time), time], 1)
@@ -198,7 +198,7 @@ def _filtered(series: np.ndarray, step: float, width: float, margin: int) -> np.
 
 
 def _margin(step: float, widths: Sequence[float]) -> int:
-    return round(REACH * max(widths) / step)
+    return round(HALF_LENGTH * max(widths) / step)
 
 
 def _peaks(ratio: np.ndarray, step: float, widths: Sequence[float], least: float = 0.0) -> np.ndarray:

@@ -18,7 +18,7 @@ from hybrid_id.identification.objective import Loss, assess, evaluate
 from hybrid_id.simulation.lifted import condense
 from hybrid_id.simulation.solvers import OdeEngine
 
-REACH = 0.5
+OPEN_SHARE = 0.5
 """A direction that the data leave open is held in the metric (not in the objective) to this share of a parameter."""
 FIRST_WEIGHT_STEP = 0.01
 """RMS change of a network's weights in the first step."""
@@ -205,7 +205,8 @@ class Problem(LeastSquares):
         hessian = at.hessian * factor[:, :, None] * factor[:, None, :]
         full = torch.eye(size, dtype=q.dtype, device=q.device).repeat(len(q), 1, 1)
         prior = (
-            self.bounds.prior_precision * self.unit.square() + (2.0 * cost / self.data / REACH**2)[:, None]
+            self.bounds.prior_precision * self.unit.square()
+            + (2.0 * cost / self.data / OPEN_SHARE**2)[:, None]
         )
         shared = [*range(n_f), *range(size - one.shape[1], size)]
         own = torch.cat(

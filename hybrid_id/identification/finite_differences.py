@@ -26,7 +26,7 @@ from hybrid_id.systems.chain import System
 
 WORST = 1e3
 """Weighted residual that stands for a simulation that has left all bounds."""
-REACH = 100.0
+FARTHEST_START = 100.0
 """Farthest that a first state may be from the measured one, in its standard errors."""
 STEPS = (0.01, 0.1, 0.01)
 """Finite steps, as shares of the parameters: in between, a coarse one sees through the ripple of the cost."""
@@ -123,7 +123,7 @@ class Cost:
         spread = batch.x0_std.numpy()
         self.loose = [k for k in range(spread.shape[1]) if (spread[:, k] > 0).any()]
         std = np.maximum(spread[:, self.loose], 1e-12).T.reshape(-1)
-        self.n_f, reach = len(free), REACH * std
+        self.n_f, reach = len(free), FARTHEST_START * std
         self.start = self.rollouts.theta.numpy()[free]
         self.low = np.concatenate([bounds.lower.numpy(), -reach])
         self.high = np.concatenate([bounds.upper.numpy(), reach])

@@ -20,7 +20,7 @@ from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
-REACH = 0.5
+PROXIMAL_SHARE = 0.5
 """A step of this share of a parameter costs one residual variance: where records tell nothing, nothing moves."""
 SETTLED = 0.01
 """Defects that move the outputs by less than this share of the residuals do not blur the cost."""
@@ -185,7 +185,7 @@ def lm_step(
         spread: RMS of each row's states, ``(R, n_x)``.
         bounds: box and priors.
     """
-    near = noise[group, None] * (REACH * spread).square().reciprocal()
+    near = noise[group, None] * (PROXIMAL_SHARE * spread).square().reciprocal()
     hessian, gradient, gain, back = _reduce(part, group, len(values), damping[group], near)
     hessian = hessian + torch.diag_embed(bounds.prior_precision.expand_as(values))
     gradient = gradient + bounds.prior_precision * (values - bounds.prior_mean)
@@ -193,7 +193,7 @@ def lm_step(
     unit = diagonal.clamp_min(1e-300).rsqrt().where(diagonal > 0, torch.zeros_like(diagonal))
     scale = torch.maximum(values.abs(), bounds.scale)
     # a proximal term keeps directions that the records do not tell where they are
-    proximal = noise[:, None] * (unit / (REACH * scale)).square()
+    proximal = noise[:, None] * (unit / (PROXIMAL_SHARE * scale)).square()
     low = torch.maximum(bounds.lower - values, -0.6 * scale)
     high = torch.minimum(bounds.upper - values, 1.5 * scale)
     added = damping[:, None] + proximal + (unit == 0).to(unit.dtype)

@@ -14,7 +14,6 @@ from hybrid_id import __version__
 from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
-from hybrid_id.reporting.tables import RELIABILITY
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, Replay, Study
 from hybrid_id.systems.model_file import save_model
@@ -35,7 +34,7 @@ def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
     reliability = {
         one.name: {
             "grade": one.grade,
-            "words": RELIABILITY[one.grade],
+            "words": one.words,
             "std_error": one.std_error,
             "reason": one.reason,
         }

@@ -15,7 +15,6 @@ from hybrid_id.reporting.interactive import Drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.residuals import Residuals, residual_blocks, sound
 from hybrid_id.reporting.tables import (
-    RELIABILITY,
     count,
     findings_list,
     identifiability_table,
@@ -58,8 +57,8 @@ def study_table(study: Study, reach: float, level: float, *, full: bool = False)
 
 def judged_cells(study: Study, name: str) -> list[Text]:
     """Reliability, lower and upper bound of a parameter of the selected set, and why it is not more reliable."""
-    trust = study.reliability[study.names.index(name)]
-    word, why = RELIABILITY[trust.grade], "" if trust.grade == "A" else trust.reason
+    one = study.reliability[study.names.index(name)]
+    word, why = one.words, "" if one.grade == "A" else one.reason
     return [Text(word, style=_STYLE[word]), *bound_cells(study.selected_model, name), Text(why)]
 
 

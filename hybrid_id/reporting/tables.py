@@ -1,4 +1,4 @@
-"""Results as tables for the terminal (rich)."""
+"""Results as tables (rich), for the terminal and for pages."""
 
 from __future__ import annotations
 
@@ -23,8 +23,6 @@ _SEVERITY = {"error": "bold red", "warning": "yellow", "info": "dim"}
 
 MOST_ROWS, TERMS = 12, 3
 """Rows of the table of base parameters, and terms of a combination that are written out."""
-RELIABILITY = {"A": "good", "B": "good", "C": "doubtful", "D": "not on its own"}
-"""A grade of :class:`hybrid_id.statistics.reliability.Reliability` in words."""
 
 
 def records_table(dataset: Dataset) -> Table:

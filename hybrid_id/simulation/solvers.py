@@ -27,7 +27,7 @@ from hybrid_id.systems.chain import Channels, Rows, System, Views
 
 FIXED = ("euler", "midpoint", "heun2", "heun3", "rk4")
 ADAPTIVE = ("dopri5", "dopri8", "bosh3", "adaptive_heun")
-REACH = {"euler": 1.8, "midpoint": 1.8, "heun2": 1.8, "heun3": 2.3, "rk4": 2.5}
+STABLE_TO = {"euler": 1.8, "midpoint": 1.8, "heun2": 1.8, "heun3": 2.3, "rk4": 2.5}
 """Step times eigenvalue that each fixed method bears with a margin (limits of stability: 2, 2, 2, 2.51, 2.79)."""
 
 
@@ -191,9 +191,11 @@ class OdeEngine(Engine):
             return self
         step = float(batch.dt.max())
         moving = (
-            with_substeps(system, Engine("dry"), batch, theta).substeps * REACH["rk4"] / REACH[self.method]
+            with_substeps(system, Engine("dry"), batch, theta).substeps
+            * STABLE_TO["rk4"]
+            / STABLE_TO[self.method]
         )
-        memories = step * memory_rate(system, batch, theta) / REACH[self.method]
+        memories = step * memory_rate(system, batch, theta) / STABLE_TO[self.method]
         resting = step * fastest_rate(system, self, batch, theta) / REST_STEP
         substeps = max(self.substeps, _whole(moving), _whole(memories))
         return replace(self, substeps=substeps, fine=max(self.fine, substeps, _whole(resting)))

@@ -26,7 +26,7 @@ class Engine:
     """How one sample is integrated.
 
     Attributes:
-        friction: "dry" (projection) or "smooth" (tanh).
+        friction: "dry" (set-valued: stick and slip are events) or "smooth" (tanh).
         substeps: RK4 steps a sample.
         width: smoothing speed [rad/s] of the smooth engine.
         compiled: whether rollouts and sensitivities are compiled where they can be (see

@@ -13,6 +13,10 @@ _SMALL = 0.1  # relative standard error up to which a disagreement still leaves 
 _VAGUE = 0.5  # relative standard error from which a parameter is not known
 
 
+WORDS = {"A": "good", "B": "good", "C": "doubtful", "D": "not on its own"}
+"""What users read of each grade."""
+
+
 @dataclass(frozen=True)
 class Reliability:
     """Grade of one parameter.
@@ -29,6 +33,11 @@ class Reliability:
     grade: str
     std_error: float
     reason: str
+
+    @property
+    def words(self) -> str:
+        """The grade as users read it."""
+        return WORDS[self.grade]
 
 
 def reliability_grades(

@@ -34,8 +34,8 @@ class Covariance:
         matrix: (p, p); a pseudo-inverse where directions are undetermined.
         std_error: (p,); inf for parameters that an undetermined direction moves.
         noise_variance: Variance of the weighted residuals; 1 where the weights are right.
-        method: "plain" or "robust".
-        lag: Samples over which the robust version sums; 0 for the plain one.
+        method: "plain", "robust" or "jackknife".
+        lag: Samples over which the robust version sums, of the longest record for the jackknife; 0 for the plain one.
         inverse_hessian: A, (p, p).
     """
 

@@ -145,7 +145,7 @@ class Study:
             reach = f"± {1.96 * error:.2g}" if np.isfinite(error) else "(no interval)"
             spread = "" if self.variation is None else f"  std/mean {self.variation.percent[k]:.2f} %"
             lines.append(
-                f"  {name:<{width}}  {value:11.5g} {reach:>14} {unit:<10}{spread}  reliability {grades[name].grade}"
+                f"  {name:<{width}}  {value:11.5g} {reach:>14} {unit:<10}{spread}  reliability: {grades[name].words}"
             )
         lines += [] if self.horizon.kind == "whole" else [f"horizon: {self.horizon}"]
         lines.append(self.identifiability.summary())

@@ -12,9 +12,9 @@ from hybrid_id.simulation.c_code import compiler
 from hybrid_id.study.run import identify
 from hybrid_id.systems.model_file import load_model
 
-__all__ = ["FIT", "REACH", "compiler", "self_test"]
+__all__ = ["FIT", "MOST_ERRORS", "compiler", "self_test"]
 
-REACH = 4.0
+MOST_ERRORS = 4.0
 """Standard errors within which the self-test's estimates have to be: its records are drawn once and for all."""
 FIT = 97.0
 """Fit [%] that the identified model has to reach on the record that was held back."""
@@ -38,7 +38,7 @@ def self_test() -> dict[str, Any]:
     off = [
         n
         for n, row in parameters.items()
-        if abs(row["estimate"] - row["truth"]) > REACH * row["standard_error"]
+        if abs(row["estimate"] - row["truth"]) > MOST_ERRORS * row["standard_error"]
     ]
     fit = 100.0 * (1.0 - next(iter(study.test_nrmse.values())))
     return {

@@ -303,6 +303,10 @@ class Drive:
         return found
 
 
+SIDE = {"motor_friction": "m", "link_friction": "a"}
+"""Letter of a friction's side of the gear in the names of its states."""
+
+
 class Joint:
     """Paper, eq. (4) and (5): ``J_m a_m = tau_m - tau_s / r - tau_fm``, ``J_a a_a = tau_s - tau_fa``, by components.
 
@@ -349,7 +353,7 @@ class Joint:
                         raise InputError(
                             f"{self.name} has two bristle frictions on one speed; keep one of them."
                         )
-                    row, side = first_row + len(self.state_names), place[0].replace("l", "a")
+                    row, side = first_row + len(self.state_names), SIDE[place]
                     self.bristles[place] = (key, law, range(row, row + len(law.states)))
                     self.state_names += [f"{state}_{side}{number}" for state in law.states]
 
