@@ -2,6 +2,7 @@
 
 import argparse
 
+import numpy as np
 import torch
 from score import CLAIMS, Campaign
 
@@ -18,10 +19,21 @@ options = parser.parse_args()
 torch.set_num_threads(1)
 
 config = read_yaml(options.config)
+
+
+def redraw_priors(description, seed):
+    """Centre every prior at the truth plus an error of its own width: a data sheet of its own for each seed."""
+    random = np.random.default_rng([seed, 12])
+    for name, values in description["parameters"].items():
+        if "prior_std" in values:
+            values["nominal"] = config["truth"][name] + values["prior_std"] * random.normal()
+
+
 campaigns = {"without priors": Campaign(), "with data-sheet priors": Campaign()}
 for seed, (dataset, truths) in enumerate(make_campaigns(config, range(options.seeds))):
     for name, campaign in campaigns.items():
         description = model_description(config, seed, priors=name.startswith("with "))
+        redraw_priors(description, seed)
         system = build_model(ModelFile.model_validate(description))
         if seed == 0:
             found = check_identifiability(dataset, system).summary()

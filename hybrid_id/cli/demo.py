@@ -68,11 +68,11 @@ def demo(
         placed = config.model_copy(update={"dataset": home / DATA, "model": home / DATA / config.model.name})
         text = write_study(folder, home, "demo", placed, dataset, study)
         truth = truths[study.selected.records[0]]
-        save(truth_figure(study, truth, config.statistics.level), folder / "truth.png")
+        save(truth_figure(study, truth), folder / "truth.png")
     show_study(study, config, out, text, as_json=as_json)
     show("", f"The truth of {'the arm' if robot else study.selected.records[0]} beside its estimates:")
-    show(truth_table(study, truth, config.statistics.level))
-    show("", *_conclusion(study, truth, config.statistics.level, out))
+    show(truth_table(study, truth))
+    show("", *_conclusion(study, truth, out))
     if progress.stopped:
         last = "the sets are those of the last iteration, and claim no interval"
         remark(f"stopped by Ctrl-C: {last if progress.cut else 'the sets are complete'}")
@@ -127,10 +127,10 @@ def _arm(
     return dataset, {record.name: truth for record in dataset.records}, {"identification.pooled": True}
 
 
-def _conclusion(study: "Study", truth: dict[str, float], level: float, out: Path) -> list[str]:
+def _conclusion(study: "Study", truth: dict[str, float], out: Path) -> list[str]:
     from hybrid_id.study.truth import against_truth
 
-    claims = [one.inside for one in against_truth(study, truth, level) if one.inside is not None]
+    claims = [one.inside for one in against_truth(study, truth) if one.inside is not None]
     fit, test = study.selection.mean[study.selection.index], list(study.test_nrmse.values())
     held = f", {100 * (1 - test[0]):.2f} % on the record that was held back" if test else ""
     return [

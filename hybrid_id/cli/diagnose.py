@@ -102,8 +102,8 @@ def diagnose(
     else:
         from hybrid_id.reporting.diagnosis import diagnosis_table
 
-        statistics, further = config.statistics, [NEXT] if (home / NEXT).exists() else []
-        show(diagnosis_table(diagnosis, statistics.reach, statistics.level, config.gap.max_effects))
+        further = [NEXT] if (home / NEXT).exists() else []
+        show(diagnosis_table(diagnosis, config.gap.max_effects))
         show(files_in(home, config, DIAGNOSIS, "model.yaml", "refit.yaml", *further))
     if diagnosis.interrupted:
         remark(
@@ -133,6 +133,7 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept")
             horizon=Horizon.of(config.identification.window),
             jobs=config.gap.jobs or fitting_jobs(dataset),
             seed=config.identification.seed,
+            level=config.statistics.level,
             signal_share=config.preprocessing.signal_share,
             kept=kept,
             progress=progress,
@@ -179,7 +180,6 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
 
         best = diagnosis.experiments[0]
         DataFrame({"t": best.time, **best.inputs}).to_csv(folder / NEXT, index=False, float_format="%.6g")
-    statistics = config.statistics
     write_report(
         folder,
         home,
@@ -187,8 +187,7 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
         "diagnose",
         figures=lambda: diagnosis_figures(diagnosis),
         page=lambda figures: diagnosis_page(
-            diagnosis, figures, reach=statistics.reach, level=statistics.level, max_effects=config.gap.max_effects,
-            findings=remarks(diagnosis.details.dataset),
+            diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
         facts=seed,

@@ -130,8 +130,8 @@ def run(
                     raise KeyboardInterrupt
 
             found = profiles(
-                dataset, study, config.statistics.profile, level=config.statistics.level,
-                options=settings["options"], signal_share=settings["signal_share"], progress=say,
+                dataset, study, config.statistics.profile, options=settings["options"],
+                signal_share=settings["signal_share"], progress=say,
             )  # fmt: skip
             study = replace(study, profiles=found)
         return study, progress

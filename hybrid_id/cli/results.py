@@ -89,18 +89,17 @@ def write_study(
     from hybrid_id.study import replay
     from hybrid_id.study.checks import study_residuals
 
-    reach, level = config.statistics.reach, config.statistics.level
     residuals = study_residuals(dataset, study, signal_share=config.preprocessing.signal_share)
-    content: dict[str, Any] = study_result(study, reach=reach, level=level)
+    content: dict[str, Any] = study_result(study)
     text = as_json(
         command, {"dataset": dataset.name} | content | {"residual_tests": residual_result(residuals)}
     )
     write_models(folder, home, study)
-    write_parameters(folder / "parameters.csv", study, reach)
+    write_parameters(folder / "parameters.csv", study)
 
     def figures() -> dict[str, Drawn]:
         runs = replay(dataset, study.selected.system, engine=study.selected.engine, horizon=study.horizon)
-        return study_figures(dataset, study, reach, runs)
+        return study_figures(dataset, study, runs)
 
     write_report(
         folder,
@@ -108,9 +107,7 @@ def write_study(
         config,
         command,
         figures=figures,
-        page=lambda drawn: study_page(
-            dataset, study, drawn, reach=reach, level=level, findings=remarks(dataset), residuals=residuals
-        ),
+        page=lambda drawn: study_page(dataset, study, drawn, findings=remarks(dataset), residuals=residuals),
         events=lambda place, images: write_study_events(place, study, images, curves=command != "train"),
         facts={"seed": config.identification.seed},
     )
@@ -129,5 +126,5 @@ def show_study(study: Study, config: StudyConfig, home: Path, text: str, *, as_j
         return show(text)
     from hybrid_id.reporting.study import study_table
 
-    show(study_table(study, config.statistics.reach, config.statistics.level))
+    show(study_table(study))
     show(files_in(home, config, "parameters.csv", RESULT, "model.yaml"))

@@ -126,7 +126,15 @@ def _physics(
         )  # fmt: skip
     interrupted = any(result.status == "interrupted" for result in sets)
     leave_without_checkpoint(home, interrupted=interrupted)
-    study = analyse_fits(dataset, system, sets, pooled=wish.pooled, seed=wish.seed, signal_share=share)
+    study = analyse_fits(
+        dataset,
+        system,
+        sets,
+        pooled=wish.pooled,
+        seed=wish.seed,
+        signal_share=share,
+        level=config.statistics.level,
+    )
     with added_results(home) as folder:
         text = write_study(folder, home, "train", config, dataset, study)
     show_study(study, config, home, text, as_json=as_json)
@@ -149,7 +157,7 @@ def _hybrid(
     from hybrid_id.study.hybrid import hybrid_residuals, physics_alone
     from hybrid_id.systems.model_file import save_model
 
-    share, reach, level = config.preprocessing.signal_share, config.statistics.reach, config.statistics.level
+    share = config.preprocessing.signal_share
     study = _trained(dataset, system, config, home, resume=resume)
     leave_without_checkpoint(home, interrupted=study.result.interrupted)
     residuals = hybrid_residuals(dataset, study, signal_share=share)
@@ -158,9 +166,7 @@ def _hybrid(
 
     def page(pictures: "dict[str, Drawn]") -> "Page":
         alone = physics_alone(dataset, study, signal_share=share)
-        return hybrid_page(
-            dataset, study, pictures, reach=reach, level=level, alone=alone, residuals=residuals
-        )
+        return hybrid_page(dataset, study, pictures, alone=alone, residuals=residuals)
 
     with added_results(home) as folder:
         save_model(study.result.system, folder / "model.yaml", home)
@@ -178,7 +184,7 @@ def _hybrid(
     if as_json:
         show(text)
     else:
-        show(hybrid_tables(study, dataset, reach, level))
+        show(hybrid_tables(study, dataset))
         show(files_in(home, config, RESULT, "model.yaml", "physics.yaml"))
     return study.result.interrupted
 
@@ -208,7 +214,7 @@ def _trained(
         return hybridise(
             dataset, system, engine=ode_engine(config), options=hybrid_options(config, wish),
             validation=wish.validation, device=config.identification.device,
-            signal_share=config.preprocessing.signal_share, writer=log, checkpoint=saved,
+            signal_share=config.preprocessing.signal_share, level=config.statistics.level, writer=log, checkpoint=saved,
             resume=saved if resume else None, progress=progress,
         )  # fmt: skip
 

@@ -233,13 +233,6 @@ class Statistics(Section):
     level: float = Field(default=0.95, gt=0, lt=1)
     profile: list[str] = []
 
-    @property
-    def reach(self) -> float:
-        """Half-width of an interval of this level in standard errors."""
-        from scipy.special import ndtri
-
-        return float(ndtri(0.5 + self.level / 2))
-
 
 class Output(Section):
     """Where the results go, and which.

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def fit_settings(config: StudyConfig) -> dict[str, Any]:
-    """Arguments of :func:`hybrid_id.study.identify` that the section `identification` decides."""
+    """Arguments of :func:`hybrid_id.study.identify` as a study file asks."""
     from hybrid_id.identification.horizons import Horizon
     from hybrid_id.identification.least_squares import Options
     from hybrid_id.identification.objective import Loss
@@ -26,6 +26,7 @@ def fit_settings(config: StudyConfig) -> dict[str, Any]:
         "seed": wish.seed,
         "device": wish.device,
         "signal_share": config.preprocessing.signal_share,
+        "level": config.statistics.level,
         "horizon": Horizon.of(wish.window),
         "engine": Engine(wish.friction, wish.substeps, wish.width),
         "options": Options(wish.max_iterations, wish.tolerance, loss=Loss(wish.loss, wish.threshold)),

@@ -12,7 +12,7 @@ from hybrid_id.identification.finite_differences import finite_difference_fit
 from hybrid_id.study import Study, analyse_fits, check_identifiability
 
 
-def as_identified(fits: Fits, model: Model, *, seed: int = 0) -> Study:
+def as_identified(fits: Fits, model: Model, *, seed: int = 0, level: float = 0.95) -> Study:
     """The statistics of `identify` for a model that a search has fitted: intervals, reliability, what is identified.
 
     A search keeps of its sensitivities only their products; here they are computed again, at the values where it has
@@ -23,6 +23,7 @@ def as_identified(fits: Fits, model: Model, *, seed: int = 0) -> Study:
         fits: the records of the last fit, and its horizon.
         model: the fitted model.
         seed: of the bootstrap.
+        level: confidence of the intervals.
     """
     found, system, dataset, share = model.result, model.system, fits.dataset, fits.signal_share
     batch = fits.batch(system)
@@ -35,7 +36,9 @@ def as_identified(fits: Fits, model: Model, *, seed: int = 0) -> Study:
         iterations=found.iterations,
         jacobian=tuple(_without(part, there.values, unseen) for part in there.jacobian),
     )
-    return analyse_fits(dataset, system, [there], pooled=True, batch=batch, seed=seed, signal_share=share)
+    return analyse_fits(
+        dataset, system, [there], pooled=True, batch=batch, seed=seed, signal_share=share, level=level
+    )
 
 
 def _without(jacobian: np.ndarray, values: np.ndarray, unseen: list[np.ndarray]) -> np.ndarray:

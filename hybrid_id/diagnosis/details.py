@@ -32,6 +32,7 @@ class Details:
         location: where the re-fitted model lacks a torque, best first.
         errors: of the corrected model on the test records; None without test records.
         seed: of the bootstrap.
+        level: confidence of the intervals.
     """
 
     def __init__(
@@ -43,8 +44,9 @@ class Details:
         errors: Errors | None,
         *,
         seed: int = 0,
+        level: float = 0.95,
     ) -> None:
-        self.nominal, self.seed = nominal, seed
+        self.nominal, self.seed, self.level = nominal, seed, level
         self._fits, self._fitted, self._location, self._errors = fits.on_all(), fitted, location, errors
 
     @property
@@ -72,7 +74,10 @@ class Details:
     @cached_property
     def studies(self) -> tuple[Study, ...]:
         """Each fitted model with the parameter statistics of ``identify``."""
-        return tuple(as_identified(self._fits, model, seed=self.seed) for model in self._fitted.values())
+        return tuple(
+            as_identified(self._fits, model, seed=self.seed, level=self.level)
+            for model in self._fitted.values()
+        )
 
     @cached_property
     def residual_tests(self) -> Mapping[str, tuple[ResidualTest, ...]]:

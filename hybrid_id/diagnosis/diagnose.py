@@ -59,6 +59,7 @@ def diagnose(
     max_effects: int = MAX_EFFECTS,
     jobs: int = 1,
     seed: int = 0,
+    level: float = 0.95,
     signal_share: float = SIGNAL_SHARE,
     kept: Kept | None = None,
     progress: Progress | None = None,
@@ -73,6 +74,7 @@ def diagnose(
         max_effects: effects at most.
         jobs: processes.
         seed: of the resampling.
+        level: confidence of the parameters' intervals.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         kept: fits that an earlier run has kept, and where those of this one are kept.
         progress: called with (stage, done, total).
@@ -94,7 +96,8 @@ def diagnose(
     say("location", 0, 1)
     answer = settle(fits, found, system, seed=seed)
     say("test records", 0, 1)
-    return report(dataset, system, answer, test(dataset, system, answer, seed=seed), skews=skews, seed=seed)
+    tested = test(dataset, system, answer, seed=seed)
+    return report(dataset, system, answer, tested, skews=skews, seed=seed, level=level)
 
 
 @dataclass(frozen=True, eq=False)
@@ -371,6 +374,7 @@ def report(
     *,
     skews: Sequence[Skew] = (),
     seed: int = 0,
+    level: float = 0.95,
 ) -> Diagnosis:
     """Stage report: all that a diagnosis shows and writes, in one object."""
     found, graded, fits = answer.found, answer.grade, answer.fits
@@ -409,5 +413,7 @@ def report(
         changes=_changes(answer, system),
         skews=tuple(one.message for one in skews),
         search=found,
-        details=Details(fits, system, found.fitted, answer.before, tested.with_effect, seed=seed),
+        details=Details(
+            fits, system, found.fitted, answer.before, tested.with_effect, seed=seed, level=level
+        ),
     )

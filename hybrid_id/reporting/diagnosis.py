@@ -47,29 +47,21 @@ TOP = 4
 """Effects that the terminal shows."""
 
 
-def summary(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> str:
-    """The diagnosis as plain text of at most 25 lines of 120 characters.
-
-    Args:
-        diagnosis: the result.
-        reach: half-width of an interval in standard errors.
-        level: level of the intervals of parameters.
-    """
+def summary(diagnosis: Diagnosis) -> str:
+    """The diagnosis as plain text of at most 25 lines of 120 characters."""
     console = Console(width=120, no_color=True, highlight=False, emoji=False)
     with console.capture() as captured:
-        console.print(diagnosis_table(diagnosis, reach, level))
+        console.print(diagnosis_table(diagnosis))
     return "\n".join(line.rstrip() for line in captured.get().rstrip().splitlines())
 
 
-def diagnosis_table(
-    diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95, max_effects: int | None = None
-) -> RenderableType:
+def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> RenderableType:
     """What the terminal shows of a diagnosis; ``max_effects`` is how many a search could add."""
     parts: list[RenderableType] = [Text(headline(diagnosis), style="bold")]
     parts += map(Text, error_lines(diagnosis))
     parts += [Text(line) for line in (where_line(diagnosis), disturbance_line(diagnosis)) if line]
     parts.append(effects_table(diagnosis, TOP))
-    parts += map(Text, value_lines(diagnosis, reach, level))
+    parts += map(Text, value_lines(diagnosis))
     remarks = (
         *tie_lines(diagnosis, brief=True)[:2],
         *varying_lines(diagnosis),
@@ -101,34 +93,27 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
     return table(("share of the gap>", "probability>", "effect", "where", ""), rows)
 
 
-def parameters_table(diagnosis: Diagnosis, reach: float = 1.96, level: float = 0.95) -> Table:
-    """Every estimated parameter in the nominal, the re-fitted and the corrected model, with intervals.
-
-    Args:
-        diagnosis: the result.
-        reach: half-width of an interval in standard errors.
-        level: level of the intervals.
-    """
+def parameters_table(diagnosis: Diagnosis) -> Table:
+    """Every estimated parameter in the nominal, the re-fitted and the corrected model, with intervals."""
     nominal, studies = diagnosis.details.nominal, diagnosis.details.studies
     last = studies[-1]
-    heads = [h for name in diagnosis.fitted for h in (f"{name}>", f"{100 * level:g} % interval")]
+    heads = [h for name in diagnosis.fitted for h in (f"{name}>", f"{100 * last.level:g} % interval")]
     rows = []
     models = (nominal, *(one.selected_model for one in studies))
     infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
     for name, info in infos.items():
-        cells = [cell for one in studies for cell in _estimate(one, name, reach)]
+        cells = [cell for one in studies for cell in _estimate(one, name)]
         grades = judged_cells(last, name) if name in last.names else []
         rows.append((name, info.doc, _value(nominal, name), *cells, info.spec.unit, *grades))
     return table(("parameter", "meaning", "nominal>", *heads, "unit", *JUDGED), rows)
 
 
-def _estimate(study: Study, name: str, reach: float) -> tuple[str, str]:
+def _estimate(study: Study, name: str) -> tuple[str, str]:
     """Value of a parameter in a fitted model, and its interval."""
     text = _value(study.selected_model, name)
     if name not in study.names:
         return text, ""
-    value = study.selected_model.parameter(name).spec.value
-    return text, interval_words(value, reach * float(study.standard_errors(0)[study.names.index(name)]))
+    return text, interval_words(*study.intervals(0)[study.names.index(name)])
 
 
 def _value(system: System, name: str) -> str:
@@ -187,8 +172,6 @@ def diagnosis_page(
     diagnosis: Diagnosis,
     figures: Mapping[str, Drawn],
     *,
-    reach: float,
-    level: float,
     max_effects: int | None = None,
     findings: Sequence[Finding] = (),
 ) -> Page:
@@ -197,8 +180,6 @@ def diagnosis_page(
     Args:
         diagnosis: the result.
         figures: its pictures by name.
-        reach: half-width of an interval in standard errors.
-        level: level of the intervals.
         max_effects: how many effects the search could add.
         findings: what the check of the records remarked.
     """
@@ -219,7 +200,7 @@ def diagnosis_page(
     )
     effects = page.section("Effects")
     picture(effects, "shares")
-    values = value_lines(diagnosis, reach, level)
+    values = value_lines(diagnosis)
     effects.add(effects_table(diagnosis, shown), *map(_sentence, (*values, *remarks)))
     others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
     if others:
@@ -239,8 +220,8 @@ def diagnosis_page(
     page.section("Parameters").add(
         *([diagnosis.changes] if diagnosis.changes else []),
         *map(_sentence, [*implausible_lines(diagnosis), *not_identifiable_lines(diagnosis)]),
-        parameters_table(diagnosis, reach, level),
-        *combinations_table(details.studies[-1], reach, level),
+        parameters_table(diagnosis),
+        *combinations_table(details.studies[-1]),
         _INTERVALS,
         LEGEND,
     )

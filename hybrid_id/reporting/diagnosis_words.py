@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from itertools import combinations
 
@@ -327,29 +326,27 @@ def caution_lines(diagnosis: Diagnosis, max_effects: int | None = None) -> list[
 # ---- words ----
 
 
-def value_lines(diagnosis: Diagnosis, reach: float, level: float) -> list[str]:
+def value_lines(diagnosis: Diagnosis) -> list[str]:
     """Parameters of the selected effects with their intervals, a line each."""
+    level = diagnosis.details.studies[-1].level
     return [
         f"{words_of(one.name)} ({joint_words(one.where)}, {place_words(one.where)}; {100 * level:g} % intervals): "
         f"{', '.join(values)}."
         for one in diagnosis.selected
-        if (values := values_of(diagnosis, one, reach))
+        if (values := values_of(diagnosis, one))
     ]
 
 
-def values_of(diagnosis: Diagnosis, one: Candidate, reach: float) -> list[str]:
+def values_of(diagnosis: Diagnosis, one: Candidate) -> list[str]:
     """Parameters of a selected effect as ``total play gap 0.012 (0.0116 to 0.0124) rad``.
 
     The interval is that of ``identify``, as in the table of parameters.
     """
     infos, study, found = _infos(diagnosis, one), diagnosis.details.studies[-1], []
-    for symbol, (value, error) in one.parameters.items():
-        info = infos.get(symbol)
-        if info is None:
-            continue
-        if info.name in study.names:
-            error = float(study.standard_errors(0)[study.names.index(info.name)])
-        found.append(f"{info.doc} {symbol} {measured(value, reach * error, info.spec.unit)}")
+    intervals = dict(zip(study.names, study.intervals(0), strict=True))
+    for symbol, (value, _) in one.parameters.items():
+        if info := infos.get(symbol):
+            found.append(f"{info.doc} {symbol} {measured(value, intervals.get(info.name), info.spec.unit)}")
     return found
 
 
@@ -359,12 +356,12 @@ def _infos(diagnosis: Diagnosis, one: Candidate) -> dict[str, ParameterInfo]:
     return {i.symbol: i for i in diagnosis.model.table if i.component in keys}
 
 
-def measured(value: float, half_width: float, unit: str) -> str:
+def measured(value: float, interval: Sequence[float] | None, unit: str) -> str:
     """A value with its interval and unit; what is held has no interval, what is not identified says so."""
     sure = ""
-    if half_width != 0:
-        known = math.isfinite(half_width)
-        sure = f" ({interval_words(value, half_width)})" if known else " (not identified)"
+    if interval is not None:
+        words = interval_words(*interval)
+        sure = " (not identified)" if words == "none" else f" ({words})"
     return f"{value:.4g}{sure}{'' if unit == '1' else f' {unit}'}"
 
 

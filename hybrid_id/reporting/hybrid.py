@@ -19,6 +19,7 @@ from hybrid_id.reporting.residuals import Residuals, residual_blocks
 from hybrid_id.reporting.study import LEGEND, bound_cells, judged_cells
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol
 from hybrid_id.reporting.tables import count, interval_words, records_table, table
+from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
 from hybrid_id.study.hybrid import DRIFT, HybridStudy, NetworkRole
 
@@ -65,25 +66,27 @@ def hybrid_result(study: HybridStudy) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def hybrid_tables(study: HybridStudy, dataset: Dataset, reach: float, level: float) -> RenderableType:
+def hybrid_tables(study: HybridStudy, dataset: Dataset) -> RenderableType:
     """Parameters, the ladder of prices, the networks and the errors, with the warnings in words."""
     warnings = (Text(warning, style="yellow") for warning in study.warnings)
-    tables = drift_table(study, reach, level), ladder_table(study), role_table(study.roles)
+    tables = drift_table(study), ladder_table(study), role_table(study.roles)
     return Group(*tables, error_table(study, dataset), *warnings)
 
 
-def drift_table(study: HybridStudy, reach: float, level: float, alone: Study | None = None) -> Table:
-    """Parameters without and with the networks; intervals of a level, ``reach`` standard errors to each side.
+def drift_table(study: HybridStudy, alone: Study | None = None) -> Table:
+    """Parameters without and with the networks, with their intervals.
 
     With the physics ``alone`` as `identify` would judge it, its reliability, the bounds and what speaks against a value
     are given, too, for which a terminal has no room.
     """
-    heads, rows = (f"{100 * level:g} % interval>", f"{100 * level:g} % interval >"), []
+    heads, rows = (f"{100 * study.level:g} % interval>", f"{100 * study.level:g} % interval >"), []
+    without = normal_interval(study.physics, study.physics_error, study.level)
+    with_networks = normal_interval(study.hybrid, study.hybrid_error, study.level)
     for k, name in enumerate(study.names):
         before, after, drift = study.physics[k], study.hybrid[k], study.drift[k]
         row = [
-            name, f"{before:.5g}", interval_words(before, reach * study.physics_error[k]), f"{after:.5g}",
-            interval_words(after, reach * study.hybrid_error[k]), study.units[k],
+            name, f"{before:.5g}", interval_words(*without[k]), f"{after:.5g}",
+            interval_words(*with_networks[k]), study.units[k],
             f"{drift:+.1f}" if math.isfinite(drift) else "unknown",
         ]  # fmt: skip
         if alone is not None:
@@ -213,8 +216,6 @@ def hybrid_page(
     study: HybridStudy,
     pictures: Mapping[str, Drawn],
     *,
-    reach: float,
-    level: float,
     alone: Study,
     residuals: Residuals,
 ) -> Page:
@@ -224,17 +225,13 @@ def hybrid_page(
         dataset: the records.
         study: the result.
         pictures: its pictures by name.
-        reach: half-width of an interval in standard errors.
-        level: level of the intervals.
         alone: physics alone as `identify` would judge it.
         residuals: tests of the residuals of physics alone and of the chosen system.
     """
     result = study.result
     page = Page(f"Physics and networks on {dataset.name}", _lead(study))
     warnings = (Text(f"{words[0].upper()}{words[1:]}.", style="yellow") for words in study.warnings)
-    parameters = page.section("Parameters").add(
-        drift_table(study, reach, level, alone), LEGEND, _RELIABLE, *warnings
-    )
+    parameters = page.section("Parameters").add(drift_table(study, alone), LEGEND, _RELIABLE, *warnings)
     networks = page.section("Networks")
     if result.chosen:
         parameters.figure(

@@ -356,7 +356,7 @@ def paper_page(result: Reproduction, figures: Mapping[str, Drawn], *, quick: boo
         "Errors at the link, mean ± standard deviation over the seeds.",
         tracking_table(result.tracking),
         "A mathematical model with too much inertia also closes a stiffer loop, since the gains act through it, and "
-        "friction moves that less: seed by seed such a model may beat IFLRM, on average it does not.",
+        "friction moves that less: a single seed may beat IFLRM; the table of claims has the paired test.",
     )
     tracking.figure(figures["tracking_spread"], "RMS error of every seed; the bar is their mean.")
     return page

@@ -15,6 +15,7 @@ from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
+from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, Replay, Study
 from hybrid_id.systems.model_file import save_model
 
@@ -25,11 +26,11 @@ def horizon_result(horizon: Horizon) -> dict[str, Any]:
     return {"kind": horizon.kind, "seconds": seconds, "words": str(horizon)}
 
 
-def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
+def study_result(study: Study) -> dict[str, Any]:
     """A study as plain data."""
     selection, variation, cross = study.selection, study.variation, study.cross_validation
-    values, half = study.selected.values, reach * study.standard_errors(selection.index)
-    intervals = zip(study.names, np.stack([values - half, values + half], axis=1), strict=True)
+    values, intervals = study.selected.values, study.intervals()
+    half = 0.5 * np.diff(normal_interval(values, study.standard_errors(selection.index), study.level))[:, 0]
     combinations = study.combinations
     reliability = {
         one.name: {
@@ -45,13 +46,16 @@ def study_result(study: Study, *, reach: float, level: float) -> dict[str, Any]:
         "horizon": horizon_result(study.horizon),
         "parameters": list(study.names),
         "units": list(study.selected.units),
-        "level": level,
+        "level": study.level,
         "selected": {
             "set": selection.name,
             "reason": selection.reason,
             "set_by_the_papers_rule": selection.paper_name,
             "values": dict(zip(study.names, values, strict=True)),
-            "intervals": {name: ends if np.isfinite(ends).all() else None for name, ends in intervals},
+            "intervals": {
+                name: ends if np.isfinite(ends).all() else None
+                for name, ends in zip(study.names, intervals, strict=True)
+            },
             "half_widths": dict(zip(study.names, half, strict=True)),  # of the intervals: its name until 0.2
         },
         "sets": [_set_result(study, i) for i in range(len(study.sets))],
@@ -190,8 +194,8 @@ def comparison_result(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def write_parameters(path: Path, study: Study, reach: float) -> None:
-    """One row for each parameter of each set: value, interval within the bounds, and whether it may be claimed.
+def write_parameters(path: Path, study: Study) -> None:
+    """One row for each parameter of each set: value, interval, and whether it may be claimed.
 
     At a bound the errors are not normal, so nothing is claimed there.
     """
@@ -200,12 +204,10 @@ def write_parameters(path: Path, study: Study, reach: float) -> None:
     rows = []
     for i, result in enumerate(study.sets):
         label, chosen = study.cross_validation.set_names[i], int(i == study.selection.index)
-        for name, value, unit, error in zip(
-            study.names, result.values, result.units, study.standard_errors(i), strict=True
-        ):
-            spec, known = result.system.parameter(name).spec, bool(np.isfinite(error))
-            ends = (min(max(value + side * reach * error, spec.lower), spec.upper) for side in (-1, 1))
-            interval = (f"{v:.6g}" if known else "" for v in (error, *ends))
+        errors, intervals = study.standard_errors(i), study.intervals(i)
+        for k, (name, value, unit) in enumerate(zip(study.names, result.values, result.units, strict=True)):
+            known = bool(np.isfinite(errors[k]))
+            interval = (f"{v:.6g}" if known else "" for v in (errors[k], *intervals[k]))
             flags = int(known), int(name in result.at_bound), result.status
             rows.append([label, chosen, name, f"{value:.10g}", unit, *interval, *flags])
     _write_rows(path, heads, rows)

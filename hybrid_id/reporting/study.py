@@ -23,36 +23,37 @@ from hybrid_id.reporting.tables import (
     table,
     two_a_row,
 )
+from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
 from hybrid_id.systems.chain import System
 
 LEGEND = (
     "reliability: good where the ways to compute the error agree (the plain covariance alone may be too confident), "
-    "doubtful where they disagree, not on its own where the value must not be used alone"
+    "doubtful where they disagree or std/mean is 30 % or more, not on its own where the value must not be used alone"
 )
 JUDGED = ("reliability", "lower bound>", "upper bound>", "why")
 _STYLE = {"good": "green", "doubtful": "yellow", "not on its own": "red"}
 
 
-def study_table(study: Study, reach: float, level: float, *, full: bool = False) -> RenderableType:
+def study_table(study: Study, *, full: bool = False) -> RenderableType:
     """Parameters of the selected set with intervals, their variation and reliability, and what follows.
 
     With ``full`` their bounds and the reasons of the reliability are given, too, for which a terminal has no room.
     """
-    errors, spread = reach * study.standard_errors(study.selection.index), study.variation
+    intervals, spread = study.intervals(), study.variation
     heads = ["parameter", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
-    heads += [f"{100 * level:g} % interval>", "unit"]
+    heads += [f"{100 * study.level:g} % interval>", "unit"]
     heads += [] if spread is None else ["mean of sets>", "std/mean>"]
     rows = []
     for k, name in enumerate(study.names):
         value = study.selected.values[k]
-        row = [name, f"{value:.5g}", interval_words(value, errors[k]), study.selected.units[k]]
+        row = [name, f"{value:.5g}", interval_words(*intervals[k]), study.selected.units[k]]
         if spread is not None:
             colour = "" if spread.acceptable[k] or spread.held[k] else "red"
             row += [f"{spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
         rows.append([*row, *judged_cells(study, name)[: None if full else 1]])
     found = table([*heads, *JUDGED[: None if full else 1]], rows)
-    return Group(found, *combinations_table(study, reach, level), *(Text(line) for line in _remarks(study)))
+    return Group(found, *combinations_table(study), *(Text(line) for line in _remarks(study)))
 
 
 def judged_cells(study: Study, name: str) -> list[Text]:
@@ -72,15 +73,16 @@ def bound_cells(system: System, name: str) -> list[Text]:
     return cells
 
 
-def combinations_table(study: Study, reach: float, level: float) -> list[Table]:
+def combinations_table(study: Study) -> list[Table]:
     """The functions of parameters that do have an interval where parameters alone have none; no table without any."""
     if study.identifiability.claimable.all():
         return []
     found, index = study.combinations, study.selection.index
-    heads = ["what is identified", "value>", f"{100 * level:g} % interval>"]
+    intervals = normal_interval(found.values[index], found.std_error[index], study.level)
+    heads = ["what is identified", "value>", f"{100 * study.level:g} % interval>"]
     rows = [
-        [name, f"{value:.5g}", interval_words(value, reach * error)]
-        for name, value, error in zip(found.names, found.values[index], found.std_error[index], strict=True)
+        [name, f"{value:.5g}", interval_words(*ends)]
+        for name, value, ends in zip(found.names, found.values[index], intervals, strict=True)
         if name not in study.names
     ]
     if not rows:
@@ -128,8 +130,6 @@ def study_page(
     study: Study,
     figures: Mapping[str, Drawn],
     *,
-    reach: float,
-    level: float,
     findings: Sequence[Finding] = (),
     residuals: Residuals | None = None,
 ) -> Page:
@@ -139,13 +139,11 @@ def study_page(
         dataset: the records.
         study: the result.
         figures: its pictures by name, with their interactive form.
-        reach: half-width of an interval in standard errors.
-        level: level of the intervals.
         findings: what the check of the records remarked.
         residuals: tests of the residuals of the selected set.
     """
     page = Page(f"Identification of {dataset.name}", _lead(dataset, study, residuals))
-    page.section("Parameters").add(study_table(study, reach, level, full=True))
+    page.section("Parameters").add(study_table(study, full=True))
     identified = page.section("What these records identify").add(identifiability_table(study.identifiability))
     residual, fits = page.section("Residuals"), page.section("Measured and simulated")
     if residuals:

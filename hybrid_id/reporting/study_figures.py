@@ -31,6 +31,7 @@ from hybrid_id.reporting.style import (
 )
 from hybrid_id.reporting.tables import count
 from hybrid_id.statistics.profile import Profile
+from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Comparison, Replay, Study
 from hybrid_id.study.truth import against_truth
 
@@ -42,37 +43,36 @@ MAX_NUMBERED = 14
 """Largest matrix whose cells are given as numbers too."""
 
 
-def study_figures(dataset: Dataset, study: Study, reach: float, runs: Sequence[Replay]) -> dict[str, Drawn]:
+def study_figures(dataset: Dataset, study: Study, runs: Sequence[Replay]) -> dict[str, Drawn]:
     """Every picture of a study by the name of its file, with its interactive form.
 
     Args:
         dataset: the records.
         study: the result.
-        reach: half-width of an interval in standard errors.
         runs: replays of all records by the selected set.
     """
-    figures = {"parameters": parameter_figure(study, reach)}
+    figures = {"parameters": parameter_figure(study)}
     if min(study.cross_validation.fits.shape[:2]) > 1:
         figures["cross_validation"] = cross_validation_figure(study)
     figures["residuals"] = residual_figure(study, dataset[study.selected.records[0]].sample_time)
     if study.profiles:
-        figures["profiles"] = profile_figure(study, reach)
+        figures["profiles"] = profile_figure(study)
     for run in runs:
         title = f"{run.record.name} ({run.record.role})"
         with_set = f"{title}, parameter set {study.selection.name}"
         title = with_set if len(with_set) < MAX_TITLE else title
         figures[f"fit_{run.record.name}"] = fit_figure(dataset, run, title)
     found = {name: drawn(figure) for name, figure in figures.items()}
-    return found | {"parameters": found["parameters"]._replace(plot=parameter_plot(study, reach))}
+    return found | {"parameters": found["parameters"]._replace(plot=parameter_plot(study))}
 
 
 @journal()
-def parameter_figure(study: Study, reach: float = 1.96) -> Figure:
-    """Every parameter over the experiments, with intervals of ``reach`` standard errors, mean and std/mean."""
+def parameter_figure(study: Study) -> Figure:
+    """Every parameter over the experiments, with its interval, mean and std/mean."""
     count = len(study.names)
     columns = 3 if count in (3, 5, 6, 9) else min(4, count)
     rows = math.ceil(count / columns)
-    errors = np.array([study.standard_errors(i) for i in range(len(study.sets))])
+    intervals = np.array([study.intervals(i) for i in range(len(study.sets))])
     longest = max(len(shortened(name, MAX_NAME)) for name in study.cross_validation.set_names)
     figure = new_figure(1.45 * rows + 0.5 + 0.045 * longest, WIDTH * columns / 4 if columns > 1 else 3.5)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
@@ -80,11 +80,11 @@ def parameter_figure(study: Study, reach: float = 1.96) -> Figure:
         if k >= count:
             axes.set_axis_off()
             continue
-        _parameter(axes, study, k, reach * errors[:, k])
+        _parameter(axes, study, k, intervals[:, k])
     for k in range(max(0, count - columns), count):
         grid.flat[k].tick_params(labelbottom=True)
         grid.flat[k].set_xlabel("set" if study.pooled else "record")
-    if not np.isfinite(errors).all():
+    if not np.isfinite(intervals).all():
         grid.flat[0].plot(
             [], [], "o", ms=3.5, mfc="white", mec=COLOURS[0], label="no interval may be claimed"
         )
@@ -92,10 +92,11 @@ def parameter_figure(study: Study, reach: float = 1.96) -> Figure:
     return figure
 
 
-def _parameter(axes: Axes, study: Study, k: int, reach: np.ndarray) -> None:
+def _parameter(axes: Axes, study: Study, k: int, intervals: np.ndarray) -> None:
     x = np.arange(len(study.sets))
     exponent = power_of_ten(study.values[:, k])
-    values, reach = study.values[:, k] / 10.0**exponent, reach / 10.0**exponent
+    values = study.values[:, k] / 10.0**exponent
+    sides = np.abs(intervals / 10.0**exponent - values[:, None])  # to the lower and the upper end
     spec = study.system.parameter(study.names[k]).spec
     selected = study.selection.index
     if spec.prior_std is not None and spec.prior_mean is not None:
@@ -107,8 +108,8 @@ def _parameter(axes: Axes, study: Study, k: int, reach: np.ndarray) -> None:
     axes.plot([], [], "o", ms=4.5, color=COLOURS[1], label="selected")
     for i in x:
         colour, size = (COLOURS[1], 4.5) if i == selected else (COLOURS[0], 3.5)
-        known = bool(np.isfinite(reach[i]))
-        bar = reach[i] if known else None
+        known = bool(np.isfinite(sides[i]).all())
+        bar = sides[i][:, None] if known else None
         axes.errorbar(
             x[i], values[i], yerr=bar, fmt="o", ms=size, mfc=colour if known else "white", mec=colour, ecolor=colour,
             elinewidth=0.9, capsize=1.8, capthick=0.9,
@@ -225,11 +226,11 @@ def residual_figure(study: Study, sample_time: float) -> Figure:
 
 
 @journal()
-def truth_figure(study: Study, truth: Mapping[str, float], level: float = 0.95) -> Figure:
+def truth_figure(study: Study, truth: Mapping[str, float]) -> Figure:
     """Selected set against known values: relative error of each parameter with its interval."""
-    rows = against_truth(study, truth, level)
+    rows = against_truth(study, truth)
     errors = [100 * one.relative_error for one in rows]
-    halves = [100 * one.half_width / abs(one.truth) for one in rows]
+    halves = [50 * (one.interval[1] - one.interval[0]) / abs(one.truth) for one in rows]
     finite = [half for half in halves if np.isfinite(half)]
     far = 4.0 * float(np.median(finite)) if finite else np.inf  # one wide interval must not hide all others
     figure = new_figure(0.21 * len(rows) + 0.8, 4.5)
@@ -275,15 +276,15 @@ COLUMNS, TOP = 3, 2.5
 
 
 @journal()
-def profile_figure(study: Study, reach: float = 1.96) -> Figure:
-    """Rise of the cost over each profiled parameter by its threshold, and the parabola of ``reach`` standard errors."""
+def profile_figure(study: Study) -> Figure:
+    """Rise of the cost over each profiled parameter by its threshold, and the parabola of its standard error."""
     count = len(study.profiles)
     columns = min(COLUMNS, count)
     rows = math.ceil(count / columns)
     figure = new_figure(1.9 * rows + 0.3, WIDTH * columns / COLUMNS if columns > 1 else 3.5)
     grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for axes, (name, profile) in zip(grid.flat, study.profiles.items(), strict=False):
-        _panel(axes, study, name, profile, reach)
+        _panel(axes, study, name, profile)
     for axes in list(grid.flat)[count:]:
         axes.set_axis_off()
     for axes in grid[:, 0]:
@@ -291,7 +292,7 @@ def profile_figure(study: Study, reach: float = 1.96) -> Figure:
     return figure
 
 
-def _panel(axes: Axes, study: Study, name: str, profile: Profile, reach: float) -> None:
+def _panel(axes: Axes, study: Study, name: str, profile: Profile) -> None:
     k, index = study.names.index(name), study.selection.index
     estimate = study.selected.values[k]
     minimum = profile.costs[np.argmin(np.abs(profile.values - estimate))]
@@ -303,8 +304,9 @@ def _panel(axes: Axes, study: Study, name: str, profile: Profile, reach: float) 
     axes.plot(factor * estimate, 0.0, "o", ms=4.5, color=COLOURS[1])
     error = study.standard_errors(index)[k]
     if np.isfinite(error):
+        half = 0.5 * float(np.diff(normal_interval(estimate, error, study.level))[0])
         value = np.linspace(profile.values.min(), profile.values.max(), 100)
-        axes.plot(factor * value, ((value - estimate) / (reach * error)) ** 2, color=GREY, lw=0.8)
+        axes.plot(factor * value, ((value - estimate) / half) ** 2, color=GREY, lw=0.8)
     axes.axhline(1.0, color="black", lw=0.8, ls="--")
     for end in ends:
         axes.axvline(factor * end, color=COLOURS[0], lw=0.8, ls=":")
@@ -410,19 +412,19 @@ def _moving(inputs: Mapping[str, np.ndarray]) -> list[str]:
     return sorted(moving, key=lambda name: stem(name) in settings)[:MAX_INPUTS]
 
 
-def parameter_plot(study: Study, reach: float) -> Plot:
+def parameter_plot(study: Study) -> Plot:
     """Difference of every parameter from the selected set's [%], with intervals where one may be claimed."""
     names, chosen = list(study.cross_validation.set_names), study.selection.index
-    errors = np.array([study.standard_errors(i) for i in range(len(study.sets))])
+    intervals = np.array([study.intervals(i) for i in range(len(study.sets))])
     data = []
     for k, name in enumerate(study.names):
         base = study.values[chosen, k]
         if base == 0:
             continue
-        known = np.isfinite(errors[:, k])
+        below, above = np.nan_to_num(np.abs(intervals[:, k] - study.values[:, k, None])).T * 100 / abs(base)
         curve: Plot = {"type": "scatter", "mode": "markers", "x": names, "name": name, "visible": True}
         curve["y"] = short(100 * (study.values[:, k] / base - 1.0))
-        curve["error_y"] = {"array": short(np.where(known, 100 * reach * errors[:, k] / abs(base), 0.0))}
+        curve["error_y"] = {"array": short(above), "arrayminus": short(below), "symmetric": False}
         curve["marker"] = {"color": COLOURS[k % len(COLOURS)], "symbol": SYMBOLS[k % len(SYMBOLS)], "size": 8}
         curve["text"] = [f"{value:.4g}" for value in study.values[:, k]]
         data.append(curve | {"hovertemplate": f"{name} = %{{text}}, set %{{x}}<extra></extra>"})

@@ -149,26 +149,27 @@ def comparison_table(comparison: Comparison) -> Table:
     return found
 
 
-def truth_table(study: Study, truth: Mapping[str, float], level: float) -> Table:
+def truth_table(study: Study, truth: Mapping[str, float]) -> Table:
     """Known values beside the estimates of the selected set."""
-    heads = ("parameter", "truth>", "estimate>", f"{100 * level:g} % interval>", "unit", "off by>")
+    heads = ("parameter", "truth>", "estimate>", f"{100 * study.level:g} % interval>", "unit", "off by>")
     rows = []
-    for one in against_truth(study, truth, level):
+    for one in against_truth(study, truth):
         inside = Text("yes", style="green") if one.inside else Text("no", style="yellow")
         inside = Text("none claimed", style="dim") if one.inside is None else inside
-        interval = interval_words(one.estimate, one.half_width)
+        interval = interval_words(*one.interval)
         off = f"{100 * one.relative_error:+.2f} %"
         rows.append((one.name, f"{one.truth:.5g}", f"{one.estimate:.5g}", interval, one.unit, off, inside))
     return table((*heads, "in the interval"), rows)
 
 
-def interval_words(value: float, half_width: float) -> str:
-    """An interval around a value as it is printed, with digits enough for its ends to differ; none where unbounded."""
-    if not math.isfinite(half_width):
+def interval_words(low: float, high: float) -> str:
+    """An interval as it is printed, with digits enough for its ends to differ; ``none`` where it has no ends."""
+    if not (math.isfinite(low) and math.isfinite(high)):
         return "none"
-    narrow = math.ceil(math.log10(abs(value) / half_width)) if value and half_width else 0
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    narrow = math.ceil(math.log10(abs(middle) / half)) if middle and half else 0
     digits = min(max(4, narrow + 2), 12)
-    return f"{value - half_width:.{digits}g} to {value + half_width:.{digits}g}"
+    return f"{low:.{digits}g} to {high:.{digits}g}"
 
 
 def count(number: int, noun: str) -> str:

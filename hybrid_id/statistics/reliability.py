@@ -1,4 +1,4 @@
-"""Reliability of each parameter: how far the ways to compute its error agree."""
+"""Reliability of each parameter: how far the ways to compute its error agree, and how far single sets do."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ class Reliability:
 
     Attributes:
         name: Parameter.
-        grade: A: all ways agree. B: the plain covariance is too confident, the others agree. C: the others disagree;
-            take the largest. D: do not use the value on its own.
+        grade: A: all ways agree. B: the plain covariance is too confident, the others agree. C: the others disagree,
+            so take the largest, or single sets differ by more than the 30 % rule allows. D: do not use the value on
+            its own.
         std_error: The standard error to use: the largest of all; inf where it is not identifiable.
         reason: Why, in words.
     """
@@ -48,6 +49,7 @@ def reliability_grades(
     not_identifiable: Collection[str] = (),
     at_bound: Collection[str] = (),
     held: Collection[str] = (),
+    scattered: Mapping[str, float] | None = None,
 ) -> tuple[Reliability, ...]:
     """Grades A to D from standard errors computed in several ways.
 
@@ -60,6 +62,7 @@ def reliability_grades(
         not_identifiable: Names of parameters whose own interval may not be claimed (`identifiability`).
         at_bound: Names of parameters at a bound.
         held: Names of parameters that are fixed or held by a prior.
+        scattered: std/mean over the experiments [%] of the parameters that the 30 % rule refuses, by name.
     """
     grades = []
     for k, name in enumerate(names):
@@ -77,6 +80,8 @@ def reliability_grades(
             )
         else:
             grade, reason = _compare(errors, float(estimate[k]))
+            if grade in "AB" and name in (scattered or {}):
+                grade, reason = "C", f"single sets differ: std/mean is {(scattered or {})[name]:.0f} %"
             grades.append(Reliability(name, grade, largest, reason))
     return tuple(grades)
 

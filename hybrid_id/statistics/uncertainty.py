@@ -46,10 +46,11 @@ class Covariance:
     lag: int
     inverse_hessian: np.ndarray
 
-    def interval(self, estimate: np.ndarray, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Normal confidence interval (lower, upper), each (p,)."""
-        reach = ndtri(0.5 + level / 2) * self.std_error
-        return np.asarray(estimate) - reach, np.asarray(estimate) + reach
+
+def normal_interval(estimate: np.ndarray, std_error: np.ndarray, level: float) -> np.ndarray:
+    """Normal confidence intervals (lower, upper), ``(p, 2)``; NaN where the standard error is not finite."""
+    reach = float(ndtri(0.5 + level / 2)) * np.where(np.isfinite(std_error), std_error, np.nan)
+    return np.stack([estimate - reach, estimate + reach], axis=-1)
 
 
 def covariance(

@@ -264,7 +264,6 @@ def profiles(
     study: Study,
     names: Sequence[str],
     *,
-    level: float = 0.95,
     options: Options | None = None,
     signal_share: float = SIGNAL_SHARE,
     progress: Callable[[str], object] | None = None,
@@ -278,7 +277,6 @@ def profiles(
         dataset: of the study.
         study: whose selected set is profiled.
         names: of parameters that it estimates.
-        level: confidence of the intervals.
         options: settings of the fits; those of the study's own.
         signal_share: as in the study.
         progress: called with words before each fit.
@@ -319,7 +317,7 @@ def profiles(
             minimum=2.0 * best.cost,
             step=max(errors) if known else FIRST_STEP * abs(best.values[k]) or FIRST_STEP,
             noise_variance=variance,
-            level=level,
+            level=study.level,
             bounds=(spec.lower, spec.upper),
         )
 

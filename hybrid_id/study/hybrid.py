@@ -53,6 +53,7 @@ class HybridStudy:
         roles: what each network of the chosen system does on the train records; of the lowest price where physics alone
             is chosen.
         errors: RMS of the weighted output error by record, physics and hybrid; 1 is the noise floor.
+        level: confidence of all intervals.
         pooled, own: RMS of the weighted residuals of physics alone on the train records, with one set of parameters for
             all and with a set for each.
     """
@@ -69,6 +70,7 @@ class HybridStudy:
     errors: dict[str, tuple[float, float]]
     pooled: float
     own: float
+    level: float = 0.95
 
     @property
     def drift(self) -> np.ndarray:
@@ -111,7 +113,9 @@ def physics_alone(dataset: Dataset, study: HybridStudy, *, signal_share: float =
     """The physics alone of a hybrid training as :func:`hybrid_id.study.identify` would judge it."""
     physics = study.result.physics
     fitted = dataset.select(physics.records)  # the others have validated
-    return analyse_fits(fitted, physics.system, [physics], pooled=True, signal_share=signal_share)
+    return analyse_fits(
+        fitted, physics.system, [physics], pooled=True, signal_share=signal_share, level=study.level
+    )
 
 
 def hybridise(
@@ -123,6 +127,7 @@ def hybridise(
     validation: Sequence[str] | None = None,
     device: str = "cpu",
     signal_share: float = SIGNAL_SHARE,
+    level: float = 0.95,
     writer: Writer | None = None,
     checkpoint: Path | None = None,
     resume: Path | None = None,
@@ -138,6 +143,7 @@ def hybridise(
         validation: names of the records that choose price and end (default: see :func:`split`).
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        level: confidence of the intervals.
         writer: takes the course of the training.
         checkpoint: file that holds the training.
         resume: checkpoint to go on from.
@@ -166,7 +172,7 @@ def hybridise(
         result, tuple(r.name for r in held), tuple(i.name for i in info), tuple(i.spec.unit for i in info),
         values[0], values[1], first.errors, chosen.errors, roles,
         {name: (misses[0][name], misses[1][name]) for name in everything.names},
-        result.physics.noise_scale, own,
+        result.physics.noise_scale, own, level,
     )  # fmt: skip
 
 

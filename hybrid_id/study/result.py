@@ -15,7 +15,7 @@ from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.profile import Profile
 from hybrid_id.statistics.reliability import Reliability
 from hybrid_id.statistics.residuals import Whiteness, whiteness
-from hybrid_id.statistics.uncertainty import Covariance
+from hybrid_id.statistics.uncertainty import Covariance, normal_interval
 from hybrid_id.statistics.variation import Variation, variation
 from hybrid_id.systems.chain import System
 
@@ -56,6 +56,7 @@ class Study:
         engine_error: largest change of an estimate in standard errors when the step is halved.
         horizon: how long the free runs are that were fitted and compared with the records.
         profiles: profile likelihoods of the selected set's parameters, by name, as far as they were asked for.
+        level: confidence of all intervals.
     """
 
     system: System
@@ -72,6 +73,7 @@ class Study:
     engine_error: float
     horizon: Horizon = WHOLE
     profiles: Mapping[str, Profile] = field(default_factory=dict)
+    level: float = 0.95
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -105,6 +107,18 @@ class Study:
         free = [name not in self.sets[index].at_bound for name in self.names]
         return np.where(self.identifiability.claimable & np.array(free), larger, np.inf)
 
+    def intervals(self, index: int | None = None) -> np.ndarray:
+        """Intervals of a set (default: the selected one), within the bounds of the parameters, ``(n_parameters, 2)``.
+
+        NaN where none may be claimed.
+        """
+        index = self.selection.index if index is None else index
+        result = self.sets[index]
+        specs = [result.system.parameter(name).spec for name in self.names]
+        bounds = np.array([(spec.lower, spec.upper) for spec in specs])
+        ends = normal_interval(result.values, self.standard_errors(index), self.level)
+        return np.clip(ends, bounds[:, :1], bounds[:, 1:])
+
     @property
     def test_error(self) -> float:
         """Mean of the normalised RMSE over the test records that move; NaN where none does."""
@@ -136,16 +150,15 @@ class Study:
 
     def summary(self) -> str:
         """The study in a page: parameters with intervals and grades, variation, cross-validation, selection."""
-        index = self.selection.index
-        errors, grades = self.standard_errors(index), {t.name: t for t in self.reliability}
+        grades = {t.name: t for t in self.reliability}
         lines = [f"{'pooled' if self.pooled else 'selected'} set: {self.selected.summary().splitlines()[0]}"]
         width = max(map(len, self.names))
-        rows = zip(self.names, self.selected.values, errors, self.selected.units, strict=True)
-        for k, (name, value, error, unit) in enumerate(rows):
-            reach = f"± {1.96 * error:.2g}" if np.isfinite(error) else "(no interval)"
+        rows = zip(self.names, self.selected.values, self.intervals(), self.selected.units, strict=True)
+        for k, (name, value, (low, high), unit) in enumerate(rows):
+            interval = f"{low:.4g} to {high:.4g}" if np.isfinite(low) else "(no interval)"
             spread = "" if self.variation is None else f"  std/mean {self.variation.percent[k]:.2f} %"
             lines.append(
-                f"  {name:<{width}}  {value:11.5g} {reach:>14} {unit:<10}{spread}  reliability: {grades[name].words}"
+                f"  {name:<{width}}  {value:11.5g}  {interval:<24} {unit:<10}{spread}  {grades[name].words}"
             )
         lines += [] if self.horizon.kind == "whole" else [f"horizon: {self.horizon}"]
         lines.append(self.identifiability.summary())

@@ -50,6 +50,7 @@ def identify(
     device: str = "cpu",
     signal_share: float = SIGNAL_SHARE,
     horizon: Horizon | None = None,
+    level: float = 0.95,
     jobs: int = 1,
     progress: Progress | None = None,
 ) -> Study:
@@ -67,6 +68,7 @@ def identify(
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long the free runs are that are fitted and compared with the records (default: whole records where
             they follow them, otherwise see :func:`hybrid_id.identification.horizons.choose_horizon`).
+        level: confidence of the intervals.
         jobs: processes that share the records; one where they share a parameter set.
         progress: see :func:`hybrid_id.identification.fit.fit`; with several processes its method ``watch``, where it
             has one, is told the file that ends them all.
@@ -88,7 +90,14 @@ def identify(
             watch=getattr(progress, "watch", None),
         )  # fmt: skip
         return analyse_fits(
-            dataset, system, sets, pooled=False, seed=seed, signal_share=signal_share, horizon=horizon
+            dataset,
+            system,
+            sets,
+            pooled=False,
+            seed=seed,
+            signal_share=signal_share,
+            horizon=horizon,
+            level=level,
         )
     batch = batch_of(dataset, system, dataset.train, signal_share, device)
     model = copy.deepcopy(system).to(device)  # the caller's stays where it is
@@ -121,6 +130,7 @@ def identify(
         seed=seed,
         signal_share=signal_share,
         horizon=horizon,
+        level=level,
     )
 
 
@@ -134,6 +144,7 @@ def analyse_fits(
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
     horizon: Horizon = WHOLE,
+    level: float = 0.95,
 ) -> Study:
     """The statistics of parameter sets, however they were found; arguments as in :func:`identify`."""
     batch = batch_of(dataset, system, dataset.train, signal_share) if batch is None else batch.to("cpu")
@@ -160,6 +171,16 @@ def analyse_fits(
     names = sets[0].names
     errors = _standard_errors(sets, plain, robust, pooled, seed)
     held = [n for n, share in zip(names, told.prior_share, strict=True) if share > 0.5]
+    spread = variation(values, names, held=held) if len(sets) > 1 else None
+    scattered = (
+        {}
+        if spread is None
+        else {
+            n: p
+            for n, p, fine in zip(names, spread.percent, spread.acceptable, strict=True)
+            if not fine and n not in held
+        }
+    )
     reliability = reliability_grades(
         names,
         np.nanmean(values, 0),
@@ -167,15 +188,15 @@ def analyse_fits(
         not_identifiable=told.not_claimable,
         at_bound=chosen.at_bound,
         held=held,
+        scattered=scattered,
     )
     if any(result.left_early for result in sets):
         why = "a fit was stopped before its end, so that its values are no estimate; let it finish"
         reliability = tuple(Reliability(name, "D", math.inf, why) for name in names)
     test = test_nrmse(dataset, chosen, signal_share, horizon)
-    spread = variation(values, names, held=held) if len(sets) > 1 else None
     return Study(
         system, tuple(sets), pooled, spread, plain, robust, told, reliability, matrix, selection, test,
-        engine_error(chosen, batch), horizon=horizon,
+        engine_error(chosen, batch), horizon=horizon, level=level,
     )  # fmt: skip
 
 

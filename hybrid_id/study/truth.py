@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from scipy.special import ndtri
-
 from hybrid_id.study.result import Study
 
 
@@ -18,14 +16,14 @@ class Recovery:
     Attributes:
         name: of the parameter; unit: its unit.
         truth, estimate: in that unit.
-        half_width: half of the interval; inf where none may be claimed.
+        interval: its ends; NaN where none may be claimed.
     """
 
     name: str
     unit: str
     truth: float
     estimate: float
-    half_width: float
+    interval: tuple[float, float]
 
     @property
     def relative_error(self) -> float:
@@ -35,16 +33,16 @@ class Recovery:
     @property
     def inside(self) -> bool | None:
         """Whether the interval holds the truth; None where none may be claimed."""
-        return abs(self.estimate - self.truth) <= self.half_width if math.isfinite(self.half_width) else None
+        low, high = self.interval
+        return low <= self.truth <= high if math.isfinite(low) else None
 
 
-def against_truth(study: Study, truth: Mapping[str, float], level: float = 0.95) -> list[Recovery]:
-    """The parameters of the selected set whose truth is known, with intervals of a level."""
-    chosen, errors = study.selected, study.standard_errors(study.selection.index)
-    reach = float(ndtri(0.5 + level / 2))
-    rows = zip(study.names, chosen.units, chosen.values, reach * errors, strict=True)
+def against_truth(study: Study, truth: Mapping[str, float]) -> list[Recovery]:
+    """The parameters of the selected set whose truth is known, with the study's intervals."""
+    chosen = study.selected
+    rows = zip(study.names, chosen.units, chosen.values, study.intervals(), strict=True)
     return [
-        Recovery(name, unit, truth[name], float(value), float(half))
-        for name, unit, value, half in rows
+        Recovery(name, unit, truth[name], float(value), (float(low), float(high)))
+        for name, unit, value, (low, high) in rows
         if name in truth
     ]

@@ -243,7 +243,7 @@ def test_tables_hold_every_effect_and_parameter(diagnosed) -> None:
 def test_one_interval_for_a_number(diagnosed) -> None:
     """The effect's line shows the interval of the table of parameters."""
     found = diagnosed[2]
-    (values,), parameters = value_lines(found, 1.96, 0.95), parameters_table(found)
+    (values,), parameters = value_lines(found), parameters_table(found)
     names = list(parameters.columns[0].cells)
     interval = str(list(parameters.columns[6].cells)[names.index("q_s")])
     assert f"({interval}) rad" in values and "(not identified) N m/rad" in values
@@ -285,7 +285,7 @@ def test_pictures_of_records_without_a_test(diagnosed) -> None:
 
 def test_page_has_the_headline_first_and_every_picture(diagnosed, figures) -> None:
     found = diagnosed[2]
-    text = diagnosis_page(found, figures, reach=1.96, level=0.95).html()
+    text = diagnosis_page(found, figures).html()
     titles = re.findall(r"<h2>(.*?)</h2>", text)
     assert titles == [
         "Effects", "Location", "Test records", "Parameters", "Residuals", "Ties and next experiment", "Records",

@@ -179,12 +179,12 @@ def test_a_value_far_from_its_prior_is_said(study: Study) -> None:
 
 
 def test_tables_claim_no_interval_where_there_is_none(study: Study) -> None:
-    words = text_of(study_table(study, 1.96, 0.95))
+    words = text_of(study_table(study))
     row = next(line for line in words.splitlines() if line.startswith("J "))
     assert "none" in row
     assert "J/P_m1" in words
     assert "may all be multiplied by one number" in text_of(identifiability_table(study.identifiability))
-    told = text_of(truth_table(study, TRUTH, 0.95))
+    told = text_of(truth_table(study, TRUTH))
     assert told.count("none claimed") == len(study.identifiability.not_claimable)
 
 
@@ -203,8 +203,8 @@ def test_study_that_identifies_nothing_has_no_combinations(study: Study) -> None
     told = identifiability(np.ones(p), study.names, jacobian=np.zeros((50, p)))
     nothing = replace(study, identifiability=told)
     assert nothing.combinations.values.shape == nothing.combinations.std_error.shape == (2, 0)
-    assert study_result(nothing, reach=1.96, level=0.95)["combinations"] == {}
-    assert "what is identified" not in text_of(study_table(nothing, 1.96, 0.95))
+    assert study_result(nothing)["combinations"] == {}
+    assert "what is identified" not in text_of(study_table(nothing))
     assert "what the records identify" not in text_of(identifiability_table(told))
     assert pixels(parameter_figure(nothing)).any()
 
@@ -213,12 +213,12 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
     def refuse(word: str) -> float:
         raise AssertionError(f"{word} is no JSON")
 
-    text = as_json("identify", study_result(study, reach=1.96, level=0.95))
+    text = as_json("identify", study_result(study))
     result = json.loads(text, parse_constant=refuse)
     assert result["selected"]["half_widths"]["J"] is result["selected"]["intervals"]["J"] is None
     assert result["reliability"]["J"]["words"] == "not on its own" and result["trust"]["J"]["grade"] == "D"
     assert result["program"].startswith("hybrid_id ")
-    write_parameters(tmp_path / "parameters.csv", study, 1.96)
+    write_parameters(tmp_path / "parameters.csv", study)
     with (tmp_path / "parameters.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * len(study.names)
@@ -230,7 +230,7 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
 
 
 def test_pictures_of_one_set_and_names_of_records(dataset: Dataset, study: Study, pooled: Study) -> None:
-    assert set(study_figures(dataset, pooled, 1.96, replay(dataset, pooled.selected.system))) == {
+    assert set(study_figures(dataset, pooled, replay(dataset, pooled.selected.system))) == {
         "parameters", "residuals", *(f"fit_run_{k}" for k in range(3)),
     }  # fmt: skip
     ticks = [text.get_text() for text in parameter_figure(study).axes[-2].get_xticklabels()]
@@ -256,14 +256,14 @@ def test_nothing_is_claimed_beyond_or_at_a_bound(study: Study, tmp_path: Path) -
     known = tuple(replace(c, std_error=0.1 * np.abs(first.values)) for c in study.covariances)
     sets = (stuck, *study.sets[1:])
     bounded = replace(study, sets=sets, identifiability=told, covariances=known, robust=known)
-    write_parameters(tmp_path / "parameters.csv", bounded, 1.96)
+    write_parameters(tmp_path / "parameters.csv", bounded)
     with (tmp_path / "parameters.csv").open() as file:
         row = list(csv.DictReader(file))[k]
     assert (row["claimable"], row["at_bound"]) == ("0", "1")
     assert row["std_error"] == row["lower"] == row["upper"] == ""
     for index in (0, 1):  # whichever is selected
         chosen = replace(bounded, selection=replace(study.selection, index=index))
-        assert "at a bound: F_v (in 1 of 2 sets)" in text_of(study_table(chosen, 1.96, 0.95))
+        assert "at a bound: F_v (in 1 of 2 sets)" in text_of(study_table(chosen))
 
 
 def test_a_fit_that_was_stopped_claims_no_interval(dataset: Dataset, study: Study) -> None:
@@ -274,4 +274,4 @@ def test_a_fit_that_was_stopped_claims_no_interval(dataset: Dataset, study: Stud
     assert np.isfinite(told.combinations.std_error[1]).any()
     assert {t.grade for t in told.reliability} == {"D"}
     assert "stopped before its end" in told.reliability[0].reason
-    assert "stopped by the user" in " ".join(text_of(study_table(told, 1.96, 0.95)).split())
+    assert "stopped by the user" in " ".join(text_of(study_table(told)).split())

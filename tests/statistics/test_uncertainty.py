@@ -12,6 +12,7 @@ from hybrid_id.statistics.uncertainty import (
     block_contributions,
     covariance,
     jackknife_covariance,
+    normal_interval,
     one_step_bootstrap,
     robust_covariance,
 )
@@ -52,7 +53,7 @@ def test_intervals_cover_as_often_as_they_say_under_correlation(regression, leas
     for e in noise:
         estimate, residual = least_squares(design, e)
         for found, way in ((robust, robust_covariance), (plain, covariance)):
-            lower, upper = way(design, residual).interval(estimate)
+            lower, upper = normal_interval(estimate, way(design, residual).std_error, 0.95).T
             found.append((lower < 0) & (upper > 0))
     assert 0.90 < np.mean(robust) < 0.98
     assert np.mean(plain) < 0.6
