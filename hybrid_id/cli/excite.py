@@ -1,5 +1,6 @@
 """`excite`: an excitation that moves the drive as much as its limits allow."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +11,12 @@ from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import JsonOption
 
 MAX_SAMPLES = 1_000_000
+
+
+class Act(StrEnum):
+    """How much play and flexibility of the gear are to act."""
+
+    MOST, LEAST = "most", "least"
 
 
 def excite(
@@ -24,6 +31,16 @@ def excite(
     sample_time: Annotated[float, typer.Option(help="Sample time in s.")] = 0.002,
     amplitude: Annotated[float, typer.Option(help="Peak, in the unit of the input (V).")] = 10.0,
     tones: Annotated[int, typer.Option(help="Number of tones, spread evenly over the band.", min=1)] = 20,
+    gear: Annotated[
+        Act | None,
+        typer.Option(
+            help="With --model: the part of the band in which play and flexibility of its gear act most, or least.",
+            show_default=False,
+        ),
+    ] = None,
+    model: Annotated[
+        Path | None, typer.Option("--model", "-m", help="Model whose gear has them.", show_default=False)
+    ] = None,
     rest: Annotated[
         float, typer.Option(help="Rest at zero before the signal in s, so that the start is known.")
     ] = 0.1,
@@ -62,6 +79,8 @@ def excite(
         )
     if not 0 < amplitude < np.inf:
         raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")
+    if (gear is None) != (model is None):
+        raise InputError("--gear and --model go together; give both or none")
     if file.is_dir():
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
     beside = file.with_suffix(".json")
@@ -73,6 +92,16 @@ def excite(
         picture = files.enter_context(result_file(plot, force=force)) if plot else None
         if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
             raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
+        parts = []
+        if gear is not None and model is not None:
+            from hybrid_id.study.excitation import bands_by_gear
+            from hybrid_id.systems.model_file import load_model
+
+            parts = bands_by_gear(
+                load_model(model), band, gear.value, sample_time=sample_time, duration=duration, amplitude=amplitude,
+                tones=tones,
+            )  # fmt: skip
+            band = parts[0].band
         design = design_multisine(
             band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones,
             starts=starts, seed=seed,
@@ -91,13 +120,21 @@ def excite(
             "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
             "sample_time": sample_time, "rest": sample_time * quiet, "band": band, "duration": duration,
             "amplitude": amplitude, "tones": tones, "starts": starts, "seed": seed, "file": str(file),
-            "plot": plot and str(plot),
+            "plot": plot and str(plot), "gear": gear, "model": model and str(model),
+            "gear_shares": [{"band": one.band, "share": one.share, "motion": one.motion} for one in parts],
         }  # fmt: skip
         text = as_json_text("excite", described)
         words.write_text(text + "\n", encoding="utf-8")
     if as_json:
         return show(text)
     gain = usual["random"] / design.crest_factor
+    if parts:
+        (low, high), (least, most) = band, sorted((parts[0].share, parts[-1].share))
+        show(
+            f"Between {low:.3g} and {high:.3g} Hz the gear's deflection is {100 * parts[0].share:.2g} % of the motor's "
+            f"motion, the {'largest' if gear is Act.MOST else 'smallest'} of {len(parts)} parts of the band "
+            f"({100 * least:.2g} to {100 * most:.2g} %)."
+        )
     show(
         f"{design.message}.",
         f"Schroeder's phases would give {usual['Schroeder']:.3f}, random phases {usual['random']:.3f} "
