@@ -1,5 +1,6 @@
 """`excite`: an excitation that moves the drive as much as its limits allow."""
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +10,7 @@ import typer
 from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import JsonOption
+from hybrid_id.errors import InputError
 
 MAX_SAMPLES = 1_000_000
 
@@ -57,28 +59,10 @@ def excite(
 
     import numpy as np
 
-    from hybrid_id.errors import InputError
     from hybrid_id.records.excitation import design_multisine, usual_crest_factors
     from hybrid_id.reporting.results import as_json as as_json_text
 
-    if not 0 <= rest < np.inf:
-        raise InputError(f"--rest is {rest:g} s; give 0 or more")
-    if not 0 < sample_time < np.inf:
-        raise InputError(f"--sample-time is {sample_time:g} s; give a number above 0")
-    if not 2 <= duration / sample_time <= MAX_SAMPLES:
-        raise InputError(
-            f"--duration {duration:g} s holds no 2 to {MAX_SAMPLES:,} samples of {sample_time:g} s; change one of them"
-        )
-    if not rest / sample_time <= MAX_SAMPLES:
-        raise InputError(
-            f"--rest {rest:g} s holds over {MAX_SAMPLES:,} samples of {sample_time:g} s; shorten it"
-        )
-    if not 0 <= band[0] <= band[1] < np.inf:
-        raise InputError(
-            f"--band is {band[0]:g} {band[1]:g}; give the lowest frequency first, none below 0 Hz"
-        )
-    if not 0 < amplitude < np.inf:
-        raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")
+    _refuse(rest, sample_time, duration, band, amplitude)
     if (gear is None) != (model is None):
         raise InputError("--gear and --model go together; give both or none")
     if file.is_dir():
@@ -142,3 +126,31 @@ def excite(
         f"{len(signal)} samples, {sample_time * len(signal):.6g} s with {sample_time * quiet:.3g} s of rest, in {file}"
         + (f"; picture in {plot}" if plot else ""),
     )
+
+
+def _refuse(
+    rest: float, sample_time: float, duration: float, band: tuple[float, float], amplitude: float
+) -> None:
+    """Refuse numbers that no signal can have.
+
+    Raises:
+        InputError: names the option.
+    """
+    if not 0 <= rest < math.inf:
+        raise InputError(f"--rest is {rest:g} s; give 0 or more")
+    if not 0 < sample_time < math.inf:
+        raise InputError(f"--sample-time is {sample_time:g} s; give a number above 0")
+    if not 2 <= duration / sample_time <= MAX_SAMPLES:
+        raise InputError(
+            f"--duration {duration:g} s holds no 2 to {MAX_SAMPLES:,} samples of {sample_time:g} s; change one of them"
+        )
+    if not rest / sample_time <= MAX_SAMPLES:
+        raise InputError(
+            f"--rest {rest:g} s holds over {MAX_SAMPLES:,} samples of {sample_time:g} s; shorten it"
+        )
+    if not 0 <= band[0] <= band[1] < math.inf:
+        raise InputError(
+            f"--band is {band[0]:g} {band[1]:g}; give the lowest frequency first, none below 0 Hz"
+        )
+    if not 0 < amplitude < math.inf:
+        raise InputError(f"--amplitude is {amplitude:g}; give a number above 0")

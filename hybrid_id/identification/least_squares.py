@@ -380,102 +380,172 @@ def minimise(
         progress: called after each iteration with (iteration, cost of each set, still running); true ends the fit.
         nodes: states to start from, ``(R, T, n_x)`` (default: the batch's guess).
     """
-    options, count, device = options or Options(), theta.shape[1], theta.device
-    batch, sets = problem.batch, problem.sets
-    theta, index = theta.clone(), torch.tensor(problem.free, device=device)
-    start = theta[index].abs().amax(1)
-    bounds = replace(problem.bounds, scale=torch.maximum(0.1 * start, problem.bounds.scale))
-    spread = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
-
-    start_nodes = batch.x if nodes is None else nodes
-    best = problem.at(batch, start_nodes, theta[:, sets], options.loss, options.chunk)
-    cost = problem.cost(best, theta, sets)
-    data = (
-        torch.zeros_like(cost)
-        .index_add(0, sets, (batch.weight > 0).sum((1, 2)).to(cost.dtype))
-        .clamp_min(1.0)
-    )
-    bounds = replace(bounds, scale=_scale(best, bounds, (2.0 * cost / data)[sets]))
-    status = ["max_iterations" if ok else "diverged" for ok in torch.isfinite(cost).tolist()]
-    running = torch.isfinite(cost).nonzero().flatten()
-    damping, growth = torch.full_like(cost, options.damping), torch.full_like(cost, 2.0)
-    iterations = torch.zeros(count, dtype=torch.long, device=device)
-    closing, again = (
-        torch.zeros_like(iterations, dtype=torch.bool),
-        torch.zeros_like(iterations, dtype=torch.bool),
-    )
-    curved, curved_nodes, nearest = theta.clone(), batch.x.clone(), torch.full_like(cost, torch.inf)
-    history = [cost.clone()]
-
-    def leave(mask: Tensor, reason: str) -> None:
-        for g in running[mask].tolist():
-            status[g] = reason
-
-    while running.numel() and int(iterations[running[0]]) < options.max_iterations:
-        local = torch.full((count,), -1, device=device)
-        local[running] = torch.arange(running.numel(), device=device)
-        rows = (local[sets] >= 0).nonzero().flatten()
-        group, part = local[sets[rows]], best.take(rows)
-        noise = (2.0 * cost[running] / data[running]).clamp_min(PERFECT)
-        step = lm_step(part, group, theta[index][:, running].T, damping[running], noise, spread[rows], bounds)
-        blur = _worst(part.defect, group, noise)
-        honest = (damping[running] < 1.0) & ~closing[running] & ~again[running]
-        nearest[running] = torch.where(honest, step.size, nearest[running])
-        short = honest & (step.size < options.tolerance)
-        done = short & (blur < SETTLED)
-        stuck = damping[running] >= STALLED
-        if bool((done | stuck).any()):
-            # kinks of dry friction can end the descent a fraction of a standard error early
-            leave(stuck, "stalled")
-            leave(done | (stuck & (nearest[running] < 0.3)), "converged")
-            running = running[~(done | stuck)]
+    descent = _Descent(problem, theta, options or Options(), nodes)
+    while descent.goes_on:
+        turn = descent.turn()
+        if descent.ended(turn):
             continue
-        # after a refusal whose yardstick still had open defects, close those before the next trial
-        shut, accelerated = closing[running], again[running]
-        going = (~shut).to(cost.dtype)
-        trial = theta[:, running].clone()
-        trial[index] = bounds.clip(step.values + going[:, None] * step.shift).T
-        trial = torch.where(accelerated, curved[:, running], trial)
-        x = torch.where(accelerated[group, None, None], curved_nodes[rows], step.nodes(part, going))
-        # near the end the nodes move so little that no event changes its sample: Newton closes the defects alone
-        chunk = 1 if bool(((blur < SHARP) & (step.size < 3.0)).all()) else options.chunk
-        tried = batch.take(rows)
-        new = problem.at(tried, x, trial[:, group], options.loss, chunk)
-        cycling = (new.defect > 2 * SETTLED * noise.sqrt()[group]) & (new.defect > 0.7 * part.defect)
-        cycling &= (shut | short)[group]
-        new = problem.close(new, tried, trial[:, group], cycling, short[group], options)
-        shut = shut.index_fill(0, group[cycling], True)
-        new_cost = problem.cost(new, trial, group)
-        gained = cost[running] - new_cost
-        accepted = torch.isfinite(new_cost) & ((gained >= -1e-9 * cost[running]) | shut)
-        redo = ~accepted & torch.isfinite(new_cost) & ~accelerated & ~shut
-        if bool(redo.any()):
-            values, curved_nodes[rows] = geodesic_acceleration(step, part, new, bounds, options.loss)
-            curved[:, running] = trial
-            curved[index[:, None], running] = values.T
-        again[running] = redo
-        closing[running] = ~accepted & ~redo & (blur > 2 * SETTLED)
-        iterations[running] += 1
-        keep = accepted[group].nonzero().flatten()
-        best = best.with_rows(rows[keep], new.take(keep))
-        theta[:, running[accepted]] = trial[:, accepted]
-        cost[running[accepted]] = new_cost[accepted]
-        history.append(cost.clone())
-        # curved valleys are long: a prediction that holds earns a much larger step at once
-        ratio = gained / step.predicted.clamp_min(1e-300)
-        ease = torch.where(ratio > 0.75, 0.1, torch.where(ratio > 0.25, 0.5, 2.0)).to(cost.dtype)
-        ease = torch.where(accelerated, 1.0, ease).where(accepted, growth[running]).where(~(shut | redo), 1.0)
-        growth[running] = torch.where(accepted, 2.0, torch.where(redo, 1.0, 2.0) * growth[running])
-        damping[running] = (damping[running] * ease).clamp(1e-12, STALLED)
-        if progress is not None and progress(int(iterations.max()), cost, running):
-            leave(torch.ones_like(running, dtype=torch.bool), "interrupted")
+        descent.take(turn)
+        if progress is not None and progress(int(descent.iterations.max()), descent.cost, descent.running):
+            descent.leave(torch.ones_like(descent.running, dtype=torch.bool), "interrupted")
             break
-    if not options.closed:
-        return Outcome(theta, cost, iterations, status, best, history)
-    noise = (2.0 * cost / data).clamp_min(PERFECT)
-    open_rows = best.defect > SETTLED * noise.sqrt()[sets]
-    best = problem.close(best, batch, theta[:, sets], open_rows, open_rows, options)
-    return Outcome(theta, problem.cost(best, theta, sets), iterations, status, best, history)
+    return descent.outcome()
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """What an iteration begins with: the sets that run, their rows, and where each would step.
+
+    Attributes:
+        rows: the rows of these sets, ``(R',)``, and ``group``, the set of each among those that run.
+        part: their last evaluation.
+        noise: variance of the weighted residuals of each set.
+        step: to be tried.
+        blur: largest defect of each set, in units of its residuals.
+        short: sets whose step is shorter than the tolerance, undamped.
+    """
+
+    rows: Tensor
+    group: Tensor
+    part: Evaluation
+    noise: Tensor
+    step: Step
+    blur: Tensor
+    short: Tensor
+
+
+class _Descent:
+    """A batched fit on its way: what every set has reached, how it is damped, and which sets still run.
+
+    Arguments as in :func:`minimise`.
+    """
+
+    def __init__(self, problem: LeastSquares, theta: Tensor, options: Options, nodes: Tensor | None) -> None:
+        batch, sets, count = problem.batch, problem.sets, theta.shape[1]
+        self.problem, self.options = problem, options
+        self.theta, self.index = theta.clone(), torch.tensor(problem.free, device=theta.device)
+        self.spread = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
+        start_nodes = batch.x if nodes is None else nodes
+        self.best = problem.at(batch, start_nodes, theta[:, sets], options.loss, options.chunk)
+        self.cost = problem.cost(self.best, theta, sets)
+        samples = (batch.weight > 0).sum((1, 2)).to(self.cost.dtype)
+        self.data = torch.zeros_like(self.cost).index_add(0, sets, samples).clamp_min(1.0)
+        start = theta[self.index].abs().amax(1)
+        bounds = replace(problem.bounds, scale=torch.maximum(0.1 * start, problem.bounds.scale))
+        scale = _scale(self.best, bounds, (2.0 * self.cost / self.data)[sets])
+        self.bounds = replace(bounds, scale=scale)
+        known = torch.isfinite(self.cost)
+        self.status = ["max_iterations" if ok else "diverged" for ok in known.tolist()]
+        self.running = known.nonzero().flatten()
+        self.damping, self.growth = (torch.full_like(self.cost, v) for v in (options.damping, 2.0))
+        self.iterations = torch.zeros(count, dtype=torch.long, device=theta.device)
+        # sets that have to close their defects, and sets whose refused step is tried again, bent
+        self.closing, self.again = (torch.zeros_like(known) for _ in range(2))
+        self.curved, self.curved_nodes = theta.clone(), batch.x.clone()
+        self.nearest = torch.full_like(self.cost, torch.inf)
+        self.history = [self.cost.clone()]
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether a set still runs and may take another step."""
+        running = self.running
+        return bool(running.numel()) and int(self.iterations[running[0]]) < self.options.max_iterations
+
+    @property
+    def noise(self) -> Tensor:
+        """Variance of the weighted residuals of each set, ``(G,)``."""
+        return (2.0 * self.cost / self.data).clamp_min(PERFECT)
+
+    def leave(self, mask: Tensor, reason: str) -> None:
+        """Give some of the sets that run their status."""
+        for g in self.running[mask].tolist():
+            self.status[g] = reason
+
+    def turn(self) -> _Turn:
+        """The rows of the sets that run, and the step of each."""
+        running, sets = self.running, self.problem.sets
+        local = torch.full_like(self.iterations, -1)
+        local[running] = torch.arange(running.numel(), device=local.device)
+        rows = (local[sets] >= 0).nonzero().flatten()
+        group, part, noise = local[sets[rows]], self.best.take(rows), self.noise[running]
+        values = self.theta[self.index][:, running].T
+        step = lm_step(part, group, values, self.damping[running], noise, self.spread[rows], self.bounds)
+        honest = (self.damping[running] < 1.0) & ~self.closing[running] & ~self.again[running]
+        self.nearest[running] = torch.where(honest, step.size, self.nearest[running])
+        short = honest & (step.size < self.options.tolerance)
+        return _Turn(rows, group, part, noise, step, _worst(part.defect, group, noise), short)
+
+    def ended(self, turn: _Turn) -> bool:
+        """Let go of the sets that have converged or stalled; whether there were any."""
+        done, stuck = turn.short & (turn.blur < SETTLED), self.damping[self.running] >= STALLED
+        if not bool((done | stuck).any()):
+            return False
+        self.leave(stuck, "stalled")
+        # kinks of dry friction can end the descent a fraction of a standard error early
+        self.leave(done | (stuck & (self.nearest[self.running] < 0.3)), "converged")
+        self.running = self.running[~(done | stuck)]
+        return True
+
+    def take(self, turn: _Turn) -> None:
+        """Try the step of every set that runs, and keep it where the cost falls."""
+        running, group, step, problem = self.running, turn.group, turn.step, self.problem
+        # after a refusal whose yardstick still had open defects, close those before the next trial
+        shut, accelerated = self.closing[running], self.again[running]
+        going = (~shut).to(self.cost.dtype)
+        trial = self.theta[:, running].clone()
+        trial[self.index] = self.bounds.clip(step.values + going[:, None] * step.shift).T
+        trial = torch.where(accelerated, self.curved[:, running], trial)
+        bent = accelerated[group, None, None]
+        x = torch.where(bent, self.curved_nodes[turn.rows], step.nodes(turn.part, going))
+        # near the end the nodes move so little that no event changes its sample: Newton closes the defects alone
+        near = bool(((turn.blur < SHARP) & (step.size < 3.0)).all())
+        tried = problem.batch.take(turn.rows)
+        new = problem.at(tried, x, trial[:, group], self.options.loss, 1 if near else self.options.chunk)
+        cycling = (new.defect > 2 * SETTLED * turn.noise.sqrt()[group]) & (
+            new.defect > 0.7 * turn.part.defect
+        )
+        cycling &= (shut | turn.short)[group]
+        new = problem.close(new, tried, trial[:, group], cycling, turn.short[group], self.options)
+        shut = shut.index_fill(0, group[cycling], True)
+        self._keep(turn, trial, new, shut, accelerated)
+
+    def _keep(self, turn: _Turn, trial: Tensor, new: Evaluation, shut: Tensor, accelerated: Tensor) -> None:
+        """Keep what was tried where the cost has fallen; say how each set is damped and what it tries next."""
+        running, step = self.running, turn.step
+        new_cost = self.problem.cost(new, trial, turn.group)
+        gained, finite = self.cost[running] - new_cost, torch.isfinite(new_cost)
+        accepted = finite & ((gained >= -1e-9 * self.cost[running]) | shut)
+        redo = ~accepted & finite & ~accelerated & ~shut
+        if bool(redo.any()):
+            values, nodes = geodesic_acceleration(step, turn.part, new, self.bounds, self.options.loss)
+            self.curved_nodes[turn.rows] = nodes
+            self.curved[:, running] = trial
+            self.curved[self.index[:, None], running] = values.T
+        self.again[running] = redo
+        self.closing[running] = ~accepted & ~redo & (turn.blur > 2 * SETTLED)
+        self.iterations[running] += 1
+        keep = accepted[turn.group].nonzero().flatten()
+        self.best = self.best.with_rows(turn.rows[keep], new.take(keep))
+        self.theta[:, running[accepted]] = trial[:, accepted]
+        self.cost[running[accepted]] = new_cost[accepted]
+        self.history.append(self.cost.clone())
+        # curved valleys are long: a prediction that holds earns a much larger step at once
+        ratio, growth = gained / step.predicted.clamp_min(1e-300), self.growth[running]
+        ease = torch.where(ratio > 0.75, 0.1, torch.where(ratio > 0.25, 0.5, 2.0)).to(self.cost.dtype)
+        ease = torch.where(accelerated, 1.0, ease).where(accepted, growth).where(~(shut | redo), 1.0)
+        self.growth[running] = torch.where(accepted, 2.0, torch.where(redo, 1.0, 2.0) * growth)
+        self.damping[running] = (self.damping[running] * ease).clamp(1e-12, STALLED)
+
+    def outcome(self) -> Outcome:
+        """The end of every set; its rows run freely where the options ask for that."""
+        problem, theta, options, best = self.problem, self.theta, self.options, self.best
+        if not options.closed:
+            return Outcome(theta, self.cost, self.iterations, self.status, best, self.history)
+        sets = problem.sets
+        open_rows = best.defect > SETTLED * self.noise.sqrt()[sets]
+        best = problem.close(best, problem.batch, theta[:, sets], open_rows, open_rows, options)
+        cost = problem.cost(best, theta, sets)
+        return Outcome(theta, cost, self.iterations, self.status, best, self.history)
 
 
 def _scale(e: Evaluation, bounds: Bounds, noise: Tensor) -> Tensor:
