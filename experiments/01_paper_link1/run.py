@@ -29,7 +29,10 @@ def redraw_priors(description, seed):
             values["nominal"] = config["truth"][name] + values["prior_std"] * random.normal()
 
 
-campaigns = {"without priors": Campaign(), "with data-sheet priors": Campaign()}
+campaigns = {
+    "without priors": Campaign(parameters=False),
+    "with data-sheet priors": Campaign(parameters=True),
+}
 for seed, (dataset, truths) in enumerate(make_campaigns(config, range(options.seeds))):
     for name, campaign in campaigns.items():
         description = model_description(config, seed, priors=name.startswith("with "))

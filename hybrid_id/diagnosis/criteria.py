@@ -12,15 +12,17 @@ class Criteria:
     Attributes:
         false_alarms: probability that a search over the whole catalogue names anything where nothing is missing; level
             of the sign-flip test over all candidates of a selection step.
-        least_fall: smallest relative fall of the mean square for which a first effect is named; a law's formula differs
-            between authors by about as much.
+        least_fall: smallest relative fall of the mean square for which a first effect is named that takes most of what
+            neighbouring samples have in common; a law's formula differs between authors by about as much.
         next_fall: the same beside another effect, whose own formula may leave what a further one can pick up.
-        completing_fall: the same beside another effect where what then remains is white.
+        completing_fall: the same for any other first effect; and beside another effect where what then remains is
+            white.
         distinct_fall: relative difference of the mean squares of two candidates below which these are
             indistinguishable, and
         distinct_z: standard errors of their difference below which they are, too.
         much: share of what the best explains that a simpler candidate has to explain to lead in its place, where both
-            leave structure that the records do not surely tell apart; and the relative fall of the mean square, from
+            leave structure that the records do not surely tell apart; share of the colour that a small first effect may
+            leave; and the relative fall of the mean square, from
             a model that leaves structure, that is no chance's.
         left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival; and
             the least share of the gap that a remainder has where something outside the catalogue is claimed.

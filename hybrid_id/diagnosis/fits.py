@@ -248,7 +248,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
         batch = fits.batch(task.system)
         hidden = fits.whole and hidden_links(task.system, batch)
         if not fits.whole:
-            result = _within(task, batch, iterations)
+            result = _over_windows(fits, task, batch, iterations)
         elif hidden or iterations <= COARSE:
             result = finite_difference_fit(
                 task.system, batch, engine=engine(), iterations=iterations, near=task.near, x0=task.x0
@@ -359,7 +359,7 @@ def _nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> FitRes
     ends = _both_ways(task.system, batch, iterations, task.cost, task.x0)
     if halting and iterations == FULL and min(coloured(end.residual) for end in ends) > CRITERIA.white:
         with suppress(InputError, RuntimeError):
-            near = _within(task, windows(task.system, engine(), batch, WINDOW), FINER)
+            near = _within(task.system, windows(task.system, engine(), batch, WINDOW), FINER)
             ends += _both_ways(near.system, batch, iterations, task.cost, None)
     return min(ends, key=lambda end: end.cost)
 
@@ -385,13 +385,27 @@ def _both_ways(
     return ends
 
 
-def _within(task: Task, batch: Batch, iterations: int) -> FitResult:
+def _over_windows(fits: Fits, task: Task, batch: Batch, iterations: int) -> FitResult:
+    """The fit to windows from the start, or from where a fit over short ones has ended, whichever ends lower.
+
+    Over long windows a model that sticks and slips, or rests in detents, is not linear: a fit may not move at all.
+    """
+    ends = [_within(task.system, batch, iterations)]
+    if fits.horizon.seconds > WINDOW and coloured(ends[0].residual) > CRITERIA.white:
+        with suppress(InputError, RuntimeError):
+            short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
+            near = _within(task.system, short, iterations)
+            ends.append(_within(near.system, batch, iterations))
+    return min(ends, key=lambda end: end.cost)
+
+
+def _within(start: System, batch: Batch, iterations: int) -> FitResult:
     """The fit to windows by exact sensitivities: a model is nearly linear over so short a time.
 
     Standard errors are those of the encoders' noise, of which the errors are many times here: half of one is little.
     """
     options = Options(max_iterations=iterations, tolerance=0.5)
-    result = fit(task.system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
+    result = fit(start, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
     if not np.isfinite(result.cost):
         raise RuntimeError("the start values diverge")
     return result

@@ -23,7 +23,7 @@ NAMED = 3
 BEYOND = 4.0
 """Variance of the sets along a direction, over that of their own errors, from which the records differ along it."""
 FAINT = 0.5
-"""RMS of weighted errors up to which their colour says nothing: that of an encoder's counts, which dwell at rest."""
+"""RMS of coloured errors up to which they say nothing: encoders whose counts rest, ripple or miss leave as much."""
 TOLD = 1e-6
 """Eigenvalue of the information on relative changes, over the greatest, below which records do not tell a direction."""
 
@@ -37,8 +37,8 @@ class PerRecord:
             explains the train records together; otherwise with the set that predicts the others best.
         coloured: share of what these sets leave that neighbouring samples have in common.
         varying: the parameters whose differences matter most, each with its standard deviation over the records, where
-            every record's own set leaves no more than white noise; none where they do not differ surely, or one set
-            explains all records that no common one had explained.
+            the records' own sets leave next to nothing but white noise; none where they do not differ surely, or one
+            set explains all records that no common one had explained.
         explained: whether nothing structural is left with these sets.
     """
 
@@ -74,7 +74,7 @@ def per_record(fits: Fits, model: Model, nominal: System) -> PerRecord | None:
     if any(one.status == "diverged" for one in sets):
         return None
     left = coloured([residual for one in sets for residual in one.residual])
-    if not all(_explained(one) for one in sets):
+    if float(np.mean([_structural(one) for one in sets])) > FAINT**2:
         return PerRecord(model, left)
     if model.coloured <= CRITERIA.coloured:
         return PerRecord(model, left, _scatter(sets), True)
@@ -88,9 +88,10 @@ def per_record(fits: Fits, model: Model, nominal: System) -> PerRecord | None:
     return PerRecord(there, left, words, True)
 
 
-def _explained(one: FitResult) -> bool:
-    """Whether a record's own values leave noise, or so little that only the encoder's counts are left."""
-    return coloured(one.residual) <= CRITERIA.white or mean_square(one.residual) < FAINT**2
+def _structural(one: FitResult) -> float:
+    """Mean square of what a record's own values leave that is no white noise, in units of the noise."""
+    found = coloured(one.residual)
+    return found * mean_square(one.residual) if found > CRITERIA.white else 0.0
 
 
 def _scatter(sets: list[FitResult]) -> tuple[str, ...]:

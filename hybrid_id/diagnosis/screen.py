@@ -101,7 +101,9 @@ def promising(one: Model, before: Model) -> bool:
 def needed_fall(richer: Model, simpler: Model) -> float:
     """Relative fall of the mean square from which an effect is named."""
     if not simpler.effects:
-        return CRITERIA.least_fall
+        # what takes next to nothing, and leaves the colour of the rest as it was, has fitted the records' differences
+        bleached = richer.coloured <= CRITERIA.much * simpler.coloured
+        return CRITERIA.least_fall if bleached else CRITERIA.completing_fall
     completes = richer.white or (richer.right and not simpler.right)
     return CRITERIA.completing_fall if completes else CRITERIA.next_fall
 
