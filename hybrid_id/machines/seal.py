@@ -109,7 +109,7 @@ def read_manifest(cases: Path) -> dict[str, Any]:
         ) from None
     except (ValueError, KeyError, TypeError):
         pass
-    raise InputError(f"{file} does not tell the hash of the answers; make the cases anew") from None
+    raise InputError(f"{file} does not give the hash of the answers; make the cases anew") from None
 
 
 def refuse_others(cases: Path, **about: Any) -> None:

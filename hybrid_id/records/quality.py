@@ -67,7 +67,7 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
     """Check a dataset as a whole and every record in it; worst first, what records share said once."""
     findings = [*_roles(dataset), *_repeats(dataset), *check_steps(dataset), *_dead_inputs(dataset)]
     findings += [
-        Finding("warning", "together", f"these records cannot tell {words}; vary one without the other")
+        Finding("warning", "together", f"these records cannot separate {words}; vary one without the other")
         for words in confounded_signals(dataset.records)
     ]
     findings += [Finding("info", "resampled", report.message, report.record) for report in dataset.resampling]
@@ -158,7 +158,7 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
             yield "warning", "clipped", words
     if position and count_turns(values, 5 * fine) == 0:
         words = (
-            "it moves in one direction only, so friction cannot be told from a constant torque; add reversals"
+            "it moves in one direction only, so friction cannot be separated from a constant torque; add reversals"
         )
         yield "warning", "one_direction", words
     first = np.diff(values[:3])  # a start at rest that accelerates has a second step three times the first

@@ -160,7 +160,7 @@ _HOW = (
     "the noise says), geometric means over the repeats; short: the same over a fraction of a second from measured "
     "states. Each repeat draws its own records (but for those of role test) and first weights, the same for all arms, "
     "and is compared in pairs with physics only. Intervals are Student's, widened for training sets that share records "
-    "(Nadeau and Bengio, 2003). The network that the validation records like best is judged on test records that chose "
+    "(Nadeau and Bengio, 2003). The network that the validation records like best is scored on test records that chose "
     "nothing; the intervals of the other arms are not corrected for their number."
 )
 _TITLES = {"test": "test", "beyond": "out of range", "short": "short horizon"}

@@ -68,7 +68,7 @@ def claims(
         spread = {name: row.percent for name, row in inertia.items()}
         worst = max(spread, key=lambda name: spread[name])
         seen = ", ".join(
-            f"{name} {row.percent:.2g} % (typical record told to ± {row.typical:.2g} %)"
+            f"{name} {row.percent:.2g} % (± {row.typical:.2g} % from a typical record)"
             for name, row in inertia.items()
         )
         found.append(

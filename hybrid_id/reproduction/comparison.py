@@ -88,7 +88,7 @@ class ParameterRow:
             return ""
         if self.scatter > 0.5 * self.percent:
             return f"the runs' true values themselves scatter by {self.scatter:.2f} %"
-        return f"the least telling record tells it to ± {self.told:.2g} %"
+        return f"± {self.told:.2g} % from the record that says least"
 
 
 @dataclass(frozen=True)

@@ -216,7 +216,7 @@ def verdict(result: Ablation) -> list[str]:
         lines = [f"Physics only: {words}; a network is not worth its freedom here."]
     else:
         lines = [
-            f"Open: {words}; these records cannot tell whether a network helps. "
+            f"Open: {words}; these records do not show whether a network helps. "
             "Keep physics only until more records or repeats say otherwise."
         ]
     return [*lines, *_beyond(result, best), *_caution(result, best), *_missing(result), *_alone(result)]
@@ -232,7 +232,7 @@ def _beyond(result: Ablation, best: Scores) -> list[str]:
         return [f"Out of range it helps{' as well' * (answer(result) == HYBRID)}: {words}."]
     if change.lower > 0.0:
         return [f"Out of range it harms: {words}. Do not use it beyond the records that it was trained on."]
-    return [f"Out of range no difference can be told: {words}."]
+    return [f"Out of range these records show no difference: {words}."]
 
 
 def _caution(result: Ablation, best: Scores) -> list[str]:

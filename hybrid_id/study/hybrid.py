@@ -221,12 +221,12 @@ def _warnings(study: HybridStudy) -> list[str]:
         found.append(
             f"with parameters of its own each train record is met to {study.own:.2g} times the noise, with the same "
             f"for all to {study.pooled:.2g}: the parameters differ from record to record, which no network that all "
-            "share can say, and what one learns here may be a makeshift; 'hybrid-id identify' tells how far they differ"
+            "share can say, and what one learns here may be a makeshift; 'hybrid-id identify' says how far they differ"
         )
     if study.result.interrupted:
         done = len(study.result.rungs) - 1
         found.append(
-            "stopped by Ctrl-C before the first price was done: whether a network helps has not been told"
+            "stopped by Ctrl-C before the first price was done: whether a network helps is open"
             if done == 0
             else f"stopped by Ctrl-C after {done} of the prices: the others have not been tried"
         )

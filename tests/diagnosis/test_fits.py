@@ -247,3 +247,14 @@ def test_a_process_need_not_know_the_catalogue(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(module, "Parallel", Elsewhere)
     Fits(dataset, jobs=2).run([Task((("cogging", "joint1/motor"),), nominal), Task((), nominal)], 10)
     assert told == [True, False]
+
+
+def test_a_fit_over_long_windows_also_begins_where_one_over_short_ones_has_ended() -> None:
+    """A motor that rests in its detents halts a fit over a second of free run, and not one over half of it."""
+    name = "cogging", "joint1/motor"
+    dataset, nominal = small_case(REGISTRY["cogging"](T_c=0.0, T_s=0.01, n=6.0), name[1])
+    fits = Fits(dataset, horizon=Horizon("windows", 1.0))
+    start = nominal.with_component(name[1], REGISTRY["cogging"](T_c=0.0, T_s=0.003, n=6.0))
+    (found,) = fits.run([Task((name,), start)], FULL)
+    alone = module._within(start, fits.batch(start), FULL)
+    assert found is not None and found.result.cost < 0.3 * alone.cost

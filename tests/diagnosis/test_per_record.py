@@ -16,10 +16,11 @@ from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.model import Model
-from hybrid_id.diagnosis.per_record import _explained, _scatter, per_record
+from hybrid_id.diagnosis.per_record import FAINT, _scatter, _structural, per_record
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.record import Record
 from hybrid_id.systems import System
 
 FRICTION = (0.0092, 0.0108, 0.0100, 0.0096)
@@ -121,5 +122,19 @@ def test_a_record_that_does_not_see_a_parameter_says_nothing_of_it() -> None:
 def test_what_an_encoder_rounds_is_no_sign_of_something_missing_within_a_record() -> None:
     """Small errors that dwell where the drive rests have a colour, and mean nothing."""
     slow = np.repeat([[0.3], [-0.3]], 50, axis=0)
-    assert _explained(SimpleNamespace(residual=[slow]))  # type: ignore[arg-type]
-    assert not _explained(SimpleNamespace(residual=[3.0 * slow]))  # type: ignore[arg-type]
+    assert _structural(SimpleNamespace(residual=[slow])) < FAINT**2  # type: ignore[arg-type]
+    assert _structural(SimpleNamespace(residual=[3.0 * slow])) > FAINT**2  # type: ignore[arg-type]
+
+
+def test_an_encoder_that_ripples_hides_no_drift(drift) -> None:
+    """A ripple with the angle is coloured in every record, and no set of parameters explains it."""
+    dataset, nominal = drift
+
+    def rippled(record: Record) -> Record:
+        angle = record.outputs["q_m1"]
+        return replace(record, outputs={"q_m1": angle + 0.9 * NOISE * np.sin(0.3 * angle)})
+
+    fits = Fits(replace(dataset, records=tuple(map(rippled, dataset.records))))
+    own = per_record(fits, fits.base(nominal), nominal)
+    assert own is not None and own.coloured > CRITERIA.white
+    assert own.explained and own.varying[0].startswith("F_c by ")

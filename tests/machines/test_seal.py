@@ -93,7 +93,7 @@ def test_folder_without_a_manifest_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has no manifest\.json"):
         read_manifest(cases)
     (cases / MANIFEST).write_text(json.dumps({"answers": {}}))
-    with pytest.raises(InputError, match="does not tell the hash"):
+    with pytest.raises(InputError, match="does not give the hash"):
         read_manifest(cases)
 
 
