@@ -51,6 +51,7 @@ class Effect:
         shape: fixed parameters that belong to the answer (the periods of a wave), each with the estimated one that it
             goes with.
         where_held: whether it is also looked for where its law is there with its parameters held.
+        whole: parameters that are whole numbers in a machine whose gear ratio is right: a motor's periods per turn.
     """
 
     name: str
@@ -61,6 +62,7 @@ class Effect:
     contains: tuple[str, ...] = ()
     over_angle: bool = False
     shape: Mapping[str, str] = field(default_factory=dict)
+    whole: tuple[str, ...] = ()
     where_held: bool = False
 
     @property

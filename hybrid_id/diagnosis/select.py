@@ -118,7 +118,7 @@ def select(
             model = _necessary(fits, base, model, steps)
             if len(model.effects) <= len(before.effects) and not _better_set(model, before):
                 break
-    return Selection(base if model.effects else model, tuple(steps), model)
+    return Selection(base if model.effects else model, tuple(steps), _with_whole_numbers(fits, model))
 
 
 def interrupted(base: Model, steps: Sequence[Step]) -> Selection:
@@ -234,6 +234,27 @@ def _freed(fits: Fits, chosen: Model) -> Model:
         if one is not None and enough and chance(one, chosen) <= CRITERIA.false_alarms:
             chosen = one
     return chosen
+
+
+def _with_whole_numbers(fits: Fits, chosen: Model) -> Model:
+    """The model with periods per turn of a motor held at whole numbers, where it predicts as well (parsimony)."""
+    whole = {
+        (f"{where}/{kind}", symbol)
+        for name, where in chosen.effects
+        for kind in CATALOGUE[name].kinds
+        for symbol in CATALOGUE[name].whole
+    }
+    if not whole:
+        return chosen
+    near = {
+        info.name: replace(info.spec, value=float(max(round(info.spec.value), 1)), estimate=False)
+        for info in chosen.system.table
+        if info.spec.estimate and (info.component, info.symbol) in whole
+    }
+    one = fits.run([Task(chosen.effects, chosen.system.with_specs(near))], FULL)[0]
+    return (
+        one if one is not None and one.validation.fall(chosen.validation) > -CRITERIA.least_fall else chosen
+    )
 
 
 def _better_set(model: Model, before: Model) -> bool:

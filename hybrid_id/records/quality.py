@@ -157,9 +157,7 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
             )
             yield "warning", "clipped", words
     if position and count_turns(values, 5 * fine) == 0:
-        words = (
-            "it moves in one direction only, so friction cannot be separated from a constant torque; add reversals"
-        )
+        words = "it moves in one direction only, so friction cannot be separated from a constant torque; add reversals"
         yield "warning", "one_direction", words
     first = np.diff(values[:3])  # a start at rest that accelerates has a second step three times the first
     if (

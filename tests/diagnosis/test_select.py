@@ -1,5 +1,6 @@
 """Which effects: when a richer model is accepted, and when the search goes on."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -7,10 +8,19 @@ import numpy as np
 import pytest
 from gapcase import small_case
 
-from hybrid_id.diagnosis.fits import Fits
+from hybrid_id.components import REGISTRY
+from hybrid_id.diagnosis.fits import FULL, Fits, Task
 from hybrid_id.diagnosis.model import Model
 from hybrid_id.diagnosis.screen import Step
-from hybrid_id.diagnosis.select import _alive, _leaves_something, accepted, chance, needed_fall, select
+from hybrid_id.diagnosis.select import (
+    _alive,
+    _leaves_something,
+    _with_whole_numbers,
+    accepted,
+    chance,
+    needed_fall,
+    select,
+)
 from hybrid_id.diagnosis.validation import validation
 
 PLAY, DELAY = ("backlash", "joint1/transmission"), ("delay", "joint1/input")
@@ -76,3 +86,21 @@ def test_beside_two_effects_only_what_has_brought_anything_beside_one_is_tried()
     assert names == {("spring_load", "joint1/load"), ("quadratic_drag", "joint1/load")}
     # where the second effect has made the first needless all are looked at again
     assert _alive([first, second], fitted(5.0, "spring_load")) is None
+
+
+def test_periods_per_turn_are_whole_where_that_predicts_as_well() -> None:
+    """A motor has whole ones; where the gear ratio in the model file is wrong, no whole number predicts as well."""
+    name = "cogging", "joint1/motor"
+
+    def chosen(periods: float) -> float:
+        dataset, nominal = small_case(REGISTRY["cogging"](T_c=0.0, T_s=0.002, n=periods), name[1])
+        fits = Fits(dataset)
+        start = nominal.with_component(name[1], REGISTRY["cogging"](T_c=0.0, T_s=0.002, n=periods))
+        table = {info.symbol: info for info in start.table}
+        free = start.with_specs({table["n"].name: replace(table["n"].spec, estimate=True)})
+        (one,) = fits.run([Task((name,), free)], FULL)
+        assert one is not None
+        return _with_whole_numbers(fits, one).system.parameter(table["n"].name).spec.value
+
+    assert chosen(4.0) == 4.0
+    assert abs(chosen(3.4) - 3.4) < 0.05

@@ -56,4 +56,6 @@ def test_the_check_of_a_dataset_says_so() -> None:
         dataset = Dataset("servo", *channels, tuple(series(heat, [1, 1, 2, 3])))
         words = [f.message for f in check_dataset(dataset) if f.code == "together"]
         assert bool(words) == told
-        assert not told or words[0].startswith("these records cannot separate what gain does from what heat does")
+        assert not told or words[0].startswith(
+            "these records cannot separate what gain does from what heat does"
+        )

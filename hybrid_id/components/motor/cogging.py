@@ -50,6 +50,7 @@ class Cogging(RotorTorque):
         },
         over_angle=True,
         shape={"n": "T_c", "n_2": "T_c2"},
+        whole=("n", "n_2"),
     )
 
     def torque(self, p, angle, speed):
