@@ -113,12 +113,12 @@ def select(
             steps.pop()
             continue
         steps += swaps
-        model = _freed(fits, best)
+        model = _freed(fits, _with_whole_numbers(fits, best))
         if before.effects:
             model = _necessary(fits, base, model, steps)
             if len(model.effects) <= len(before.effects) and not _better_set(model, before):
                 break
-    return Selection(base if model.effects else model, tuple(steps), _with_whole_numbers(fits, model))
+    return Selection(base if model.effects else model, tuple(steps), model)
 
 
 def interrupted(base: Model, steps: Sequence[Step]) -> Selection:
