@@ -94,8 +94,9 @@ def screen(
 
 
 def promising(one: Model, before: Model) -> bool:
-    """Whether a candidate may yet be accepted, as far as it has been fitted: by half of the fall that it needs."""
-    return one.fall(before) > 0.5 * needed_fall(one, before)
+    """Whether a candidate may yet be accepted, as far as it has been fitted: by half of the least fall."""
+    least = needed_fall(one, before) if before.effects else CRITERIA.least_fall
+    return one.fall(before) > 0.5 * least
 
 
 def needed_fall(richer: Model, simpler: Model) -> float:
