@@ -20,6 +20,10 @@ class Plant(Protocol):
         """Carry all runs over one sample with held commands and disturbing torques (n_joints, B) [V, N m]."""
         ...
 
+    def carry(self, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Carry all runs through commands (T, n_joints, B) [V]: rotor and link angles, alike, [rad] at all samples."""
+        ...
+
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotor and link angles (n_joints, B) [rad]."""
         ...
@@ -150,12 +154,6 @@ def replay(
 
     `start` holds link angles (n_joints, B) [rad]; without them the machine settles by itself.
     """
-    samples, joints, lanes = volts.shape
-    plant.begin(lanes, samples, sample_time, start)
-    angles = np.zeros((samples, joints + link, lanes))
-    still = np.zeros((joints, lanes))
-    for k in range(samples):
-        rotor, links = plant.angles()
-        angles[k] = np.concatenate([rotor, links[:1]]) if link else rotor
-        plant.advance(volts[k], still)
-    return angles
+    plant.begin(volts.shape[2], len(volts), sample_time, start)
+    rotor, links = plant.carry(volts)
+    return np.concatenate([rotor, links[:, :1]], axis=1) if link else rotor

@@ -199,7 +199,7 @@ class WearingIn(Law):
     T: float
 
     def act(self, push: Push, x: Signals) -> None:
-        push.dry(self.F * (1 - np.exp(-max(x.time, 0.0) / self.T)))
+        push.dry(self.F * (1 - np.exp(-np.maximum(x.time, 0.0) / self.T)))
 
 
 @dataclass
@@ -300,16 +300,15 @@ class MaxwellSlip(Law):
     stiffness: Lanes
     springs: int = 5
     on_link: bool = False
-    _forces: np.ndarray = field(default_factory=lambda: np.zeros((1, 1)), repr=False)
+    _forces: list[np.ndarray] = field(default_factory=list, repr=False)
 
     def start(self, lanes: int) -> None:
-        self._forces = np.zeros((self.springs, lanes))
+        self._forces = [np.zeros(lanes) for _ in range(self.springs)]
 
     def act(self, push: Push, x: Signals) -> None:
         n = self.springs
-        share = (np.arange(1, n + 1) * 2 / (n * (n + 1)))[:, None]
-        limit = share * self.F_c
-        after = self._forces + self.stiffness / n * self.speed(x) * x.step
-        after = np.clip(after, -limit, limit)
-        push.torque = push.torque - 0.5 * (self._forces + after).sum(axis=0)
-        self._forces = after
+        more = self.stiffness / n * self.speed(x) * x.step
+        for i, force in enumerate(self._forces):
+            limit = (i + 1) * 2 / (n * (n + 1)) * self.F_c
+            self._forces[i] = after = np.clip(force + more, -limit, limit)
+            push.torque = push.torque - 0.5 * (force + after)

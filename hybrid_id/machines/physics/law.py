@@ -1,5 +1,7 @@
 """What a law of a drive reads, and what it gives back."""
 
+from typing import Any
+
 import numpy as np
 
 Lanes = np.ndarray | float
@@ -18,7 +20,7 @@ class Signals:
         rise_m, rise_a: by which the speeds of rotor and link have risen in the step before [rad/s].
         effort: torque of the motor [N m].
         carried: torque through the gear at the motor's side [N m], of the step before.
-        history: commands so far, ``(T, B)`` [V], sample k held from k to k + 1; None before the run.
+        history: commands so far, ``(T, B)`` [V], sample k held from k to k + 1; none before the run.
         sample_time: of the history [s].
     """
 
@@ -28,8 +30,15 @@ class Signals:
         self.command = self.volts = self.effort = self.carried = zero
         self.q_m, self.v_m, self.q_a, self.v_a = (zero.copy() for _ in range(4))
         self.rise_m = self.rise_a = zero
-        self.history = np.zeros((0, lanes))
+        self.history: Any = np.zeros((0, lanes))
         self.sample_time = 0.0
+
+    def commanded(self, sample: np.ndarray) -> np.ndarray:
+        """Commands (B,) [V] held from a sample on, a whole number or one for each lane; none before the first."""
+        if not isinstance(self.history, np.ndarray):  # a step that is being written down
+            return self.history.at(sample)
+        known = np.clip(sample, 0, len(self.history) - 1).astype(int)
+        return np.where(sample < 0, 0.0, self.history[known, np.arange(self.history.shape[1])])
 
 
 class Push:

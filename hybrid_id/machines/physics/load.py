@@ -67,9 +67,11 @@ class Pulses(Law):
     length: float
 
     def act(self, push: Push, x: Signals) -> None:
-        count, into = divmod(x.time - self.first, self.period)
-        if count >= 0 and into < self.length:
-            push.torque = push.torque + self.torque * (-1.0) ** count
+        count = np.floor((x.time - self.first) / self.period)
+        into = x.time - self.first - count * self.period
+        side = 1 - 2 * (count - 2 * np.floor(0.5 * count))
+        pushes = (x.time > self.first) & (into < self.length)
+        push.torque = push.torque + np.where(pushes, self.torque * side, 0.0)
 
 
 @dataclass
@@ -82,8 +84,8 @@ class PeriodicTorque(Law):
     rest: float = 0.1
 
     def act(self, push: Push, x: Signals) -> None:
-        if x.time > self.rest:
-            push.torque = push.torque + self.A * np.sin(2 * np.pi * self.f * x.time + self.phase)
+        wave = self.A * np.sin(2 * np.pi * self.f * x.time + self.phase)
+        push.torque = push.torque + np.where(x.time > self.rest, wave, 0.0)
 
 
 @dataclass
@@ -109,7 +111,6 @@ class SecondMass(Law):
     J_2: Lanes
     frequency: Lanes
     damping: float
-    _twist: np.ndarray = field(default_factory=lambda: np.zeros(1), repr=False)
     _speed: np.ndarray | None = field(default=None, repr=False)
     _angle: np.ndarray | None = field(default=None, repr=False)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from hybrid_id.machines.physics.law import InputLaw, Lanes, Law, Push, Signals
 from hybrid_id.machines.physics.motor import Motor
+from hybrid_id.machines.physics.steps import Place, Steps
 from hybrid_id.machines.physics.transmission import Gear, Spring
 
 
@@ -85,12 +86,16 @@ class Drive:
 
     def start(self, lanes: int, angle: np.ndarray) -> None:
         """Set the joint of B runs to rest at a link angle (B,) [rad]."""
-        for law in (*self.rotor_laws, *self.link_laws, self.motor, *([self.spring] if self.spring else [])):
+        for law in (self.motor, *self.laws()):
             law.start(lanes)
         self.x = x = Signals(lanes)
         x.q_m, x.q_a = angle * self.gear.ratio, angle.copy()
         self.needs_carried = any(law.needs_carried for law in self.rotor_laws)
         self.motor.tells_effort = any(law.needs_effort for law in (*self.amplifier, *self.rotor_laws))
+
+    def laws(self) -> list[Law | Spring]:
+        """What may have a memory beside the motor."""
+        return [*self.rotor_laws, *self.link_laws, *([self.spring] if self.spring else [])]
 
     def push(self, time: float, step: float) -> None:
         """Move angles and, as the last step went, speeds on to the middle of the step, and sum what acts there."""
@@ -133,6 +138,8 @@ def _ahead(speed: np.ndarray, rise: np.ndarray) -> np.ndarray:
 
 SETTLING, SETTLING_STEP, BRAKE = 30.0, 1e-3, 8.0
 """Longest time and step [s] in which a machine comes to rest before its records start, and the braking then [1/s]."""
+CALM = 100
+"""Steps after which it is seen whether all have come to rest."""
 SWEEPS = 6
 """Rounds in which two joints settle which of them stick; where both slide, their speeds are then solved for at once."""
 
@@ -166,54 +173,98 @@ class Machine:
         if angles is None or any(drive.spring is not None for drive in self.drives):
             self._settle(held=angles is not None)
         self.sample_time, self.samples_done = sample_time, 0
-        self._aged = [
-            None if d.sensor_delay is None else np.tile(d.x.q_m, (samples * self.substeps + 1, 1))
-            for d in self.drives
-        ]
+        h, signals = sample_time / self.substeps, 2 * len(self.drives)
+        times = (sample_time * np.arange(samples)[:, None] + h * np.arange(self.substeps)).ravel()
+        self._steps = Steps(
+            lambda time, inputs: self._driven(time, h, inputs),
+            self._states(),
+            lanes,
+            times,
+            inputs=signals,
+            substeps=self.substeps,
+            kept=signals,
+        )
+        for i, drive in enumerate(self.drives):
+            drive.x.history = self._steps.inputs[:, i]
 
     def advance(self, commands: np.ndarray, disturbance: np.ndarray) -> None:
         """Carry all runs over one sample with held commands and disturbing torques (n_joints, B) [V, N m]."""
-        k, h = self.samples_done, self.sample_time / self.substeps
-        for drive, command in zip(self.drives, commands, strict=True):
-            drive.x.command = command
-            drive.x.history[k] = command
-        for i in range(self.substeps):
-            self.step(k * self.sample_time + i * h, h, disturbance)
-            for drive, aged in zip(self.drives, self._aged, strict=True):
-                if aged is not None:
-                    aged[k * self.substeps + i + 1] = drive.x.q_m
+        now = self._steps.inputs[self.samples_done]
+        now[: len(commands)], now[len(commands) :] = commands, disturbance
+        self._steps.play(self.samples_done, 1)
         self.samples_done += 1
+
+    def carry(self, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Carry all runs through commands (T, n_joints, B) [V]: rotor and link angles, alike, [rad] at all samples."""
+        self._steps.inputs[:, : commands.shape[1]] = commands
+        self._steps.play(0, len(commands))
+        return self._read(np.arange(len(commands)))
 
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotor and link angles (n_joints, B) [rad] as the sensors give them, late where a sensor is."""
-        rotor = [d.x.q_m for d in self.drives]
-        now = self.samples_done * self.substeps
-        for i, (drive, aged) in enumerate(zip(self.drives, self._aged, strict=True)):
-            if aged is not None and drive.sensor_delay is not None:
+        rotor, link = self._read(np.array([self.samples_done]))
+        return rotor[0], link[0]
+
+    def _read(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rotor and link angles (T, n_joints, B) [rad] at some samples (T,)."""
+        trail, now, joints = self._steps.trail, self.substeps * samples, len(self.drives)
+        rotor, link = trail[now, :joints], trail[now, joints:]
+        for i, drive in enumerate(self.drives):
+            if drive.spring is None:
+                link[:, i] = drive.gear.angle(rotor[:, i])
+            if drive.sensor_delay is not None:
                 age = np.multiply(drive.sensor_delay, self.substeps / self.sample_time)
-                whole, lanes = np.floor(age).astype(int), np.arange(aged.shape[1])
-                newer, older = (aged[np.maximum(now - whole - k, 0), lanes] for k in (0, 1))
-                rotor[i] = newer + (age - whole) * (older - newer)
-        link = [d.gear.angle(d.x.q_m) if d.spring is None else d.x.q_a for d in self.drives]
-        return np.array(rotor), np.array(link)
+                whole, lanes = np.floor(age).astype(int), np.arange(trail.shape[2])
+                newer, older = (trail[np.maximum(now[:, None] - whole - k, 0), i, lanes] for k in (0, 1))
+                rotor[:, i] = newer + (age - whole) * (older - newer)
+        return rotor, link
+
+    def _states(self) -> list[Place]:
+        """Where a step keeps what it carries on: angles of all rotors, then of all links, then the rest."""
+        places: list[Place] = [(vars(drive.x), name) for name in ("q_m", "q_a") for drive in self.drives]
+        for drive in self.drives:
+            places += [(vars(drive.x), n) for n in ("v_m", "v_a", "rise_m", "rise_a", "effort", "carried")]
+            for law in (drive.motor, *drive.laws()):
+                for name, value in vars(law).items():
+                    if name.startswith("_") and isinstance(value, np.ndarray):
+                        places.append((vars(law), name))
+                    elif name.startswith("_") and isinstance(value, list):
+                        places += [(value, i) for i in range(len(value))]
+        return places
 
     def _settle(self, *, held: bool) -> None:
         """Let what pulls at rest come to rest, before the clock starts: links alone where the rotors are held."""
-        still, left = np.zeros((len(self.drives), self.drives[0].x.q_m.size)), 1 - BRAKE * SETTLING_STEP
-        places = [drive.x.q_m for drive in self.drives]
-        for k in range(round(SETTLING / SETTLING_STEP)):
-            self.step(k * SETTLING_STEP - SETTLING, SETTLING_STEP, still)
+        places, left = [drive.x.q_m for drive in self.drives], 1 - BRAKE * SETTLING_STEP
+        still = np.zeros((2 * len(places), places[0].size))
+
+        def step(time: float, inputs: Sequence[np.ndarray] | np.ndarray) -> None:
+            self._driven(time, SETTLING_STEP, inputs)
             for drive, place in zip(self.drives, places, strict=True):
                 # a hand holds back what would swing for long
                 drive.x.v_m, drive.x.v_a = left * drive.x.v_m, left * drive.x.v_a
                 if held:
-                    drive.x.q_m, drive.x.v_m = place, np.zeros_like(place)
-            if k % 100 == 9 and all(np.abs([d.x.v_m, d.x.v_a]).max() < 1e-6 for d in self.drives):
+                    drive.x.q_m, drive.x.v_m = place, 0.0 * place
+
+        looks = round(SETTLING / SETTLING_STEP) // CALM
+        times = SETTLING_STEP * np.arange(looks * CALM) - SETTLING
+        step(times[0], still)  # some laws find their place only now
+        steps = Steps(step, self._states(), still.shape[1], times, inputs=len(still), substeps=CALM)
+        for k in range(looks):
+            steps.play(k, 1)
+            if all(np.abs([d.x.v_m, d.x.v_a]).max() < 1e-6 for d in self.drives):
                 break
         for drive in self.drives:
             drive.x.v_m, drive.x.v_a = np.zeros_like(drive.x.v_m), np.zeros_like(drive.x.v_a)
 
-    def step(self, time: float, h: float, disturbance: np.ndarray) -> None:
+    def _driven(self, time: float, h: float, inputs: Sequence[np.ndarray] | np.ndarray) -> None:
+        """Carry all runs over one step with commands, then disturbances, of all joints."""
+        for drive, command in zip(self.drives, inputs, strict=False):
+            drive.x.command = command
+            if not isinstance(command, np.ndarray):  # the step is being written down
+                drive.x.history = command
+        self.step(time, h, inputs[len(self.drives) :])
+
+    def step(self, time: float, h: float, disturbance: Sequence[np.ndarray] | np.ndarray) -> None:
         """Carry all runs over one step of h seconds; disturbance (n_joints, B) [N m] acts on the rotors."""
         drives = self.drives
         before = [(d.x.v_m, d.x.v_a) for d in drives]

@@ -16,15 +16,10 @@ class Delay(InputLaw):
 
     def volts(self, volts: np.ndarray, x: Signals) -> np.ndarray:
         ends = [(x.time + side * x.step - self.delay) / x.sample_time for side in (-0.5, 0.5)]
-        first, last = (np.floor(np.broadcast_to(end, volts.shape) + 1e-9).astype(int) for end in ends)
+        first, last = (np.floor(end + 1e-9) for end in ends)
         # a step is no longer than a sample: at most one change of the held command falls into it
         new = np.where(last > first, (ends[1] - last) * x.sample_time / x.step, 1.0)
-        return (1 - new) * self._held(x, first) + new * self._held(x, last)
-
-    def _held(self, x: Signals, sample: np.ndarray) -> np.ndarray:
-        """Command of a sample (B,) [V], none before the first."""
-        known = x.history[np.clip(sample, 0, len(x.history) - 1), np.arange(sample.size)]
-        return np.where(sample < 0, 0.0, known)
+        return (1 - new) * x.commanded(first) + new * x.commanded(last)
 
 
 @dataclass

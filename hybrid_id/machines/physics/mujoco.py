@@ -239,6 +239,15 @@ class MujocoMachine:
                 self._mujoco.mj_step(self.model, run, self._steps if plain else 1)  # type: ignore[attr-defined]
         self._sample += 1
 
+    def carry(self, commands: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Carry all runs through commands (T, n_joints, B) [V]: rotor and link angles, alike, [rad] at all samples."""
+        seen = []
+        for command in commands:
+            seen.append(self.angles())
+            self.advance(command, np.zeros_like(command))
+        rotor, link = (np.array(one) for one in zip(*seen, strict=True))
+        return rotor, link
+
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
         """Rotor and link angles (n_joints, B) [rad]."""
         q = np.array([run.qpos for run in self._runs]).T
