@@ -26,7 +26,7 @@ NEEDED = 1.2
 where those who diagnose have to see it, `SEEN`."""
 CLEAN, MESSY = "clean", "messy"
 """Kinds of cases: one thing lacks, or a dominant one among small ones."""
-MESSY_DRAWS = 14
+MESSY_DRAWS = 22
 """Messy machines that are tried for a case before it is given up."""
 DRAWS = 8
 """Machines that are tried for a case before it is given up."""

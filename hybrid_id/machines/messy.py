@@ -5,9 +5,9 @@ file sometimes lacks a part that the others stand in for. Sizes come from a line
 the machine itself; a few steps of the secant method correct them.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 
@@ -28,8 +28,8 @@ FAMILIES = {"single": 0.58, "pair": 0.21, "unknown": 0.21}
 """Families of messy machines: one dominant effect, two, or one outside the catalogue."""
 LEADERS = {"single": 1, "pair": 2, "unknown": 1}
 """Dominant effects of a machine, by family."""
-CANDIDATES = 2
-"""How many more effects are tried as dominant ones."""
+CANDIDATES, ATTEMPTS = 2, 3
+"""How many more effects may become dominant ones, and how many choices among all of them are tried."""
 TRIES = 60
 """Draws of effects until enough go with each other, at most."""
 LENGTHS = (2100, 3500)
@@ -48,15 +48,17 @@ SPREAD = (-0.33, 0.27)
 """Logarithm of the factor on what sets an effect's shape."""
 WANTED_SHARE = {"single": (0.48, 0.83), "pair": (0.42, 0.5), "unknown": (0.58, 0.84)}
 """Shares of the gap that each dominant effect is to close, by family."""
-TRAIN_SHARE = 0.25
-"""Share of the gap on the train records that a dominant effect closes at least."""
+ADDS = 0.11
+"""Share of the gap that a dominant effect closes at least when it is added after a larger one."""
+TRAIN_SHARE, SECOND_SHARE = 0.25, 0.12
+"""Shares of the gap on the train records that the dominant effect that shows most there closes at least, and others."""
 SIZES = np.geomspace(0.025, 9.0, 8)
 """Sizes that are tried in the linear prediction, relative to the one drawn."""
-CORRECTABLE = 2.0
-"""Factor by which a lift may lie beside `LIFT` and its size still be put right."""
+MEASURED, FARTHEST = 3, 3.4
+"""Records of small effects alone, at most, and the factor by which a size is put right between them, at most."""
 NEAR = 0.085
 """Distance of a share from the wanted one up to which a linear prediction is believed to reach it."""
-CORRECTIONS = 4
+CORRECTIONS = 6
 """Sizes of the dominant effects that are measured, at most."""
 HOPELESS = 0.035
 """Share of the gap of a dominant effect below which it is given up."""
@@ -308,9 +310,7 @@ def _mixed(
         return None
     goal = np.full(leaders, rng.uniform(*WANTED_SHARE[family]))
     among = np.where(np.isin(np.arange(len(sizes)), shown[: len(small) - SPARE]), sizes, 0.0)
-    pairs = list(combinations(range(len(candidates)), leaders))
-    leading = next((some for some in pairs if forecast.lead(among, some, goal) is not None), None)
-    if leading is None:
+    if next(forecast.leads(among, len(candidates), goal), None) is None:
         return None
     lifts = dict(zip(shown, _alone(mixtures, drift, shown, sizes[shown], wanted[shown]), strict=True))
     kept = [(i, one) for i, one in lifts.items() if one is not None][: len(small) - SPARE]
@@ -320,23 +320,18 @@ def _mixed(
     among = np.zeros(len(effects))
     for i, (size, _) in kept:
         among[i] = size
-    led = forecast.lead(among, leading, goal)
-    if led is None:
-        return None
-    acting = [*leading, *(i for i, _ in kept)]
-    mixtures = Mixtures(case.robot, [effects[i] for i in acting], case.campaign)
-    sizes = led
     lift = [None] * leaders + [lift for _, (_, lift) in kept]
-    found = _settled(mixtures, drift, sizes[acting], leaders, goal)
-    if found is None:
-        return None
-    parts = _parts(rng, mixtures, found, lift, leaders)
-    outside = sum(part.share for part in parts if part.effect.name == UNKNOWN)
-    if not parts or (outside >= 0.5) != (family == "unknown"):
-        return None
-    final = tuple(part.effect for part in parts)
-    case = replace(case, effects=final, model=_model(rng, case.robot, final, withheld, wrong))
-    return Messy(_graded(case, found.made, found.base, found.floor), parts, drift, withheld)
+    for leading, sizes in islice(forecast.leads(among, len(candidates), goal), ATTEMPTS):
+        acting = [*leading, *(i for i, _ in kept)]
+        mixtures = Mixtures(case.robot, [effects[i] for i in acting], case.campaign)
+        found = _settled(mixtures, drift, sizes[acting], leaders, goal)
+        parts = _parts(rng, mixtures, found, lift, leaders) if found else ()
+        outside = sum(part.share for part in parts if part.effect.name == UNKNOWN)
+        if found and parts and (outside >= 0.5) == (family == "unknown"):
+            final = tuple(part.effect for part in parts)
+            case = replace(case, effects=final, model=_model(rng, case.robot, final, withheld, wrong))
+            return Messy(_graded(case, found.made, found.base, found.floor), parts, drift, withheld)
+    return None
 
 
 def _graded(case: Case, made: Measured, fit: Fit, floor: float) -> Graded:
@@ -380,19 +375,24 @@ class _Forecast:
         moves = np.linalg.lstsq(plane, effect, rcond=None)[0]
         left = [part[:, len(names) :] - part[:, : len(names)] @ moves for part in test]
         bounded = [np.nan_to_num(np.clip(part, -RUNAWAY, RUNAWAY), nan=RUNAWAY) for part in left]
-        self.products = [part.T @ part for part in bounded]
+        self.products = np.array([part.T @ part for part in bounded])
 
     def error(self, sizes: np.ndarray) -> float:
         """Normalised RMSE of the re-fit on the test records."""
         among = np.flatnonzero(sizes)
-        near = [int(np.argmin(np.abs(np.log(SIZES / sizes[i])))) for i in among]
-        rows = [i * len(SIZES) + k for i, k in zip(among, near, strict=True)]
-        factors = sizes[among] / SIZES[near]
-        squares = [
-            f + factors @ products[np.ix_(rows, rows)] @ factors
-            for products, f in zip(self.products, self.floor, strict=True)
-        ]
+        near = np.abs(np.log(SIZES / sizes[among, None])).argmin(axis=1)
+        columns, factors = among * len(SIZES) + near, sizes[among] / SIZES[near]
+        squares = self.floor + factors @ self.products[:, columns[:, None], columns] @ factors
         return float(np.mean(np.sqrt(np.maximum(squares, 0.0))))
+
+    def leads(
+        self, sizes: np.ndarray, candidates: int, goal: np.ndarray
+    ) -> Iterator[tuple[tuple[int, ...], np.ndarray]]:
+        """Yield those of the candidates that may dominate others of given sizes, and all sizes."""
+        for leading in combinations(range(candidates), len(goal)):
+            led = self.lead(sizes, leading, goal)
+            if led is not None:
+                yield leading, led
 
     def size_for(self, number: int, lift: float) -> float | None:
         """Size of an effect that alone lifts the error so far; None where none does."""
@@ -430,29 +430,26 @@ class _Forecast:
 def _alone(
     mixtures: Mixtures, drift: np.ndarray, small: np.ndarray, sizes: np.ndarray, wanted: np.ndarray
 ) -> list[tuple[float, float] | None]:
-    """Size of each small effect and its lift alone, from records of its own; None where it is far from `LIFT`.
+    """Size of each small effect and its lift alone, from records of its own; None where it stays beside `LIFT`.
 
     A lift that falls beside is put right by its growth with the square of the size.
     """
-    count = len(mixtures.effects)
-    ones = [
-        tuple(float(size) if j == i else 0.0 for j in range(count))
-        for i, size in zip(small, sizes, strict=True)
-    ]
-    made = mixtures.record(ones, drift)
-    floors = mixtures.floors(ones, made)
-    fits = mixtures.fit(
-        [Simulator(k, (0.0,) * count, mixtures.true) for k in range(len(ones))], made, rounds=4
-    )
-    found: list[tuple[float, float] | None] = []
-    for fit, floor, size, goal in zip(fits, floors, sizes, wanted, strict=True):
-        lift = fit.test / floor - 1
-        if LIFT[0] < lift < LIFT[1]:
-            found.append((float(size), float(lift)))
-        elif LIFT[0] / CORRECTABLE < lift < LIFT[1] * CORRECTABLE:
-            found.append((float(size * np.sqrt(goal / lift)), float(goal)))
-        else:
-            found.append(None)
+    count, sizes = len(mixtures.effects), sizes.copy()
+    found: list[tuple[float, float] | None] = [None] * len(small)
+    for _ in range(MEASURED):
+        beside = [k for k, one in enumerate(found) if one is None]
+        ones = [tuple(np.where(np.arange(count) == small[k], sizes[k], 0.0)) for k in beside]
+        made = mixtures.record(ones, drift)
+        floors = mixtures.floors(ones, made)
+        starts = [Simulator(n, (0.0,) * count, mixtures.true) for n in range(len(ones))]
+        for k, fit, floor in zip(beside, mixtures.fit(starts, made, rounds=4), floors, strict=True):
+            lift = float(fit.test / floor - 1)
+            if LIFT[0] < lift < LIFT[1]:
+                found[k] = (float(sizes[k]), lift)
+            elif np.isfinite(lift):
+                sizes[k] *= np.clip(np.sqrt(wanted[k] / max(lift, 1e-3)), 1 / FARTHEST, FARTHEST)
+        if None not in found:
+            break
     return found
 
 
@@ -492,14 +489,15 @@ def _settled(
             return None
         own, next_one = closes[:leaders], closes[leaders:].max()
         if own.min() >= max(DOMINANT, TWICE * next_one):
-            trained = min(base.train - one.train for one in alone[:leaders]) / (base.train - 1)
-            return _Found(sizes, made[0], floor, base, alone[:leaders]) if trained >= TRAIN_SHARE else None
+            trained = [(base.train - one.train) / (base.train - 1) for one in alone[:leaders]]
+            seen = max(trained) >= TRAIN_SHARE and min(trained) >= SECOND_SHARE
+            return _Found(sizes, made[0], floor, base, alone[:leaders]) if seen else None
         if own.min() < HOPELESS:
             return None
-        own = np.clip(own, 0.04, 0.96)
-        aim = np.clip(goal + 0.04 * (own < goal), 0.0, 0.9)
+        # shares grow with the square of the sizes, and what the leading ones leave is that of all others
+        others = np.clip(1 - own.sum(), 0.05, 1.0) / max(1 - goal.sum(), 0.07)
         sizes = sizes.copy()
-        sizes[:leaders] *= np.clip(np.sqrt(aim / (1 - aim) * (1 - own) / own), 0.6, 1.7)
+        sizes[:leaders] *= np.clip(np.sqrt(goal / np.maximum(own, HOPELESS) * others), 0.55, 1.9)
         values = base.simulator.values
     return None
 
@@ -531,6 +529,8 @@ def _parts(
     shares = dict(zip(order, -np.diff(np.square(errors)) / gap, strict=True))
     closes = [(base.test**2 - one.test**2) / gap for one in (*found.alone, *fits[len(nested) :])]
     if min(closes[:leaders]) < TWICE * max(closes[leaders:]) or min(shares.values()) < -TANGLED:
+        return ()
+    if min(shares[i] for i in order[:leaders]) < ADDS:  # one does the other's work
         return ()
     parts = []
     for i in order:
