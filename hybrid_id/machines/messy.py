@@ -58,9 +58,9 @@ MEASURED, FARTHEST = 3, 3.4
 """Records of small effects alone, at most, and the factor by which a size is put right between them, at most."""
 NEAR = 0.085
 """Distance of a share from the wanted one up to which a linear prediction is believed to reach it."""
-CORRECTIONS = 6
+CORRECTIONS = 3
 """Sizes of the dominant effects that are measured, at most."""
-HOPELESS = 0.035
+HOPELESS = 0.085
 """Share of the gap of a dominant effect below which it is given up."""
 WATCHED = 2
 """Small effects, the largest, whose share is watched meanwhile."""
