@@ -35,6 +35,8 @@ class Criteria:
         lost: normalised RMSE of the best effect's free runs from which these have lost the records, so that a shorter
             horizon is taken, and
         lost_refit: that of the re-fitted nominal model.
+        followed: RMS of the best effect's errors, in noises, up to which free runs follow the records whatever they
+            leave: nothing has added up along them.
         by_chance: ratio of the mean square on records left out to that of the fit itself, for the best effect, from
             which free runs over whole records have followed them by chance, so that shorter ones are taken.
         wrong_values: ratio of nominal to re-fitted RMS error from which the parameter values were wrong.
@@ -60,6 +62,7 @@ class Criteria:
     negligible: float = 0.1
     lost: float = 0.1
     lost_refit: float = 0.5
+    followed: float = 3.0
     by_chance: float = 4.0
     wrong_values: float = 1.1
     vague: float = 0.1

@@ -33,7 +33,14 @@ from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.diagnosis.screen import Progress, Step, screen
-from hybrid_id.diagnosis.select import MAX_EFFECTS, Selection, interrupted, refitted_without, select
+from hybrid_id.diagnosis.select import (
+    MAX_EFFECTS,
+    Selection,
+    accepted_ones,
+    interrupted,
+    refitted_without,
+    select,
+)
 from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
@@ -179,18 +186,18 @@ def search(
                 best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
                 if not best.right and (own := _own_values(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own)
-            # what a model lacks adds up along its free runs where no record's own values explain the structure left
-            if fits.astray(best) > CRITERIA.lost or not (
-                best.right or (best is not base and _own_values(fits, best, system) is not None)
-            ):
+            if _adds_up(fits, base, best, system):
                 batch, how = fits.records(best.system), best.result.engine
-                chance = best.error > CRITERIA.by_chance * best.trained
+                chance = best.validation.plain > CRITERIA.by_chance * best.trained
                 chosen = choose_horizon(best.system, how, batch, [best.result], followed=0.0, pieces=chance)
                 if chosen.kind != "whole":
                     few = None if first is None else _helping(first)
-                    fits = fits.over(chosen)
-                    base = fits.base(system)
-                    first = screen(fits, base, system, among=few, progress=progress)
+                    pieces = fits.over(chosen)
+                    start = pieces.base(system)
+                    step = screen(pieces, start, system, among=few, progress=progress)
+                    # over short runs a slow effect may not show
+                    if first is None or accepted_ones(step) or not accepted_ones(first):
+                        fits, base, first = pieces, start, step
         return fits, select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
         )
@@ -198,6 +205,18 @@ def search(
         if not steps:
             raise
         return fits, interrupted(base, steps)
+
+
+def _adds_up(fits: Fits, base: Model, best: Model, system: System) -> bool:
+    """Whether what the best model lacks adds up along its free runs, so that shorter ones are asked for.
+
+    Not within a few noises, and not where each record's own values explain the structure that is left.
+    """
+    if best is not base and best.trained <= CRITERIA.followed**2:
+        return False
+    if fits.astray(best) > CRITERIA.lost:
+        return True
+    return not (best.right or (best is not base and _own_values(fits, best, system) is not None))
 
 
 def _own_values(fits: Fits, model: Model, system: System) -> PerRecord | None:

@@ -17,7 +17,7 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.plausibility import NUISANCE
-from hybrid_id.diagnosis.validation import coloured, validation
+from hybrid_id.diagnosis.validation import Validation, coloured, validation
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.identification.finite_differences import (
     WORST,
@@ -91,6 +91,9 @@ class Fits:
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long free runs are before they start again from a measured state.
         kept: fits of an earlier run, and where those of this one are kept.
+
+    Attributes:
+        weights: of the records that judge, ``(R,)``; None until the nominal model is fitted.
     """
 
     def __init__(
@@ -105,11 +108,12 @@ class Fits:
         self.dataset, self.jobs, self.signal_share, self.horizon = dataset, jobs, signal_share, horizon
         self.kept = kept
         self.fitted = 0
+        self.weights: np.ndarray | None = None
 
     def over(self, horizon: Horizon) -> Fits:
         """The same over another horizon."""
         other = copy.copy(self)
-        other.horizon = horizon
+        other.horizon, other.weights = horizon, None
         return other
 
     @property
@@ -119,7 +123,7 @@ class Fits:
 
     def on_all(self) -> Fits:
         """The same for the train and validation records together."""
-        every = copy.copy(self)
+        every = self.over(self.horizon)
         seen = (replace(r, role="train") if r.role == "validation" else r for r in self.dataset.records)
         every.dataset = replace(self.dataset, records=tuple(seen))
         return every
@@ -139,7 +143,8 @@ class Fits:
     def base(self, system: System, *, free: bool = False) -> Model:
         """The nominal model, fitted from its nominal values and from a fit in windows, whichever ends lower.
 
-        Where it leaves structure its parameters are held (:func:`held`), unless they are to be ``free``.
+        Where it leaves structure its parameters are held (:func:`held`), unless they are to be ``free``. How well it
+        predicts each record says how much that counts in all later comparisons.
         """
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
@@ -156,7 +161,9 @@ class Fits:
         further = (
             self.run([Task((), again.system, x0=again.x0)], FULL)[0] if again is not best.result else None
         )
-        return further if further is not None and further.result.cost < best.result.cost else best
+        best = further if further is not None and further.result.cost < best.result.cost else best
+        self.weights = best.validation.even_weights()
+        return replace(best, validation=best.validation.weighted(self.weights))
 
     def _best(self, starts: Sequence[System]) -> Model | None:
         """The fit of the nominal model from several starts that ends lowest."""
@@ -234,7 +241,7 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | Non
     if fits.kept is None:
         return _fit(fits, task, iterations, halting)
     records = (fits.dataset.train, fits.dataset.validation, fits.dataset.outputs)
-    asked = (fits.horizon, fits.signal_share, task, iterations, halting, engine())
+    asked = (fits.horizon, fits.signal_share, fits.weights, task, iterations, halting, engine())
     made_from = (records, *asked, CRITERIA.white, CRITERIA.coloured)
     return fits.kept.of(made_from, task.effects, task.system, lambda: _fit(fits, task, iterations, halting))
 
@@ -257,7 +264,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
             result = _nearest(task, batch, iterations, halting)
         if hidden and task.shake and full:
             result = perturbed_restarts(result, batch)
-        found = validation(_unseen(fits, result, batch) if full else result.residual, batch.step)
+        found = _judged(fits, result, batch) if full else validation(result.residual, batch.step, batch.names)
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
@@ -267,8 +274,16 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
     return Model(task.effects, result.condensed(), found, full) if sound else None
 
 
-def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
+def _judged(fits: Fits, result: FitResult, batch: Batch) -> Validation:
+    """Errors of a fit on records that it has not seen, each record as it counts."""
+    found = validation(*_unseen(fits, result, batch))
+    return found if fits.weights is None else found.weighted(fits.weights)
+
+
+def _unseen(fits: Fits, result: FitResult, batch: Batch) -> tuple[list[np.ndarray], float, Sequence[str]]:
     """Weighted errors of a fit on the validation records, or on the train records left out whole, in turn.
+
+    With the sample time and the record of each.
 
     A free run that has lost its record errs at most by as much as any record moves: how far it strays from there says
     nothing of the model, and would drown all other records.
@@ -277,12 +292,12 @@ def _unseen(fits: Fits, result: FitResult, batch: Batch) -> list[np.ndarray]:
     train = batch if fits.whole else fits.records(system)
     reach = train.motion().amax(0).clamp_min(1.0).numpy()
     if not fits.dataset.validation:
-        return bounded(predicted(result, batch), reach)
+        return bounded(predicted(result, batch), reach), batch.step, batch.names
     whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
     seen, run = runs(system, result.engine, whole, fits.horizon)
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)
     kept = [row[(weight > 0).any(1)] for row, weight in zip(error, seen.weight.numpy(), strict=True)]
-    return bounded(kept, reach)
+    return bounded(kept, reach), seen.step, seen.names
 
 
 def bounded(errors: Sequence[np.ndarray], reach: np.ndarray) -> list[np.ndarray]:

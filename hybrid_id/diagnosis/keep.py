@@ -72,12 +72,12 @@ def _written(model: Model | None) -> bytes:
             "names": result.names, "units": result.units, "status": result.status, "records": result.records,
             "cost": result.cost, "n_samples": result.n_samples, "iterations": result.iterations,
             "engine": asdict(result.engine), "history": result.history, "rows": len(result.residual),
-            "effective": seen.effective, "finished": model.finished,
+            "effective": seen.effective, "plain": seen.plain, "finished": model.finished,
         }  # fmt: skip
         arrays = {
             "about": np.array(json.dumps(about)), "values": result.values, "x0": result.x0,
             "prior_precision": result.prior_precision,
-            "blocks": seen.blocks, "sizes": seen.sizes, "row": seen.row,
+            "blocks": seen.blocks, "sizes": seen.sizes, "row": seen.row, "record": seen.record,
         }  # fmt: skip
         for k, (jacobian, residual) in enumerate(zip(result.jacobian, result.residual, strict=True)):
             arrays |= {f"jacobian_{k}": jacobian, f"residual_{k}": residual}
@@ -108,7 +108,9 @@ def _read(arrays: Mapping[str, np.ndarray], effects: tuple[Name, ...], start: Sy
         engine=Engine(**about["engine"]),
         history=tuple(about["history"]),
     )
-    seen = Validation(arrays["blocks"], arrays["sizes"], arrays["row"], about["effective"])
+    seen = Validation(
+        arrays["blocks"], arrays["sizes"], arrays["row"], about["effective"], arrays["record"], about["plain"]
+    )
     return Model(effects, result, seen, about["finished"])
 
 

@@ -26,6 +26,8 @@ GEAR_PERIODS = (0.25, 4.0)
 """Fewest and most periods a turn of the rotor of a gear's error: a shaft behind it turns once in several of its."""
 FINEST = 1200
 """Periods over such a range, or below the whole ones of a motor, that are looked at, at most."""
+THINNED, SHORTLIST = 4, 100
+"""Of many shapes, every so many windows choose so many of them, which are then held against all windows."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
 SPOTS = 24
@@ -182,19 +184,34 @@ def _strongest(
 ) -> list[tuple[int, tuple[float, ...]]]:
     """Number and coefficients of the shapes ``(R, T, m)`` that leave least beside the model's own parameters.
 
-    Each acts with its twin at another side of the joint, where ``beside`` tells of these.
+    Each acts with its twin at another side of the joint, where ``beside`` tells of these. Of very many shapes a part of
+    the windows says which are worth all of them.
     """
+    numbers = list(range(len(shapes)))
+    if len(shapes) > SHORTLIST * THINNED:
+        twin = None if beside is None else (beside[0].thinned(THINNED), beside[1])
+        numbers = sorted(i for i, _ in _ranked(opened.thinned(THINNED), numbers, shapes, twin)[:SHORTLIST])
+    return _ranked(opened, numbers, shapes, beside)
+
+
+def _ranked(
+    opened: Response,
+    numbers: Sequence[int],
+    shapes: Sequence[Tensor],
+    beside: tuple[Response, Sequence[Tensor]] | None,
+) -> list[tuple[int, tuple[float, ...]]]:
+    """Some of the shapes by what they leave, least first."""
     own, left = opened.own.flatten(0, 1).numpy(), opened.left.flatten().numpy()
-    moved = opened.response(torch.cat(list(shapes), -1))
+    moved = opened.response(torch.cat([shapes[i] for i in numbers], -1))
     if beside is not None:
-        moved = moved + beside[0].response(torch.cat(list(beside[1]), -1))
+        moved = moved + beside[0].response(torch.cat([beside[1][i] for i in numbers], -1))
     response = moved.flatten(0, 1).numpy()
     basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
     response, left = response - basis @ (basis.T @ response), left - basis @ (basis.T @ left)
     found, first = [], 0
-    for i, shape in enumerate(shapes):
-        columns = response[:, first : first + shape.shape[-1]]
-        first += shape.shape[-1]
+    for i in numbers:
+        columns = response[:, first : first + shapes[i].shape[-1]]
+        first += columns.shape[1]
         size = np.linalg.lstsq(columns, left, rcond=1e-8)[0]
         found.append((float(np.square(left - columns @ size).sum()), i, tuple(size.tolist())))
     return [(i, size) for _, i, size in sorted(found)]

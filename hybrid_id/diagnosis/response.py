@@ -64,6 +64,18 @@ class Response:
     start: Tensor
     weight: Tensor
 
+    def thinned(self, every: int) -> Response:
+        """The same with every so many of its windows."""
+        some = {
+            name: getattr(self, name)[::every]
+            for name in ("index", "record", "x", "own", "left", "start", "weight")
+        }
+        lin = replace(
+            self.lin,
+            **{name: getattr(self.lin, name)[::every] for name in ("y", "c", "d", "x_next", "a", "b")},
+        )
+        return replace(self, lin=lin, **some)
+
     def response(self, waves: Tensor) -> Tensor:
         """Weighted response of the windows' outputs to torques ``(R, T, m)`` [N m], ``(W, L n_y, m)``."""
         return self._chained(waves[self.record[:, None], self.index])

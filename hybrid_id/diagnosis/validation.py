@@ -11,7 +11,7 @@ predictions worse.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -32,12 +32,29 @@ class Validation:
         sizes: measurements in each block, ``(n,)``.
         row: number of the record or window that each block is from, ``(n,)``.
         effective: how many independent measurements they are worth.
+        record: number of the record that each block is from, ``(n,)``.
+        plain: mean square with all records at full weight.
     """
 
     blocks: np.ndarray
     sizes: np.ndarray
     row: np.ndarray
     effective: float
+    record: np.ndarray
+    plain: float
+
+    def even_weights(self) -> np.ndarray:
+        """Weights of the records, ``(R,)``, with which none counts for more than the one that is predicted next worst.
+
+        Where a record goes elsewhere than all others, its error says little of a model and would drown the rest.
+        """
+        errors = np.bincount(self.record, self.blocks) / np.maximum(np.bincount(self.record, self.sizes), 1)
+        limit = np.sort(errors)[-2] if len(errors) > 1 else errors[0]
+        return np.minimum(1.0, limit / np.maximum(errors, 1e-300))
+
+    def weighted(self, weights: np.ndarray) -> Validation:
+        """The same with the errors of each record times a weight, ``(R,)``."""
+        return replace(self, blocks=self.blocks * weights[self.record])
 
     @property
     def error(self) -> float:
@@ -78,24 +95,25 @@ class Validation:
         return float(ratio.mean() / max(spread, 1e-3) * np.sqrt(n)), n
 
 
-def validation(residuals: Sequence[np.ndarray], sample_time: float) -> Validation:
+def validation(residuals: Sequence[np.ndarray], sample_time: float, records: Sequence[str]) -> Validation:
     """Blocks of weighted errors of prediction.
 
     Args:
         residuals: weighted errors of each record or window, which the estimate has not seen, ``(T, n_y)``.
         sample_time: of the records [s].
+        records: name of the record that each is of.
     """
     length, blocks, sizes, row = max(1, round(BLOCK / sample_time)), [], [], []
+    number_of = {name: k for k, name in enumerate(dict.fromkeys(records))}
     for number, residual in enumerate(residuals):
         starts = np.arange(0, len(residual), length)
         blocks.append(np.add.reduceat(np.square(residual).sum(1), starts))
         sizes.append(np.add.reduceat(np.count_nonzero(residual, axis=1), starts))
         row.append(np.full(len(starts), number))
+    sums, counts, own = np.concatenate(blocks), np.maximum(np.concatenate(sizes), 1), np.concatenate(row)
+    record = np.array([number_of[name] for name in records])[own]
     return Validation(
-        np.concatenate(blocks),
-        np.maximum(np.concatenate(sizes), 1),
-        np.concatenate(row),
-        effective_samples(residuals),
+        sums, counts, own, effective_samples(residuals), record, float(sums.sum() / counts.sum())
     )
 
 

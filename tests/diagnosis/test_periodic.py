@@ -157,7 +157,7 @@ def test_periods_that_are_fixed_are_told() -> None:
     system = left.result.system.with_component("joint1/motor", Cogging(T_c=0.003, T_s=-0.002, n=1.0))
     fit = finite_difference_fit(system, left.batch, engine=left.result.engine, iterations=8)
     name = ("cogging", "joint1/motor")
-    told = _parameters(Model((name,), fit, validation(fit.residual, 0.005)), name)
+    told = _parameters(Model((name,), fit, validation(fit.residual, 0.005, fit.records)), name)
     assert set(told) == {"T_c", "T_s", "n"}
     assert told["n"] == (1.0, 0.0)
     assert told["T_c"][1] > 0.0

@@ -31,7 +31,7 @@ NOISE, WAVE = RNG.standard_normal((8000, 1)), np.sin(0.01 * np.arange(8000))[:, 
 def model(residual: np.ndarray, *effects: tuple[str, str]) -> Model:
     """A model that leaves these weighted errors, seen or not."""
     result: Any = SimpleNamespace(residual=[residual], cost=1.0)
-    return Model(effects, result, validation([residual], 0.002))
+    return Model(effects, result, validation([residual], 0.002, ("run",)))
 
 
 def test_a_first_effect_is_accepted_where_it_is_sure_and_no_formula_explains_it() -> None:

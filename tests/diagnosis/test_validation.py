@@ -26,13 +26,19 @@ STEP = 0.01
 BLOCKS, ROWS = 40, 6
 
 
+def seen(errors: Sequence[np.ndarray]) -> Validation:
+    """Errors of records, one each."""
+    return validation(errors, STEP, [f"run{k}" for k in range(len(errors))])
+
+
 def noise(rng: np.random.Generator, size: float = 1.0) -> list[np.ndarray]:
     return [size * rng.standard_normal((n, 1)) for n in (120, 90, 100)]
 
 
 def from_blocks(blocks: np.ndarray) -> Validation:
     """Blocks ``(ROWS * BLOCKS,)`` of records of one length."""
-    return Validation(blocks, np.full(len(blocks), 25), np.repeat(np.arange(ROWS), BLOCKS), 100.0)
+    row = np.repeat(np.arange(ROWS), BLOCKS)
+    return Validation(blocks, np.full(len(blocks), 25), row, 100.0, row, 1.0)
 
 
 def autoregression(rng: np.random.Generator, shape: tuple[int, ...], memory: float) -> np.ndarray:
@@ -46,7 +52,7 @@ def autoregression(rng: np.random.Generator, shape: tuple[int, ...], memory: flo
 def test_blocks_are_parts_of_the_mean_square(lengths: list[int], outputs: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     errors = [rng.standard_normal((n, outputs)) for n in lengths]
-    found, length = validation(errors, STEP), round(BLOCK / STEP)
+    found, length = seen(errors), round(BLOCK / STEP)
     assert found.error == pytest.approx(mean_square(errors))
     assert found.sizes.sum() == sum(e.size for e in errors)
     assert [int((found.row == k).sum()) for k in range(len(errors))] == [-(-n // length) for n in lengths]
@@ -68,7 +74,7 @@ def test_few_records_are_divided(rng: np.random.Generator) -> None:
     for rows in (1, 2, 3):
         row = np.repeat(np.arange(rows), BLOCKS)
         one, other = (
-            Validation(size * rng.uniform(0.9, 1.1, len(row)), np.full(len(row), 25), row, 100.0)
+            Validation(size * rng.uniform(0.9, 1.1, len(row)), np.full(len(row), 25), row, 100.0, row, 1.0)
             for size in (0.8, 1.0)
         )
         t, n = one.over_records(other)
@@ -82,7 +88,7 @@ def test_the_record_wise_difference_of_equals_is_student_s(rows: int) -> None:
     for _ in range(400):
         row = np.repeat(np.arange(rows), BLOCKS)
         own = np.exp(rng.standard_normal((2, rows)))[:, row]
-        one, other = (Validation(size, np.full(len(row), 25), row, 100.0) for size in own)
+        one, other = (Validation(size, np.full(len(row), 25), row, 100.0, row, 1.0) for size in own)
         t, n = one.over_records(other)
         beyond += abs(t) > student.isf(0.05, n - 1)
     assert 0.06 < beyond / 400 < 0.14
@@ -92,21 +98,35 @@ def test_samples_without_a_measurement_count_for_nothing(rng: np.random.Generato
     (error,) = [rng.standard_normal((100, 2))]
     missing = error.copy()
     missing[::2, 1] = 0.0  # its weight is zero
-    found = validation([missing], STEP)
+    found = seen([missing])
     assert found.error == pytest.approx(np.square(missing).sum() / 150)
-    assert validation([np.zeros((100, 1))], STEP).error == 0.0
+    assert seen([np.zeros((100, 1))]).error == 0.0
 
 
 def test_fall_is_the_relative_fall_of_the_mean_square(rng: np.random.Generator) -> None:
     errors = noise(rng)
-    whole, half = validation(errors, STEP), validation([0.5 * e for e in errors], STEP)
+    whole, half = seen(errors), seen([0.5 * e for e in errors])
     assert half.fall(whole) == pytest.approx(0.75)
     assert whole.fall(whole) == 0.0
     assert whole.fall(half) == pytest.approx(-3.0)
 
 
+def test_no_record_counts_for_more_than_the_next(rng: np.random.Generator) -> None:
+    """One record that every model loses decides nothing; of windows, all of a record's share its weight."""
+    errors = [rng.standard_normal((200, 1)) * size for size in (1.0, 2.0, 2.0, 50.0, 50.0)]
+    found = validation(errors, STEP, ("a", "b", "b", "c", "c"))
+    weights = found.even_weights()
+    assert weights[:2] == pytest.approx([1.0, 1.0]) and weights[2] < 0.01
+    even = found.weighted(weights)
+    sums = np.bincount(even.record, even.blocks) / np.bincount(even.record, even.sizes)
+    assert sums[2] == pytest.approx(sums[1])
+    assert seen(errors[:1]).even_weights() == pytest.approx([1.0])
+    better = validation([0.5 * e for e in errors[:3]] + errors[3:], STEP, ("a", "b", "b", "c", "c"))
+    assert better.fall(found) < 0.01 and better.weighted(weights).fall(even) > 0.3
+
+
 def test_smaller_errors_are_better_and_none_is_better_than_itself(rng: np.random.Generator) -> None:
-    poor, good = validation(noise(rng, 3.0), STEP), validation(noise(rng), STEP)
+    poor, good = seen(noise(rng, 3.0)), seen(noise(rng))
     assert good.z(poor) > 2.0
     assert poor.z(good) == pytest.approx(-good.z(poor))
     assert good.z(good) == 0.0
