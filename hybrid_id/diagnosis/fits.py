@@ -72,6 +72,7 @@ class Task:
         cost: where an earlier fit has ended; another method is tried where this one ends higher.
         x0: first states that the earlier fit has ended with, ``(R, n_x)``.
         shake: whether the last fit of a gear whose link nobody measures is restarted from perturbed values.
+        judge: whether the last fit is followed by those without the records that judge it.
     """
 
     effects: tuple[Name, ...]
@@ -80,6 +81,7 @@ class Task:
     cost: float = 0.0
     x0: np.ndarray | None = None
     shake: bool = True
+    judge: bool = True
 
 
 class Fits:
@@ -158,16 +160,15 @@ class Fits:
             best = self._best([held(start, system, best) for start in (system, best.system)]) or best
         # a fit that has stopped early would lend its gap to the first effect that frees it
         again = confirmed(best.result, self.batch(best.system), options=Options(tolerance=0.05))
-        further = (
-            self.run([Task((), again.system, x0=again.x0)], FULL)[0] if again is not best.result else None
-        )
-        best = further if further is not None and further.result.cost < best.result.cost else best
+        ends = (best.result,) if again is best.result else (best.result, again)
+        judged = [self.run([Task((), end.system, x0=end.x0)], FULL)[0] for end in ends]
+        best = min((e for e in judged if e is not None), key=lambda e: e.result.cost, default=best)
         self.weights = best.validation.even_weights()
         return replace(best, validation=best.validation.weighted(self.weights))
 
     def _best(self, starts: Sequence[System]) -> Model | None:
         """The fit of the nominal model from several starts that ends lowest."""
-        ends = [e for e in self.run([Task((), start) for start in starts], FULL) if e is not None]
+        ends = [e for e in self.run([Task((), one, judge=False) for one in starts], FULL) if e is not None]
         return min(ends, key=lambda e: e.result.cost, default=None)
 
     def slopes(self, system: System, least: float) -> Slopes | None:
@@ -250,7 +251,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
     torch.set_num_threads(1)
     if fits.jobs > 1:
         leave_ctrl_c_to_the_first()
-    full = iterations == FULL
+    full, judge = iterations == FULL, iterations == FULL and task.judge
     try:
         batch = fits.batch(task.system)
         hidden = fits.whole and hidden_links(task.system, batch)
@@ -264,14 +265,16 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
             result = _nearest(task, batch, iterations, halting)
         if hidden and task.shake and full:
             result = perturbed_restarts(result, batch)
-        found = _judged(fits, result, batch) if full else validation(result.residual, batch.step, batch.names)
+        found = (
+            _judged(fits, result, batch) if judge else validation(result.residual, batch.step, batch.names)
+        )
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
         return None  # a start that the physics refuses is no candidate
     sound = np.isfinite(found.error) and all(np.isfinite(part).all() for part in result.jacobian)
     # a search keeps hundreds
-    return Model(task.effects, result.condensed(), found, full) if sound else None
+    return Model(task.effects, result.condensed(), found, judge) if sound else None
 
 
 def _judged(fits: Fits, result: FitResult, batch: Batch) -> Validation:
