@@ -159,20 +159,12 @@ def _states(
     rest = rest_samples(record)
     for joint in system.joints:
         n, ratio = joint.number, joint.gear_ratio
-        sides = {f"q_m{n}": 1.0, f"q_a{n}": ratio, f"v_m{n}": 1.0, f"v_a{n}": ratio}
-        measured = [name for name in sides if name in record.outputs]
-        if not measured:
-            raise InputError(
-                f"{record.title} measures neither angle nor speed of joint {n}; add {', '.join(sides)}."
-            )
-        motor = _motion(joint, record, measured[0], noise, rest)
         row = joint.positions[0]
-        states[:, row : row + 2] = motor[0] * sides[measured[0]]
-        stds[row : row + 2] = motor[1] * sides[measured[0]]
+        states[:, row : row + 2], stds[row : row + 2] = _rotor_motion(joint, record, noise, rest)
         if joint.rigid:
             continue
         link = joint.positions[1]
-        if f"q_a{n}" in measured:
+        if f"q_a{n}" in record.outputs:
             states[:, link : link + 2], stds[link : link + 2] = _motion(joint, record, f"q_a{n}", noise, rest)
         else:
             states[:, link : link + 2] = states[:, row : row + 2] / ratio
@@ -246,6 +238,34 @@ def _resting_twist(system: System, joint: Joint, x: list[Tensor], u: Channels) -
         further = pull(middle) > 0
         low, high = torch.where(further, middle, low), torch.where(further, high, middle)
     return torch.where(carried, 0.5 * (low + high), nothing)
+
+
+def _rotor_motion(
+    joint: Joint, record: Record, noise: Mapping[str, float], rest: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and speed (T, 2) of a rotor from either side of its gear, and the uncertainty of the first sample (2,)."""
+    n = joint.number
+    sides = [f"q_m{n}", f"q_a{n}", f"v_m{n}", f"v_a{n}"]
+    measured = [name for name in sides if name in record.outputs]
+    linked = [one for one, _ in joint.links]
+    for name in measured:
+        if name[2] == "m":
+            return _motion(joint, record, name, noise, rest)
+        others = [f"{name[:3]}{one.number}" for one in linked]
+        if all(other in record.outputs for other in others):
+            each = [
+                (*_motion(one, record, other, noise, rest), turns)
+                for other, (one, turns) in zip(others, joint.links, strict=True)
+            ]
+            moved = sum(motion * turns for motion, _, turns in each)
+            spread = np.sqrt(sum((std * turns) ** 2 for _, std, turns in each))
+            return np.asarray(moved), np.asarray(spread)
+    others = (
+        f", the links' at joints {' and '.join(str(one.number) for one in linked)}" if joint.motors else ""
+    )
+    raise InputError(
+        f"{record.title} measures neither angle nor speed of joint {n}; add {', '.join(sides)}{others}."
+    )
 
 
 def _motion(

@@ -180,6 +180,11 @@ class System(nn.Module):
         return views
 
     @property
+    def own_ratios(self) -> list[float | None]:
+        """Gear ratio of each joint; None where a coupled gear turns its motor with other joints, too."""
+        return [None if joint.motors else joint.gear_ratio for joint in self.joints]
+
+    @property
     def input_names(self) -> list[str]:
         """Channels that the system reads (``enable<joint>`` is read where a record has it)."""
         return [*(f"{c}{j.number}" for j in self.joints for c in j.channels), *self.arm.channels]

@@ -25,6 +25,7 @@ from hybrid_id.components.base import (
 )
 from hybrid_id.components.bristle import Bristle
 from hybrid_id.components.input.delay import Delay
+from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.sensor.late_reading import LateReading
 from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
@@ -44,6 +45,11 @@ def sum_of(terms: Sequence[Tensor | None], like: Tensor) -> Tensor:
     """The same with a single zero, which costs nothing to add, where there is none."""
     found = sum_if_any(terms)
     return like.new_zeros(1) if found is None else found
+
+
+def _has(law: Friction, *terms: str) -> bool:
+    """Whether a law of friction brings one of these terms."""
+    return any(getattr(type(law), term) is not getattr(Friction, term) for term in terms)
 
 
 def only(parts: Mapping[str, Component], kind: type, joint: str, what: str) -> tuple[str, Component]:
@@ -164,7 +170,7 @@ class Drive:
         rotor: row of the rotor's angle in the system's state; its speed is the next.
         first_row: row of the first state that the drive owns.
         ratio: motor turns per joint turn.
-        link: gives angle [rad] and speed [rad/s] of the link from state rows and parameter views.
+        link: gives angle [rad] and speed [rad/s] behind the gear from state rows and parameter views.
 
     Attributes:
         state_names: of the states that it owns.
@@ -310,6 +316,9 @@ SIDE = {"motor_friction": "m", "link_friction": "a"}
 class Joint:
     """Paper, eq. (4) and (5): ``J_m a_m = tau_m - tau_s / r - tau_fm``, ``J_a a_a = tau_s - tau_fa``, by components.
 
+    Motors of a coupled gear each keep their own balance of the rotor; what acts at the links reaches them through the
+    gear (:class:`~hybrid_id.robots.couplings.GearCoupling`), which :class:`~hybrid_id.systems.arm.Arm` knows.
+
     State: ``q_m, v_m``, behind a spring ``q_a, v_a`` (x_1, x_2, x_4, x_5), then bristles, windings, networks, readings.
 
     Args:
@@ -317,6 +326,11 @@ class Joint:
         gear_ratio: motor turns per joint turn.
         parts: component key -> component, in the order in which they were added.
         first_row: row of the joint's q_m in the system's state.
+
+    Attributes:
+        motors: of a coupled gear, the joints whose motors turn the link, and how far it turns for one turn of each;
+            empty where the joint's own motor alone does.
+        links: the joints whose links turn with the motor, and how far it turns for one turn of each.
 
     Raises:
         InputError: a place that must hold a component is empty.
@@ -358,7 +372,7 @@ class Joint:
                     self.state_names += [f"{state}_{side}{number}" for state in law.states]
 
         self.drive = Drive(
-            number, parts, first_row, first_row + len(self.state_names), gear_ratio, self.link_motion
+            number, parts, first_row, first_row + len(self.state_names), gear_ratio, self.shaft_motion
         )
         self.state_names += self.drive.state_names
         self.networks = self.drive.networks = Networks(self, parts, first_row + len(self.state_names))
@@ -368,16 +382,16 @@ class Joint:
         self.channels = [c for _, part in (self.drive.input, *self.logged) for c in part.channels]
         dry = [self._is_dry(place) for place in self.frictions]
         self.dry = [any(dry)] if self.rigid else dry
+        self.motors: list[tuple[Joint, float]] = []
+        self.links: list[tuple[Joint, float]] = [(self, gear_ratio)]
 
     def _is_dry(self, place: str) -> bool:
         """Whether set-valued friction acts in a place; a bristle takes it over, that of the load excepted."""
-        laws = [type(law) for _, law in self.frictions[place]]
-
-        def has(*terms: str) -> bool:
-            return any(getattr(law, term) is not getattr(Friction, term) for law in laws for term in terms)
-
-        free = place not in self.bristles
-        return (free and has("dry", "dry_over")) or has("load_factor", "effort_factor")
+        laws, free = [law for _, law in self.frictions[place]], place not in self.bristles
+        return any(
+            (free and _has(law, "dry", "dry_over")) or _has(law, "load_factor", "effort_factor")
+            for law in laws
+        )
 
     def dry_level(
         self, place: str, p: Views, magnitude: Tensor, forward: Tensor, x: Sequence[Tensor]
@@ -449,7 +463,8 @@ class Joint:
                 turned = carried * slope * bend * v.square()  # the link's, while the rotor turns evenly
                 drive = drive - turned
             network = any(place in self.networks.by_place for place in LINK_PLACES)
-            if self.frictions["link_friction"] or self.loads or self.logged or network:
+            acts = self.frictions["link_friction"] or self.loads or self.logged or network
+            if acts and not self.motors:  # else the arm brings it to all motors of the coupled gear
                 link_smooth, link_level = self.friction(
                     "link_friction", x, u, p, v * slope, magnitudes[0] * abs(slope), forwards[0]
                 )
@@ -473,8 +488,54 @@ class Joint:
             SpeedBalance(link, torque - link_smooth - self._load(x, qa, va, u, p), link_level),
         ]
 
+    def couple(self, motors: Sequence[tuple[Joint, float]], links: Sequence[tuple[Joint, float]]) -> None:
+        """Let a coupled gear join the motor and the link with those of other joints, see ``motors`` and ``links``.
+
+        Raises:
+            InputError: a part whose place in a coupled gear is not known, or whose friction several motors would share.
+        """
+        self.motors, self.links = list(motors), list(links)
+        refused: list[tuple[str, Component]] = [*self.gear.errors]
+        refused += [] if self.rigid else [self.gear.transmission]
+        refused += [] if isinstance(self.inertia[1], RotorInertia) else [self.inertia]
+        refused += [] if self.sensing.late is None else [self.sensing.late]
+        # the loop of a servo closes over its own shaft
+        refused += self.drive.encoders if self.drive.input[1].at_joint else []
+        for key, part in refused:
+            raise InputError(
+                f"{part.kind} at '{key.rsplit('/', 1)[0]}' cannot sit at a joint whose motor is coupled with others; "
+                "remove it, or the coupling."
+            )
+        for key, law in self.frictions["link_friction"]:
+            if isinstance(law, Bristle) or _has(law, "dry", "dry_over", "load_factor", "effort_factor"):
+                raise InputError(
+                    f"{law.kind} at '{key.rsplit('/', 1)[0]}' is dry friction of a link that coupled motors turn "
+                    "together; put it at motor_friction."
+                )
+
+    def link_load(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Torque of friction, loads and networks at the link of a coupled gear [N m], ``(B,)``."""
+        angle, speed = self.link_motion(x, p)
+        ahead = (speed > 0).to(speed.dtype)
+        return self.friction("link_friction", x, u, p, speed, speed.abs(), ahead)[0] + self._load(
+            x, angle, speed, u, p
+        )
+
+    def shaft_motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
+        """Angle [rad] and speed [rad/s] behind the joint's own gear: the link's, but for a coupled gear."""
+        if not self.motors:
+            return self.link_motion(x, p)
+        row = self.positions[0]
+        return x[row] / self.gear_ratio, x[row + 1] / self.gear_ratio
+
     def link_motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
         """Angle [rad] and speed [rad/s] of the link, ``(B,)`` each."""
+        if self.motors:
+            angle, speed = (
+                sum_of([x[one.positions[0] + order] * share for one, share in self.motors], x[0])
+                for order in (0, 1)
+            )
+            return angle, speed
         if not self.rigid:
             return x[self.positions[1]], x[self.positions[1] + 1]
         angle, slope, _ = self.gear.map(x[self.positions[0]], p)
@@ -520,7 +581,7 @@ class Joint:
             value, seen = x[row + (channel == "v_m")], 1.0
         elif channel in ("q_a", "v_a"):
             value = self.link_motion(x, p)[channel == "v_a"]
-            seen = 1.0 / self.gear_ratio if self.rigid else 0.0
+            seen = 1.0 / self.gear_ratio if self.rigid else 0.0  # no motor of a coupled gear is read late
         elif channel == "tau":
             value = self.drive.torque(x, u, p)
         elif channel == "i":
