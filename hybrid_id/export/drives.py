@@ -105,6 +105,7 @@ class Drives:
         self._uneven(f"friction{label}", rotor, r, at_rotor)
         self._uneven(f"link_friction{label}", side, 1.0, at_link)
         self._loads(joint, at_link)
+        self.notes += carried([(stage, part) for stage, part, _ in joint.drive.stages], self.p)[1]
         return tag, head | attributes
 
     def closes(self, joint: Joint) -> bool:

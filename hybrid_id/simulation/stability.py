@@ -49,8 +49,8 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
     jacobian = torch.zeros(n_x, n_x, len(pick), dtype=batch.x.dtype, device=batch.x.device)
     fill_jacobian(jacobian, rates, leaves)
     # what remembers couples back through its drive (a bristle that sticks is a spring); its own rate is exact
-    for row, drive, _ in relaxations:
-        fill_jacobian(jacobian[row : row + 1], [drive], leaves)
+    for row, one in relaxations:
+        fill_jacobian(jacobian[row : row + 1], [one.drive], leaves)
     jacobian = jacobian.permute(2, 0, 1)
     jacobian = jacobian[torch.isfinite(jacobian).all(2).all(1)]
     return float(torch.linalg.eigvals(jacobian).abs().max()) if len(jacobian) else math.inf

@@ -10,7 +10,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from hybrid_id.components.base import PLACES, Component
+from hybrid_id.components.base import PLACES, Component, Relaxation
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
@@ -242,8 +242,8 @@ class System(nn.Module):
             rates[row - 1], rates[row] = x[row], acceleration
         return rates
 
-    def relaxations(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state that remembers, ``dz/dt = drive - rate z``."""
+    def relaxations(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, Relaxation]]:
+        """Row of each state that remembers, and how it goes on."""
         return [found for joint in self.joints for found in joint.relaxations(x, u, p)]
 
     def outputs(self, names: Sequence[str], x: Rows, u: Channels, p: Views) -> list[Tensor]:

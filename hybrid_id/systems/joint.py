@@ -17,9 +17,12 @@ from hybrid_id.components.base import (
     Input,
     LoadTorque,
     LoggedTorque,
+    LoopStage,
     Motor,
+    Relaxation,
     RotorTorque,
     Sensor,
+    ServoLoop,
     Transmission,
     Winding,
 )
@@ -153,12 +156,12 @@ class SensorDynamics:
                 value = sensor.read(p[key], value)
         return value
 
-    def relaxations(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state, ``dz/dt = drive - rate z``."""
+    def relaxations(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Relaxation]]:
+        """Row of each state, and how it goes on."""
         if self.late is None:
             return []
         key, part = self.late
-        return [(self.row, *part.relaxation(p[key], x[self.rotor + 1]))]
+        return [(self.row, Relaxation(*part.relaxation(p[key], x[self.rotor + 1])))]
 
 
 class Drive:
@@ -207,10 +210,21 @@ class Drive:
                 row = first_row + len(self.state_names)
                 self.windings.append((key, part, range(row, row + len(part.states))))
                 self.state_names += [f"{state}{number}" for state in part.states]
+        self.stages: list[tuple[str, LoopStage, int]] = []
+        for key, part in parts.items():
+            if isinstance(part, LoopStage):
+                self.stages.append((key, part, first_row + len(self.state_names)))
+                self.state_names += [f"{state}{number}" for state in part.states]
 
     def check(self) -> None:
-        """Raise InputError where the motor takes another kind of command than its input gives."""
+        """Raise InputError where the input gives not what the motor takes, or closes no loop that has stages."""
         joint, source, motor = f"joint{self.number}", self.input[1], self.motor[1]
+        if self.stages and not isinstance(source, ServoLoop):
+            loops = [k for k, c in REGISTRY.items() if issubclass(c, ServoLoop)]
+            raise InputError(
+                f"{self.stages[0][1].kind} at {joint}/input belongs to a position loop, which {source.kind} is not; "
+                f"put {' or '.join(sorted(loops))} there, or remove it."
+            )
         if motor.takes and source.gives != motor.takes:
             fits = [k for k, c in REGISTRY.items() if issubclass(c, Motor) and c.takes == source.gives]
             raise InputError(
@@ -246,20 +260,44 @@ class Drive:
     ) -> Tensor:
         """Effective command at the motor, ``(B,)``; without what a network adds where ``network`` is false."""
         key, part = self.input
-        u = self.hold(u, p)
-        channels = {name: u[f"{name}{self.number}"] for name in part.channels}
-        rotor = angle, speed = x[self.rotor], x[self.rotor + 1]
-        if part.at_joint:
-            angle, speed = self.link(x, p)
-        for name, encoder in self.encoders:  # a position loop compares its goal with what it reads
-            angle = encoder.read(p[name], angle)
+        channels, angle, speed = self._seen(x, self.hold(u, p), p)
         command = part.command(p[key], channels, angle, speed)
         if part.at_joint:
-            command, speed = command / self.ratio, rotor[1]
+            command = command / self.ratio
         for key, step in self.maps:
-            command = step.map(p[key], command, speed)
+            command = step.map(p[key], command, x[self.rotor + 1])
         added = self._added("input", x, u, p) if network else None
         return command if added is None else command + added
+
+    def _motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
+        """Angle [rad] and speed [rad/s] of the side that the input reads, ``(B,)`` each."""
+        return self.link(x, p) if self.input[1].at_joint else (x[self.rotor], x[self.rotor + 1])
+
+    def _seen(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+        """Channels, angle and speed as the input sees them, what the stages of a position loop do included."""
+        part = self.input[1]
+        channels = {name: u[f"{name}{self.number}"] for name in part.channels}
+        angle, speed = self._motion(x, p)
+        for name, encoder in self.encoders:  # a position loop compares its goal with what it reads
+            angle = encoder.read(p[name], angle)
+        if isinstance(part, ServoLoop):
+            for name, stage, row in self.stages:
+                angle, speed = stage.reading(p[name], angle, speed, x[row])
+                channels["goal"] = stage.goal(p[name], channels["goal"], x[row])
+                if (integral := stage.integral(p[name], x[row])) is not None:
+                    channels["integral"] = integral
+        return channels, angle, speed
+
+    def starts(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> dict[int, Tensor]:
+        """By their rows, states of the position loop's stages after a long time at goal and speed."""
+        key, part = self.input
+        if not self.stages or not isinstance(part, ServoLoop):
+            return {}
+        aim = part.aim(p[key], {"goal": self.hold(u, p)[f"goal{self.number}"]})
+        speed = self._motion(x, p)[1]
+        return {row: stage.start(p[name], aim, speed) for name, stage, row in self.stages}
 
     def torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Torque on the rotor [N m], ``(B,)``."""
@@ -293,20 +331,34 @@ class Drive:
 
     def relaxations(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state, ``dz/dt = drive - rate z``."""
+    ) -> list[tuple[int, Relaxation]]:
+        """Row of each state, and how it goes on."""
+        found = self._loop_relaxations(x, u, p)
         if not self.windings:
-            return []
+            return found
         key, motor = self.motor
         torque = motor.torque(p[key], self.command(x, u, p), x[self.rotor + 1])
         torque = self._switched(torque, u)
-        found = []
         for key, part, rows in self.windings:
             states = [x[row] for row in rows]
             pairs = part.relaxations(p[key], torque, states)
-            found += [(row, drive, rate) for row, (drive, rate) in zip(rows, pairs, strict=True)]
+            found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
             torque = part.torque(p[key], torque, states)
         return found
+
+    def _loop_relaxations(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> list[tuple[int, Relaxation]]:
+        key, part = self.input
+        if not self.stages or not isinstance(part, ServoLoop):
+            return []
+        u, speed = self.hold(u, p), self._motion(x, p)[1]
+        channels, angle, _ = self._seen(x, u, p)
+        aim = part.aim(p[key], {"goal": u[f"goal{self.number}"]})
+        error = part.error(p[key], channels, angle)
+        return [
+            (row, stage.relaxation(p[name], aim, error, speed, x[row])) for name, stage, row in self.stages
+        ]
 
 
 SIDE = {"motor_friction": "m", "link_friction": "a"}
@@ -548,8 +600,8 @@ class Joint:
 
     def relaxations(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state that remembers, ``dz/dt = drive - rate z``."""
+    ) -> list[tuple[int, Relaxation]]:
+        """Row of each state that remembers, and how it goes on."""
         found = []
         for place, (key, law, rows) in self.bristles.items():
             motor = place == "motor_friction"
@@ -557,7 +609,7 @@ class Joint:
             v = v * self.gear.map(x[self.positions[0]], p)[1] if self.rigid and not motor else v
             level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype), x)
             pairs = law.relaxations(p[key], [x[row] for row in rows], v, level)
-            found += [(row, *pair) for row, pair in zip(rows, pairs, strict=True)]
+            found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
         found += self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
         return found + self.sensing.relaxations(x, p)
 

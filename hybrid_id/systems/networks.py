@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Component
+from hybrid_id.components.base import Component, Relaxation
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 
@@ -169,11 +169,11 @@ class Networks:
 
     def relaxations(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each hidden state, ``dh/dt = drive - rate h``."""
+    ) -> list[tuple[int, Relaxation]]:
+        """Row of each hidden state, and how it goes on."""
         found = []
         for place, (key, part, rows) in self.by_place.items():
             if part.memory:
                 pairs = part.relaxations(p[key], *self.signals(place, x, u, p))
-                found += [(row, drive, rate) for row, (drive, rate) in zip(rows, pairs, strict=True)]
+                found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
         return found

@@ -21,6 +21,7 @@ from hybrid_id.components.base import (
     Input,
     LoadTorque,
     LoggedTorque,
+    LoopStage,
     Motor,
     RotorTorque,
     Sensor,
@@ -127,6 +128,15 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
     if isinstance(part, LateReading):
         found["drive"], found["rate"] = part.relaxation(p, v)
         found["angle"], found["speed"] = part.motion(p, q, v, 0.1 * one)
+    if isinstance(part, LoopStage):
+        state, aim = 0.3 * torch.cos(q), 0.4 * torch.sin(q)
+        went = part.relaxation(p, aim, aim - 0.2 * q, v, state)
+        bounds = {"low": went.low, "high": went.high}
+        found |= {name: None if value is None else value * one for name, value in bounds.items()}
+        found["drive"], found["rate"] = went.drive, went.rate
+        found["angle"], found["speed"] = part.reading(p, q, v, state)
+        found["goal"], found["integral"] = part.goal(p, aim, state), part.integral(p, state)
+        found["start"] = part.start(p, aim, v)
     if isinstance(part, KinematicError):
         found["error"], found["slope"], found["bend"] = part.error(p, q)
     if isinstance(part, CommandMap):
