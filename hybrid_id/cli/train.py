@@ -76,6 +76,11 @@ def train(
         use_threads(threads)
         system = load_system(config, dataset)
         refuse_arm(system, config.model, "train")
+        if any(c.name.startswith("tau_a") for c in dataset.outputs) and any(system.dry):
+            raise InputError(
+                f"{config.dataset}: 'train' smooths dry friction, with which the torque at the link (tau_a) jumps; "
+                "leave tau_a out of its outputs, or take 'identify'."
+            )
         use_device(config.identification.device)
         if config.hybrid is not None:
             if pooled is False:

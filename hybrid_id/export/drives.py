@@ -114,7 +114,7 @@ class Drives:
 
     def sensed(self, joint: Joint) -> None:
         """Note what of a joint's sensors is left out."""
-        late = [] if joint.sensing.late is None else [joint.sensing.late[:2]]
+        late = [one for one in (joint.sensing.late, joint.sensing.lag) if one is not None]
         self.notes += carried([*joint.sensing.sensors, *late], self.p)[1]
 
     def _stopped(self, joint: Joint, place: str) -> float:

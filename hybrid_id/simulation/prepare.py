@@ -82,6 +82,7 @@ def make_batch(
     x0_std = torch.tensor(np.array(spread), dtype=torch.float64)
     _wind_up(system, records, x, x0_std, u)
     _begin_loops(system, records, x, x0_std, u, estimate_start)
+    _begin_readings(system, x, u)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
 
 
@@ -260,6 +261,19 @@ def _begin_loops(
             if estimate_start:
                 around = torch.minimum(balance.level / slope + 0.1 * found.abs(), limit)
                 x0_std[:, row] = torch.where(able, around, torch.minimum(errors, limit))
+
+
+@torch.no_grad()
+def _begin_readings(system: System, x: Tensor, u: Mapping[str, Tensor]) -> None:
+    """Let torque sensors that lag read the torques of the guess at once."""
+    if not any(joint.sensing.lag for joint in system.joints):
+        return
+    rows = [column.reshape(-1) for column in x.unbind(2)]
+    channels = {name: channel.reshape(-1) for name, channel in u.items()}
+    torques = system.link_torques(rows, channels, system.views(list(system.theta()[:, None])))
+    for joint, torque in zip(system.joints, torques, strict=True):
+        if joint.sensing.lag is not None:
+            x[:, :, joint.sensing.lag_row] = torque.expand(len(rows[0])).reshape(x.shape[:2])
 
 
 def _hidden_side(joint: Joint, outputs: Collection[str]) -> int | None:

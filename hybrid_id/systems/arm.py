@@ -111,6 +111,7 @@ class Arm:
             joint.couple(
                 [(seated[k], share) for k, share in gear.motors_of(seat, ratios).items()],
                 [(seated[k], turns) for k, turns in gear.joints_of(seat, ratios).items()],
+                [seated[k] for k in gear.joints],
             )
 
     def _check_attached(self, key: str, part: Attached) -> None:

@@ -30,6 +30,7 @@ from hybrid_id.components.bristle import Bristle
 from hybrid_id.components.input.delay import Delay
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import SpeedBalance
@@ -135,6 +136,9 @@ class SensorDynamics:
         )
         self.late = next(((k, part) for k, part in parts.items() if isinstance(part, LateReading)), None)
         self.state_names = [f"{name}{number}" for name in self.late[1].states] if self.late else []
+        self.lag = next(((k, part) for k, part in parts.items() if isinstance(part, TorqueLag)), None)
+        self.lag_row = first_row + len(self.state_names)
+        self.state_names += [f"{name}{number}" for name in self.lag[1].states] if self.lag else []
 
     def read(self, channel: str, value: Tensor, seen: float, x: Sequence[Tensor], p: Views) -> Tensor:
         """What is read where a channel (``q_m``, ``v_a`` ...) has a true value, ``(B,)``.
@@ -151,6 +155,8 @@ class SensorDynamics:
             angle, speed = x[self.rotor], x[self.rotor + 1]
             late = part.motion(p[key], angle, speed, x[self.row])
             value = value + seen * (late[channel[0] == "v"] - (angle, speed)[channel[0] == "v"])
+        if self.lag is not None and channel == "tau_a":
+            value = x[self.lag_row]
         for key, sensor in self.sensors:
             if sensor.channel == channel:
                 value = sensor.read(p[key], value)
@@ -383,6 +389,7 @@ class Joint:
         motors: of a coupled gear, the joints whose motors turn the link, and how far it turns for one turn of each;
             empty where the joint's own motor alone does.
         links: the joints whose links turn with the motor, and how far it turns for one turn of each.
+        joined: all joints of the coupled gear.
 
     Raises:
         InputError: a place that must hold a component is empty.
@@ -436,6 +443,7 @@ class Joint:
         self.dry = [any(dry)] if self.rigid else dry
         self.motors: list[tuple[Joint, float]] = []
         self.links: list[tuple[Joint, float]] = [(self, gear_ratio)]
+        self.joined: list[Joint] = [self]
 
     def _is_dry(self, place: str) -> bool:
         """Whether set-valued friction acts in a place; a bristle takes it over, that of the load excepted."""
@@ -486,6 +494,8 @@ class Joint:
         p: Views,
         magnitudes: Sequence[Tensor],
         forwards: Sequence[Tensor],
+        *,
+        transmitted: bool = False,
     ) -> list[SpeedBalance]:
         """Torque balance of each of the joint's speeds (one when rigid, two with a compliant gear).
 
@@ -495,6 +505,7 @@ class Joint:
             p: parameter views by component key.
             magnitudes: |speed| for each speed.
             forwards: whether dry friction acts forward (1.0 or 0.0), for each speed.
+            transmitted: whether they are to tell the torque through a rigid gear where no friction needs it.
         """
         r = self.gear_ratio
         q, v = x[self.positions[0]], x[self.positions[0] + 1]
@@ -522,7 +533,7 @@ class Joint:
                 )
                 load = (link_smooth + self._load(x, angle, v * slope, u, p)) * slope
                 drive, level = drive - load, level + link_level * abs(slope)
-            if factor is None:
+            if factor is None and not transmitted:
                 return [SpeedBalance(total, drive, level)]
             share = inertia.link(p[key], r) * slope**2 / total
             return [SpeedBalance(total, drive, level, factor, share, load + turned)]
@@ -540,13 +551,18 @@ class Joint:
             SpeedBalance(link, torque - link_smooth - self._load(x, qa, va, u, p), link_level),
         ]
 
-    def couple(self, motors: Sequence[tuple[Joint, float]], links: Sequence[tuple[Joint, float]]) -> None:
+    def couple(
+        self,
+        motors: Sequence[tuple[Joint, float]],
+        links: Sequence[tuple[Joint, float]],
+        joined: Sequence[Joint],
+    ) -> None:
         """Let a coupled gear join the motor and the link with those of other joints, see ``motors`` and ``links``.
 
         Raises:
             InputError: a part whose place in a coupled gear is not known, or whose friction several motors would share.
         """
-        self.motors, self.links = list(motors), list(links)
+        self.motors, self.links, self.joined = list(motors), list(links), list(joined)
         refused: list[tuple[str, Component]] = [*self.gear.errors]
         refused += [] if self.rigid else [self.gear.transmission]
         refused += [] if isinstance(self.inertia[1], RotorInertia) else [self.inertia]
@@ -579,6 +595,45 @@ class Joint:
             return self.link_motion(x, p)
         row = self.positions[0]
         return x[row] / self.gear_ratio, x[row + 1] / self.gear_ratio
+
+    def link_torque(
+        self,
+        transmitted: Sequence[Tensor],
+        direction: Tensor | None,
+        x: Sequence[Tensor],
+        u: Mapping[str, Tensor],
+        p: Views,
+    ) -> Tensor:
+        """Torque that passes the gear to the link [N m], ``(B,)``; dry friction of a link at rest counts as none.
+
+        Args:
+            transmitted: torque through the rigid gear of each joint of the system at its motor [N m], ``(B,)`` each.
+            direction: of dry friction at a rigid gear's speed, None where there is none.
+            x: state rows, ``(B,)`` each.
+            u: channels, ``(B,)`` each.
+            p: parameter views.
+        """
+        if not self.rigid:
+            added = self.networks.output("transmission", x, u, p)
+            torque = self.spring_torque(x, p)
+            return torque if added is None else torque + added
+        if self.motors:  # tau = C^T diag(r) tau_m
+            shares = [
+                turns * transmitted[motor.number - 1]
+                for motor in self.joined
+                for link, turns in motor.links
+                if link is self
+            ]
+            return sum_of(shares, x[0])
+        row = self.positions[0]
+        slope = self.gear.map(x[row], p)[1]
+        torque = transmitted[self.number - 1] / slope
+        if direction is None or not self.frictions["link_friction"]:
+            return torque
+        speed = x[row + 1] * slope
+        return torque + direction * self.dry_level(
+            "link_friction", p, speed.abs(), (direction > 0).to(speed.dtype), x
+        )
 
     def link_motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
         """Angle [rad] and speed [rad/s] of the link, ``(B,)`` each."""
@@ -642,7 +697,7 @@ class Joint:
             value = added
         else:
             raise InputError(
-                f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau with the "
-                "joint's number."
+                f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau, tau_a with "
+                "the joint's number."
             )
         return self.sensing.read(channel, value, seen, x, p)

@@ -38,6 +38,7 @@ from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.flexibility import JointFlexibility
 from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
@@ -125,6 +126,8 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["command"] = part.command(p, channels, 0.3 * q, v)
     if isinstance(part, Delay):
         found["held"] = part.held(p, [torch.sin(q + k) for k in range(4)], 0.002 * one)
+    if isinstance(part, TorqueLag):
+        found["drive"], found["rate"], _, _ = part.relaxation(p, 0.1 * torch.cos(q))
     if isinstance(part, LateReading):
         found["drive"], found["rate"] = part.relaxation(p, v)
         found["angle"], found["speed"] = part.motion(p, q, v, 0.1 * one)
