@@ -101,7 +101,7 @@ def read_model(path: Path) -> "System":
 
 
 MOST_JOINTS = 2
-"""Joints of an arm up to which a training or a diagnosis ends within minutes."""
+"""Joints of an arm up to which a diagnosis or an ablation ends within minutes."""
 
 
 def refuse_arm(system: "System", model: Path, command: str) -> None:
@@ -109,7 +109,7 @@ def refuse_arm(system: "System", model: Path, command: str) -> None:
     if system.tree is not None and len(system.joints) > MOST_JOINTS:
         raise InputError(
             f"{model}: '{command}' takes {MOST_JOINTS} joints at most so far, this arm has {len(system.joints)}; "
-            "check, identify, simulate, compare and export take all of them."
+            "check, identify, train, simulate, compare and export take all of them."
         )
     if system.tree is not None and system.tree.couplings and command == "diagnose":
         raise InputError(f"{model}: 'diagnose' does not know couplings of motors yet; identify takes them.")

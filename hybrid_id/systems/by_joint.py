@@ -34,6 +34,13 @@ def joint_number(system: System, name: str) -> int:
     return names.index(name)
 
 
+def numbered(system: System, place: str) -> str:
+    """A place, which may name a robot's joint as the robot does (``elbow/motor``), with the joint's number in it."""
+    joint, _, where = place.rpartition("/")
+    names = () if system.tree is None or system.seats is not None else system.tree.names
+    return f"joint{names.index(joint) + 1}/{where}" if joint in names else place
+
+
 def alone(system: System, joint: int) -> System:
     """The drive of one joint in the robot's tree; the motion of the others comes with the records.
 
