@@ -34,7 +34,7 @@ def check(
         from hybrid_id.study import check_base_parameters, check_identifiability, check_start_values
 
         system = read_model(path)
-        odd = check_encoders(data, system.gear_ratio)
+        odd = check_encoders(data, system.own_ratios)
         contradicted = any(finding.severity == "error" for finding in odd)
         if not contradicted:  # else what the model would do means nothing, and takes its time
             identified = check_identifiability(data, system)

@@ -101,16 +101,18 @@ def read_model(path: Path) -> "System":
 
 
 MOST_JOINTS = 2
-"""Joints of an arm up to which a training or a diagnosis ends within minutes."""
+"""Joints of an arm up to which a diagnosis or an ablation ends within minutes."""
 
 
 def refuse_arm(system: "System", model: Path, command: str) -> None:
-    """Refuse an arm of more joints than a command can do; it would seem to run for ever."""
+    """Refuse an arm of more joints than a command can do, where it would seem to run for ever, and coupled motors."""
     if system.tree is not None and len(system.joints) > MOST_JOINTS:
         raise InputError(
             f"{model}: '{command}' takes {MOST_JOINTS} joints at most so far, this arm has {len(system.joints)}; "
-            "check, identify, simulate, compare and export take all of them."
+            "check, identify, train, simulate, compare and export take all of them."
         )
+    if system.tree is not None and system.tree.couplings and command == "diagnose":
+        raise InputError(f"{model}: 'diagnose' does not know couplings of motors yet; identify takes them.")
 
 
 def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
@@ -121,7 +123,7 @@ def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
     from hybrid_id.records.quality import check_encoders
 
     system, stage = read_model(config.model), config.previous
-    odd = check_encoders(dataset, system.gear_ratio)
+    odd = check_encoders(dataset, system.own_ratios)
     refuse_errors(odd)
     for finding in odd:
         remark(f"warning: {finding.message}")

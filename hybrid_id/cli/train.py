@@ -20,7 +20,7 @@ from hybrid_id.cli.folder import (
     resumable,
     stopped,
 )
-from hybrid_id.cli.inputs import check_windows, checked_records, load_system, refuse_arm
+from hybrid_id.cli.inputs import MOST_JOINTS, check_windows, checked_records, load_system
 from hybrid_id.cli.options import (
     DeviceOption,
     ForceOption,
@@ -75,7 +75,12 @@ def train(
         dataset = checked_records(config)
         use_threads(threads)
         system = load_system(config, dataset)
-        refuse_arm(system, config.model, "train")
+        _say_how_long(system)
+        if any(c.name.startswith("tau_a") for c in dataset.outputs) and any(system.dry):
+            raise InputError(
+                f"{config.dataset}: 'train' smooths dry friction, with which the torque at the link (tau_a) jumps; "
+                "leave tau_a out of its outputs, or take 'identify'."
+            )
         use_device(config.identification.device)
         if config.hybrid is not None:
             if pooled is False:
@@ -102,6 +107,15 @@ def train(
             if run(dataset, system, config, home, resume=resume, as_json=as_json):
                 remark(stopped(home))  # what this one replaces is kept
                 raise typer.Exit(130)
+
+
+def _say_how_long(system: "System") -> None:
+    """Say that an arm of many joints takes its time: its training has no compiled steps."""
+    if system.tree is not None and len(system.joints) > MOST_JOINTS:
+        remark(
+            f"training {len(system.joints)} joints takes minutes for a few seconds of record and joint; Ctrl-C keeps "
+            "what it has, --resume goes on, and 'identify' is much faster where no network is to be trained"
+        )
 
 
 def _physics(
@@ -222,14 +236,15 @@ def _trained(
 def with_networks(system: "System", config: StudyConfig) -> "System":
     """The model with the networks that the config asks for."""
     from hybrid_id.components import ResidualNetwork
+    from hybrid_id.systems.by_joint import numbered
 
     wish = config.hybrid or Hybrid()
     for k, network in enumerate([] if system.networks else wish.networks):
-        key = f"hybrid.networks[{k}]"
-        check_network(system, config, (f"{key}.place", network.place), (f"{key}.inputs", network.inputs))
+        key, place = f"hybrid.networks[{k}]", numbered(system, network.place)
+        check_network(system, config, (f"{key}.place", place), (f"{key}.inputs", network.inputs))
         settings = network.model_dump(exclude={"place"})
         part = ResidualNetwork(**settings, seed=config.identification.seed)
-        system = system.with_component(network.place, part)
+        system = system.with_component(place, part)
     return system
 
 

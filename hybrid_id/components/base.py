@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, cast
 
 import torch
 from torch import Tensor, nn
@@ -200,6 +200,78 @@ class Input(Component):
     def mjcf(self, p: SimpleNamespace) -> Counterpart:
         """Nothing: MuJoCo's ctrl is the command at the motor, which a controller makes of the channels."""
         return {}, "stays with the controller"
+
+
+class ServoLoop(Input):
+    """An input that closes a position loop: it compares its channel ``goal`` with the angle that it reads.
+
+    The channel ``integral`` [rad], which a :class:`LoopStage` may add, counts to the error.
+    """
+
+    def aim(self, p: SimpleNamespace, channels: Mapping[str, Tensor]) -> Tensor:
+        """Goal [rad] as the loop takes it, ``(B,)``."""
+        return channels["goal"]
+
+    def error(self, p: SimpleNamespace, channels: Mapping[str, Tensor], angle: Tensor) -> Tensor:
+        """Error [rad] that is left to a loop without an integral, ``(B,)``."""
+        return self.aim(p, channels) - angle
+
+    @staticmethod
+    def with_integral(error: Tensor, channels: Mapping[str, Tensor]) -> Tensor:
+        """The error with what an integral adds to it."""
+        integral = channels.get("integral")
+        return error if integral is None else error + integral
+
+
+class Relaxation(NamedTuple):
+    """How one state that remembers goes on, ``dz/dt = drive - rate z``, no further than ``low`` and ``high``."""
+
+    drive: Tensor
+    rate: Tensor
+    low: Tensor | None = None
+    high: Tensor | None = None
+
+
+class LoopStage(Component):
+    """Place ``input``: one state of a position loop beside its gains, stepped exactly at constant motion."""
+
+    places = ("input",)
+
+    def goal(self, p: SimpleNamespace, aim: Tensor, state: Tensor) -> Tensor:
+        """Goal [rad] that the loop follows, ``(B,)``, of the one that it takes."""
+        return aim
+
+    def reading(
+        self, p: SimpleNamespace, angle: Tensor, speed: Tensor, state: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Angle [rad] and speed [rad/s] that the loop reads, ``(B,)`` each, of the true ones."""
+        return angle, speed
+
+    def integral(self, p: SimpleNamespace, state: Tensor) -> Tensor | None:
+        """What counts to the error [rad], ``(B,)``."""
+        return None
+
+    def relaxation(
+        self, p: SimpleNamespace, aim: Tensor, error: Tensor, speed: Tensor, state: Tensor
+    ) -> Relaxation:
+        """How its state goes on.
+
+        Args:
+            p: parameter view.
+            aim: goal that the loop takes [rad], ``(B,)``.
+            error: what is left of it without an integral [rad], ``(B,)``.
+            speed: true speed of what the loop reads [rad/s], ``(B,)``.
+            state: the state, ``(B,)``.
+        """
+        raise NotImplementedError
+
+    def start(self, p: SimpleNamespace, aim: Tensor, speed: Tensor) -> Tensor:
+        """Its state after a long time at this goal and speed, ``(B,)``, as far as these tell."""
+        return torch.zeros_like(aim)
+
+    def mjcf(self, p: SimpleNamespace) -> Counterpart:
+        """Nothing: MuJoCo's position actuator has gains and limits alone."""
+        return {}, "is left out, MuJoCo's position actuator has no such part"
 
 
 class CommandMap(Component):

@@ -52,6 +52,8 @@ class ComputedTorque:
             raise InputError(
                 f"The reference moves {reference.angle.shape[1]} joints, but the model has {len(system.joints)}."
             )
+        if system.tree is not None and system.tree.couplings:
+            raise InputError("The model's motors are coupled, of which computed torque knows no inverse.")
         remembering = {system.state_names[row] for row in system.memory_rows}
         for joint in system.joints:
             if not isinstance(joint.drive.input[1], Voltage):

@@ -105,6 +105,7 @@ class Drives:
         self._uneven(f"friction{label}", rotor, r, at_rotor)
         self._uneven(f"link_friction{label}", side, 1.0, at_link)
         self._loads(joint, at_link)
+        self.notes += carried([(stage, part) for stage, part, _ in joint.drive.stages], self.p)[1]
         return tag, head | attributes
 
     def closes(self, joint: Joint) -> bool:
@@ -113,7 +114,7 @@ class Drives:
 
     def sensed(self, joint: Joint) -> None:
         """Note what of a joint's sensors is left out."""
-        late = [] if joint.sensing.late is None else [joint.sensing.late[:2]]
+        late = [one for one in (joint.sensing.late, joint.sensing.lag) if one is not None]
         self.notes += carried([*joint.sensing.sensors, *late], self.p)[1]
 
     def _stopped(self, joint: Joint, place: str) -> float:

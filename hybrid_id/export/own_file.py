@@ -44,10 +44,16 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
         step: time step [s] to set; the file's own by default.
 
     Raises:
-        InputError: the robot was read from no file, or a joint stands in a file that it includes.
+        InputError: the robot was read from no file, its motors are coupled, or a joint stands in a file that it
+            includes.
     """
     if not tree.source:
         raise InputError("a robot that was read from no file has none to be edited; load its MJCF or URDF")
+    if tree.couplings:
+        names = ", ".join(tree.names[k] for k in tree.couplings[0].joints)
+        raise InputError(
+            f"the motors of {names} are coupled, for which an MJCF has no actuator yet; export a program instead"
+        )
     path = Path(tree.source)
     spec, text = read_spec(path), path.read_bytes().decode("utf-8")
     if converted := _Text(text).root == "robot":

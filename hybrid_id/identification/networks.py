@@ -112,7 +112,7 @@ def with_memory(system: System, batch: Batch, theta: Tensor) -> Batch:
     for k in range(x.shape[1] - 1):
         u = {name: channel[:, k] for name, channel in batch.u.items()}
         for networks in (joint.networks for joint in system.joints):
-            for row, drive, rate in networks.relaxations(x[:, k].unbind(1), u, p):
+            for row, (drive, rate, *_) in networks.relaxations(x[:, k].unbind(1), u, p):
                 x[:, k + 1, row] = relax(x[:, k, row], drive, rate, batch.dt[:, k])
     return replace(batch, x=x)
 

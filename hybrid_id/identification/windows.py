@@ -51,7 +51,7 @@ def measured_spread(system: System, batch: Batch) -> Tensor:
     x0_std[:, system.memory_rows] = 0.0
     for joint in system.joints:
         # behind a rigid gear either encoder tells both sides
-        link = joint.gear_ratio if joint.rigid else 1.0
+        link = max(abs(turns) for _, turns in joint.links) if joint.rigid else 1.0
         for side, row, ratio in (("a", joint.positions[-1], link), ("m", joint.positions[0], 1.0)):
             if (angle := noise.get(f"q_{side}{joint.number}")) is not None:
                 x0_std[:, row], x0_std[:, row + 1] = ratio * angle, ratio * angle / (20 * batch.step)

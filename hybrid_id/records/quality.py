@@ -311,19 +311,19 @@ MOVES = 20.0
 """Standard deviation of an angle over its noise from which it moves."""
 
 
-def check_encoders(dataset: Dataset, gear_ratio: Sequence[float]) -> list[Finding]:
+def check_encoders(dataset: Dataset, gear_ratio: Sequence[float | None]) -> list[Finding]:
     """Findings of joints whose motor's angle is not the gear ratio times the link's, over all records.
 
     Play, compliance and errors of the gear change the angles for a while and not their ratio.
 
     Args:
         dataset: records; a joint counts that has ``q_m`` and ``q_a``.
-        gear_ratio: of each joint.
+        gear_ratio: of each joint; None where a motor turns with other joints, too.
     """
     found, names = [], {channel.name for channel in dataset.outputs}
     for n, ratio in enumerate(gear_ratio, start=1):
         motor, link = f"q_m{n}", f"q_a{n}"
-        if not {motor, link} <= names:
+        if ratio is None or not {motor, link} <= names:
             continue
         a, b = (
             np.concatenate([r.outputs[name] - r.outputs[name].mean() for r in dataset])

@@ -55,6 +55,7 @@ _KINDS: dict[str, tuple[str, ...]] = {
     "enable": ("1",),
     "goal": ("rad", "m"),
     "tau": ("N m", "N"),
+    "tau_a": ("N m", "N"),
     "i": ("A",),
     "q_m": ("rad", "m"),
     "q_a": ("rad", "m"),

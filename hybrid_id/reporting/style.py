@@ -53,8 +53,8 @@ _LOOK: dict[Any, Any] = {
 }
 _QUANTITY = {
     "u": "voltage", "duty": "duty cycle", "supply": "supply voltage", "goal": "goal angle", "gain": "loop gain",
-    "enable": "motor on", "tau": "torque", "i": "current", "q_m": "motor angle", "q_a": "link angle",
-    "v_m": "motor speed", "v_a": "link speed",
+    "enable": "motor on", "tau": "torque", "tau_a": "torque at the link", "i": "current", "q_m": "motor angle",
+    "q_a": "link angle", "v_m": "motor speed", "v_a": "link speed",
 }  # fmt: skip
 
 

@@ -66,11 +66,12 @@ def whole_regressor(tree: RigidBodyTree, q: np.ndarray, v: np.ndarray, a: np.nda
     angles, speeds, accelerations = columns
     rows = tree.regressor(tree.poses(angles), speeds, accelerations)
     n, each = len(rows), len(TEN)
-    found = np.zeros((len(q), n, n, each + 1))
+    found, gearing = np.zeros((len(q), n, n, each + 1)), np.array(tree.gearing)
+    shafts = a @ gearing.T  # a coupled motor turns with several joints
     for i, row in enumerate(rows):
         for k, value in enumerate(row):
             found[:, i, k // each, k % each] = value.numpy() if isinstance(value, Tensor) else value
-        found[:, i, i, each] = a[:, i]
+        found[:, i, :, each] = shafts * gearing[:, i]
     return found.reshape(len(q), n, n * (each + 1))
 
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import Literal
 
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, close_match
+from hybrid_id.robots.couplings import GearCoupling
 from hybrid_id.robots.rows import (
     ZERO,
     Matrix,
@@ -242,9 +243,11 @@ class RigidBodyTree:
         points: sites and origins of bodies, by name.
         source: the description that it was read from; empty where there is none.
         held: joints of that description that do not move, and where they stand [rad or m].
+        couplings: gears that couple the motors of some of the joints.
 
     Raises:
-        InputError: a joint that stands before its parent, or two of one name.
+        InputError: a joint that stands before its parent, or two of one name; one that is not there, slides or stands
+            twice in couplings.
     """
 
     joints: tuple[TreeJoint, ...]
@@ -253,6 +256,7 @@ class RigidBodyTree:
     points: Mapping[str, Point] = field(default_factory=dict, compare=False)
     source: str = field(default="", compare=False)
     held: Mapping[str, float] = field(default_factory=dict, compare=False)
+    couplings: tuple[GearCoupling, ...] = ()
     _fixed: dict[str, SpatialInertia] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -262,6 +266,14 @@ class RigidBodyTree:
         names = [joint.name for joint in self.joints]
         if twice := {name for name in names if names.count(name) > 1}:
             raise InputError(f"Several joints are called '{min(twice)}'; give each a name of its own.")
+        coupled = [k for one in self.couplings for k in one.joints]
+        for k in coupled:
+            if not 0 <= k < len(names):
+                raise InputError(f"A coupling names joint {k + 1} of a robot that has {len(names)}.")
+            if coupled.count(k) > 1:
+                raise InputError(f"Joint '{names[k]}' stands in two couplings; put them into one matrix.")
+            if self.joints[k].kind == "slide":
+                raise InputError(f"Joint '{names[k]}' slides; only joints that turn can be coupled.")
         seen = {b.name: b.inertia.seen_from(b.rotation, b.position) for b in self.bodies}
         object.__setattr__(self, "_fixed", seen)
 
@@ -270,8 +282,43 @@ class RigidBodyTree:
         """Names of the joints."""
         return tuple(joint.name for joint in self.joints)
 
+    def coupling(self, joint: int) -> GearCoupling | None:
+        """The gear that couples a joint's motor with others, by the joint's number from 0; None without one."""
+        return next((one for one in self.couplings if joint in one.joints), None)
+
+    @property
+    def gearing(self) -> list[list[float]]:
+        """What the motors turn behind their own gears for one turn of each joint: the identity but for couplings."""
+        n = len(self.joints)
+        found = [[float(i == j) for j in range(n)] for i in range(n)]
+        for one in self.couplings:
+            for motor, row in zip(one.joints, one.matrix, strict=True):
+                for joint, entry in zip(one.joints, row, strict=True):
+                    found[motor][joint] = entry
+        return found
+
+    def coupled(self, couplings: Sequence[tuple[Sequence[str], Sequence[Sequence[float]]]]) -> RigidBodyTree:
+        """The tree with gears that couple joints.
+
+        Args:
+            couplings: names of the joints and matrix C of each, see :class:`GearCoupling`.
+
+        Raises:
+            InputError: a name that no joint has, or what a coupling cannot be.
+        """
+        found = []
+        for names, matrix in couplings:
+            if unknown := [name for name in names if name not in self.names]:
+                near = close_match(unknown[0], self.names)
+                raise InputError(
+                    f"The robot has no joint '{unknown[0]}'{near} that moves; it has {', '.join(self.names)}."
+                )
+            rows = tuple(tuple(float(entry) for entry in row) for row in matrix)
+            found.append(GearCoupling(tuple(self.names.index(name) for name in names), rows))
+        return replace(self, couplings=tuple(found))
+
     def holding(self, at: Mapping[str, float]) -> RigidBodyTree:
-        """The tree with some joints held still: what they carry is part of what carries them.
+        """The tree with some joints held still: what they carry is part of what carries them. Couple joints after it.
 
         Args:
             at: position of each held joint by its name [rad or m].
@@ -457,6 +504,8 @@ class RigidBodyTree:
 
     def dynamics(self, q: Rows, v: Rows, bodies: Sequence[Body] = ()) -> tuple[list[list[Row]], list[Row]]:
         """Mass matrix with the rotors' armature, and bias: ``M a + bias`` are the torques at the joints.
+
+        The armature is the description's, which knows no couplings.
 
         Args:
             q: positions [rad or m].

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hybrid_id.components.input.servo_integral import ServoIntegral
 from hybrid_id.errors import InputError
 from hybrid_id.records.derivatives import noise_level, smooth_derivatives
 from hybrid_id.records.measures import quantisation_step, rest_samples
@@ -21,6 +22,10 @@ RESTING = 5
 """Samples at rest from which on a record counts as one that starts at rest, and fewest samples of any record."""
 SIGNAL_SHARE = 0.004
 """Standard deviation added to each measurement's noise, as a share of the record's: what a good model still misses."""
+STANDING = 10
+"""Samples through which a joint stands where its servo holds it."""
+TRIAL = 1e-4
+"""What an integral is let gather [rad] to see what it moves."""
 SMALLEST, LARGEST, HALVINGS = 1e-5, 2.0, 50
 """Twists [rad at the link] between which the balance is looked for, and steps of the bisection."""
 
@@ -76,6 +81,8 @@ def make_batch(
     x = torch.stack([_padded([g[:, i] for g in guess], samples) for i in range(len(system.state_names))], -1)
     x0_std = torch.tensor(np.array(spread), dtype=torch.float64)
     _wind_up(system, records, x, x0_std, u)
+    _begin_loops(system, records, x, x0_std, u, estimate_start)
+    _begin_readings(system, x, u)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
 
 
@@ -159,20 +166,12 @@ def _states(
     rest = rest_samples(record)
     for joint in system.joints:
         n, ratio = joint.number, joint.gear_ratio
-        sides = {f"q_m{n}": 1.0, f"q_a{n}": ratio, f"v_m{n}": 1.0, f"v_a{n}": ratio}
-        measured = [name for name in sides if name in record.outputs]
-        if not measured:
-            raise InputError(
-                f"{record.title} measures neither angle nor speed of joint {n}; add {', '.join(sides)}."
-            )
-        motor = _motion(joint, record, measured[0], noise, rest)
         row = joint.positions[0]
-        states[:, row : row + 2] = motor[0] * sides[measured[0]]
-        stds[row : row + 2] = motor[1] * sides[measured[0]]
+        states[:, row : row + 2], stds[row : row + 2] = _rotor_motion(joint, record, noise, rest)
         if joint.rigid:
             continue
         link = joint.positions[1]
-        if f"q_a{n}" in measured:
+        if f"q_a{n}" in record.outputs:
             states[:, link : link + 2], stds[link : link + 2] = _motion(joint, record, f"q_a{n}", noise, rest)
         else:
             states[:, link : link + 2] = states[:, row : row + 2] / ratio
@@ -198,6 +197,83 @@ def _wind_up(
         x[:, :, hidden] += turn[:, None]
         std = x0_std[:, hidden]
         x0_std[:, hidden] = torch.where(std > 0, torch.hypot(std, turn), std)
+
+
+def _stopped(system: System, x: Sequence[Tensor]) -> list[Tensor]:
+    """State rows without speed."""
+    return [torch.zeros_like(row) if k in system.speed_rows else row for k, row in enumerate(x)]
+
+
+def _stands(joint: Joint, record: Record) -> bool:
+    """Whether a record begins with a joint that stands still at a goal, which its servo may push against."""
+    goal = record.signal(f"goal{joint.number}")[:STANDING]
+    seen = (record.outputs[n] for n in (f"q_m{joint.number}", f"q_a{joint.number}") if n in record.outputs)
+    moves = [
+        np.ptp(angle[:STANDING]) > 6 * max(noise_level(angle), quantisation_step(angle)) for angle in seen
+    ]
+    return np.ptp(goal) == 0.0 and moves != [] and not any(moves)
+
+
+@torch.no_grad()
+def _begin_loops(
+    system: System,
+    records: Sequence[Record],
+    x: Tensor,
+    x0_std: Tensor,
+    u: Mapping[str, Tensor],
+    estimate_start: bool,
+) -> None:
+    """Put the states of position loops where a long time at the goal leaves them; integrals where they hold the load.
+
+    What an integral has gathered before a record is not known beyond that: a fit may move it as far as friction could
+    have held the joint as well, and of a record that begins in motion as far as the loop's errors go.
+    """
+    if not any(joint.drive.stages for joint in system.joints):
+        return
+    rows, samples = x.shape[:2]
+    p = system.views(list(system.theta()[:, None]))
+    flat = [column.reshape(-1) for column in x.unbind(2)]
+    channels = {name: channel.reshape(-1) for name, channel in u.items()}
+    for joint in system.joints:
+        for row, values in joint.drive.starts(flat, channels, p).items():
+            x[:, :, row] = values.reshape(rows, samples)
+    first = list(x[:, 0].clone().unbind(1))
+    held = {name: channel[:, 0] for name, channel in u.items()}
+    zero = [torch.zeros_like(first[0])] * len(system.speed_rows)
+    for joint in system.joints:
+        for key, part, row in joint.drive.stages:
+            if not isinstance(part, ServoIntegral):
+                continue
+            angle = x[:, :, joint.positions[0]]
+            errors = (angle - angle.mean(1, keepdim=True)).std(1) / joint.gear_ratio
+            number = system.speed_rows.index(joint.positions[0] + 1)
+            balance = system.balances(_stopped(system, first), held, p, zero, zero).speeds[number]
+            pulls = []
+            for gathered in (0.0, TRIAL):
+                first[row] = torch.full_like(first[row], gathered)
+                pulls.append(joint.drive.torque(_stopped(system, first), held, p))
+            first[row] = torch.zeros_like(first[row])
+            slope, limit = (pulls[1] - pulls[0]) / TRIAL, p[key].z_max
+            able = torch.tensor([_stands(joint, record) for record in records]) & (slope > 0)
+            slope = torch.where(able, slope, torch.ones_like(slope))
+            found = torch.minimum(torch.maximum(-balance.smooth / slope, -limit), limit)
+            x[:, :, row] = torch.where(able, found, torch.zeros_like(found))[:, None]
+            if estimate_start:
+                around = torch.minimum(balance.level / slope + 0.1 * found.abs(), limit)
+                x0_std[:, row] = torch.where(able, around, torch.minimum(errors, limit))
+
+
+@torch.no_grad()
+def _begin_readings(system: System, x: Tensor, u: Mapping[str, Tensor]) -> None:
+    """Let torque sensors that lag read the torques of the guess at once."""
+    if not any(joint.sensing.lag for joint in system.joints):
+        return
+    rows = [column.reshape(-1) for column in x.unbind(2)]
+    channels = {name: channel.reshape(-1) for name, channel in u.items()}
+    torques = system.link_torques(rows, channels, system.views(list(system.theta()[:, None])))
+    for joint, torque in zip(system.joints, torques, strict=True):
+        if joint.sensing.lag is not None:
+            x[:, :, joint.sensing.lag_row] = torque.expand(len(rows[0])).reshape(x.shape[:2])
 
 
 def _hidden_side(joint: Joint, outputs: Collection[str]) -> int | None:
@@ -246,6 +322,34 @@ def _resting_twist(system: System, joint: Joint, x: list[Tensor], u: Channels) -
         further = pull(middle) > 0
         low, high = torch.where(further, middle, low), torch.where(further, high, middle)
     return torch.where(carried, 0.5 * (low + high), nothing)
+
+
+def _rotor_motion(
+    joint: Joint, record: Record, noise: Mapping[str, float], rest: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and speed (T, 2) of a rotor from either side of its gear, and the uncertainty of the first sample (2,)."""
+    n = joint.number
+    sides = [f"q_m{n}", f"q_a{n}", f"v_m{n}", f"v_a{n}"]
+    measured = [name for name in sides if name in record.outputs]
+    linked = [one for one, _ in joint.links]
+    for name in measured:
+        if name[2] == "m":
+            return _motion(joint, record, name, noise, rest)
+        others = [f"{name[:3]}{one.number}" for one in linked]
+        if all(other in record.outputs for other in others):
+            each = [
+                (*_motion(one, record, other, noise, rest), turns)
+                for other, (one, turns) in zip(others, joint.links, strict=True)
+            ]
+            moved = sum(motion * turns for motion, _, turns in each)
+            spread = np.sqrt(sum((std * turns) ** 2 for _, std, turns in each))
+            return np.asarray(moved), np.asarray(spread)
+    others = (
+        f", the links' at joints {' and '.join(str(one.number) for one in linked)}" if joint.motors else ""
+    )
+    raise InputError(
+        f"{record.title} measures neither angle nor speed of joint {n}; add {', '.join(sides)}{others}."
+    )
 
 
 def _motion(

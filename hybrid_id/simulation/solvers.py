@@ -33,6 +33,8 @@ STABLE_TO = {"euler": 1.8, "midpoint": 1.8, "heun2": 1.8, "heun3": 2.3, "rk4": 2
 
 LONGEST = 2_000
 """Steps of an adaptive method within one sample, beyond which it is of no use: friction is too sharp for it."""
+NEAR_BOUND = 1e-3
+"""Time [s] within which a state that its bounds stop comes to rest there: a solver cannot meet a corner."""
 REST_STEP = 0.2
 """Step times eigenvalue near rest: there the smoothed friction is not only to be stable but to be followed."""
 
@@ -62,8 +64,11 @@ class HeldField(nn.Module):
 def ode_rates(system: System, x: Rows, u: Channels, p: Views, width: float) -> list[Tensor]:
     """Time derivative of all state rows, ``(B,)`` each, with smooth friction and what remembers."""
     rates = system.rates(x, u, p, width=width)
-    for row, drive, rate in system.relaxations(x, u, p):
+    for row, (drive, rate, low, high) in system.relaxations(x, u, p):
         rates[row] = drive - rate * x[row]
+        if low is not None and high is not None:
+            least, most = (low - x[row]) / NEAR_BOUND, (high - x[row]) / NEAR_BOUND
+            rates[row] = torch.maximum(torch.minimum(rates[row], most), least)
     return rates
 
 
@@ -215,7 +220,9 @@ def memory_rate(system: System, batch: Batch, theta: Tensor) -> float:
     x = [column.flatten() for column in batch.x.unbind(2)]
     u = {name: channel.flatten() for name, channel in batch.u.items()}
     p = system.views(list(theta.repeat_interleave(batch.x.shape[1], 1)))
-    return max((float(r.nan_to_num(0.0).max()) for _, _, r in system.relaxations(x, u, p)), default=0.0)
+    found = [one for _, one in system.relaxations(x, u, p)]
+    bounded = [1.0 / NEAR_BOUND for one in found if one.low is not None]
+    return max([*bounded, *(float(one.rate.nan_to_num(0.0).max()) for one in found)], default=0.0)
 
 
 def _whole(steps: float) -> int:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.simulation.prepare import Batch
-from hybrid_id.simulation.step import Engine, directions, fill_jacobian
+from hybrid_id.simulation.step import Engine, fill_jacobian
 from hybrid_id.systems.chain import System
 
 LIMIT = {"dry": 0.5, "smooth": 2.5, "memory": 0.2}
@@ -43,14 +43,14 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
             leaves[joint.positions[1]][1::2] = loaded[1::2]
     leaves = [leaf.requires_grad_() for leaf in leaves]
     with torch.enable_grad():
-        signs = None if engine.friction == "smooth" else directions(system, leaves, u, p)
+        signs = None if engine.friction == "smooth" else system.directions(leaves, u, p)
         rates = system.rates(leaves, u, p, signs, engine.width)
         relaxations = system.relaxations(leaves, u, p)
     jacobian = torch.zeros(n_x, n_x, len(pick), dtype=batch.x.dtype, device=batch.x.device)
     fill_jacobian(jacobian, rates, leaves)
     # what remembers couples back through its drive (a bristle that sticks is a spring); its own rate is exact
-    for row, drive, _ in relaxations:
-        fill_jacobian(jacobian[row : row + 1], [drive], leaves)
+    for row, one in relaxations:
+        fill_jacobian(jacobian[row : row + 1], [one.drive], leaves)
     jacobian = jacobian.permute(2, 0, 1)
     jacobian = jacobian[torch.isfinite(jacobian).all(2).all(1)]
     return float(torch.linalg.eigvals(jacobian).abs().max()) if len(jacobian) else math.inf

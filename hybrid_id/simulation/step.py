@@ -111,8 +111,11 @@ def update_internal_states(system: System, x: list[Tensor], u: Channels, p: View
     if not system.memory_rows:
         return x
     after = list(x)
-    for row, drive, rate in system.relaxations(x, u, p):
+    for row, (drive, rate, low, high) in system.relaxations(x, u, p):
         after[row] = relax(x[row], drive, rate, h)
+        if low is not None and high is not None:  # on a bound it forgets where it came from
+            after[row] = torch.where(after[row] <= low, low, after[row])
+            after[row] = torch.where(after[row] >= high, high, after[row])
     return after
 
 
@@ -146,7 +149,7 @@ def _slide(
         events: how often that may still happen within the step; after that, what reaches zero stays until the next.
         released: direction in which each dry speed breaks away just now, else 0, ``(dry speeds, B)``.
     """
-    signs = directions(system, x, u, p)
+    signs = system.directions(x, u, p)
     dry = [k for k, sign in enumerate(signs) if sign is not None]
     rows = [system.speed_rows[k] for k in dry]
     if not dry:
@@ -258,14 +261,3 @@ def _breakaways(
             loose, short / torch.where(loose, short - over, -torch.ones_like(over)), 1.0
         )
     return leaves, when.clamp(0.0, 1.0)
-
-
-@torch.no_grad()
-def directions(system: System, x: Rows, u: Channels, p: Views) -> Directions:
-    """Direction of dry friction for each speed: its sign, and at rest the push where it exceeds the level, else 0."""
-    signs = [
-        torch.sign(x[row]) if dry else None for row, dry in zip(system.speed_rows, system.dry, strict=True)
-    ]
-    if not any(sign is not None and bool((sign == 0).any()) for sign in signs):
-        return signs
-    return system.rest(x, u, p, signs).stick_slip(signs)

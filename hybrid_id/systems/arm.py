@@ -62,6 +62,7 @@ class Arm:
             raise InputError(
                 f"The robot has {len(tree.joints)} joints and the system {len(joints)}; describe a drive for each."
             )
+        self._couple_gears()
         self.contacts = [(key, part) for key, part in components.items() if isinstance(part, FloorContact)]
         self.masses = [
             (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
@@ -94,6 +95,24 @@ class Arm:
                 raise InputError(
                     f"{part.kind} sits at both joints; it acts on both from either, so keep one of them."
                 )
+
+    def _couple_gears(self) -> None:
+        """Tell the joints of a coupled gear which motors turn them; of a joint by itself, it refuses that."""
+        seated = dict(zip(self.seats, self.joints, strict=True))
+        for seat, joint in seated.items():
+            if self.tree is None or (gear := self.tree.coupling(seat)) is None:
+                continue
+            if others := [self.tree.names[k] for k in gear.joints if k not in seated]:
+                raise InputError(
+                    f"The motor of {self.tree.names[seat]} is coupled with {', '.join(others)}; take these joints "
+                    "together."
+                )
+            ratios = {k: seated[k].gear_ratio for k in gear.joints}
+            joint.couple(
+                [(seated[k], share) for k, share in gear.motors_of(seat, ratios).items()],
+                [(seated[k], turns) for k, turns in gear.joints_of(seat, ratios).items()],
+                [seated[k] for k in gear.joints],
+            )
 
     def _check_attached(self, key: str, part: Attached) -> None:
         """Refuse a part at a point that is not there, and a mass at a joint that does not carry it."""
@@ -142,26 +161,37 @@ class Arm:
             return Balances(speeds)
         links = [_link_motion(joint, x, p) for joint in self.joints]
         mass, torques = self._dynamics([link[0] for link in links], [link[1] for link in links], u, p)
-        number, row = -1, []  # of each joint's link among the speeds
+        number, row = -1, {}  # of what turns each joint's link among the speeds, by its row in the state
         for joint in self.joints:
             number += len(joint.positions)
-            row.append(number)
-        couplings = {}
-        for k, (torque, (_, _, slope, _)) in enumerate(zip(torques, links, strict=True)):
-            _load(speeds[row[k]], torque * slope)
+            row[joint.positions[-1]] = number
+        turned: list[
+            list[tuple[int, Tensor | float]]
+        ] = []  # speeds that turn each link, and its speed by theirs
+        for joint, (_, _, slope, _) in zip(self.joints, links, strict=True):
+            motors = joint.motors or [(joint, slope)]
+            turned.append([(row[motor.positions[-1]], share) for motor, share in motors])
+        for k, (joint, torque) in enumerate(zip(self.joints, torques, strict=True)):
+            own = torque + joint.link_load(x, u, p) if joint.motors else torque
+            for speed, slope in turned[k]:
+                _load(speeds[speed], own * slope)
+        couplings: dict[tuple[int, int], Tensor] = {}
         for (i, j), inertia in mass.items():
-            (_, _, slope, turn), (_, _, other_slope, other_turn) = links[i], links[j]
-            if i == j:
-                _weigh(speeds[row[i]], inertia * slope**2)
-            else:
-                shared = inertia * (slope * other_slope)
-                couplings[row[i], row[j]] = (
-                    shared if isinstance(shared, Tensor) else x[0].new_full((1,), shared)
-                )
-                if turn is not None:  # what a gear's error accelerates while its rotor turns evenly
-                    _load(speeds[row[j]], inertia * other_slope * turn)
-            if other_turn is not None:
-                _load(speeds[row[i]], inertia * slope * other_turn)
+            for a, slope in turned[i]:
+                for b, other in turned[j]:
+                    if a == b:
+                        _weigh(speeds[a], inertia * (slope**2 if i == j else 2.0 * slope * other))
+                    elif i != j or a < b:
+                        shared, pair = inertia * (slope * other), (min(a, b), max(a, b))
+                        shared = shared if isinstance(shared, Tensor) else x[0].new_full((1,), shared)
+                        couplings[pair] = couplings[pair] + shared if pair in couplings else shared
+            # what a gear's error accelerates while its rotor turns evenly
+            if i != j and (turn := links[i][3]) is not None:
+                for speed, slope in turned[j]:
+                    _load(speeds[speed], inertia * slope * turn)
+            if (turn := links[j][3]) is not None:
+                for speed, slope in turned[i]:
+                    _load(speeds[speed], inertia * slope * turn)
         return Balances(speeds, couplings)
 
     def _dynamics(
@@ -258,9 +288,9 @@ def _link_motion(
     """Angle [rad] and speed [rad/s] of a link, its speed by that of what turns it, and its acceleration at even speed.
 
     What turns a link is the rotor behind a rigid gear, and the link itself behind a compliant one. The acceleration is
-    None where there is none.
+    None where there is none. Of a link that several motors turn, the joint tells their shares.
     """
-    if not joint.rigid:
+    if joint.motors or not joint.rigid:
         return *joint.link_motion(x, p), 1.0, None
     row = joint.positions[0]
     angle, slope, bend = joint.gear.map(x[row], p)

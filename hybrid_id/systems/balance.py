@@ -49,7 +49,7 @@ class SpeedBalance:
             return self.level
         return self.level + self.factor * (cast(Tensor, self.load) + reaction).abs()
 
-    def transmitted(self, own: Tensor, reaction: Tensor) -> Tensor:
+    def transmitted(self, own: Tensor, reaction: Tensor | float) -> Tensor:
         """Torque through the gear at the acceleration ``own`` and under a reaction of other joints."""
         return cast(Tensor, self.link_share) * self.inertia * own + reaction + cast(Tensor, self.load)
 

@@ -19,6 +19,7 @@ from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.arm import MOTION
 from hybrid_id.systems.builders import joint_names
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
 
 UNITS = {"hinge": ("rad", "rad/s", "rad/s^2"), "slide": ("m", "m/s", "m/s^2")}
 
@@ -31,6 +32,13 @@ def joint_number(system: System, name: str) -> int:
             f"The robot has no joint '{name}'{close_match(name, names)}; it has {', '.join(names)}."
         )
     return names.index(name)
+
+
+def numbered(system: System, place: str) -> str:
+    """A place, which may name a robot's joint as the robot does (``elbow/motor``), with the joint's number in it."""
+    joint, _, where = place.rpartition("/")
+    names = () if system.tree is None or system.seats is not None else system.tree.names
+    return f"joint{names.index(joint) + 1}/{where}" if joint in names else place
 
 
 def alone(system: System, joint: int) -> System:
@@ -127,15 +135,38 @@ def measured_motion(record: Record, system: System, joint: int) -> tuple[np.ndar
     own = system.joints[joint]
     sides = {f"q_a{own.number}": 1.0, f"q_m{own.number}": 1.0 / own.gear_ratio}
     name = next((n for n in sides if n in record.outputs), None)
+    if own.motors and f"q_a{own.number}" not in record.outputs:
+        return _through_motors(record, system, joint)
     if name is None:
         raise InputError(
             f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add {' or '.join(sides)}, or hold "
             "that joint still in the model."
         )
-    sensors = [(key, part) for key, part in own.sensing.sensors if part.channel == name[:3]]
-    offset = sum(part.specs["offset"].value for _, part in sensors if "offset" in part.specs)
+    return _smoothed(record, own, name, sides[name])
+
+
+def _through_motors(record: Record, system: System, joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What :func:`measured_motion` returns of a joint that several motors turn, from their angles."""
+    found: list[np.ndarray] = []
+    for motor, share in system.joints[joint].motors:
+        if (name := f"q_m{motor.number}") not in record.outputs:
+            raise InputError(
+                f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add q_a{joint + 1}, or {name} "
+                "of a motor that turns it."
+            )
+        found.append(np.stack(_smoothed(record, motor, name, share)))
+    angle, speed, acceleration = np.sum(found, 0)
+    return angle, speed, acceleration
+
+
+def _smoothed(
+    record: Record, joint: Joint, name: str, scale: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Smoothed angle of an output of a joint times a scale, with its derivatives, ``(T,)`` each."""
+    sensors = [part for _, part in joint.sensing.sensors if part.channel == name[:3]]
+    offset = sum(part.specs["offset"].value for part in sensors if "offset" in part.specs)
     steps = record.sample_time if record.is_uniform else record.time
-    return smooth_derivatives((record.outputs[name] - offset) * sides[name], steps)
+    return smooth_derivatives((record.outputs[name] - offset) * scale, steps)
 
 
 def _tree(system: System) -> RigidBodyTree:

@@ -10,7 +10,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from hybrid_id.components.base import PLACES, Component
+from hybrid_id.components.base import PLACES, Component, Relaxation
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
@@ -180,6 +180,11 @@ class System(nn.Module):
         return views
 
     @property
+    def own_ratios(self) -> list[float | None]:
+        """Gear ratio of each joint; None where a coupled gear turns its motor with other joints, too."""
+        return [None if joint.motors else joint.gear_ratio for joint in self.joints]
+
+    @property
     def input_names(self) -> list[str]:
         """Channels that the system reads (``enable<joint>`` is read where a record has it)."""
         return [*(f"{c}{j.number}" for j in self.joints for c in j.channels), *self.arm.channels]
@@ -190,12 +195,14 @@ class System(nn.Module):
             u = joint.drive.hold(u, p)
         return u
 
-    def balances(self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows) -> Balances:
-        """Torque balance of every speed, in the order of ``speed_rows``."""
+    def balances(
+        self, x: Rows, u: Channels, p: Views, magnitudes: Rows, forwards: Rows, *, transmitted: bool = False
+    ) -> Balances:
+        """Torque balance of every speed, in the order of ``speed_rows``; see :meth:`Joint.balances`."""
         found: list[SpeedBalance] = []
         for joint in self.joints:
             n = slice(len(found), len(found) + len(joint.positions))
-            found += joint.balances(x, u, p, magnitudes[n], forwards[n])
+            found += joint.balances(x, u, p, magnitudes[n], forwards[n], transmitted=transmitted)
         return self.arm.couple(found, x, u, p)
 
     def rest(self, x: Rows, u: Channels, p: Views, directions: Directions) -> Rest:
@@ -205,6 +212,37 @@ class System(nn.Module):
         ahead = [((v if d is None else d) >= 0).to(v.dtype) for v, d in known]
         back = [((v if d is None else d) > 0).to(v.dtype) for v, d in known]
         return Rest(self.balances(x, u, p, magnitudes, ahead), self.balances(x, u, p, magnitudes, back))
+
+    @torch.no_grad()
+    def directions(self, x: Rows, u: Channels, p: Views) -> Directions:
+        """Direction of dry friction for each speed: its sign, and at rest the push beyond the level, else 0."""
+        signs = [
+            torch.sign(x[row]) if dry else None for row, dry in zip(self.speed_rows, self.dry, strict=True)
+        ]
+        if not any(sign is not None and bool((sign == 0).any()) for sign in signs):
+            return signs
+        return self.rest(x, u, p, signs).stick_slip(signs)
+
+    def link_torques(
+        self, x: Rows, u: Channels, p: Views, directions: Directions | None = None
+    ) -> list[Tensor]:
+        """Torque that passes each joint's gear to its link [N m], ``(B,)`` each, dry friction as the set-valued law."""
+        u = self.hold(u, p)
+        signs = self.directions(x, u, p) if directions is None else directions
+        each = list(zip((x[row] for row in self.speed_rows), signs, strict=True))
+        magnitudes = [v.abs() if sign is None else (sign * v).clamp_min(0.0) for v, sign in each]
+        forwards = [((v if sign is None else sign) > 0).to(v.dtype) for v, sign in each]
+        balances = self.balances(x, u, p, magnitudes, forwards, transmitted=True)
+        found = balances.accelerations(signs, held=True)
+        reactions, through = balances.reactions(found), []
+        rotors = [self.speed_rows.index(joint.positions[0] + 1) for joint in self.joints]
+        for joint, k in zip(self.joints, rotors, strict=True):
+            own = balances.speeds[k]
+            through.append(own.transmitted(found[k], reactions[k]) if joint.rigid else x[0])
+        return [
+            joint.link_torque(through, signs[k], x, u, p)
+            for joint, k in zip(self.joints, rotors, strict=True)
+        ]
 
     def rates(
         self,
@@ -237,13 +275,25 @@ class System(nn.Module):
             rates[row - 1], rates[row] = x[row], acceleration
         return rates
 
-    def relaxations(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state that remembers, ``dz/dt = drive - rate z``."""
-        return [found for joint in self.joints for found in joint.relaxations(x, u, p)]
+    def relaxations(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, Relaxation]]:
+        """Row of each state that remembers, and how it goes on."""
+        found = [one for joint in self.joints for one in joint.relaxations(x, u, p)]
+        lags = [(joint, joint.sensing.lag) for joint in self.joints if joint.sensing.lag is not None]
+        if lags:
+            # a speed of zero stays there: whether it just breaks away is nothing to a filter
+            signs = [
+                torch.sign(x[row]) if dry else None
+                for row, dry in zip(self.speed_rows, self.dry, strict=True)
+            ]
+            torques = self.link_torques(x, u, p, signs)
+            for joint, (key, part) in lags:
+                going = part.relaxation(p[key], torques[joint.number - 1])
+                found.append((joint.sensing.lag_row, going))
+        return found
 
     def outputs(self, names: Sequence[str], x: Rows, u: Channels, p: Views) -> list[Tensor]:
         """Measured outputs by name (``q_m1``, ``i1`` ...; ``r_motor1``: of the network there), ``(B,)`` each."""
-        found = []
+        found, torques = [], None
         for name in names:
             channel = name.rstrip("0123456789")
             number = int(name[len(channel) :] or 0)
@@ -252,7 +302,12 @@ class System(nn.Module):
                     f"Output '{name}' names no joint of {self.name}, whose outputs end in a number up to "
                     f"{len(self.joints)}; take a model of that joint, or leave the output out of the dataset."
                 )
-            found.append(self.joints[number - 1].output(channel, x, u, p))
+            joint = self.joints[number - 1]
+            if channel != "tau_a":
+                found.append(joint.output(channel, x, u, p))
+                continue
+            torques = self.link_torques(x, u, p) if torques is None else torques
+            found.append(joint.sensing.read(channel, torques[number - 1], 0.0, x, p))
         return found
 
 

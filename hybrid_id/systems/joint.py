@@ -17,15 +17,20 @@ from hybrid_id.components.base import (
     Input,
     LoadTorque,
     LoggedTorque,
+    LoopStage,
     Motor,
+    Relaxation,
     RotorTorque,
     Sensor,
+    ServoLoop,
     Transmission,
     Winding,
 )
 from hybrid_id.components.bristle import Bristle
 from hybrid_id.components.input.delay import Delay
+from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import SpeedBalance
@@ -44,6 +49,11 @@ def sum_of(terms: Sequence[Tensor | None], like: Tensor) -> Tensor:
     """The same with a single zero, which costs nothing to add, where there is none."""
     found = sum_if_any(terms)
     return like.new_zeros(1) if found is None else found
+
+
+def _has(law: Friction, *terms: str) -> bool:
+    """Whether a law of friction brings one of these terms."""
+    return any(getattr(type(law), term) is not getattr(Friction, term) for term in terms)
 
 
 def only(parts: Mapping[str, Component], kind: type, joint: str, what: str) -> tuple[str, Component]:
@@ -126,6 +136,9 @@ class SensorDynamics:
         )
         self.late = next(((k, part) for k, part in parts.items() if isinstance(part, LateReading)), None)
         self.state_names = [f"{name}{number}" for name in self.late[1].states] if self.late else []
+        self.lag = next(((k, part) for k, part in parts.items() if isinstance(part, TorqueLag)), None)
+        self.lag_row = first_row + len(self.state_names)
+        self.state_names += [f"{name}{number}" for name in self.lag[1].states] if self.lag else []
 
     def read(self, channel: str, value: Tensor, seen: float, x: Sequence[Tensor], p: Views) -> Tensor:
         """What is read where a channel (``q_m``, ``v_a`` ...) has a true value, ``(B,)``.
@@ -142,17 +155,19 @@ class SensorDynamics:
             angle, speed = x[self.rotor], x[self.rotor + 1]
             late = part.motion(p[key], angle, speed, x[self.row])
             value = value + seen * (late[channel[0] == "v"] - (angle, speed)[channel[0] == "v"])
+        if self.lag is not None and channel == "tau_a":
+            value = x[self.lag_row]
         for key, sensor in self.sensors:
             if sensor.channel == channel:
                 value = sensor.read(p[key], value)
         return value
 
-    def relaxations(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state, ``dz/dt = drive - rate z``."""
+    def relaxations(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Relaxation]]:
+        """Row of each state, and how it goes on."""
         if self.late is None:
             return []
         key, part = self.late
-        return [(self.row, *part.relaxation(p[key], x[self.rotor + 1]))]
+        return [(self.row, Relaxation(*part.relaxation(p[key], x[self.rotor + 1])))]
 
 
 class Drive:
@@ -164,7 +179,7 @@ class Drive:
         rotor: row of the rotor's angle in the system's state; its speed is the next.
         first_row: row of the first state that the drive owns.
         ratio: motor turns per joint turn.
-        link: gives angle [rad] and speed [rad/s] of the link from state rows and parameter views.
+        link: gives angle [rad] and speed [rad/s] behind the gear from state rows and parameter views.
 
     Attributes:
         state_names: of the states that it owns.
@@ -201,10 +216,21 @@ class Drive:
                 row = first_row + len(self.state_names)
                 self.windings.append((key, part, range(row, row + len(part.states))))
                 self.state_names += [f"{state}{number}" for state in part.states]
+        self.stages: list[tuple[str, LoopStage, int]] = []
+        for key, part in parts.items():
+            if isinstance(part, LoopStage):
+                self.stages.append((key, part, first_row + len(self.state_names)))
+                self.state_names += [f"{state}{number}" for state in part.states]
 
     def check(self) -> None:
-        """Raise InputError where the motor takes another kind of command than its input gives."""
+        """Raise InputError where the input gives not what the motor takes, or closes no loop that has stages."""
         joint, source, motor = f"joint{self.number}", self.input[1], self.motor[1]
+        if self.stages and not isinstance(source, ServoLoop):
+            loops = [k for k, c in REGISTRY.items() if issubclass(c, ServoLoop)]
+            raise InputError(
+                f"{self.stages[0][1].kind} at {joint}/input belongs to a position loop, which {source.kind} is not; "
+                f"put {' or '.join(sorted(loops))} there, or remove it."
+            )
         if motor.takes and source.gives != motor.takes:
             fits = [k for k, c in REGISTRY.items() if issubclass(c, Motor) and c.takes == source.gives]
             raise InputError(
@@ -240,20 +266,44 @@ class Drive:
     ) -> Tensor:
         """Effective command at the motor, ``(B,)``; without what a network adds where ``network`` is false."""
         key, part = self.input
-        u = self.hold(u, p)
-        channels = {name: u[f"{name}{self.number}"] for name in part.channels}
-        rotor = angle, speed = x[self.rotor], x[self.rotor + 1]
-        if part.at_joint:
-            angle, speed = self.link(x, p)
-        for name, encoder in self.encoders:  # a position loop compares its goal with what it reads
-            angle = encoder.read(p[name], angle)
+        channels, angle, speed = self._seen(x, self.hold(u, p), p)
         command = part.command(p[key], channels, angle, speed)
         if part.at_joint:
-            command, speed = command / self.ratio, rotor[1]
+            command = command / self.ratio
         for key, step in self.maps:
-            command = step.map(p[key], command, speed)
+            command = step.map(p[key], command, x[self.rotor + 1])
         added = self._added("input", x, u, p) if network else None
         return command if added is None else command + added
+
+    def _motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
+        """Angle [rad] and speed [rad/s] of the side that the input reads, ``(B,)`` each."""
+        return self.link(x, p) if self.input[1].at_joint else (x[self.rotor], x[self.rotor + 1])
+
+    def _seen(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> tuple[dict[str, Tensor], Tensor, Tensor]:
+        """Channels, angle and speed as the input sees them, what the stages of a position loop do included."""
+        part = self.input[1]
+        channels = {name: u[f"{name}{self.number}"] for name in part.channels}
+        angle, speed = self._motion(x, p)
+        for name, encoder in self.encoders:  # a position loop compares its goal with what it reads
+            angle = encoder.read(p[name], angle)
+        if isinstance(part, ServoLoop):
+            for name, stage, row in self.stages:
+                angle, speed = stage.reading(p[name], angle, speed, x[row])
+                channels["goal"] = stage.goal(p[name], channels["goal"], x[row])
+                if (integral := stage.integral(p[name], x[row])) is not None:
+                    channels["integral"] = integral
+        return channels, angle, speed
+
+    def starts(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> dict[int, Tensor]:
+        """By their rows, states of the position loop's stages after a long time at goal and speed."""
+        key, part = self.input
+        if not self.stages or not isinstance(part, ServoLoop):
+            return {}
+        aim = part.aim(p[key], {"goal": self.hold(u, p)[f"goal{self.number}"]})
+        speed = self._motion(x, p)[1]
+        return {row: stage.start(p[name], aim, speed) for name, stage, row in self.stages}
 
     def torque(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
         """Torque on the rotor [N m], ``(B,)``."""
@@ -287,20 +337,34 @@ class Drive:
 
     def relaxations(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state, ``dz/dt = drive - rate z``."""
+    ) -> list[tuple[int, Relaxation]]:
+        """Row of each state, and how it goes on."""
+        found = self._loop_relaxations(x, u, p)
         if not self.windings:
-            return []
+            return found
         key, motor = self.motor
         torque = motor.torque(p[key], self.command(x, u, p), x[self.rotor + 1])
         torque = self._switched(torque, u)
-        found = []
         for key, part, rows in self.windings:
             states = [x[row] for row in rows]
             pairs = part.relaxations(p[key], torque, states)
-            found += [(row, drive, rate) for row, (drive, rate) in zip(rows, pairs, strict=True)]
+            found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
             torque = part.torque(p[key], torque, states)
         return found
+
+    def _loop_relaxations(
+        self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> list[tuple[int, Relaxation]]:
+        key, part = self.input
+        if not self.stages or not isinstance(part, ServoLoop):
+            return []
+        u, speed = self.hold(u, p), self._motion(x, p)[1]
+        channels, angle, _ = self._seen(x, u, p)
+        aim = part.aim(p[key], {"goal": u[f"goal{self.number}"]})
+        error = part.error(p[key], channels, angle)
+        return [
+            (row, stage.relaxation(p[name], aim, error, speed, x[row])) for name, stage, row in self.stages
+        ]
 
 
 SIDE = {"motor_friction": "m", "link_friction": "a"}
@@ -310,6 +374,9 @@ SIDE = {"motor_friction": "m", "link_friction": "a"}
 class Joint:
     """Paper, eq. (4) and (5): ``J_m a_m = tau_m - tau_s / r - tau_fm``, ``J_a a_a = tau_s - tau_fa``, by components.
 
+    Motors of a coupled gear each keep their own balance of the rotor; what acts at the links reaches them through the
+    gear (:class:`~hybrid_id.robots.couplings.GearCoupling`), which :class:`~hybrid_id.systems.arm.Arm` knows.
+
     State: ``q_m, v_m``, behind a spring ``q_a, v_a`` (x_1, x_2, x_4, x_5), then bristles, windings, networks, readings.
 
     Args:
@@ -317,6 +384,12 @@ class Joint:
         gear_ratio: motor turns per joint turn.
         parts: component key -> component, in the order in which they were added.
         first_row: row of the joint's q_m in the system's state.
+
+    Attributes:
+        motors: of a coupled gear, the joints whose motors turn the link, and how far it turns for one turn of each;
+            empty where the joint's own motor alone does.
+        links: the joints whose links turn with the motor, and how far it turns for one turn of each.
+        joined: all joints of the coupled gear.
 
     Raises:
         InputError: a place that must hold a component is empty.
@@ -358,7 +431,7 @@ class Joint:
                     self.state_names += [f"{state}_{side}{number}" for state in law.states]
 
         self.drive = Drive(
-            number, parts, first_row, first_row + len(self.state_names), gear_ratio, self.link_motion
+            number, parts, first_row, first_row + len(self.state_names), gear_ratio, self.shaft_motion
         )
         self.state_names += self.drive.state_names
         self.networks = self.drive.networks = Networks(self, parts, first_row + len(self.state_names))
@@ -368,16 +441,17 @@ class Joint:
         self.channels = [c for _, part in (self.drive.input, *self.logged) for c in part.channels]
         dry = [self._is_dry(place) for place in self.frictions]
         self.dry = [any(dry)] if self.rigid else dry
+        self.motors: list[tuple[Joint, float]] = []
+        self.links: list[tuple[Joint, float]] = [(self, gear_ratio)]
+        self.joined: list[Joint] = [self]
 
     def _is_dry(self, place: str) -> bool:
         """Whether set-valued friction acts in a place; a bristle takes it over, that of the load excepted."""
-        laws = [type(law) for _, law in self.frictions[place]]
-
-        def has(*terms: str) -> bool:
-            return any(getattr(law, term) is not getattr(Friction, term) for law in laws for term in terms)
-
-        free = place not in self.bristles
-        return (free and has("dry", "dry_over")) or has("load_factor", "effort_factor")
+        laws, free = [law for _, law in self.frictions[place]], place not in self.bristles
+        return any(
+            (free and _has(law, "dry", "dry_over")) or _has(law, "load_factor", "effort_factor")
+            for law in laws
+        )
 
     def dry_level(
         self, place: str, p: Views, magnitude: Tensor, forward: Tensor, x: Sequence[Tensor]
@@ -420,6 +494,8 @@ class Joint:
         p: Views,
         magnitudes: Sequence[Tensor],
         forwards: Sequence[Tensor],
+        *,
+        transmitted: bool = False,
     ) -> list[SpeedBalance]:
         """Torque balance of each of the joint's speeds (one when rigid, two with a compliant gear).
 
@@ -429,6 +505,7 @@ class Joint:
             p: parameter views by component key.
             magnitudes: |speed| for each speed.
             forwards: whether dry friction acts forward (1.0 or 0.0), for each speed.
+            transmitted: whether they are to tell the torque through a rigid gear where no friction needs it.
         """
         r = self.gear_ratio
         q, v = x[self.positions[0]], x[self.positions[0] + 1]
@@ -449,13 +526,14 @@ class Joint:
                 turned = carried * slope * bend * v.square()  # the link's, while the rotor turns evenly
                 drive = drive - turned
             network = any(place in self.networks.by_place for place in LINK_PLACES)
-            if self.frictions["link_friction"] or self.loads or self.logged or network:
+            acts = self.frictions["link_friction"] or self.loads or self.logged or network
+            if acts and not self.motors:  # else the arm brings it to all motors of the coupled gear
                 link_smooth, link_level = self.friction(
                     "link_friction", x, u, p, v * slope, magnitudes[0] * abs(slope), forwards[0]
                 )
                 load = (link_smooth + self._load(x, angle, v * slope, u, p)) * slope
                 drive, level = drive - load, level + link_level * abs(slope)
-            if factor is None:
+            if factor is None and not transmitted:
                 return [SpeedBalance(total, drive, level)]
             share = inertia.link(p[key], r) * slope**2 / total
             return [SpeedBalance(total, drive, level, factor, share, load + turned)]
@@ -473,8 +551,98 @@ class Joint:
             SpeedBalance(link, torque - link_smooth - self._load(x, qa, va, u, p), link_level),
         ]
 
+    def couple(
+        self,
+        motors: Sequence[tuple[Joint, float]],
+        links: Sequence[tuple[Joint, float]],
+        joined: Sequence[Joint],
+    ) -> None:
+        """Let a coupled gear join the motor and the link with those of other joints, see ``motors`` and ``links``.
+
+        Raises:
+            InputError: a part whose place in a coupled gear is not known, or whose friction several motors would share.
+        """
+        self.motors, self.links, self.joined = list(motors), list(links), list(joined)
+        refused: list[tuple[str, Component]] = [*self.gear.errors]
+        refused += [] if self.rigid else [self.gear.transmission]
+        refused += [] if isinstance(self.inertia[1], RotorInertia) else [self.inertia]
+        refused += [] if self.sensing.late is None else [self.sensing.late]
+        # the loop of a servo closes over its own shaft
+        refused += self.drive.encoders if self.drive.input[1].at_joint else []
+        for key, part in refused:
+            raise InputError(
+                f"{part.kind} at '{key.rsplit('/', 1)[0]}' cannot sit at a joint whose motor is coupled with others; "
+                "remove it, or the coupling."
+            )
+        for key, law in self.frictions["link_friction"]:
+            if isinstance(law, Bristle) or _has(law, "dry", "dry_over", "load_factor", "effort_factor"):
+                raise InputError(
+                    f"{law.kind} at '{key.rsplit('/', 1)[0]}' is dry friction of a link that coupled motors turn "
+                    "together; put it at motor_friction."
+                )
+
+    def link_load(self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views) -> Tensor:
+        """Torque of friction, loads and networks at the link of a coupled gear [N m], ``(B,)``."""
+        angle, speed = self.link_motion(x, p)
+        ahead = (speed > 0).to(speed.dtype)
+        return self.friction("link_friction", x, u, p, speed, speed.abs(), ahead)[0] + self._load(
+            x, angle, speed, u, p
+        )
+
+    def shaft_motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
+        """Angle [rad] and speed [rad/s] behind the joint's own gear: the link's, but for a coupled gear."""
+        if not self.motors:
+            return self.link_motion(x, p)
+        row = self.positions[0]
+        return x[row] / self.gear_ratio, x[row + 1] / self.gear_ratio
+
+    def link_torque(
+        self,
+        transmitted: Sequence[Tensor],
+        direction: Tensor | None,
+        x: Sequence[Tensor],
+        u: Mapping[str, Tensor],
+        p: Views,
+    ) -> Tensor:
+        """Torque that passes the gear to the link [N m], ``(B,)``; dry friction of a link at rest counts as none.
+
+        Args:
+            transmitted: torque through the rigid gear of each joint of the system at its motor [N m], ``(B,)`` each.
+            direction: of dry friction at a rigid gear's speed, None where there is none.
+            x: state rows, ``(B,)`` each.
+            u: channels, ``(B,)`` each.
+            p: parameter views.
+        """
+        if not self.rigid:
+            added = self.networks.output("transmission", x, u, p)
+            torque = self.spring_torque(x, p)
+            return torque if added is None else torque + added
+        if self.motors:  # tau = C^T diag(r) tau_m
+            shares = [
+                turns * transmitted[motor.number - 1]
+                for motor in self.joined
+                for link, turns in motor.links
+                if link is self
+            ]
+            return sum_of(shares, x[0])
+        row = self.positions[0]
+        slope = self.gear.map(x[row], p)[1]
+        torque = transmitted[self.number - 1] / slope
+        if direction is None or not self.frictions["link_friction"]:
+            return torque
+        speed = x[row + 1] * slope
+        return torque + direction * self.dry_level(
+            "link_friction", p, speed.abs(), (direction > 0).to(speed.dtype), x
+        )
+
     def link_motion(self, x: Sequence[Tensor], p: Views) -> tuple[Tensor, Tensor]:
         """Angle [rad] and speed [rad/s] of the link, ``(B,)`` each."""
+        if self.motors:
+            angle, speed = (
+                sum_of([x[one.positions[0] + order] * share for one, share in self.motors], x[0])
+                for order in (0, 1)
+            )
+            return angle, speed
         if not self.rigid:
             return x[self.positions[1]], x[self.positions[1] + 1]
         angle, slope, _ = self.gear.map(x[self.positions[0]], p)
@@ -487,8 +655,8 @@ class Joint:
 
     def relaxations(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each state that remembers, ``dz/dt = drive - rate z``."""
+    ) -> list[tuple[int, Relaxation]]:
+        """Row of each state that remembers, and how it goes on."""
         found = []
         for place, (key, law, rows) in self.bristles.items():
             motor = place == "motor_friction"
@@ -496,7 +664,7 @@ class Joint:
             v = v * self.gear.map(x[self.positions[0]], p)[1] if self.rigid and not motor else v
             level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype), x)
             pairs = law.relaxations(p[key], [x[row] for row in rows], v, level)
-            found += [(row, *pair) for row, pair in zip(rows, pairs, strict=True)]
+            found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
         found += self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
         return found + self.sensing.relaxations(x, p)
 
@@ -520,7 +688,7 @@ class Joint:
             value, seen = x[row + (channel == "v_m")], 1.0
         elif channel in ("q_a", "v_a"):
             value = self.link_motion(x, p)[channel == "v_a"]
-            seen = 1.0 / self.gear_ratio if self.rigid else 0.0
+            seen = 1.0 / self.gear_ratio if self.rigid else 0.0  # no motor of a coupled gear is read late
         elif channel == "tau":
             value = self.drive.torque(x, u, p)
         elif channel == "i":
@@ -529,7 +697,7 @@ class Joint:
             value = added
         else:
             raise InputError(
-                f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau with the "
-                "joint's number."
+                f"Output '{channel}{self.number}' is not known; outputs are q_m, v_m, q_a, v_a, i, tau, tau_a with "
+                "the joint's number."
             )
         return self.sensing.read(channel, value, seen, x, p)

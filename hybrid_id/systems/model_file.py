@@ -67,6 +67,10 @@ def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
             tree = tree.holding(entry.hold)
         except InputError as error:
             raise InputError(f"{path}: robot.hold: {error}") from None
+    try:
+        tree = tree.coupled([(one.joints, one.matrix) for one in file.couplings])
+    except InputError as error:
+        raise InputError(f"{path}: couplings: {error}") from None
     ratios = file.gear_ratio or [1.0] * len(tree.joints)
     if len(ratios) != len(tree.joints) or not all(math.isfinite(r) and r > 0 for r in ratios):
         raise InputError(
@@ -142,6 +146,10 @@ def _known(file: ModelFile, path: str) -> System:
     if file.servos:
         raise InputError(
             f"{path}: 'servos' belongs to a robot with a description; list an input under 'components'."
+        )
+    if file.couplings:
+        raise InputError(
+            f"{path}: 'couplings' belongs to a robot with a description; remove it, or name your robot's file."
         )
     if not file.gear_ratio:
         raise InputError(f"{path}: key 'gear_ratio' is missing; add one number for each joint.")
@@ -330,7 +338,16 @@ def _described_robot(system: System, tree: RigidBodyTree, folder: Path | None) -
         components.append(_component(f"{tree.names[int(joint[5:]) - 1]}/{place}", cast(Component, part)))
     file = tree.source if folder is None else _seen_from(folder.resolve(), tree.source)
     described = {"file": file} | ({"hold": dict(tree.held)} if tree.held else {})
-    return {"robot": described, "gear_ratio": list(system.gear_ratio), "components": components}
+    couplings = [
+        {"joints": [tree.names[k] for k in one.joints], "matrix": [list(row) for row in one.matrix]}
+        for one in tree.couplings
+    ]
+    return {
+        "robot": described,
+        "gear_ratio": list(system.gear_ratio),
+        **({"couplings": couplings} if couplings else {}),
+        "components": components,
+    }
 
 
 def _seen_from(folder: Path, file: str) -> str:

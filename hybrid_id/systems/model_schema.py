@@ -150,6 +150,13 @@ class RobotEntry(_Section):
     hold: dict[str, float] = {}
 
 
+class CouplingEntry(_Section):
+    """A gear that couples motors of a wrist: what each turns behind its gear, by the joints', one row a motor."""
+
+    joints: list[str]
+    matrix: list[list[float]]
+
+
 class ServoEntry(_Section):
     """A servo that is known by name, with the gain that its register P holds and its supply [V]."""
 
@@ -164,6 +171,7 @@ class ModelFile(_Section):
     system: str = ROBOT
     robot: RobotEntry | None = None
     gear_ratio: list[float] = []
+    couplings: list[CouplingEntry] = []
     gravity: Literal["none", "vertical"] = "none"
     parameters: dict[str, ParameterEntry] = {}
     servos: dict[str, ServoEntry] = {}

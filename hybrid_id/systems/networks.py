@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Component
+from hybrid_id.components.base import Component, Relaxation
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 
@@ -32,6 +32,7 @@ SIGNALS = (
     "deflection_rate",
 )
 HARMONIC = re.compile(r"(sin|cos) ?(\d+(?:\.\d+)?)")
+OF_JOINT = re.compile(r"(angle|speed)(\d+)")
 
 
 class Networks:
@@ -76,11 +77,7 @@ class Networks:
         known = SIGNALS[: 7 if rigid else None]
         known = tuple(s for s in known if not (place == "input" and s == "torque"))
         for name in part.inputs:
-            if (
-                name not in known
-                and not HARMONIC.fullmatch(name)
-                and not re.fullmatch(r"(angle|speed)\d", name)
-            ):
+            if name not in known and not HARMONIC.fullmatch(name) and not OF_JOINT.fullmatch(name):
                 raise InputError(
                     f"{part.kind} at '{where}' has no input '{name}'{close_match(name, known)}; it knows "
                     f"{', '.join(known)}, sin n, cos n, "
@@ -97,7 +94,7 @@ class Networks:
         self.joints = list(joints)
         for place, (_, part, _) in self.by_place.items():
             for name in part.inputs:
-                if name[:-1] in ("angle", "speed") and not 1 <= int(name[-1]) <= len(joints):
+                if (found := OF_JOINT.fullmatch(name)) and not 1 <= int(found[2]) <= len(joints):
                     raise InputError(
                         f"{part.kind} at '{self.joint.name}/{place}' has the input '{name}', a joint that is not "
                         f"there; the last one is {joints[-1].name}."
@@ -119,9 +116,9 @@ class Networks:
         if match := HARMONIC.fullmatch(name):
             function = torch.sin if match[1] == "sin" else torch.cos
             return function(float(match[2]) * self._motion(joint, x, p, at_link, 0))
-        if name[-1].isdigit():
-            other = self.joints[int(name[-1]) - 1]
-            return self._motion(other, x, p, True, int(name.startswith("speed")))
+        if match := OF_JOINT.fullmatch(name):
+            other = self.joints[int(match[2]) - 1]
+            return self._motion(other, x, p, True, int(match[1] == "speed"))
         if name in ("angle", "speed", "direction"):
             return self._motion(joint, x, p, at_link, int(name != "angle"))
         if name == "command":
@@ -169,11 +166,11 @@ class Networks:
 
     def relaxations(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Tensor, Tensor]]:
-        """Row, drive and rate [1/s] of each hidden state, ``dh/dt = drive - rate h``."""
+    ) -> list[tuple[int, Relaxation]]:
+        """Row of each hidden state, and how it goes on."""
         found = []
         for place, (key, part, rows) in self.by_place.items():
             if part.memory:
                 pairs = part.relaxations(p[key], *self.signals(place, x, u, p))
-                found += [(row, drive, rate) for row, (drive, rate) in zip(rows, pairs, strict=True)]
+                found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
         return found

@@ -1,6 +1,8 @@
 """An arm of many joints on the command line: what works on it, and what is refused in one sentence."""
 
+import gzip
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +12,7 @@ import pytest
 from hybrid_id.machines.twin.desk_arm import write_arm
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
+from hybrid_id.records.yaml_file import read_yaml, write_yaml
 from hybrid_id.study.replays import replay
 from hybrid_id.systems.model_file import load_model
 
@@ -57,7 +60,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("command", ["train", "diagnose", "ablate"])
+@pytest.mark.parametrize("command", ["diagnose", "ablate"])
 def test_a_command_that_would_not_end_is_refused(run, arm: Path, tmp_path: Path, command: str) -> None:
     done = run(command, arm, "--model", arm / "model.yaml", "--out", tmp_path / "out")
     assert done.code == 2, done.out
@@ -65,6 +68,40 @@ def test_a_command_that_would_not_end_is_refused(run, arm: Path, tmp_path: Path,
         done.err.split()
     )
     assert not list(tmp_path.iterdir())
+
+
+def test_an_arm_is_trained_with_a_network_at_a_joint_by_its_name(run, arm: Path, tmp_path: Path) -> None:
+    study = tmp_path / "study.yaml"
+    study.write_text(
+        f"dataset: {arm}\nmodel: {arm / 'model.yaml'}\n"
+        "training: {max_iterations: 1, windows: [[0.2, 8]], width: 0.5, fine: 2}\n"
+        "hybrid:\n"
+        "  networks: [{place: 'joint 1/x/motor_friction', inputs: [speed, angle3], hidden: [2]}]\n"
+        "  prices: [0.1]\n  windows: [[0.2, 8]]\n  max_iterations: 1\n  patience: 1\n"
+        "output: {folder: out, tensorboard: false}\n"
+    )
+    done = run("train", study)
+    assert done.code == 0, done.err
+    assert "training 3 joints takes minutes" in " ".join(done.err.split())
+    (network,) = json.loads((tmp_path / "out" / "result.json").read_text())["networks"]
+    assert "joint2/motor_friction" in network.values()
+    load_model(tmp_path / "out" / "model.yaml")
+
+
+def test_training_refuses_a_torque_that_jumps_with_dry_friction(run, arm: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "arm"
+    shutil.copytree(arm, folder)
+    file = folder / "dataset.yaml"
+    content = read_yaml(file)
+    content["outputs"].append({"name": "tau_a1", "unit": "N m"})
+    for one in folder.glob("*.csv.gz"):
+        head, *rows = gzip.decompress(one.read_bytes()).decode().splitlines()
+        text = "\n".join([f"{head},tau_a1", *(f"{row},{0.01 * (k % 7)}" for k, row in enumerate(rows))])
+        one.write_bytes(gzip.compress(f"{text}\n".encode()))
+    write_yaml(file, content)
+    done = run("train", folder, "--model", folder / "model.yaml", "--out", tmp_path / "out")
+    assert done.code == 2, done.out
+    assert "the torque at the link (tau_a) jumps" in " ".join(done.err.split())
 
 
 def test_results_name_the_file_from_their_own_folder(run, arm: Path, tmp_path: Path) -> None:

@@ -21,6 +21,7 @@ from hybrid_id.components.base import (
     Input,
     LoadTorque,
     LoggedTorque,
+    LoopStage,
     Motor,
     RotorTorque,
     Sensor,
@@ -37,6 +38,7 @@ from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.flexibility import JointFlexibility
 from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
@@ -124,9 +126,20 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["command"] = part.command(p, channels, 0.3 * q, v)
     if isinstance(part, Delay):
         found["held"] = part.held(p, [torch.sin(q + k) for k in range(4)], 0.002 * one)
+    if isinstance(part, TorqueLag):
+        found["drive"], found["rate"], _, _ = part.relaxation(p, 0.1 * torch.cos(q))
     if isinstance(part, LateReading):
         found["drive"], found["rate"] = part.relaxation(p, v)
         found["angle"], found["speed"] = part.motion(p, q, v, 0.1 * one)
+    if isinstance(part, LoopStage):
+        state, aim = 0.3 * torch.cos(q), 0.4 * torch.sin(q)
+        went = part.relaxation(p, aim, aim - 0.2 * q, v, state)
+        bounds = {"low": went.low, "high": went.high}
+        found |= {name: None if value is None else value * one for name, value in bounds.items()}
+        found["drive"], found["rate"] = went.drive, went.rate
+        found["angle"], found["speed"] = part.reading(p, q, v, state)
+        found["goal"], found["integral"] = part.goal(p, aim, state), part.integral(p, state)
+        found["start"] = part.start(p, aim, v)
     if isinstance(part, KinematicError):
         found["error"], found["slope"], found["bend"] = part.error(p, q)
     if isinstance(part, CommandMap):

@@ -27,7 +27,7 @@ from hybrid_id.machines.physics.motor import Motor
 from hybrid_id.machines.physics.stick_slip import StickSlip
 from hybrid_id.machines.physics.transmission import Gear
 from hybrid_id.simulation.lifted import linearise
-from hybrid_id.simulation.step import Engine, directions
+from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, two_link
 
 RATIO = (156.0, 84.0)
@@ -226,7 +226,7 @@ def test_sticking_of_both_joints_is_the_minimum_of_a_convex_problem(torque, angl
     gain = np.array([MOTORS["P_m1m1"], MOTORS["P_m1m2"]])
     u = {f"u{n + 1}": torch.tensor([torque[n] * level[n] / gain[n]], dtype=torch.float64) for n in range(2)}
     p = system.views(list(stored(system)))
-    signs = directions(system, x, u, p)
+    signs = system.directions(x, u, p)
     a = [system.rates(x, u, p, signs)[row].item() for row in (1, 3)]
     force = []
     for row, m in ((0, 0), (1, 1)):  # what friction does, from the equations of motion of an arm without it

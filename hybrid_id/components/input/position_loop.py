@@ -2,14 +2,14 @@
 
 import math
 
-from hybrid_id.components.base import Input
+from hybrid_id.components.base import ServoLoop
 from hybrid_id.parameters import Parameter
 
 XL330_DUTY_PER_RAD = 4096 / (2 * math.pi) / 256 / 885
 """Firmware of the Dynamixel XL-330: encoder counts per rad, gain divider, full PWM count."""
 
 
-class PositionLoop(Input):
+class PositionLoop(ServoLoop):
     """Proportional firmware loop ``U = clip(c * gain * (goal - q), -1, 1) * supply`` [V].
 
     | symbol | unit | meaning |
@@ -26,5 +26,6 @@ class PositionLoop(Input):
     duty_per_rad = Parameter(XL330_DUTY_PER_RAD, unit="1/rad", doc="duty per error and gain", estimate=False)
 
     def command(self, p, channels, angle, speed):
-        duty = p.duty_per_rad * channels["gain"] * (channels["goal"] - angle)
+        error = self.with_integral(self.error(p, channels, angle), channels)
+        duty = p.duty_per_rad * channels["gain"] * error
         return duty.clamp(-1.0, 1.0) * channels["supply"]

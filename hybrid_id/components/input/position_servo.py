@@ -2,11 +2,11 @@
 
 import torch
 
-from hybrid_id.components.base import Input
+from hybrid_id.components.base import ServoLoop
 from hybrid_id.parameters import Parameter
 
 
-class PositionServo(Input):
+class PositionServo(ServoLoop):
     """``tau = clip(k_p e' - k_d w, -tau_max, tau_max)`` at the joint, ``e' = sgn e max(|e| - e_0, 0)``.
 
     ``e = clip(goal, goal_min, goal_max) - q``.
@@ -24,6 +24,9 @@ class PositionServo(Input):
     the back-EMF, which acts whatever the duty, is part of viscous friction. The loop runs much faster than records
     are sampled; here it acts in continuous time on a goal that is held between samples.
 
+    An integral, a rate limit of the goal and dead time within the loop are parts of their own beside it
+    (``servo_integral``, ``goal_rate_limit``, ``loop_delay``).
+
     Reads channel ``goal`` [rad]. Source: MuJoCo's ``position`` actuator (kp, kv, forcerange); dead band as in servo
     registers (Feetech STS, Dynamixel).
     """
@@ -39,10 +42,15 @@ class PositionServo(Input):
     goal_min = Parameter(-1e4, lower=-1e5, upper=1e5, unit="rad", doc="least goal", estimate=False)
     goal_max = Parameter(1e4, lower=-1e5, upper=1e5, unit="rad", doc="largest goal", estimate=False)
 
+    def aim(self, p, channels):
+        return torch.maximum(torch.minimum(channels["goal"], p.goal_max), p.goal_min)
+
+    def error(self, p, channels, angle):
+        error = self.aim(p, channels) - angle
+        return torch.sign(error) * (error.abs() - p.e_0).clamp_min(0.0)
+
     def command(self, p, channels, angle, speed):
-        goal = torch.maximum(torch.minimum(channels["goal"], p.goal_max), p.goal_min)
-        error = goal - angle
-        beyond = torch.sign(error) * (error.abs() - p.e_0).clamp_min(0.0)
+        beyond = self.with_integral(self.error(p, channels, angle), channels)
         return torch.maximum(torch.minimum(p.k_p * beyond - p.k_d * speed, p.tau_max), -p.tau_max)
 
     def mjcf(self, p):

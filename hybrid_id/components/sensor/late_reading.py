@@ -10,6 +10,16 @@ from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 
+def late_motion(delay: Tensor, angle: Tensor, speed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
+    """Angle [rad] and speed [rad/s] as they were a dead time [s] ago, ``(B,)`` each, see :class:`LateReading`."""
+    return angle + state, -speed - 2.0 / delay * state
+
+
+def trailing(delay: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
+    """Drive [rad/s] and rate [1/s] of the state of such a reading, ``(B,)`` each."""
+    return -2.0 * speed, (2.0 / delay).expand_as(speed)
+
+
 class LateReading(Component):
     """``y = q + z``, ``dz/dt = -2 v - (2 / T_r) z``: the motor's angle is read T_r [s] after it was there.
 
@@ -31,11 +41,11 @@ class LateReading(Component):
         self, p: SimpleNamespace, angle: Tensor, speed: Tensor, state: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Angle [rad] and speed [rad/s] as they are read at the motor, ``(B,)`` each."""
-        return angle + state, -speed - 2.0 / p.T_r * state
+        return late_motion(p.T_r, angle, speed, state)
 
     def relaxation(self, p: SimpleNamespace, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Drive [rad/s] and rate [1/s] of its state, ``dz/dt = drive - rate z``, ``(B,)`` each."""
-        return -2.0 * speed, (2.0 / p.T_r).expand_as(speed)
+        return trailing(p.T_r, speed)
 
     @staticmethod
     def starts(site):

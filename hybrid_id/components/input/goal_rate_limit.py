@@ -1,0 +1,37 @@
+"""Rate limit of a servo's goal."""
+
+import torch
+
+from hybrid_id.components.base import LoopStage, Relaxation
+from hybrid_id.parameters import Parameter
+
+FAR = 1e12
+"""Beyond any goal [rad]."""
+
+
+class GoalRateLimit(LoopStage):
+    """``dg/dt = w_max sgn(goal - g)`` until g is the goal: the loop follows g, which moves no faster than w_max.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | g | rad | state: goal that the loop follows; a record begins with it at the goal |
+    | w_max | rad/s | largest rate, at the joint for position_servo and at the motor for position_loop |
+
+    Source: velocity-based profile of servo registers (Feetech's goal speed, Dynamixel's profile velocity) without an
+    acceleration; rate limiter, e.g. K. J. Astrom, T. Hagglund, PID Controllers, 2nd ed., 1995, section 3.5.
+    """
+
+    kind = "goal_rate_limit"
+    states = ("followed",)
+    w_max = Parameter(5.0, lower=1e-6, upper=1e9, unit="rad/s", doc="largest rate of the goal")
+
+    def goal(self, p, aim, state):
+        return state
+
+    def relaxation(self, p, aim, error, speed, state):
+        low = torch.where(aim <= state, aim, -FAR * torch.ones_like(aim))
+        high = torch.where(aim >= state, aim, FAR * torch.ones_like(aim))
+        return Relaxation(p.w_max * torch.sign(aim - state), torch.zeros_like(aim), low, high)
+
+    def start(self, p, aim, speed):
+        return aim
