@@ -24,7 +24,7 @@ from hybrid_id.diagnosis.grade import (
     tied_models,
     tied_sets,
 )
-from hybrid_id.diagnosis.held_out import Errors, Shrink, errors, shrink
+from hybrid_id.diagnosis.held_out import Errors, Shrink, errors, repeatability, shrink
 from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import Model, Name, added_effect
@@ -329,10 +329,12 @@ def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> 
     if nominal is None or first is None or last is None:
         return Tested()
     left = last.coloured if last.coloured > CRITERIA.coloured or behind_play(chosen) else answer.structural
-    floor = min(max(last.noise, last.nrmse * float(np.sqrt(1.0 - min(left, 1.0)))), last.nrmse)
-    gap = shrink(first, last, floor, seed=seed)
-    rest = _rest_differs(fits, base, chosen, last)
-    return Tested(nominal, first, last, gap, "" if rest else _contradiction(answer, gap, last), rest)
+    again = repeatability(dataset) if fits.whole else None
+    rest = last.nrmse * float(np.sqrt(1.0 - min(left, 1.0)))
+    floor = min(max(last.noise, rest if again is None else again), last.nrmse)
+    gap = replace(shrink(first, last, floor, seed=seed), repeated=again is not None)
+    differs = _rest_differs(fits, base, chosen, last)
+    return Tested(nominal, first, last, gap, "" if differs else _contradiction(answer, gap, last), differs)
 
 
 def _contradiction(answer: Answer, gap: Shrink, last: Errors) -> str:

@@ -22,6 +22,9 @@ LOST = 1e6
 """Largest error of a run that has diverged, in the output's unit."""
 DRAWS = 500
 """Draws of blocks for intervals."""
+ALIKE, ALIKE_LENGTH = 0.02, 0.8
+"""RMS difference of two records' inputs, and of their first angles, relative to what they move, up to which one repeats
+the other; and how much of the longer one the shorter one has at least."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +123,43 @@ def errors(
     )
 
 
+def repeatability(dataset: Dataset) -> float | None:
+    """Normalised RMSE that test records leave which are repeats of others: no model predicts a machine better.
+
+    Half of the variance of the difference between two runs is that of one of them. None where nothing is repeated.
+    """
+    found = []
+    for record in dataset.test:
+        pairs = [_apart(record, other) for other in dataset.records if _repeats(record, other)]
+        if pairs:
+            found.append(float(np.mean(pairs)))
+    return float(np.mean(found)) if found else None
+
+
+def _repeats(one: Record, other: Record) -> bool:
+    """Whether a record was taken with the inputs of another, from the same start."""
+    n = min(one.n_samples, other.n_samples)
+    if one is other or n < ALIKE_LENGTH * max(one.n_samples, other.n_samples):
+        return False
+    if abs(one.sample_time - other.sample_time) > 1e-3 * one.sample_time:
+        return False
+    driven = [(one.inputs[c], other.inputs[c]) for c in one.inputs]
+    apart = [(np.sqrt(np.mean(np.square(a[:n] - b[:n]))), float(a.std())) for a, b in driven]
+    starts = [
+        (abs(one.outputs[c][0] - other.outputs[c][0]), float(one.outputs[c].std())) for c in one.outputs
+    ]
+    return all(distance <= ALIKE * size for distance, size in (*apart, *starts) if size > 0.0)
+
+
+def _apart(one: Record, other: Record) -> float:
+    """Normalised RMSE of one run as the other predicts it, less what the other adds, outputs averaged."""
+    n = min(one.n_samples, other.n_samples)
+    pairs = [(one.outputs[c][:n], other.outputs[c][:n]) for c in one.outputs]
+    return float(
+        np.mean([np.sqrt(0.5 * np.mean(np.square(a - b))) / a.std() for a, b in pairs if a.std() > 0.0])
+    )
+
+
 @dataclass(frozen=True)
 class Shrink:
     """Share of the closable gap that is closed on the test records.
@@ -130,6 +170,7 @@ class Shrink:
             noise alone, its upper end for ``floor``, either with the scatter of the error itself: more is not known of
             it. A model may do better on these records than the right one would, so that it may reach beyond 1.
         refit, with_effect, floor: normalised RMSE.
+        repeated: whether the floor is the repeatability of records that were taken twice.
     """
 
     share: float
@@ -137,6 +178,7 @@ class Shrink:
     refit: float
     with_effect: float
     floor: float
+    repeated: bool = False
 
 
 def shrink(refit: Errors, with_effect: Errors, floor: float, *, seed: int = 0) -> Shrink:

@@ -170,6 +170,7 @@ class Diagnosis:
                 "refit": None if gap is None else gap.refit,
                 "with_effect": None if gap is None else gap.with_effect,
                 "noise_floor": None if gap is None else gap.floor,
+                "floor_by_repeats": gap is not None and gap.repeated,
                 "shrink": None if gap is None else gap.share,
                 "shrink_interval": None if gap is None else list(gap.interval),
                 "by_output": {

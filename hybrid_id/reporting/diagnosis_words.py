@@ -192,7 +192,8 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
         f"{output} {_errors_words(*(m.by_output[output] for m in (nominal, refit, last) if m is not None))}"
         for output in nominal.by_output
     )
-    lines = [f"NRMSE on {records}, {diagnosis.horizon}: {outputs}; noise floor {gap.floor:.3g}."]
+    floor = "noise floor, by repeated records," if gap.repeated else "noise floor"
+    lines = [f"NRMSE on {records}, {diagnosis.horizon}: {outputs}; {floor} {gap.floor:.3g}."]
     if last is not None:
         low, high = (100 * min(end, 1.0) for end in gap.interval)
         lines.append(f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %).")

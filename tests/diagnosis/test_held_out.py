@@ -9,9 +9,10 @@ from gapcase import small_case
 
 import hybrid_id.diagnosis.held_out as module
 from hybrid_id.diagnosis.fits import engine
-from hybrid_id.diagnosis.held_out import Errors, shrink
+from hybrid_id.diagnosis.held_out import Errors, repeatability, shrink
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
 
 
 def made(rng: np.random.Generator, size: float, blocks: int, noise: float = 0.0) -> Errors:
@@ -120,3 +121,21 @@ def test_errors_leave_out_where_in_a_count_an_encoder_began(sound) -> None:
     assert all(one is not None and one.coloured < 0.1 for one in seen)
     sizes = [one.over_noise for one in seen if one is not None]
     assert max(sizes) < 1.1 * min(sizes)
+
+
+def test_the_floor_of_a_repeated_record_is_its_repeatability(rng: np.random.Generator) -> None:
+    """Two runs of one input scatter by what no model predicts; another input, or another start, repeats nothing."""
+    time = np.arange(2000) * 0.005
+    u, y = np.sin(3.0 * time), 2.0 * np.sin(3.0 * time - 0.4)
+
+    def run(name: str, role: str, volts: np.ndarray, start: float = 0.0) -> Record:
+        angle = y + start + 0.005 * rng.standard_normal(len(time))
+        return Record(name, time, {"u1": volts}, {"q_m1": angle}, role)
+
+    def of(*records: Record) -> Dataset:
+        return Dataset("drive", (Channel("u1", "V"),), (Channel("q_m1", "rad"),), records)
+
+    again = of(run("a", "train", u), run("b", "train", u[::-1].copy()), run("c", "test", u))
+    assert repeatability(again) == pytest.approx(0.005 / y.std(), rel=0.05)
+    assert repeatability(of(run("a", "train", u[::-1].copy()), run("c", "test", u))) is None
+    assert repeatability(of(run("a", "train", u, 1.0), run("c", "test", u))) is None
