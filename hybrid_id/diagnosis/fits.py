@@ -54,6 +54,8 @@ STUCK, SHAKES = 2e-3, 3
 """Fall of the others' cost below which a re-fit without a record has not moved, and shakes of it then."""
 WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
+HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
+"""How closely parameters are held where the model leaves structure; each is tried while it predicts better."""
 NARROWEST = 1e-6
 """Relative standard deviation of the narrowest prior that a fit can still move against."""
 PARALLEL_FROM = 2_000_000
@@ -157,7 +159,7 @@ class Fits:
                 f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
             )
         if not (best.right or free):
-            best = self._best([held(start, system, best) for start in (system, best.system)]) or best
+            best = self._held(system, best) or best
         # a fit that has stopped early would lend its gap to the first effect that frees it
         again = confirmed(best.result, self.batch(best.system), options=Options(tolerance=0.05))
         ends = (best.result,) if again is best.result else (best.result, again)
@@ -166,10 +168,20 @@ class Fits:
         self.weights = best.validation.even_weights()
         return replace(best, validation=best.validation.weighted(self.weights))
 
-    def _best(self, starts: Sequence[System]) -> Model | None:
+    def _best(self, starts: Sequence[System], *, judge: bool = False) -> Model | None:
         """The fit of the nominal model from several starts that ends lowest."""
-        ends = [e for e in self.run([Task((), one, judge=False) for one in starts], FULL) if e is not None]
+        ends = [e for e in self.run([Task((), one, judge=judge) for one in starts], FULL) if e is not None]
         return min(ends, key=lambda e: e.result.cost, default=None)
+
+    def _held(self, system: System, free: Model) -> Model | None:
+        """The nominal model with its parameters held as closely as predicts records left out best."""
+        found, starts = None, [system, free.system]
+        for share in HOLDS:
+            end = self._best([held(start, system, free, share) for start in starts], judge=True)
+            if end is None or (found is not None and end.validation.typical >= found.validation.typical):
+                break
+            found, starts = end, [end.system]
+        return found
 
     def slopes(self, system: System, least: float) -> Slopes | None:
         """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none."""
@@ -201,8 +213,8 @@ class Fits:
         return found
 
 
-def held(system: System, nominal: System, fitted: Model) -> System:
-    """A model whose parameters are held to their nominal values as data sheets hold them.
+def held(system: System, nominal: System, fitted: Model, share: float) -> System:
+    """A model whose parameters are held to their nominal values as data sheets hold them, or closer.
 
     What a model lacks moves its parameters beyond reason, and a re-fit without one record the more: an error of several
     noises that lasts is one measurement, and weighs as little. Friction is held by no data sheet, nor is anything held
@@ -212,9 +224,10 @@ def held(system: System, nominal: System, fitted: Model) -> System:
         system: the model, with any effects.
         nominal: with the nominal values.
         fitted: its mean square and the number of independent samples that it leaves scale the priors.
+        share: standard deviation of the priors, relative to the values.
     """
     worth = fitted.result.noise_scale**2 * fitted.result.n_samples / max(fitted.validation.effective, 1.0)
-    std = max(NUISANCE / max(worth, 1.0) ** 0.5, NARROWEST)
+    std = max(share / max(worth, 1.0) ** 0.5, NARROWEST)
     return _with_priors(system, nominal, lambda value: (value, std * abs(value)))
 
 

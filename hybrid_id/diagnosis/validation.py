@@ -61,6 +61,12 @@ class Validation:
         """Mean square of the weighted errors of prediction."""
         return float(self.blocks.sum() / self.sizes.sum())
 
+    @property
+    def typical(self) -> float:
+        """Geometric mean over the records of their mean square: each counts alike."""
+        errors = np.bincount(self.record, self.blocks) / np.maximum(np.bincount(self.record, self.sizes), 1)
+        return float(np.exp(np.log(np.maximum(errors, 1e-300)).mean()))
+
     def fall(self, simpler: Validation) -> float:
         """Share of another model's mean square by which this one's is lower."""
         return 1.0 - self.error / max(simpler.error, 1e-300)
