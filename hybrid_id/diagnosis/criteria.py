@@ -12,6 +12,8 @@ class Criteria:
     Attributes:
         false_alarms: probability that a search over the whole catalogue names anything where nothing is missing; level
             of the sign-flip test over all candidates of a selection step.
+        wrong_names: the same level where a model leaves structure, so that something is missing for sure: few records
+            that go together have little power.
         least_fall: smallest relative fall of the mean square for which a first effect is named that takes most of what
             neighbouring samples have in common; a law's formula differs between authors by about as much.
         next_fall: the same beside another effect, whose own formula may leave what a further one can pick up.
@@ -21,9 +23,8 @@ class Criteria:
             indistinguishable, and
         distinct_z: standard errors of their difference below which they are, too.
         much: share of what the best explains that a simpler candidate has to explain to lead in its place, where both
-            leave structure that the records do not surely tell apart; share of the colour that a small first effect may
-            leave; and the relative fall of the mean square, from
-            a model that leaves structure, that is no chance's.
+            leave structure that the records do not surely tell apart; and the share of the colour that a small first effect
+            may leave.
         left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival; and
             the least share of the gap that a remainder has where something outside the catalogue is claimed.
         white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
@@ -50,6 +51,7 @@ class Criteria:
     """
 
     false_alarms: float = 0.05
+    wrong_names: float = 0.2
     least_fall: float = 0.03
     next_fall: float = 0.25
     completing_fall: float = 0.1

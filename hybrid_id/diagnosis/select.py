@@ -153,12 +153,10 @@ def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> b
 def _passes(richer: Model, simpler: Model, p: float) -> bool:
     """Whether a fall of the error on records left out is large enough and no chance's.
 
-    Chance explains the errors of a model that leaves noise. Where it leaves structure, a few records that go together
-    have no power against chance, and none is needed for a fall by the greater part.
+    Where the simpler model leaves structure, that something is missing is plain, and the question is what.
     """
-    fall = richer.validation.fall(simpler.validation)
-    sure = p <= CRITERIA.false_alarms or (fall >= CRITERIA.much and not simpler.right)
-    return sure and fall >= needed_fall(richer, simpler)
+    level = CRITERIA.false_alarms if simpler.right else CRITERIA.wrong_names
+    return p <= level and richer.validation.fall(simpler.validation) >= needed_fall(richer, simpler)
 
 
 def accepted_ones(step: Step) -> list[Model]:
