@@ -188,8 +188,11 @@ def search(
                     return fits, Selection(base, (first,), base, own=own)
             if _adds_up(fits, base, best, system):
                 batch, how = fits.records(best.system), best.result.engine
+                free = released(
+                    best.system, system
+                )  # what the records say, and not what holds the parameters
                 chance = best.validation.plain > CRITERIA.by_chance * best.trained
-                chosen = choose_horizon(best.system, how, batch, [best.result], followed=0.0, pieces=chance)
+                chosen = choose_horizon(free, how, batch, [best.result], followed=0.0, pieces=chance)
                 if chosen.kind != "whole":
                     few = None if first is None else _helping(first)
                     pieces = fits.over(chosen)

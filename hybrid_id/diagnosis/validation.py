@@ -19,6 +19,8 @@ BLOCK = 0.25
 """Length [s] of the blocks in which errors are compared."""
 FEWEST = 4
 """Records from which a mean over records has a standard error."""
+LEAST_SCALE = 1e-9
+"""Mean square of a row, relative to that of all, below which it is not told from none."""
 DRAWS = 2000
 """Draws of a null distribution, and of a bootstrap."""
 
@@ -140,7 +142,8 @@ def p_values(richer: Sequence[Validation], simpler: Validation, seed: int = 0) -
         return np.empty(0)
     generator, ones = np.random.default_rng(seed), []
     scale = np.array([simpler.blocks[simpler.row == r].mean() for r in range(int(simpler.row.max()) + 1)])
-    scale = np.maximum(scale, 1e-300)[simpler.row]
+    # a window that stands still has next to no error, and says as little
+    scale = np.maximum(scale, max(LEAST_SCALE * scale.mean(), 1e-300))[simpler.row]
     for one in richer:
         ones += [(simpler.blocks - one.blocks) / scale, _relative(one, simpler)]
     differences = np.array(ones)
