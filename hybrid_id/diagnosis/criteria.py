@@ -23,8 +23,8 @@ class Criteria:
             indistinguishable, and
         distinct_z: standard errors of their difference below which they are, too.
         much: share of what the best explains that a simpler candidate has to explain to lead in its place, where both
-            leave structure that the records do not surely tell apart; and the share of the colour that a small first effect
-            may leave.
+            leave structure that the records do not surely tell apart; and the share of the colour that a small first
+            effect may leave.
         left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival; and
             the least share of the gap that a remainder has where something outside the catalogue is claimed.
         white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
