@@ -14,7 +14,7 @@ import numpy as np
 from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
-from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, released
+from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, held, released
 from hybrid_id.diagnosis.grade import (
     Grade,
     behind_play,
@@ -30,7 +30,7 @@ from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import Model, Name, added_effect
 from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
-from hybrid_id.diagnosis.plausibility import implausible_parameters
+from hybrid_id.diagnosis.plausibility import NUISANCE, implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.diagnosis.screen import Progress, Step, screen
 from hybrid_id.diagnosis.select import (
@@ -188,11 +188,10 @@ def search(
                     return fits, Selection(base, (first,), base, own=own)
             if _adds_up(fits, base, best, system):
                 batch, how = fits.records(best.system), best.result.engine
-                free = released(
-                    best.system, system
-                )  # what the records say, and not what holds the parameters
+                # not held so closely that any horizon says as much
+                loose = held(best.system, system, best, NUISANCE)
                 chance = best.validation.plain > CRITERIA.by_chance * best.trained
-                chosen = choose_horizon(free, how, batch, [best.result], followed=0.0, pieces=chance)
+                chosen = choose_horizon(loose, how, batch, [best.result], followed=0.0, pieces=chance)
                 if chosen.kind != "whole":
                     few = None if first is None else _helping(first)
                     pieces = fits.over(chosen)
