@@ -26,7 +26,7 @@ GEAR_PERIODS = (0.25, 4.0)
 """Fewest and most periods a turn of the rotor of a gear's error: a shaft behind it turns once in several of its."""
 FINEST = 1200
 """Periods over such a range, or below the whole ones of a motor, that are looked at, at most."""
-THINNED, SHORTLIST = 4, 100
+THINNED, SHORTLIST = 4, 90
 """Of many shapes, every so many windows choose so many of them, which are then held against all windows."""
 MOST_WAVES = 12.0
 """Waves of friction over the joint's range at most: finer ones are a texture that no record resolves."""
