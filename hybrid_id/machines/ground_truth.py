@@ -71,7 +71,8 @@ def messy_ground_truth(messy: Messy, family: str, source: tuple[int, int]) -> di
     """The ground truth of a messy machine: that of a clean one, its effects in the order in which they are added.
 
     Each effect further tells its `role` (dominant or small), its `share` of the gap in that order, what it `closes`
-    alone, and by how much a small one alone lifts the re-fit over the floor; `messy` sums them up.
+    alone, on the test and on the train records, and by how much a small one alone lifts the re-fit over the floor;
+    `messy` sums them up.
 
     Args:
         messy: the machine.
@@ -84,6 +85,7 @@ def messy_ground_truth(messy: Messy, family: str, source: tuple[int, int]) -> di
     found["level"] = messy.graded.level
     for told, part in zip(found["effects"], messy.parts, strict=True):
         told |= {"role": part.role, "share": round(part.share, 4), "closes": round(part.closes, 4)}
+        told["closes_train"] = round(part.closes_train, 4)
         if part.lift is not None:
             told["lift"] = round(part.lift, 3)
     encoders = messy.graded.case.campaign.encoders

@@ -33,6 +33,8 @@ class Judged:
             ``none`` or ``broken``.
         top_1, top_3: whether an accepted name is ranked first, among the first three (single effects; a messy machine's
             dominant ones).
+        leads_train: whether a dominant effect of a messy machine explains most on the train records, too: what shows in
+            test records alone cannot be found.
         place: whether the first one's place is accepted (likewise).
         top_1_at_place: both together.
         pair: hits, named and true effects of a pair.
@@ -66,6 +68,7 @@ class Judged:
     said: str
     top_1: bool | None = None
     top_3: bool | None = None
+    leads_train: bool | None = None
     place: bool | None = None
     top_1_at_place: bool | None = None
     pair: tuple[int, int, int] | None = None
@@ -135,6 +138,7 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         said="broken" if broken else _in_a_word(leading if asked else [], chosen, unknown),
         top_1=any(named[:1]) if asked else None,
         top_3=any(named) if asked else None,
+        leads_train=_leads_train(truth) if asked else None,
         place=bool(first and any(first["where"] in t["accept_where"] for t in leading)) if asked else None,
         top_1_at_place=at_place if asked else None,
         pair=(hits, len(chosen), len(truth)) if family == "pair" and not messy else None,
@@ -151,6 +155,14 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         share_errors=errors,
         share_covered=share_covered,
     )  # fmt: skip
+
+
+def _leads_train(truth: Sequence[Truth]) -> bool | None:
+    """Whether a dominant effect closes more on the train records than any small one; None where answers do not tell."""
+    if not all("closes_train" in one for one in truth):
+        return None
+    roles = {role: [t["closes_train"] for t in truth if t["role"] == role] for role in ("dominant", "small")}
+    return max(roles["dominant"]) > max(roles["small"], default=-math.inf)
 
 
 def _named(effect: Said, truth: Truth) -> bool:

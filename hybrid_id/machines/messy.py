@@ -88,6 +88,7 @@ class Part:
         effect: in its final size.
         role: dominant or small.
         closes: share of the gap on the test records that adding it alone closes.
+        closes_train: the same on the train records, which are all that a diagnosis is chosen by.
         share: fall of the test mean square when it is added after all larger ones, over the gap.
         lift: rise of the re-fit's error by it alone, relative to the noise floor; None of a dominant one.
         rivals: other effects in its place; none of a small one.
@@ -96,6 +97,7 @@ class Part:
     effect: Effect
     role: str
     closes: float
+    closes_train: float
     share: float
     lift: float | None
     rivals: tuple[Rival, ...]
@@ -527,7 +529,9 @@ def _parts(
     fits = mixtures.fit([*nested, *single], [found.made], rounds=4)
     errors = [base.test, found.alone[order[0]].test, *(fit.test for fit in fits[: len(nested)]), floor]
     shares = dict(zip(order, -np.diff(np.square(errors)) / gap, strict=True))
-    closes = [(base.test**2 - one.test**2) / gap for one in (*found.alone, *fits[len(nested) :])]
+    alone = (*found.alone, *fits[len(nested) :])
+    closes = [(base.test**2 - one.test**2) / gap for one in alone]
+    trained = [(base.train - one.train) / (base.train - 1) for one in alone]
     if min(closes[:leaders]) < TWICE * max(closes[leaders:]) or min(shares.values()) < -TANGLED:
         return ()
     if min(shares[i] for i in order[:leaders]) < ADDS:  # one does the other's work
@@ -541,7 +545,8 @@ def _parts(
             if one.name == UNKNOWN and (imitated > IMITATED or any(rival.counts for rival in rivals)):
                 return ()
         role = "dominant" if i < leaders else "small"
-        parts.append(Part(one, role, float(closes[i]), float(shares[i]), lifts[i], tuple(rivals)))
+        closed = float(closes[i]), float(trained[i]), float(shares[i])
+        parts.append(Part(one, role, *closed, lifts[i], tuple(rivals)))
     return tuple(parts)
 
 

@@ -22,6 +22,7 @@ Score = dict[str, Any]
 SHARES: Mapping[str, Callable[[Judged], bool | None]] = {
     "top_1": lambda one: one.top_1,
     "top_3": lambda one: one.top_3,
+    "leads_train": lambda one: one.leads_train,
     "place": lambda one: one.place,
     "top_1_at_place": lambda one: one.top_1_at_place,
     "whole": lambda one: one.whole,

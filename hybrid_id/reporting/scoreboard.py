@@ -25,6 +25,7 @@ Scores = Mapping[str, Any]
 ROWS = {
     "top_1": "first name right (single effects; a dominant one of a messy machine)",
     "top_3": "among the first three",
+    "leads_train": "a dominant effect leads on the train records, too",
     "place": "place of the first right",
     "top_1_at_place": "first name right at the right place",
     "f1": "F1 of the set (pairs)",

@@ -312,6 +312,21 @@ def test_either_dominant_effect_of_a_messy_machine_may_lead() -> None:
     assert judge("c1", MESSY, loud).top_1 and not judge("c1", MESSY, loud).whole
 
 
+def test_what_shows_in_test_records_alone_is_counted() -> None:
+    """A small effect that explains more of the train records leads there, whatever the test records say."""
+    told = said(effect("stribeck_friction", selected=True))
+    assert judge("c1", MESSY, told).leads_train is None  # answers of an earlier generator
+
+    def trained(*shares: float) -> dict[str, Any]:
+        effects = [e | {"closes_train": s} for e, s in zip(MESSY["effects"], shares, strict=True)]
+        return MESSY | {"effects": effects}
+
+    assert judge("c1", trained(0.2, 0.5, 0.3, 0.1), told).leads_train is True
+    assert judge("c1", trained(0.2, 0.1, 0.3, 0.1), told).leads_train is False
+    assert judge("c1", trained(0.2, 0.1, 0.1, 0.6), told).leads_train is False
+    assert figures([judge("c1", trained(0.2, 0.1, 0.3, 0.1), told)])["leads_train"]["value"] == 0.0
+
+
 def test_claimed_shares_are_compared_in_the_order_in_which_they_are_claimed() -> None:
     def claims(*named: dict[str, Any]) -> tuple[float, ...]:
         return judge("c1", MESSY, said(*(one | {"selected": True} for one in named))).share_errors
