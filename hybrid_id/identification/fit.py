@@ -214,6 +214,9 @@ def fit(
             if settled or refinements_left == 0:  # the result names the engine that it was found with
                 break
             engine, theta, nodes = finer, outcome.theta, outcome.at.x
+            # where none are left, the end is only simulated with the finer sub-steps
+            left = setting.max_iterations - int(outcome.iterations.max())
+            setting = replace(setting, max_iterations=left)
         cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
         order = cost.reshape(alive, count).argsort(0)
         if loss == options.loss or "interrupted" in outcome.status:
