@@ -39,7 +39,7 @@ from hybrid_id.simulation.c_code import compiler
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
-from hybrid_id.simulation.step import Engine
+from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine
 from hybrid_id.study.fan_out import leave_ctrl_c_to_the_first
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
@@ -50,12 +50,15 @@ COARSE, FINER, FULL = 5, 10, 40
 """Iterations of a first coarse fit, of a finer one, and of a fit to the end."""
 AGAIN = 4
 """Iterations of its re-fit without some records."""
-STUCK, SHAKES = 2e-3, 3
-"""Fall of the others' cost below which a re-fit without a record has not moved, and shakes of it then."""
+STUCK = 2e-3
+"""Fall of the others' cost below which a re-fit without a record has not moved."""
 WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
 """How closely parameters are held where the model leaves structure; each is tried while it predicts better."""
+SUBSTEPS = 8
+"""Sub-steps that any candidate may take: they follow all that records at their sample time can show. Where the nominal
+model takes more than half as many, twice its own."""
 NARROWEST = 1e-6
 """Relative standard deviation of the narrowest prior that a fit can still move against."""
 PARALLEL_FROM = 2_000_000
@@ -98,6 +101,7 @@ class Fits:
 
     Attributes:
         weights: of the records that judge, ``(R,)``; None until the nominal model is fitted.
+        engine: how candidates are simulated. What is too fast for its sub-steps fits badly, and costs no more for it.
     """
 
     def __init__(
@@ -113,6 +117,7 @@ class Fits:
         self.kept = kept
         self.fitted = 0
         self.weights: np.ndarray | None = None
+        self.engine = engine()
 
     def over(self, horizon: Horizon) -> Fits:
         """The same over another horizon."""
@@ -138,7 +143,7 @@ class Fits:
 
     def batch(self, system: System) -> Batch:
         """What models are fitted to: the train records, or pieces of them from measured states."""
-        return self.horizon.cut(system, engine(), self.records(system))
+        return self.horizon.cut(system, self.engine, self.records(system))
 
     def astray(self, model: Model) -> float:
         """Normalised RMSE of a model's free runs, less the noise, however little an output moves."""
@@ -153,6 +158,9 @@ class Fits:
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
+        self.engine = replace(
+            engine(), most_substeps=max(SUBSTEPS, min(2 * near.engine.substeps, MAX_SUBSTEPS))
+        )
         best = self._best([system, near.system])
         if best is None:
             raise InputError(
@@ -187,7 +195,7 @@ class Fits:
         """Slopes of a model, with which looks at neighbours of a cost below ``least`` begin; windows need none."""
         if not self.whole:
             return None
-        return replace(slopes_at(system, self.records(system), engine()), least=least)
+        return replace(slopes_at(system, self.records(system), self.engine), least=least)
 
     def run(
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
@@ -255,7 +263,7 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | Non
     if fits.kept is None:
         return _fit(fits, task, iterations, halting)
     records = (fits.dataset.train, fits.dataset.validation, fits.dataset.outputs)
-    asked = (fits.horizon, fits.signal_share, fits.weights, task, iterations, halting, engine())
+    asked = (fits.horizon, fits.signal_share, fits.weights, task, iterations, halting, fits.engine)
     made_from = (records, *asked, CRITERIA.white, CRITERIA.coloured)
     return fits.kept.of(made_from, task.effects, task.system, lambda: _fit(fits, task, iterations, halting))
 
@@ -272,10 +280,10 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
             result = _over_windows(fits, task, batch, iterations)
         elif hidden or iterations <= COARSE:
             result = finite_difference_fit(
-                task.system, batch, engine=engine(), iterations=iterations, near=task.near, x0=task.x0
+                task.system, batch, engine=fits.engine, iterations=iterations, near=task.near, x0=task.x0
             )
         else:
-            result = _nearest(task, batch, iterations, halting)
+            result = _nearest(fits.engine, task, batch, iterations, halting)
         if hidden and task.shake and full:
             result = perturbed_restarts(result, batch)
         found = (
@@ -359,21 +367,20 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
     """The same of whole records, by finite steps, which see through stick and slip and play.
 
     In the ripples of a cost that leaves structure such a fit may not move at all, and would predict what it has seen:
-    then it is perturbed_restarts.
+    then it starts where the linearised step without the part leads.
     """
     rippled = coloured(result.residual) > CRITERIA.coloured
+    starts = started_without(result, batch, fold) if rippled else None
     found: list[np.ndarray] = [np.empty(0)] * batch.rows
     for k in np.unique(fold):
         inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
-        again = finite_difference_fit(
-            result.system,
-            batch.take(inside),
-            engine=result.engine,
-            iterations=AGAIN,
-            x0=result.x0[inside.numpy()],
-        )
-        if rippled and again.cost > (1.0 - STUCK) * again.history[0]:
-            again = perturbed_restarts(again, batch.take(inside), tries=SHAKES)
+        others = batch.take(inside)
+        settings = {"engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()]}
+        again = finite_difference_fit(result.system, others, **settings)
+        if starts is not None and again.cost > (1.0 - STUCK) * again.history[0]:
+            with suppress(InputError):  # a step may leave an arm no mass matrix
+                start = result.system.with_values(dict(zip(result.names, starts[k].tolist(), strict=True)))
+                again = finite_difference_fit(start, others, **settings)
         rest = Rollouts(result.system, batch.take(outside), result.engine, result.system.estimated)
         errors = rest.residuals(again.values[None], result.x0[None, outside.numpy()])[0]
         for row, error in zip(outside.tolist(), errors, strict=True):
@@ -381,22 +388,22 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
     return found
 
 
-def _nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> FitResult:
+def _nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bool) -> FitResult:
     """The best of several ways to a fit; the last words are had from windows, too, where that leaves more than noise.
 
     The cost of whole rollouts ripples where a torque over the angle may halt the motion (``halting``), that of windows
     from measured states does not.
     """
-    ends = _both_ways(task.system, batch, iterations, task.cost, task.x0)
+    ends = _both_ways(how, task.system, batch, iterations, task.cost, task.x0)
     if halting and iterations == FULL and min(coloured(end.residual) for end in ends) > CRITERIA.white:
         with suppress(InputError, RuntimeError):
-            near = _within(task.system, windows(task.system, engine(), batch, WINDOW), FINER)
-            ends += _both_ways(near.system, batch, iterations, task.cost, None)
+            near = _within(how, task.system, windows(task.system, how, batch, WINDOW), FINER)
+            ends += _both_ways(how, near.system, batch, iterations, task.cost, None)
     return min(ends, key=lambda end: end.cost)
 
 
 def _both_ways(
-    system: System, batch: Batch, iterations: int, cost: float, x0: np.ndarray | None
+    how: Engine, system: System, batch: Batch, iterations: int, cost: float, x0: np.ndarray | None
 ) -> list[FitResult]:
     """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower than a cost.
 
@@ -407,12 +414,12 @@ def _both_ways(
     options, ends = Options(max_iterations=iterations, tolerance=0.05 * max(noise, 1.0)), []
     last = iterations == FULL
     with suppress(InputError, RuntimeError):
-        exact = fit(system, batch, pooled=True, engine=engine(), options=options, warm=last)[0]
+        exact = fit(system, batch, pooled=True, engine=how, options=options, warm=last)[0]
         # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
         there = finite_difference_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
         ends.append(replace(there, status=exact.status, iterations=exact.iterations))
     if last or not ends or ends[0].cost > cost:
-        ends.append(finite_difference_fit(system, batch, engine=engine(), iterations=iterations, x0=x0))
+        ends.append(finite_difference_fit(system, batch, engine=how, iterations=iterations, x0=x0))
     return ends
 
 
@@ -421,22 +428,22 @@ def _over_windows(fits: Fits, task: Task, batch: Batch, iterations: int) -> FitR
 
     Over long windows a model that sticks and slips, or rests in detents, is not linear: a fit may not move at all.
     """
-    ends = [_within(task.system, batch, iterations)]
+    ends = [_within(fits.engine, task.system, batch, iterations)]
     if fits.horizon.seconds > WINDOW and coloured(ends[0].residual) > CRITERIA.white:
         with suppress(InputError, RuntimeError):
             short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
-            near = _within(task.system, short, iterations)
-            ends.append(_within(near.system, batch, iterations))
+            near = _within(fits.engine, task.system, short, iterations)
+            ends.append(_within(fits.engine, near.system, batch, iterations))
     return min(ends, key=lambda end: end.cost)
 
 
-def _within(start: System, batch: Batch, iterations: int) -> FitResult:
+def _within(how: Engine, start: System, batch: Batch, iterations: int) -> FitResult:
     """The fit to windows by exact sensitivities: a model is nearly linear over so short a time.
 
     Standard errors are those of the encoders' noise, of which the errors are many times here: half of one is little.
     """
     options = Options(max_iterations=iterations, tolerance=0.5)
-    result = fit(start, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
+    result = fit(start, batch, pooled=True, engine=how, options=options, warm=False)[0]
     if not np.isfinite(result.cost):
         raise RuntimeError("the start values diverge")
     return result

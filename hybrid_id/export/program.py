@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.stability import MAX_SUBSTEPS, with_substeps
-from hybrid_id.simulation.step import Engine
+from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine
 from hybrid_id.systems.chain import System
 
 

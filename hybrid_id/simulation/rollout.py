@@ -10,8 +10,8 @@ from torch import Tensor
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import supports_compiled
 from hybrid_id.simulation.lifted import condense, linearise, shoot
-from hybrid_id.simulation.stability import LIMIT, MAX_SUBSTEPS, fastest_rate
-from hybrid_id.simulation.step import Engine
+from hybrid_id.simulation.stability import LIMIT, fastest_rate
+from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine
 from hybrid_id.systems.chain import System
 
 CHUNK = 8

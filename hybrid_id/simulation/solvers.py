@@ -21,8 +21,8 @@ from torchdiffeq import odeint, odeint_adjoint
 
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.prepare import Batch
-from hybrid_id.simulation.stability import MAX_SUBSTEPS, fastest_rate, with_substeps
-from hybrid_id.simulation.step import Engine, LaneSubset
+from hybrid_id.simulation.stability import fastest_rate, with_substeps
+from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine, LaneSubset
 from hybrid_id.systems.chain import Channels, Rows, System, Views
 
 FIXED = ("euler", "midpoint", "heun2", "heun3", "rk4")

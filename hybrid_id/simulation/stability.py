@@ -9,14 +9,13 @@ import torch
 from torch import Tensor
 
 from hybrid_id.simulation.prepare import Batch
-from hybrid_id.simulation.step import Engine, fill_jacobian
+from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine, fill_jacobian
 from hybrid_id.systems.chain import System
 
 LIMIT = {"dry": 0.5, "smooth": 2.5, "memory": 0.2}
 """Largest step times eigenvalue: accuracy of the fastest mode for the dry engine, RK4's region of stability (2.78) for
 the smooth one, whose stiff part is the smoothing itself; less with bristles, which alternate with the motion at second
 order."""
-MAX_SUBSTEPS = 64
 
 
 def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, nodes: int = 128) -> float:
@@ -70,4 +69,4 @@ def with_substeps(system: System, engine: Engine, batch: Batch, theta: Tensor | 
     rate, step = fastest_rate(system, engine, batch, theta), float(batch.dt.max())
     limit = LIMIT["memory" if system.memory_rows else engine.friction]
     needed = MAX_SUBSTEPS if not math.isfinite(rate) else math.ceil(step * rate / limit)
-    return replace(engine, substeps=min(max(engine.substeps, needed, 1), MAX_SUBSTEPS))
+    return replace(engine, substeps=max(engine.substeps, min(needed, engine.most_substeps)))

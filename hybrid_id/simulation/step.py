@@ -20,6 +20,9 @@ from hybrid_id.errors import InputError
 from hybrid_id.systems.balance import Directions
 from hybrid_id.systems.chain import Channels, Rows, System, Views
 
+MAX_SUBSTEPS = 64
+"""Sub-steps of a sample at most."""
+
 
 @dataclass(frozen=True)
 class Engine:
@@ -31,12 +34,14 @@ class Engine:
         width: smoothing speed [rad/s] of the smooth engine.
         compiled: whether rollouts and sensitivities are compiled where they can be (see
             :mod:`hybrid_id.simulation.compiled`).
+        most_substeps: that stability and accuracy may ask for.
     """
 
     friction: str = "dry"
     substeps: int = 1
     width: float = 0.5
     compiled: bool = False
+    most_substeps: int = MAX_SUBSTEPS
 
     def __post_init__(self) -> None:
         if self.friction not in ("dry", "smooth"):

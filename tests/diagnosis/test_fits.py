@@ -25,6 +25,7 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.step import Engine
 
 
 def disturbed(dataset: Dataset, name: str, seed: int = 1) -> Dataset:
@@ -227,7 +228,7 @@ def test_a_process_need_not_know_the_catalogue(monkeypatch: pytest.MonkeyPatch) 
     """Where fits are shared, an effect of the user's own is registered in the first process alone."""
     told = []
 
-    def nearest(task: Task, batch: Batch, iterations: int, halting: bool) -> None:
+    def nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bool) -> None:
         told.append(halting)
         raise RuntimeError("this is all that was asked")
 
@@ -256,5 +257,5 @@ def test_a_fit_over_long_windows_also_begins_where_one_over_short_ones_has_ended
     fits = Fits(dataset, horizon=Horizon("windows", 1.0))
     start = nominal.with_component(name[1], REGISTRY["cogging"](T_c=0.0, T_s=0.003, n=6.0))
     (found,) = fits.run([Task((name,), start)], FULL)
-    alone = module._within(start, fits.batch(start), FULL)
+    alone = module._within(fits.engine, start, fits.batch(start), FULL)
     assert found is not None and found.result.cost < 0.3 * alone.cost

@@ -17,8 +17,8 @@ from hybrid_id.components import (
     ResidualNetwork,
 )
 from hybrid_id.simulation.solvers import memory_rate
-from hybrid_id.simulation.stability import LIMIT, MAX_SUBSTEPS, fastest_rate, with_substeps
-from hybrid_id.simulation.step import Engine
+from hybrid_id.simulation.stability import LIMIT, fastest_rate, with_substeps
+from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine
 from hybrid_id.systems import System
 
 FRICTION, LINK = "joint1/motor_friction", "joint1/link_friction"
