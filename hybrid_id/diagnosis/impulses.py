@@ -29,7 +29,7 @@ from hybrid_id.systems.chain import System
 WIDTHS = (0.05, 0.07, 0.1)
 """Standard deviations [s] of the pulses that are looked for."""
 HALF_LENGTH = 4.0
-"""Half-length of a filter, in widths; pulses closer than this at one joint or to a record's end are not told."""
+"""Half-length of a filter, in widths; pulses closer than this at one joint or to a record's end are not found."""
 FADE = 2.5
 """Width of the weights within a filter, in widths of the pulse."""
 TAIL = 0.7

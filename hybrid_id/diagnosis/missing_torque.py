@@ -22,7 +22,7 @@ class Torques:
     Attributes:
         record: its name.
         step: sample time [s].
-        torque: ``(T, n_joints)`` [N m]; 0 where a joint sticks, which tells nothing.
+        torque: ``(T, n_joints)`` [N m]; 0 where a joint sticks, which identifies nothing.
         own: what each parameter of :func:`own_parameters` takes from it per unit, ``(T, n_joints, n_p)``.
     """
 
@@ -38,7 +38,7 @@ def missing_torques(system: System, engine: Engine, batch: Batch) -> list[Torque
 
     Args:
         system: fitted model.
-        engine: how a sample is integrated; smooth friction tells more, since a joint that sticks hides a torque.
+        engine: how a sample is integrated; smooth friction identifies more, since a joint that sticks hides a torque.
         batch: records with one sample time, prepared for the model; its states ``x`` are taken as measured.
     """
     parts = [f"{joint.name}/load" for joint in system.joints]

@@ -130,7 +130,7 @@ def _refuse_truth_as_number(given: Any, found: Any, key: str, path: str | Path) 
 
 
 def _refuse_other_kind(schema: type[BaseModel], values: Mapping[str, Any], path: str | Path) -> None:
-    """Raise InputError where a file of another kind was given: one key of each tells."""
+    """Raise InputError where a file of another kind was given: one key of each shows it."""
     asked = next((kind for kind, key in KINDS.items() if key in schema.model_fields), None)
     given = next((kind for kind, key in KINDS.items() if key in values), None)
     if asked and given and KINDS[asked] not in values and KINDS[given] not in schema.model_fields:

@@ -45,7 +45,7 @@ def make_batch(
     The side of a gear that nobody has measured starts at rest where the load has wound it up, bristles unloaded.
 
     Args:
-        system: tells channels and states.
+        system: has channels and states.
         records: at least one; lengths and sample times may differ.
         outputs: outputs to compare (default: all that the first record has).
         noise_std: standard deviation of the noise by output; estimated from the record where it is None.
@@ -129,7 +129,7 @@ def _deviations(
 ) -> np.ndarray:
     """Standard deviation of each record's measurements, ``(R, n_y)``.
 
-    An output that never changes says nothing of its noise: the noisiest of the other records tells, or it counts 1.
+    An output that never changes says nothing of its noise: that of the noisiest other record stands for it, or 1.
     """
     deviation = np.array(
         [

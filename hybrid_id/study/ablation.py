@@ -79,7 +79,7 @@ class CellResult:
         chosen: number of the rung that the validation records chose.
         gradients: of the whole training.
         seconds: that it took.
-        history: course of the training by tag, (gradient, value) each.
+        history: of the training by tag, (gradient, value) each.
         model: the chosen model as a model file holds it.
     """
 

@@ -19,10 +19,10 @@ from hybrid_id.components.base import (
     LoggedTorque,
     LoopStage,
     Motor,
-    Relaxation,
     RotorTorque,
     Sensor,
     ServoLoop,
+    StateUpdate,
     Transmission,
     Winding,
 )
@@ -146,7 +146,7 @@ class SensorDynamics:
         Args:
             channel: without the joint's number.
             value: what it would read in time and at the model's zero.
-            seen: what it turns for one turn of the motor, whose encoder tells it; 0 where that does not.
+            seen: what it turns for one turn of the motor, whose encoder measures it; 0 where that does not.
             x: state rows.
             p: parameter views.
         """
@@ -162,12 +162,12 @@ class SensorDynamics:
                 value = sensor.read(p[key], value)
         return value
 
-    def relaxations(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Relaxation]]:
+    def state_updates(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each state, and how it goes on."""
         if self.late is None:
             return []
         key, part = self.late
-        return [(self.row, Relaxation(*part.relaxation(p[key], x[self.rotor + 1])))]
+        return [(self.row, StateUpdate(*part.relaxation(p[key], x[self.rotor + 1])))]
 
 
 class Drive:
@@ -335,9 +335,9 @@ class Drive:
         enable = u.get(f"enable{self.number}")
         return torque if enable is None else torque * enable
 
-    def relaxations(
+    def state_updates(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Relaxation]]:
+    ) -> list[tuple[int, StateUpdate]]:
         """Row of each state, and how it goes on."""
         found = self._loop_relaxations(x, u, p)
         if not self.windings:
@@ -347,14 +347,14 @@ class Drive:
         torque = self._switched(torque, u)
         for key, part, rows in self.windings:
             states = [x[row] for row in rows]
-            pairs = part.relaxations(p[key], torque, states)
-            found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
+            pairs = part.state_updates(p[key], torque, states)
+            found += [(row, StateUpdate(*pair)) for row, pair in zip(rows, pairs, strict=True)]
             torque = part.torque(p[key], torque, states)
         return found
 
     def _loop_relaxations(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Relaxation]]:
+    ) -> list[tuple[int, StateUpdate]]:
         key, part = self.input
         if not self.stages or not isinstance(part, ServoLoop):
             return []
@@ -653,9 +653,9 @@ class Joint:
         rotor, link = (x[row : row + 2] for row in self.positions)
         return self.gear.torque(rotor, link, self.inertia, p)
 
-    def relaxations(
+    def state_updates(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Relaxation]]:
+    ) -> list[tuple[int, StateUpdate]]:
         """Row of each state that remembers, and how it goes on."""
         found = []
         for place, (key, law, rows) in self.bristles.items():
@@ -663,10 +663,10 @@ class Joint:
             v = x[self.positions[0] + 1] if motor or self.rigid else x[self.positions[1] + 1]
             v = v * self.gear.map(x[self.positions[0]], p)[1] if self.rigid and not motor else v
             level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype), x)
-            pairs = law.relaxations(p[key], [x[row] for row in rows], v, level)
-            found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
-        found += self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
-        return found + self.sensing.relaxations(x, p)
+            pairs = law.state_updates(p[key], [x[row] for row in rows], v, level)
+            found += [(row, StateUpdate(*pair)) for row, pair in zip(rows, pairs, strict=True)]
+        found += self.drive.state_updates(x, u, p) + self.networks.state_updates(x, u, p)
+        return found + self.sensing.state_updates(x, p)
 
     def _load(
         self, x: Sequence[Tensor], angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views

@@ -13,7 +13,7 @@ class EffortDependent(Friction):
     | mu | 1 | friction per torque of the motor, one less the gear's efficiency |
 
     Where ``load_dependent_friction`` takes the torque that leaves the gear, this law takes the one that enters it; a
-    rotor that accelerates tells them apart. Source: efficiency of a gear, e.g. VDI 2158 and G. Niemann, H. Winter,
+    rotor that accelerates distinguishes them. Source: efficiency of a gear, e.g. VDI 2158 and G. Niemann, H. Winter,
     Maschinenelemente 2, Springer 2003, section 21.5.
     """
 

@@ -1,6 +1,6 @@
 """Dead time within a servo's position loop."""
 
-from hybrid_id.components.base import LoopStage, Relaxation
+from hybrid_id.components.base import LoopStage, StateUpdate
 from hybrid_id.components.sensor.late_reading import late_motion, trailing
 from hybrid_id.parameters import Parameter
 
@@ -30,7 +30,7 @@ class LoopDelay(LoopStage):
         return late_motion(p.T_l, angle, speed, state)
 
     def relaxation(self, p, aim, error, speed, state):
-        return Relaxation(*trailing(p.T_l, speed))
+        return StateUpdate(*trailing(p.T_l, speed))
 
     def start(self, p, aim, speed):
         return -p.T_l * speed

@@ -2,7 +2,7 @@
 
 import torch
 
-from hybrid_id.components.base import LoopStage, Relaxation
+from hybrid_id.components.base import LoopStage, StateUpdate
 from hybrid_id.parameters import Parameter
 
 
@@ -33,4 +33,4 @@ class ServoIntegral(LoopStage):
         return state
 
     def relaxation(self, p, aim, error, speed, state):
-        return Relaxation(p.w_i * error, torch.zeros_like(error), -p.z_max, p.z_max)
+        return StateUpdate(p.w_i * error, torch.zeros_like(error), -p.z_max, p.z_max)

@@ -57,7 +57,7 @@ class KinematicError(Component):
     def starts(site):
         small = 0.02 * min(0.01 * site.angle, 0.5 / site.ratio)
         limit, near = min(0.1 * site.angle, 0.9 / site.ratio, WORST_GEAR), math.pi / site.turns
-        # a linear estimate from whole runs tells little of the period, and the fits from all of them soon tell it
+        # a linear estimate from whole runs hardly identifies the period, and the fits from all of them soon do
         waves = [*((n, small, small) for n in (1.0, 2.0)), *site.search("gear_waves")[:WAVES]]
         return [
             {
