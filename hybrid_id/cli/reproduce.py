@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from hybrid_id.cli.console import FitProgress, remark, show
-from hybrid_id.cli.folder import RESULT, make_folder, refuse_foreign, sole_writer
+from hybrid_id.cli.folder import RESULT, refuse_foreign, sole_writer
 from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import Identification
+from hybrid_id.records.files import make_folder
 from hybrid_id.reporting.provenance import program
 
 PARTS = "parts"

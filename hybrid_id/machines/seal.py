@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import write_whole
 
 MANIFEST, ANSWERS = "manifest.json", "answers"
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import write_whole
 
 Schema = TypeVar("Schema", bound=BaseModel)
 MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser

@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import write_whole
 from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.provenance import short

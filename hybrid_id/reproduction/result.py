@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
-from hybrid_id.plain import plain
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import plain, write_whole
 
 
 @dataclass(frozen=True, eq=False)
