@@ -30,7 +30,7 @@ def reproduce(
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
-    """Walk through the paper on digital twins: every table and figure, printed values beside ours, on one page.
+    """Reproduce the paper on digital twins: every table and figure, printed values beside ours, on one page.
 
     Each stage is kept as soon as it is done. After Ctrl-C the same command goes on from there.
     """
@@ -38,11 +38,11 @@ def reproduce(
     refuse_foreign(out, PARTS, "*.json")
     make_folder(parts)
     use_threads(threads)
-    from hybrid_id.reproduction.run import reproduce as walk
+    from hybrid_id.reproduction.run import reproduce as run
 
     try:
         with sole_writer(parts), FitProgress(1, Identification().max_iterations, polite=False) as progress:
-            result = walk(
+            result = run(
                 parts,
                 quick=quick,
                 seeds=seeds or (2 if quick else 20),

@@ -29,7 +29,7 @@ from hybrid_id.components.base import (
 from hybrid_id.components.bristle import Bristle
 from hybrid_id.components.input.delay import Delay
 from hybrid_id.components.load.rotor_inertia import RotorInertia
-from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.sensor.sensor_delay import SensorDelay
 from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
@@ -134,7 +134,7 @@ class SensorDynamics:
         self.sensors = cast(
             "list[tuple[str, Sensor]]", [(k, part) for k, part in parts.items() if isinstance(part, Sensor)]
         )
-        self.late = next(((k, part) for k, part in parts.items() if isinstance(part, LateReading)), None)
+        self.late = next(((k, part) for k, part in parts.items() if isinstance(part, SensorDelay)), None)
         self.state_names = [f"{name}{number}" for name in self.late[1].states] if self.late else []
         self.lag = next(((k, part) for k, part in parts.items() if isinstance(part, TorqueLag)), None)
         self.lag_row = first_row + len(self.state_names)

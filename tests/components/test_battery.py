@@ -37,7 +37,7 @@ from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.residual import ResidualNetwork
-from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.sensor.sensor_delay import SensorDelay
 from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.flexibility import JointFlexibility
 from hybrid_id.components.transmission.kinematic_error import KinematicError
@@ -128,7 +128,7 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["held"] = part.held(p, [torch.sin(q + k) for k in range(4)], 0.002 * one)
     if isinstance(part, TorqueLag):
         found["drive"], found["rate"], _, _ = part.relaxation(p, 0.1 * torch.cos(q))
-    if isinstance(part, LateReading):
+    if isinstance(part, SensorDelay):
         found["drive"], found["rate"] = part.relaxation(p, v)
         found["angle"], found["speed"] = part.motion(p, q, v, 0.1 * one)
     if isinstance(part, LoopStage):

@@ -21,6 +21,7 @@ from hybrid_id.components import (
     Gravity,
     LinearSpring,
     LoadDependent,
+    LocalFriction,
     MaxwellSlip,
     MotorEncoder,
     OneLink,
@@ -31,7 +32,6 @@ from hybrid_id.components import (
     SoftSaturation,
     Spring,
     Stribeck,
-    TightSpot,
     TorqueCommand,
     TorqueMotor,
     TwoInertias,
@@ -225,7 +225,7 @@ def test_friction_over_the_angle() -> None:
     waves = PositionDependent(A_0=0.02, A_c=0.01, A_s=-0.005, n=2.0)
     expected = 0.02 + 0.01 * np.cos(2 * angle.numpy()) - 0.005 * np.sin(2 * angle.numpy())
     np.testing.assert_allclose(waves.dry_over(view(waves), angle), expected, rtol=1e-14)
-    spot = TightSpot(A=0.03, q_0=0.3, w=0.1)
+    spot = LocalFriction(A=0.03, q_0=0.3, w=0.1)
     level = spot.dry_over(view(spot), tensor([0.3, 0.4, 0.2, 2.0])).numpy()
     np.testing.assert_allclose(level, [0.03, 0.03 / np.e, 0.03 / np.e, 0.0], atol=1e-12)
 

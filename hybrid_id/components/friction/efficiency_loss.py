@@ -5,7 +5,7 @@ from hybrid_id.components.friction.load_dependent import LoadDependent
 from hybrid_id.parameters import Parameter
 
 
-class EffortDependent(Friction):
+class EfficiencyLoss(Friction):
     """Dry level ``mu |tau_m|`` with tau_m the torque of the motor: of what goes in, the share 1 - mu comes out.
 
     | symbol | unit | meaning |
@@ -17,7 +17,7 @@ class EffortDependent(Friction):
     Maschinenelemente 2, Springer 2003, section 21.5.
     """
 
-    kind = "effort_dependent_friction"
+    kind = "efficiency_loss"
     places = ("motor_friction",)
     mu = Parameter(0.05, upper=0.95, unit="1", doc="friction per torque of the motor")
     effect = LoadDependent.effect
