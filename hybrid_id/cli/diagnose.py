@@ -190,7 +190,7 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
             diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
-        facts=seed,
+        settings=seed,
     )  # fmt: skip
     write_last(folder / DIAGNOSIS, text)
     return text

@@ -64,7 +64,7 @@ def reproduce(
         save(figure.image, parts / f"{name}.png")
     page = parts / "report.html"
     made = {"stages": "configs/reproduce.yaml of the package", "quick": quick}
-    how_made(paper_page(result, figures, quick=quick), "reproduce", facts=made).write(page)
+    how_made(paper_page(result, figures, quick=quick), "reproduce", settings=made).write(page)
     page.replace(out / "report.html")
     text = to_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
     write_last(parts / RESULT, text)

@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.identification.decision_vector import Problem
-from hybrid_id.identification.least_squares import damped_step
+from hybrid_id.identification.least_squares import bounded_lm_step
 from hybrid_id.simulation.rollout import rollout
 
 DECAY, DECAY_SQUARE, TINY = 0.9, 0.999, 1e-8
@@ -188,7 +188,7 @@ def _renew(problem: Problem, state: QuasiNewtonState, chosen: Tensor) -> QuasiNe
 def _step(metric: Tensor, slope: Tensor, damping: Tensor, box: tuple[Tensor, Tensor]) -> Tensor:
     """Minimiser of the damped quadratic model of each set inside its box, ``(G, N)``."""
     unit = metric.diagonal(dim1=1, dim2=2).rsqrt()
-    return unit * damped_step(metric, slope, unit, (damping[:, None] + 1e-12).expand_as(unit), *box)[0]
+    return unit * bounded_lm_step(metric, slope, unit, (damping[:, None] + 1e-12).expand_as(unit), *box)[0]
 
 
 def _distance(problem: Problem, state: QuasiNewtonState) -> Tensor:

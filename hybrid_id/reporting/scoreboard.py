@@ -317,14 +317,14 @@ def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
         groups.add(f"By {dimension}", _on_page(*group_rows(figures)))
     if content["ties"] is not None:
         page.section("Ties").add(ties_line(content["ties"]).replace("**", ""))
-    facts = {
+    settings = {
         "scored": about["date"],
         "diagnosed": f"at commit {about['commit']}",
         "made": f"at commit {about['made_at']}, seed {about['seed']}",
         "hash of the answers": ", ".join(about["sha256"]),
     }
     return how_made(
-        page, "blind score", "\n".join(about["commands"]), facts, words="what makes and scores it again"
+        page, "blind score", "\n".join(about["commands"]), settings, words="what makes and scores it again"
     )
 
 

@@ -82,7 +82,7 @@ def make_batch(
     x0_std = torch.tensor(np.array(spread), dtype=torch.float64)
     _wind_up(system, records, x, x0_std, u)
     _begin_loops(system, records, x, x0_std, u, estimate_start)
-    _begin_readings(system, x, u)
+    _start_sensor_states(system, x, u)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
 
 
@@ -264,7 +264,7 @@ def _begin_loops(
 
 
 @torch.no_grad()
-def _begin_readings(system: System, x: Tensor, u: Mapping[str, Tensor]) -> None:
+def _start_sensor_states(system: System, x: Tensor, u: Mapping[str, Tensor]) -> None:
     """Let torque sensors that lag read the torques of the guess at once."""
     if not any(joint.sensing.lag for joint in system.joints):
         return

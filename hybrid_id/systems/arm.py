@@ -293,8 +293,8 @@ def _link_motion(
     if joint.motors or not joint.rigid:
         return *joint.link_motion(x, p), 1.0, None
     row = joint.positions[0]
-    angle, slope, bend = joint.gear.map(x[row], p)
-    return angle, x[row + 1] * slope, slope, None if bend is None else bend * x[row + 1].square()
+    angle, slope, curvature = joint.gear.map(x[row], p)
+    return angle, x[row + 1] * slope, slope, None if curvature is None else curvature * x[row + 1].square()
 
 
 def _load(speed: SpeedBalance, torque: Tensor | float) -> None:

@@ -84,15 +84,19 @@ class Gear:
         self.rigid = found[1].rigid  # type: ignore[attr-defined]
 
     def map(self, angle: Tensor, p: Views) -> tuple[Tensor, Tensor | float, Tensor | None]:
-        """Angle of the link behind an unloaded gear [rad], its slope and its bend by the rotor's angle.
+        """Angle of the link behind an unloaded gear [rad], its slope and its curvature over the rotor's angle.
 
-        A gear without kinematic error has the slope 1/r everywhere and no bend.
+        A gear without kinematic error has the slope 1/r everywhere and no curvature.
         """
-        link, slope, bend = angle / self.ratio, 1.0 / self.ratio, None
+        link, slope, curvature = angle / self.ratio, 1.0 / self.ratio, None
         for key, part in self.errors:
             value, first, second = part.error(p[key], angle)
-            link, slope, bend = link + value, slope + first, second if bend is None else bend + second
-        return link, slope, bend
+            link, slope, curvature = (
+                link + value,
+                slope + first,
+                second if curvature is None else curvature + second,
+            )
+        return link, slope, curvature
 
     def deflection(self, rotor: Sequence[Tensor], link: Sequence[Tensor], p: Views) -> list[Tensor]:
         """Deflection of a compliant gear [rad] and its rate [rad/s] from angle and speed of both sides."""
@@ -518,12 +522,12 @@ class Joint:
         factor = sum_if_any([law.load_factor(p[key]) for key, law in laws])
         key, inertia = self.inertia
         if self.rigid:
-            angle, slope, bend = self.gear.map(q, p)
+            angle, slope, curvature = self.gear.map(q, p)
             total, level, load, turned = inertia.total(p[key], r), motor_level, v.new_zeros(1), 0.0
-            if bend is not None:
+            if curvature is not None:
                 carried = inertia.link(p[key], r)
                 total = inertia.rotor(p[key], r) + carried * slope**2
-                turned = carried * slope * bend * v.square()  # the link's, while the rotor turns evenly
+                turned = carried * slope * curvature * v.square()  # the link's, while the rotor turns evenly
                 drive = drive - turned
             network = any(place in self.networks.by_place for place in LINK_PLACES)
             acts = self.frictions["link_friction"] or self.loads or self.logged or network

@@ -50,8 +50,8 @@ class KinematicError(Component):
         """Error of the link's angle [rad], its first and its second derivative by the rotor's angle, ``(B,)`` each."""
         first = _wave(p.E_c, p.E_s, p.n, angle)
         second = _wave(p.E_c2, p.E_s2, p.n_2, angle)
-        value, slope, bend = (one + two for one, two in zip(first, second, strict=True))
-        return value, slope, bend
+        value, slope, curvature = (one + two for one, two in zip(first, second, strict=True))
+        return value, slope, curvature
 
     @staticmethod
     def starts(site):
