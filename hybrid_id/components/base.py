@@ -251,7 +251,7 @@ class LoopStage(Component):
         """What counts to the error [rad], ``(B,)``."""
         return None
 
-    def relaxation(
+    def state_update(
         self, p: SimpleNamespace, aim: Tensor, error: Tensor, speed: Tensor, state: Tensor
     ) -> StateUpdate:
         """How its state goes on.

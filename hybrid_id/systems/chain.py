@@ -287,7 +287,7 @@ class System(nn.Module):
             ]
             torques = self.link_torques(x, u, p, signs)
             for joint, (key, part) in lags:
-                going = part.relaxation(p[key], torques[joint.number - 1])
+                going = part.state_update(p[key], torques[joint.number - 1])
                 found.append((joint.sensing.lag_row, going))
         return found
 

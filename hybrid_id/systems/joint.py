@@ -171,7 +171,7 @@ class SensorDynamics:
         if self.late is None:
             return []
         key, part = self.late
-        return [(self.row, StateUpdate(*part.relaxation(p[key], x[self.rotor + 1])))]
+        return [(self.row, StateUpdate(*part.state_update(p[key], x[self.rotor + 1])))]
 
 
 class Drive:
@@ -343,7 +343,7 @@ class Drive:
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
     ) -> list[tuple[int, StateUpdate]]:
         """Row of each state, and how it goes on."""
-        found = self._loop_relaxations(x, u, p)
+        found = self._loop_updates(x, u, p)
         if not self.windings:
             return found
         key, motor = self.motor
@@ -356,7 +356,7 @@ class Drive:
             torque = part.torque(p[key], torque, states)
         return found
 
-    def _loop_relaxations(
+    def _loop_updates(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
     ) -> list[tuple[int, StateUpdate]]:
         key, part = self.input
@@ -367,7 +367,7 @@ class Drive:
         aim = part.aim(p[key], {"goal": u[f"goal{self.number}"]})
         error = part.error(p[key], channels, angle)
         return [
-            (row, stage.relaxation(p[name], aim, error, speed, x[row])) for name, stage, row in self.stages
+            (row, stage.state_update(p[name], aim, error, speed, x[row])) for name, stage, row in self.stages
         ]
 
 

@@ -127,13 +127,13 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
     if isinstance(part, Delay):
         found["held"] = part.held(p, [torch.sin(q + k) for k in range(4)], 0.002 * one)
     if isinstance(part, TorqueLag):
-        found["drive"], found["rate"], _, _ = part.relaxation(p, 0.1 * torch.cos(q))
+        found["drive"], found["rate"], _, _ = part.state_update(p, 0.1 * torch.cos(q))
     if isinstance(part, SensorDelay):
-        found["drive"], found["rate"] = part.relaxation(p, v)
+        found["drive"], found["rate"] = part.state_update(p, v)
         found["angle"], found["speed"] = part.motion(p, q, v, 0.1 * one)
     if isinstance(part, LoopStage):
         state, aim = 0.3 * torch.cos(q), 0.4 * torch.sin(q)
-        went = part.relaxation(p, aim, aim - 0.2 * q, v, state)
+        went = part.state_update(p, aim, aim - 0.2 * q, v, state)
         bounds = {"low": went.low, "high": went.high}
         found |= {name: None if value is None else value * one for name, value in bounds.items()}
         found["drive"], found["rate"] = went.drive, went.rate

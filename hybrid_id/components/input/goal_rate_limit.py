@@ -28,7 +28,7 @@ class GoalRateLimit(LoopStage):
     def goal(self, p, aim, state):
         return state
 
-    def relaxation(self, p, aim, error, speed, state):
+    def state_update(self, p, aim, error, speed, state):
         low = torch.where(aim <= state, aim, -FAR * torch.ones_like(aim))
         high = torch.where(aim >= state, aim, FAR * torch.ones_like(aim))
         return StateUpdate(p.w_max * torch.sign(aim - state), torch.zeros_like(aim), low, high)

@@ -29,7 +29,7 @@ class LoopDelay(LoopStage):
     def reading(self, p, angle, speed, state):
         return late_motion(p.T_l, angle, speed, state)
 
-    def relaxation(self, p, aim, error, speed, state):
+    def state_update(self, p, aim, error, speed, state):
         return StateUpdate(*trailing(p.T_l, speed))
 
     def start(self, p, aim, speed):

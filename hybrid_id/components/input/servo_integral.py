@@ -32,5 +32,5 @@ class ServoIntegral(LoopStage):
     def integral(self, p, state):
         return state
 
-    def relaxation(self, p, aim, error, speed, state):
+    def state_update(self, p, aim, error, speed, state):
         return StateUpdate(p.w_i * error, torch.zeros_like(error), -p.z_max, p.z_max)

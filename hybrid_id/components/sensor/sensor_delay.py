@@ -43,7 +43,7 @@ class SensorDelay(Component):
         """Angle [rad] and speed [rad/s] as they are read at the motor, ``(B,)`` each."""
         return late_motion(p.T_r, angle, speed, state)
 
-    def relaxation(self, p: SimpleNamespace, speed: Tensor) -> tuple[Tensor, Tensor]:
+    def state_update(self, p: SimpleNamespace, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Drive [rad/s] and rate [1/s] of its state, ``dz/dt = drive - rate z``, ``(B,)`` each."""
         return trailing(p.T_r, speed)
 

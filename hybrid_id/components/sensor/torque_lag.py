@@ -25,7 +25,7 @@ class TorqueLag(Component):
     states = ("tau_z",)
     T_s = Parameter(0.005, lower=1e-4, upper=0.5, unit="s", doc="time constant of the reading")
 
-    def relaxation(self, p: SimpleNamespace, torque: Tensor) -> StateUpdate:
+    def state_update(self, p: SimpleNamespace, torque: Tensor) -> StateUpdate:
         """How its state goes on under a torque [N m], ``(B,)``."""
         return StateUpdate(torque / p.T_s, (1.0 / p.T_s).expand_as(torque))
 
