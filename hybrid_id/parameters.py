@@ -22,7 +22,7 @@ class Parameter:
         lower, upper: bounds in ``unit``; a value on a bound is legal (a nested fit starts there).
         unit: SI unit as text, "1" where there is none.
         doc: meaning, one line.
-        estimate: whether a fit may move it unless told otherwise.
+        estimate: whether a fit may move it by default.
     """
 
     default: float

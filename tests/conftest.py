@@ -15,6 +15,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
+    from hybrid_id.diagnosis.keep import Kept
     from hybrid_id.diagnosis.result import Diagnosis
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.systems.chain import System
@@ -46,7 +47,18 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture(scope="session")
-def diagnosed() -> "tuple[Dataset, System, Diagnosis]":
+def kept(tmp_path_factory: pytest.TempPathFactory) -> "Kept":
+    """Fits that one process of pytest-xdist has made and the others read: the same to the last bit."""
+    from hybrid_id.diagnosis.keep import Kept
+
+    home = tmp_path_factory.getbasetemp()
+    folder = (home.parent if "PYTEST_XDIST_WORKER" in os.environ else home) / "fits"
+    folder.mkdir(exist_ok=True)
+    return Kept(folder, "tests")
+
+
+@pytest.fixture(scope="session")
+def diagnosed(kept: "Kept") -> "tuple[Dataset, System, Diagnosis]":
     """Records of a drive with a spring at its link, the nominal model without it, and the diagnosis."""
     from gapcase import small_case
 
@@ -54,15 +66,15 @@ def diagnosed() -> "tuple[Dataset, System, Diagnosis]":
     from hybrid_id.diagnosis.diagnose import diagnose
 
     dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
-    return dataset, nominal, diagnose(dataset, nominal, max_effects=1)
+    return dataset, nominal, diagnose(dataset, nominal, max_effects=1, kept=kept)
 
 
 @pytest.fixture(scope="session")
-def sound() -> "tuple[Dataset, System, Diagnosis]":
+def sound(kept: "Kept") -> "tuple[Dataset, System, Diagnosis]":
     """Records of a drive whose model lacks nothing but the right values, the nominal model, and the diagnosis."""
     from gapcase import small_case
 
     from hybrid_id.diagnosis.diagnose import diagnose
 
     dataset, nominal = small_case()
-    return dataset, nominal, diagnose(dataset, nominal, max_effects=1)
+    return dataset, nominal, diagnose(dataset, nominal, max_effects=1, kept=kept)

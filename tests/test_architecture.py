@@ -21,7 +21,6 @@ MAX_PUBLIC_NAMES = 40
 
 FLOORS = {
     "errors": 0,
-    "plain": 0,
     "parameters": 0,
     "records": 1,
     "components": 1,

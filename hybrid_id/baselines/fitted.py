@@ -80,8 +80,8 @@ def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
     """Content of ``diagnosis.json``, the command of the best next experiment with it."""
     found = diagnose(dataset, system)
     content = found.as_dict()
-    for told, experiment in zip(content["next_experiments"][:1], found.experiments, strict=False):
-        told |= {
+    for proposed, experiment in zip(content["next_experiments"][:1], found.experiments, strict=False):
+        proposed |= {
             "sample_time": float(experiment.time[1] - experiment.time[0]),
             "command": [round(float(u), 4) for u in experiment.command],
         }

@@ -10,8 +10,7 @@ from typing import Any
 
 from hybrid_id.baselines.run import Case, Settings
 from hybrid_id.errors import InputError
-from hybrid_id.plain import plain
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import make_folder, write_json
 
 RUN, DIAGNOSIS = "run.json", "diagnosis.json"
 
@@ -36,20 +35,7 @@ def begin(folder: Path, about: Mapping[str, Any]) -> None:
         mended = name == "command" and not any(folder.glob(f"*/{DIAGNOSIS}"))
         if kept.get(name) != about.get(name) and not mended:
             raise InputError(f"{folder} holds a run with other {name.replace('_', ' ')}; give another folder")
-    write_json(make_room(folder) / RUN, about)
-
-
-def make_room(folder: Path) -> Path:
-    """The folder of a method's run, made where it is not there.
-
-    Raises:
-        InputError: it cannot be made.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder} cannot be made ({error.strerror}); give another folder") from None
-    return folder
+    write_json(make_folder(folder) / RUN, about)
 
 
 def read_run(folder: Path) -> dict[str, Any]:
@@ -86,8 +72,3 @@ def load(folder: Path, name: str) -> dict[str, Any] | None:
 def is_done(said: Mapping[str, Any] | None, key: str) -> bool:
     """Whether an answer was made from the same, and did not break."""
     return said is not None and said["run"].get("key") == key and not said["run"].get("message")
-
-
-def write_json(path: Path, content: Any) -> None:
-    """Write under a temporary name and rename."""
-    write_whole(path, json.dumps(plain(content), indent=1) + "\n")

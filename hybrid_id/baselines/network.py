@@ -2,7 +2,7 @@
 
 For each joint the acceleration is regressed, as in :mod:`.reconstruct`, on what the nominal model has, plus one small
 network that reads what acts in a place: the speed for friction, the rotor's angle for the motor, the link's angle for
-the load, the command for the input. The network that predicts a record left out best tells the place and the profile.
+the load, the command for the input. The network that predicts a record left out best gives the place and the profile.
 As it has no names, it says "unknown" wherever it predicts clearly better than the physics alone.
 """
 

@@ -87,7 +87,7 @@ def run_cases(
 ) -> Iterator[tuple[int, dict[str, Any]]]:
     """Yield the number of each case and the method's answer, as soon as it is there.
 
-    What the run tells of itself is in ``run``; the answer to a case that broke holds nothing else, its reason in
+    What the run says of itself is in ``run``; the answer to a case that broke holds nothing else, its reason in
     ``message``.
 
     Args:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from hybrid_id.cli.console import counting, remark, show
-from hybrid_id.cli.folder import EVENTS, added_results, make_folder, refuse_foreign, required, sole_writer
+from hybrid_id.cli.folder import EVENTS, added_results, refuse_foreign, required, sole_writer
 from hybrid_id.cli.inputs import check_windows, checked_records, load_system, refuse_arm
 from hybrid_id.cli.options import (
     Backend,
@@ -27,6 +27,7 @@ from hybrid_id.cli.results import files_in, write_last, write_report
 from hybrid_id.cli.train import check_network
 from hybrid_id.config import Ablation, Hybrid, StudyConfig
 from hybrid_id.errors import InputError
+from hybrid_id.records.files import make_folder
 from hybrid_id.reporting.provenance import program
 
 if TYPE_CHECKING:

@@ -74,9 +74,9 @@ def make_sealed(
     Raises:
         InputError: the cases or their answers cannot go there, or none could be made.
     """
-    from hybrid_id.baselines.keep import write_json
     from hybrid_id.baselines.run import read_case
     from hybrid_id.machines.seal import ANSWERS, is_half_sealed, refuse_others, seal, was_sealed
+    from hybrid_id.records.files import write_json
     from hybrid_id.reporting.tables import count
 
     begun = out / BEGUN
@@ -162,9 +162,10 @@ def run_methods(
 ) -> int:
     """Let methods diagnose the cases one after the other; returns how many cases broke."""
     from hybrid_id.baselines.external import digest_of, refuse_missing, words_of
-    from hybrid_id.baselines.keep import begin, make_room
+    from hybrid_id.baselines.keep import begin
     from hybrid_id.baselines.run import METHODS, Settings, read_cases
     from hybrid_id.machines.seal import case_names, read_manifest, refuse_reachable
+    from hybrid_id.records.files import make_folder
 
     methods = [str(method) for method in methods]
     if ("external" in methods) != (command is not None):
@@ -188,7 +189,7 @@ def run_methods(
     for method in methods:
         own = (command, digest_of(command)) if command is not None and method == "external" else (None, None)
         settings, folder = Settings(method, train_records, *own), out / method
-        with sole_writer(make_room(folder)):
+        with sole_writer(make_folder(folder)):
             begin(
                 folder,
                 {
@@ -246,9 +247,10 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     """Simulate the proposed experiment of each case with a tie, diagnose again, and write and return `resolved`."""
     from joblib import Parallel, delayed
 
-    from hybrid_id.baselines.keep import load, read_run, write_json
+    from hybrid_id.baselines.keep import load, read_run
     from hybrid_id.baselines.run import Settings, read_cases
     from hybrid_id.machines.seal import open_answers
+    from hybrid_id.records.files import write_json
     from hybrid_id.study.fan_out import whole_pool
 
     about = read_run(runs / "diagnose")

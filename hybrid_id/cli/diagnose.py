@@ -175,7 +175,7 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
     text = as_json("diagnose", seed | diagnosis.as_dict() | residuals)
     save_model(diagnosis.model, folder / "model.yaml", home)
     save_model(diagnosis.search.base.system, folder / "refit.yaml", home)
-    if diagnosis.experiments and diagnosis.experiments[0].tells:
+    if diagnosis.experiments and diagnosis.experiments[0].distinguishes:
         from pandas import DataFrame
 
         best = diagnosis.experiments[0]
@@ -190,7 +190,7 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
             diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
-        facts=seed,
+        settings=seed,
     )  # fmt: skip
     write_last(folder / DIAGNOSIS, text)
     return text

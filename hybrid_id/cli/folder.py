@@ -179,18 +179,6 @@ def make_parents(path: Path) -> list[Path]:
         raise InputError(f"{path} cannot be made ({why}); give another place") from None
 
 
-def make_folder(path: Path) -> None:
-    """Make a folder that a run fills bit by bit.
-
-    Raises:
-        InputError: it cannot be made.
-    """
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path} cannot be made ({error.strerror}); give another folder") from None
-
-
 def remove_empty(folders: list[Path]) -> None:
     """Remove folders that are empty, innermost first."""
     for folder in folders:

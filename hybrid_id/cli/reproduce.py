@@ -6,10 +6,11 @@ from typing import Annotated
 import typer
 
 from hybrid_id.cli.console import FitProgress, remark, show
-from hybrid_id.cli.folder import RESULT, make_folder, refuse_foreign, sole_writer
+from hybrid_id.cli.folder import RESULT, refuse_foreign, sole_writer
 from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import Identification
+from hybrid_id.records.files import make_folder
 from hybrid_id.reporting.provenance import program
 
 PARTS = "parts"
@@ -29,7 +30,7 @@ def reproduce(
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
-    """Walk through the paper on digital twins: every table and figure, printed values beside ours, on one page.
+    """Reproduce the paper on digital twins: every table and figure, printed values beside ours, on one page.
 
     Each stage is kept as soon as it is done. After Ctrl-C the same command goes on from there.
     """
@@ -37,11 +38,11 @@ def reproduce(
     refuse_foreign(out, PARTS, "*.json")
     make_folder(parts)
     use_threads(threads)
-    from hybrid_id.reproduction.run import reproduce as walk
+    from hybrid_id.reproduction.run import reproduce as run
 
     try:
         with sole_writer(parts), FitProgress(1, Identification().max_iterations, polite=False) as progress:
-            result = walk(
+            result = run(
                 parts,
                 quick=quick,
                 seeds=seeds or (2 if quick else 20),
@@ -63,7 +64,7 @@ def reproduce(
         save(figure.image, parts / f"{name}.png")
     page = parts / "report.html"
     made = {"stages": "configs/reproduce.yaml of the package", "quick": quick}
-    how_made(paper_page(result, figures, quick=quick), "reproduce", facts=made).write(page)
+    how_made(paper_page(result, figures, quick=quick), "reproduce", settings=made).write(page)
     page.replace(out / "report.html")
     text = to_json("reproduce", {"quick": quick, "claims": [vars(claim) for claim in found]})
     write_last(parts / RESULT, text)

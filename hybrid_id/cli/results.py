@@ -28,7 +28,7 @@ def write_report(
     figures: Callable[[], dict[str, Drawn]],
     page: Callable[[dict[str, Drawn]], Page],
     events: Callable[[Path, Mapping[str, np.ndarray]], None] | None = None,
-    facts: Mapping[str, object] | None = None,
+    settings: Mapping[str, object] | None = None,
 ) -> None:
     """Write the study file, and the pictures, TensorBoard events and page that it asks for.
 
@@ -40,7 +40,7 @@ def write_report(
         figures: draws the pictures, by the name of their file.
         page: makes the page of them.
         events: writes event files with the images into a folder.
-        facts: what the page says of how it was made, beside versions and study file.
+        settings: what the page says of how it was made, beside versions and study file.
     """
     config.save(folder / "config.yaml", home=home)
     wish = config.output
@@ -57,7 +57,7 @@ def write_report(
         events(folder / EVENTS, {name: figure.image for name, figure in drawn.items()})
     if wish.report:
         words = (folder / "config.yaml").read_text(encoding="utf-8")
-        how_made(page(drawn), command, words, facts).write(folder / "report.html")
+        how_made(page(drawn), command, words, settings).write(folder / "report.html")
 
 
 def write_last(file: Path, text: str) -> None:
@@ -109,7 +109,7 @@ def write_study(
         figures=figures,
         page=lambda drawn: study_page(dataset, study, drawn, findings=remarks(dataset), residuals=residuals),
         events=lambda place, images: write_study_events(place, study, images, curves=command != "train"),
-        facts={"seed": config.identification.seed},
+        settings={"seed": config.identification.seed},
     )
     write_last(folder / RESULT, text)
     return text

@@ -63,7 +63,7 @@ def train(
     """Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.
 
     With a `hybrid` section in the study file, residual networks train beside the physics (configs/study_hybrid.yaml).
-    While it runs, `tensorboard --logdir DIR` shows its course. Ctrl-C ends it with what it has; --resume goes on.
+    While it runs, `tensorboard --logdir DIR` shows its history. Ctrl-C ends it with what it has; --resume goes on.
     """
     config = config_of(
         source, model, out, identification__pooled=pooled, identification__seed=seed,

@@ -43,7 +43,7 @@ class Effect:
         name: how a diagnosis calls it.
         about: what it is; after a semicolon how large it usually is.
         source: where it is described: authors, title, where it appeared, year.
-        mistaken_for: effects that records easily confuse with it, each with the excitation that tells the two apart.
+        mistaken_for: effects that records easily confuse with it, each with the excitation that distinguishes the two.
             Either of the two may state a pair.
         smoothness: of its torque or voltage: ``smooth``, or where it jumps or kinks.
         contains: effects that are special cases of it at the same place: it is no rival of theirs.
@@ -223,7 +223,7 @@ class ServoLoop(Input):
         return error if integral is None else error + integral
 
 
-class Relaxation(NamedTuple):
+class StateUpdate(NamedTuple):
     """How one state that remembers goes on, ``dz/dt = drive - rate z``, no further than ``low`` and ``high``."""
 
     drive: Tensor
@@ -251,9 +251,9 @@ class LoopStage(Component):
         """What counts to the error [rad], ``(B,)``."""
         return None
 
-    def relaxation(
+    def state_update(
         self, p: SimpleNamespace, aim: Tensor, error: Tensor, speed: Tensor, state: Tensor
-    ) -> Relaxation:
+    ) -> StateUpdate:
         """How its state goes on.
 
         Args:
@@ -339,7 +339,7 @@ class Winding(Component):
         """Torque [N m], ``(B,)``, that becomes of the one without this component."""
         raise NotImplementedError
 
-    def relaxations(
+    def state_updates(
         self, p: SimpleNamespace, torque: Tensor, states: Sequence[Tensor]
     ) -> list[tuple[Tensor, Tensor]]:
         """Drive and rate [1/s] of each state, ``(B,)`` each; ``torque`` is the one without this component."""
@@ -404,7 +404,7 @@ class Transmission(Component):
     def torque(self, p: SimpleNamespace, deflection: Tensor, rate: Tensor, inertia: Tensor) -> Tensor:
         """Spring torque at the link [N m] from deflection q_m/r - q_a [rad] and its rate [rad/s], ``(B,)``.
 
-        ``inertia`` is rotor and link in series, at the link [kg m^2]: with a stiffness it tells a frequency.
+        ``inertia`` is rotor and link in series, at the link [kg m^2]: with a stiffness it gives a frequency.
         """
         raise NotImplementedError
 

@@ -34,7 +34,7 @@ class Bristle(Friction):
         smoothness="kinks at reversals",
     )
 
-    def relaxations(
+    def state_updates(
         self, p: SimpleNamespace, states: Sequence[Tensor], speed: Tensor, level: Tensor
     ) -> list[tuple[Tensor, Tensor]]:
         """Drive and rate [1/s] of each state, ``dz/dt = drive - rate z``, ``(B,)`` each.
@@ -53,7 +53,7 @@ class Bristle(Friction):
 
 
 def stiffnesses(site: Site) -> list[Bounded]:
-    """Start values of a bristle's stiffness [N m/rad]; none where no dry friction tells its level."""
+    """Start values of a bristle's stiffness [N m/rad]; none where no dry friction gives its level."""
     if not any(law.has_level for law in site.frictions):
         return []
     sizes = (site.dry * site.gearing**2 / (share * site.turns) for share in (0.001, 0.01))

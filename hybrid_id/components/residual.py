@@ -26,7 +26,7 @@ class ResidualNetwork(Component):
     | --- | --- | --- |
     | r | that of its place | V at ``input``, N m elsewhere, with the sign of what else acts in the place |
     | S | that of r | output scale |
-    | b_0 | that of r | constant beside the network; 0 and held unless told otherwise |
+    | b_0 | that of r | constant beside the network; 0 and held by default |
     | g | 1 | layers of tanh, the last one linear and zero at the start, so that r = 0 exactly |
     | m, s | that of the signal | shift and scale of each input, from the data |
     | h, T | 1, s | hidden states (with ``memory``) in (-1, 1), and the times over which they forget |
@@ -149,7 +149,7 @@ class ResidualNetwork(Component):
             z = _affine(weight, self._weight(p, f"layers.{k}.bias"), torch.tanh(z) if k else z)
         return self.output_scale * z[0] + p.b_0
 
-    def relaxations(
+    def state_updates(
         self, p: SimpleNamespace, signals: Sequence[Tensor], states: Sequence[Tensor]
     ) -> list[tuple[Tensor, Tensor]]:
         """Drive and rate [1/s] of each hidden state, ``dh/dt = drive - rate h``; arguments as for ``output``."""

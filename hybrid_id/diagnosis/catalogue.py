@@ -22,7 +22,7 @@ SIDES = (
     "encoders on both sides of the gear, or commands faster than the joint's resonance: only what acts on the link "
     "winds the gear up, and above the resonance the rotor swings without it"
 )
-"""The excitation that tells the sides of a gear apart, where the same effect may act on either."""
+"""The excitation that distinguishes the sides of a gear, where the same effect may act on either."""
 JOINTS = "one joint moved while the other is held"
 """The same of two joints."""
 
@@ -124,13 +124,13 @@ def effect(name: str) -> Effect:
 
 
 def rivals(name: str) -> dict[str, str]:
-    """Effects that an effect is mistaken for, each with the excitation that tells the two apart."""
+    """Effects that an effect is mistaken for, each with the excitation that distinguishes the two."""
     own = CATALOGUE[name].mistaken_for if name in CATALOGUE else {}
     return {**own, **{e.name: e.mistaken_for[name] for e in CATALOGUE.values() if name in e.mistaken_for}}
 
 
 def separation(one: tuple[str, str], other: tuple[str, str]) -> str:
-    """The excitation that tells two effects apart, each by name and place; empty where none is known."""
+    """The excitation that distinguishes two effects, each by name and place; empty where none is known."""
     (name, here), (rival, there) = one, other
     if name != rival:
         return rivals(name).get(rival, "")
@@ -165,6 +165,6 @@ def rotor_share(system: System, joint: str) -> ParameterInfo | None:
 def over_angle(effects: Sequence[tuple[str, str]]) -> bool:
     """Whether a torque over the angle is among effects of the catalogue.
 
-    It may halt the motion at one detent or the next: a free run then tells little of how well a model is known.
+    It may halt the motion at one detent or the next: a free run then says little of how well a model is known.
     """
     return any(name in CATALOGUE and CATALOGUE[name].over_angle for name, _ in effects)

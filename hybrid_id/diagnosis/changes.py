@@ -141,7 +141,7 @@ def find_change(nominal: System, fit: FitResult) -> ParameterChange:
     if chosen is not None:
         one = _single(nominal, names, passing, total)
     else:
-        # where no torque is known, changes that differ by the scale of all torques are told apart by none
+        # where no torque is known, changes that differ by the scale of all torques are indistinguishable
         parts = [] if _scale_unseen(infos, axes) else _together(hypotheses, whitened, moved)
         alone = _moved_alone(infos, axes, change, spread)
         one = _several(nominal, names, parts, alone, max((r.explained for r in rejected), default=0.0))

@@ -71,7 +71,7 @@ def errors(
     """Errors of a model on records, None where there is none that moves.
 
     Args:
-        dataset: tells the outputs and their noise.
+        dataset: holds the outputs and their noise.
         system: the model.
         engine: how it is integrated.
         records: the records; by default the test records.

@@ -16,7 +16,7 @@ from torch import Tensor
 from hybrid_id.diagnosis.model import Model, Name
 from hybrid_id.diagnosis.validation import Validation
 from hybrid_id.identification.result import FitResult
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import write_whole
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 

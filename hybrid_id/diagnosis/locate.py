@@ -1,6 +1,6 @@
 """Where the gap lies: at which joint, on which side, and on what the missing torque depends.
 
-A torque of any course in time has no signal and needs no catalogue: it says where something unknown acts. One
+A torque of arbitrary shape in time has no signal and needs no catalogue: it says where something unknown acts. One
 torque has to explain the outputs of all joints at once, so that the right joint of an arm explains more than
 another; so does the right side of a compliant gear, by less.
 """
@@ -166,7 +166,7 @@ def _profile(
 
 @dataclass(frozen=True)
 class Disturbance:
-    """How much of what a model leaves a torque of any course in time could explain at one side of a joint.
+    """How much of what a model leaves a torque of arbitrary shape in time could explain at one side of a joint.
 
     Attributes:
         joint: ``joint1`` ...
@@ -200,7 +200,7 @@ def disturbances(fits: Fits, model: Model) -> list[Disturbance]:
             rest, whole = np.where(lost, 1.0, rest), np.where(lost, 1.0, whole)
             sides["joint" if joint.rigid else side] = rest / np.maximum(whole, 1e-300)
         if not {f"q_m{joint.number}", f"q_a{joint.number}"} <= set(batch.outputs):
-            sides = {"joint": min(sides.values(), key=np.mean)}  # one encoder tells no side
+            sides = {"joint": min(sides.values(), key=np.mean)}  # one encoder identifies no side
         left |= {(joint.name, side): rest for side, rest in sides.items()}
     least = min(left.values(), key=np.mean)
     found = [
@@ -223,5 +223,5 @@ def acts_at(found: Sequence[Disturbance]) -> tuple[str | None, str | None]:
     best, others = found[0], found[1:]
     if any(one.joint != best.joint and one.behind < SURE for one in others):
         return None, None
-    told = best.place != "joint" and all(one.behind >= SURE for one in others if one.joint == best.joint)
-    return best.joint, best.place if told else None
+    sure = best.place != "joint" and all(one.behind >= SURE for one in others if one.joint == best.joint)
+    return best.joint, best.place if sure else None

@@ -125,8 +125,8 @@ def after_reversals(fits: Fits, model: Model) -> list[Reversals]:
                 (time[r, used].numpy(), batch.x[r, used, row + 1].numpy(), (batch.y - run.y)[r, used, column].numpy())
                 for r, used in enumerate(batch.weight[..., column] > 0)
             ]  # fmt: skip
-            if (told := mean_after_reversals(output, rows)) is not None:
-                found.append(told)
+            if (mean := mean_after_reversals(output, rows)) is not None:
+                found.append(mean)
     return found
 
 

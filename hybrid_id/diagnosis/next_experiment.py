@@ -1,4 +1,4 @@
-"""Which experiment would tell tied explanations apart: of those simulated, the one that parts them most."""
+"""Which experiment would distinguish models that the records do not: of those simulated, the best."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ DURATION = 8.0
 """Length [s] of a proposed record."""
 REST = 0.1
 """Time [s] at rest at its start."""
-TELLS = 0.5
-"""Least RMS difference of the tied models' outputs, over the encoders' noise, from which a record would part them."""
+DISTINGUISHABLE = 0.5
+"""Least RMS difference of two models' outputs, over the encoders' noise, from which a record distinguishes them."""
 
 Signal = Callable[[np.ndarray], np.ndarray]
 
@@ -37,10 +37,10 @@ class Experiment:
         time: [s], ``(T,)``.
         inputs: all channels of the record, in SI units as the records hold them, ``(T,)`` each.
         channel: that of the command that moves.
-        distance: RMS difference of the outputs of two tied models, in units of the encoders' noise: the smallest of
-            those pairs that the record parts, or the largest where it parts none.
-        today: the largest distance of these pairs on the records at hand.
-        together: pairs of tied effects, ``name@where``, that it does not part.
+        distance: RMS difference of the outputs of two such models, in units of the encoders' noise: the smallest of
+            those pairs that the record distinguishes, or the largest where it distinguishes none.
+        distance_now: the largest distance of these pairs on the records at hand.
+        together: pairs of effects, ``name@where``, that it does not distinguish.
     """
 
     name: str
@@ -49,7 +49,7 @@ class Experiment:
     inputs: Mapping[str, np.ndarray]
     channel: str
     distance: float
-    today: float
+    distance_now: float
     together: tuple[tuple[str, str], ...] = ()
 
     @property
@@ -58,9 +58,9 @@ class Experiment:
         return self.inputs[self.channel]
 
     @property
-    def tells(self) -> bool:
-        """Whether its record would part the tied models."""
-        return self.distance >= TELLS
+    def distinguishes(self) -> bool:
+        """Whether its record would distinguish the models."""
+        return self.distance >= DISTINGUISHABLE
 
 
 def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
@@ -83,18 +83,18 @@ def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
     }  # fmt: skip
 
 
-def next_experiment(dataset: Dataset, tied: Sequence[Model]) -> list[Experiment]:
-    """Experiments that tell tied models apart, the best first; empty with fewer than two models.
+def next_experiment(dataset: Dataset, models: Sequence[Model]) -> list[Experiment]:
+    """Experiments that distinguish models, the best first; empty with fewer than two models.
 
     The best parts most pairs of them, and these most clearly: a bias and friction uneven by direction, say, move alike
     under any command, which is no reason not to part both from a spring. Each model keeps the parameters that the
     records gave it, so that the distance is what the next record will show.
 
     Args:
-        dataset: tells channels, amplitudes, noise and sample time.
-        tied: fitted models that explain the records alike.
+        dataset: its channels, amplitudes, noise and sample time.
+        models: fitted models that explain the records alike.
     """
-    if len(tied) < 2:
+    if len(models) < 2:
         return []
     reference = dataset.train[0]
     noise = _noise(dataset)
@@ -102,9 +102,9 @@ def next_experiment(dataset: Dataset, tied: Sequence[Model]) -> list[Experiment]
     time = np.arange(0.0, DURATION, step)
     moving = time >= REST
     found = []
-    names = list(combinations(_names(tied), 2))
-    today = np.max([_distances(dataset, [record], tied, noise) for record in dataset.train], axis=0)
-    for joint in tied[0].system.joints:
+    names = list(combinations(_names(models), 2))
+    now = np.max([_distances(dataset, [record], models, noise) for record in dataset.train], axis=0)
+    for joint in models[0].system.joints:
         name = next(
             (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None
         )
@@ -120,15 +120,15 @@ def next_experiment(dataset: Dataset, tied: Sequence[Model]) -> list[Experiment]
             } | {name: command}
             outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
             record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
-            apart = _distances(dataset, [record], tied, noise)
+            apart = _distances(dataset, [record], models, noise)
             if not np.isfinite(apart).all():
                 continue  # one of the models diverges under it
-            parted = apart >= TELLS
-            told = parted if parted.any() else apart == apart.max()
+            distinguished = apart >= DISTINGUISHABLE
+            shown = distinguished if distinguished.any() else apart == apart.max()
             found.append(
                 Experiment(
-                    title, joint.number, time, inputs, name, float(apart[told].min()), float(today[told].max()),
-                    tuple(pair for pair, one in zip(names, parted, strict=True) if not one),
+                    title, joint.number, time, inputs, name, float(apart[shown].min()), float(now[shown].max()),
+                    tuple(pair for pair, one in zip(names, distinguished, strict=True) if not one),
                 )
             )  # fmt: skip
     return sorted(found, key=lambda e: (len(e.together), -e.distance))
@@ -151,18 +151,18 @@ def _room(dataset: Dataset, name: str) -> tuple[float, float]:
     return float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
 
 
-def _names(tied: Sequence[Model]) -> list[str]:
+def _names(models: Sequence[Model]) -> list[str]:
     """What each model has and not all of them, as ``name@where``."""
-    common = set.intersection(*(set(e.effects) for e in tied))
-    return [" and ".join("@".join(n) for n in e.effects if n not in common) for e in tied]
+    common = set.intersection(*(set(e.effects) for e in models))
+    return [" and ".join("@".join(n) for n in e.effects if n not in common) for e in models]
 
 
 def _distances(
-    dataset: Dataset, records: Sequence[Record], tied: Sequence[Model], noise: Mapping[str, float]
+    dataset: Dataset, records: Sequence[Record], models: Sequence[Model], noise: Mapping[str, float]
 ) -> np.ndarray:
     """RMS difference between the outputs of every two models ``(pairs,)``, in units of the noise."""
     scale, runs = np.array(list(noise.values())), []
-    for one in tied:
+    for one in models:
         batch = make_batch(one.system, records, outputs=list(noise), noise_std=noise)
         fine = with_substeps(one.system, one.result.engine, batch)
         runs.append(simulate(one.system, fine, batch).y.numpy() / scale)

@@ -24,7 +24,7 @@ BEYOND = 4.0
 """Variance of the sets along a direction, over that of their own errors, from which the records differ along it."""
 FAINT = 0.5
 """RMS of coloured errors up to which they say nothing: encoders whose counts rest, ripple or miss leave as much."""
-TOLD = 1e-6
+LEAST_INFORMATION = 1e-6
 """Eigenvalue of the information on relative changes, over the greatest, below which records do not tell a direction."""
 
 
@@ -95,10 +95,10 @@ def _structural(one: FitResult) -> float:
 
 
 def _scatter(sets: list[FitResult]) -> tuple[str, ...]:
-    """Parameters by how much their differences move the outputs, along the directions that the records tell.
+    """Parameters by how much their differences move the outputs, along the directions that the records identify.
 
-    Directions along which the sets differ by little more than their own errors are left out, so that records that tell
-    little are not taken for others.
+    Directions along which the sets differ by little more than their own errors are left out, so that records with
+    little information are not taken for others.
     """
     values = np.array([one.values for one in sets])
     sizes = np.sqrt(np.mean(np.square(values), axis=0))  # a mean may be near zero, where signs differ
@@ -107,17 +107,20 @@ def _scatter(sets: list[FitResult]) -> tuple[str, ...]:
     roots = [np.concatenate([np.reshape(j, (-1, len(sizes))) for j in one.jacobian]) * sizes for one in sets]
     squares = np.array([root.T @ root for root in roots])
     eigenvalues, directions = np.linalg.eigh(squares.sum(0))
-    told = directions[:, eigenvalues > TOLD * eigenvalues[-1]]
-    coordinates, information = relative @ told, told.T @ squares @ told
+    identified = directions[:, eigenvalues > LEAST_INFORMATION * eigenvalues[-1]]
+    coordinates, information = relative @ identified, identified.T @ squares @ identified
     noise = np.array([max(one.noise_scale, 1e-300) ** 2 for one in sets])
     own = np.diagonal(np.linalg.pinv(information / noise[:, None, None]), axis1=1, axis2=2)
     seen = np.diagonal(information, axis1=1, axis2=2)
-    seen = seen > TOLD * seen.max(0)  # a record in which a joint stands still tells nothing of its friction
+    seen = seen > LEAST_INFORMATION * seen.max(
+        0
+        # a record in which a joint stands still says nothing of its friction
+    )
     surely = [
         here.sum() > 1 and line[here].var(ddof=1) > BEYOND * errors[here].mean()
         for line, errors, here in zip(coordinates.T, own.T, seen.T, strict=True)
     ]
-    differ = told[:, surely]
+    differ = identified[:, surely]
     scatter = (relative @ differ @ differ.T).std(0, ddof=1)
     order = np.argsort(-scatter * np.sqrt(np.diag(squares.sum(0))))[:NAMED]
     return tuple(f"{sets[0].names[i]} by {100 * scatter[i]:.2g} %" for i in order if scatter[i] > 0)

@@ -75,7 +75,7 @@ def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
 
 
 def _between(low: float, high: float, angle: Tensor) -> list[float]:
-    """Periods a turn from ``low`` to below ``high``, so close that half a wave over an angle's range tells them."""
+    """Periods a turn from ``low`` to below ``high``, so close that half a wave over an angle's range separates them."""
     step = max(math.pi / max(float(angle.max() - angle.min()), 1e-3), (high - low) / FINEST)
     return np.arange(low, high, step).tolist()
 
@@ -101,7 +101,7 @@ def friction_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]
     """
     opened, angle, rub = _rubbing(left, joint, place)
     reach = float(angle.max() - angle.min())
-    # half a wave over the range is told from its neighbours, and a slope over the range is a quarter of one
+    # half a wave over the range is distinguished from its neighbours, and a slope over the range is a quarter of one
     steps = np.arange(1, math.ceil(2 * MOST_WAVES) + 1) * math.pi / max(reach, 1e-3)
     found = _strongest(opened, [rub[..., None] * _waves(n * angle) for n in steps])
     return [(float(steps[i]), *size) for i, size in _peaks(found)[:2]]
@@ -184,7 +184,7 @@ def _strongest(
 ) -> list[tuple[int, tuple[float, ...]]]:
     """Number and coefficients of the shapes ``(R, T, m)`` that leave least beside the model's own parameters.
 
-    Each acts with its twin at another side of the joint, where ``beside`` tells of these. Of very many shapes a part of
+    Each acts with its twin at another side of the joint, where ``beside`` holds these. Of very many shapes a part of
     the windows says which are worth all of them.
     """
     numbers = list(range(len(shapes)))

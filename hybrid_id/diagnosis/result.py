@@ -58,8 +58,8 @@ class Diagnosis:
         not_identifiable: changes of the chosen model's parameters that these records do not see, in words.
         confounded: signals of the records (a controller's gain, the temperature) that change together, in words.
         extrapolation: test records that go where no train record has been, in words.
-        disturbances: where something outside the catalogue acts, what a torque of any course in time would explain at
-            each side of each joint, best first.
+        disturbances: where something outside the catalogue acts, what a torque of arbitrary shape in time would
+            explain at each side of each joint, best first.
         vague: least standard error, relative, of what these records identify of the nominal model, where no effect is
             named; 0 elsewhere.
         disturbances_before: the same of the re-fitted model, where an effect is named and there are several joints.
@@ -200,11 +200,12 @@ class Diagnosis:
                     "name": e.name,
                     "joint": e.joint,
                     "distance": e.distance,
-                    "distance_today": e.today,
+                    "distance_in_records": e.distance_now,
+                    "distance_today": e.distance_now,
                     "confounded": [list(pair) for pair in e.together],
                 }
                 for e in self.experiments[:3]
-                if e.tells
+                if e.distinguishes
             ],
         }  # fmt: skip
 

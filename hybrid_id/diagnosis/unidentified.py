@@ -28,9 +28,11 @@ def not_identifiable(dataset: Dataset, system: System) -> tuple[str, ...]:
     if held:
         freed = system.with_specs({i.name: replace(i.spec, estimate=True) for i in held})
         for one in check_identifiability(dataset, freed).directions:
-            told = [f"{i.name} at {i.spec.value:.4g} {i.spec.unit}" for i in held if _names(one.text, i.name)]
-            if told:
-                words.append(f"{one.text}; only the claim of {' and '.join(told)} sets it")
+            claims = [
+                f"{i.name} at {i.spec.value:.4g} {i.spec.unit}" for i in held if _names(one.text, i.name)
+            ]
+            if claims:
+                words.append(f"{one.text}; only the claim of {' and '.join(claims)} sets it")
     return tuple(words)
 
 

@@ -14,7 +14,7 @@ from hybrid_id.systems.chain import System, Views
 G = 9.81
 """Gravity of the exported world [m/s^2]."""
 LENGTH = 0.3
-"""Of a first link [m] whose length no parameter tells: any will do."""
+"""Of a first link [m] whose length no parameter gives: any will do."""
 SLIVER = 1e-3
 """Share of a joint's inertia that its link gets where the model leaves it none: a body needs some."""
 

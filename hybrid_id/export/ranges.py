@@ -22,8 +22,8 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
     ``profile``: its interval by profile likelihood, closed on both sides; ``interval``: what the identification claims
     otherwise. Both are widened to the smallest and largest value over the records' own sets, among which a machine
     moves, too. ``prior``: as much of the prior, where nothing is claimed. ``spread``: over the records' own sets alone,
-    where there is none. ``unknown``: estimated, and nothing tells how well: the value alone. ``held``: the value alone.
-    A range never leaves the parameter's bounds; ``trust`` is the identification's grade.
+    where there is none. ``unknown``: estimated, and nothing says how well: the value alone. ``held``: the value alone.
+    A range never leaves the parameter's bounds; ``reliability`` is the identification's grade.
 
     Args:
         system: the model whose values are the centres.

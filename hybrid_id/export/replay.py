@@ -103,7 +103,7 @@ def mujoco_replay(
 ) -> Mapping[str, np.ndarray]:
     """Outputs of the exported model under a record's commands, ``(T,)`` each, from the package's own start state.
 
-    MuJoCo tells true angles; they are read through the model's own encoders, whose zero may be elsewhere.
+    MuJoCo gives true angles; they are read through the model's own encoders, whose zero may be elsewhere.
     MuJoCo's motors have no switch. One that is off is given the voltage that it induces itself, beyond its limits if
     need be, so that no current flows: an open circuit.
     """

@@ -28,7 +28,7 @@ from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import Progress, make_bounds
 from hybrid_id.identification.least_squares import free_parameters
 from hybrid_id.identification.objective import Loss, evaluate
-from hybrid_id.identification.optimizers import State, advance, begin, prolonged
+from hybrid_id.identification.optimizers import QuasiNewtonState, advance, begin, prolonged
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.windows import measured_windows
 from hybrid_id.simulation.prepare import Batch
@@ -61,7 +61,7 @@ class TrainOptions:
 
 @dataclass(frozen=True)
 class Snapshot:
-    """What a writer is told after a gradient, for each set (G).
+    """What a writer is logged after a gradient, for each set (G).
 
     Attributes:
         step: gradients so far.
@@ -96,7 +96,7 @@ class Snapshot:
 
 
 class Writer(Protocol):
-    """Takes the course of a training, for example into TensorBoard."""
+    """Takes the history of a training, for example into TensorBoard."""
 
     def record(self, snapshot: Snapshot) -> None:
         """Take one snapshot."""
@@ -128,7 +128,7 @@ def train(
         engine: solver and kind of gradient; its steps are raised where stability or accuracy needs it.
         options: settings.
         validation: records that are only looked at.
-        writer: takes the course of the training.
+        writer: takes the history of the training.
         checkpoint: file that holds the training after each gradient.
         resume: checkpoint of the same records and model to go on from, to the same numbers.
         progress: called with (stage, gradients so far, cost of each set, sets still running).
@@ -150,7 +150,7 @@ def train(
     identity = ["adjoint", fingerprint(system, [batch], pooled, engine, options.windows, options.loss)]
     state = read_state(resume, identity, device) if resume else None
     state = None if state is None else prolonged(state, options.max_iterations)
-    interrupted, told = False, 0
+    interrupted, logged = False, 0
     try:
         for stage, window in enumerate([*options.windows, None]):
             if state is not None and stage < state.stage:
@@ -169,10 +169,10 @@ def train(
             if state is None or state.stage < stage:
                 state = begin(problem, base if state is None else problem.theta(state.q), stage, state)
             while not interrupted:
-                if writer is not None and state.iteration > told:
+                if writer is not None and state.iteration > logged:
                     look = validation if state.iteration % options.validate_every == 0 else None
                     writer.record(_snapshot(problem, state, names, look))
-                    told = state.iteration
+                    logged = state.iteration
                 going = state.running.nonzero().flatten()
                 if progress is not None:
                     label = "records" if window is None else "windows"
@@ -192,8 +192,10 @@ def train(
     return _results(whole, state, interrupted, finished=state.stage == len(options.windows))
 
 
-def _snapshot(problem: Problem, state: State, names: tuple[str, ...], validation: Batch | None) -> Snapshot:
-    """What the writer is told of a state."""
+def _snapshot(
+    problem: Problem, state: QuasiNewtonState, names: tuple[str, ...], validation: Batch | None
+) -> Snapshot:
+    """What the writer is logged of a state."""
     problem.set_weights(state.q)
     problem = replace(
         problem, engine=replace(problem.engine, substeps=state.substeps, fine=state.fine, gradient="backprop")
@@ -223,7 +225,7 @@ def validation_loss(problem: Problem, theta: Tensor, batch: Batch) -> Tensor:
     return cost.reshape(count, batch.rows).sum(1) / (batch.weight > 0).sum()
 
 
-def _results(problem: Problem, state: State, interrupted: bool, finished: bool) -> list[FitResult]:
+def _results(problem: Problem, state: QuasiNewtonState, interrupted: bool, finished: bool) -> list[FitResult]:
     """Results of all sets: one evaluation with exact sensitivities at the end, as a fit has it."""
     free, batch, sets = problem.free, problem.batch, problem.sets
     engine = replace(problem.engine, substeps=state.substeps, fine=state.fine, gradient="backprop")

@@ -13,7 +13,7 @@ import torch
 
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
-from hybrid_id.identification.optimizers import State, Training
+from hybrid_id.identification.optimizers import OptimizerState, QuasiNewtonState
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
 
@@ -77,16 +77,16 @@ def read_checkpoint(
     return made
 
 
-def as_content(state: Training) -> dict[str, Any]:
+def as_content(state: OptimizerState) -> dict[str, Any]:
     """The fields of an optimiser's state."""
     return {f.name: getattr(state, f.name) for f in fields(state)}
 
 
-def write_state(path: Path, state: State, identity: list[str]) -> None:
+def write_state(path: Path, state: QuasiNewtonState, identity: list[str]) -> None:
     """Write where a training of parameters stands."""
     write_checkpoint(path, as_content(state), identity)
 
 
-def read_state(path: Path, identity: list[str], device: torch.device) -> State:
+def read_state(path: Path, identity: list[str], device: torch.device) -> QuasiNewtonState:
     """Read where a training of parameters stands."""
-    return read_checkpoint(path, identity, lambda content: State(**content), device)
+    return read_checkpoint(path, identity, lambda content: QuasiNewtonState(**content), device)

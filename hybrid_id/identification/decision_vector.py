@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from hybrid_id.identification.costate import Gradient, gradient
 from hybrid_id.identification.least_squares import LeastSquares
 from hybrid_id.identification.networks import Projection, linearise_with_weights
-from hybrid_id.identification.objective import Loss, assess, evaluate
+from hybrid_id.identification.objective import Loss, evaluate, evaluate_condensed
 from hybrid_id.simulation.lifted import condense
 from hybrid_id.simulation.solvers import OdeEngine
 
@@ -194,7 +194,7 @@ class Problem(LeastSquares):
             lin = linearise_with_weights(
                 self.system, exact, self.batch, nodes, theta[:, self.sets], self.free
             )
-            at, size = assess(self.batch, nodes, lin, condense(lin, nodes), self.loss), q.shape[1]
+            at, size = evaluate_condensed(self.batch, nodes, lin, condense(lin, nodes), self.loss), q.shape[1]
         else:
             at = evaluate(
                 self.system, exact, self.batch, nodes, theta[:, self.sets], self.free, loss=self.loss, chunk=1

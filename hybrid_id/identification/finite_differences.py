@@ -16,7 +16,7 @@ import numpy as np
 import torch
 
 from hybrid_id.identification.fit import make_bounds
-from hybrid_id.identification.least_squares import damped_step, free_parameters
+from hybrid_id.identification.least_squares import bounded_lm_step, free_parameters
 from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import shoot
@@ -198,7 +198,7 @@ class Cost:
         unit = hessian.diagonal().maximum(1e-12 * own).rsqrt().expand(len(dampings), -1)
         low, high = (torch.as_tensor(limit - point).expand_as(unit) for limit in (self.low, self.high))
         added = torch.as_tensor(dampings)[:, None].expand_as(unit)
-        step = damped_step(hessian[None], gradient[None], unit, added, low, high)[0]
+        step = bounded_lm_step(hessian[None], gradient[None], unit, added, low, high)[0]
         return np.clip(point + (step * unit).numpy(), self.low, self.high)
 
     def shared(self, slopes: np.ndarray) -> Slopes:

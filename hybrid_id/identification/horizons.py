@@ -285,8 +285,8 @@ def choose_horizon(
     inside = [
         k for k in range(len(system.estimated)) if all(one.names[k] not in one.at_bound for *_, one in found)
     ]
-    size, told = np.array([covariance_size(one, inside) for *_, one in found]).T
-    size = size / max(float(told.max()), 1.0)
+    size, count = np.array([covariance_size(one, inside) for *_, one in found]).T
+    size = size / max(float(count.max()), 1.0)
     able = [k for k in range(len(found)) if size[k] <= size.min() + np.log(SURELY)]
     _, horizon, one = found[max(able, key=lambda k: found[k][0])]
     if horizon.kind == "whole":

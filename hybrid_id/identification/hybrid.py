@@ -26,7 +26,7 @@ from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.networks import with_scales
-from hybrid_id.identification.optimizers import State, prolonged
+from hybrid_id.identification.optimizers import QuasiNewtonState, prolonged
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.training_loop import (
     Found,
@@ -114,7 +114,7 @@ def train_hybrid(
         validation: records that tell when to stop and which price to choose.
         engine: solver and kind of gradient.
         options: settings.
-        writer: takes the course of the training.
+        writer: takes the history of the training.
         checkpoint: file that holds the training after each gradient.
         resume: checkpoint of the same training to go on from, to the same numbers.
         progress: called with (stage, gradients so far, loss per measurement); true ends the training.
@@ -159,16 +159,16 @@ def train_hybrid(
     )  # fmt: skip
     theta, fresh = theta.to(options.dtype), torch.nn.utils.parameters_to_vector(extra).detach().clone()
     alone = trainer.found(theta, fresh, 0, physics.status)
-    course = TrainingState(0, theta, fresh)
+    training = TrainingState(0, theta, fresh)
     if resume is not None:
-        course = read_checkpoint(resume, trainer.identity, TrainingState.of, batch.x.device)
-        if isinstance(course.state, State):
-            course.state = prolonged(course.state, options.max_iterations)
+        training = read_checkpoint(resume, trainer.identity, TrainingState.of, batch.x.device)
+        if isinstance(training.state, QuasiNewtonState):
+            training.state = prolonged(training.state, options.max_iterations)
     try:
-        interrupted = trainer.run(course)
+        interrupted = trainer.run(training)
     except KeyboardInterrupt:
         interrupted = True
-    found = [alone, *course.found]
+    found = [alone, *training.found]
     trainer.whole = trainer.whole.to(torch.float64)  # standard errors ask for all digits
     rungs = [_rung(trainer, price, f) for price, f in zip((torch.inf, *prices), found, strict=False)]
     chosen = choose([f.validation for f in found], options.worth)
@@ -232,16 +232,16 @@ def _rung(trainer: Trainer, price: float, found: Found) -> Rung:
         if i.spec.estimate
     }
     engine = replace(trainer.whole.engine, gradient="backprop")
-    batch, course = trainer.whole.batch, TrainingState(0, theta, found.weights.double())
-    torch.nn.utils.vector_to_parameters(course.weights, trainer.whole.extra)
+    batch, training = trainer.whole.batch, TrainingState(0, theta, found.weights.double())
+    torch.nn.utils.vector_to_parameters(training.weights, trainer.whole.extra)
     nodes = free_run(system, engine, batch, batch.x, theta.expand(-1, batch.rows), roll_out=True)[
         0
     ].nan_to_num(0.0)
 
     def errors(at: float) -> np.ndarray:
-        if not np.isfinite(found.train):  # its free run was lost, and tells nothing
+        if not np.isfinite(found.train):  # its free run was lost, and says nothing
             return np.full(len(values), np.nan)
-        problem = trainer.problem(Stage(0, at, None, False), course)
+        problem = trainer.problem(Stage(0, at, None, False), training)
         assert problem is not None  # whole records need no windows
         noise = theta.new_full((1,), found.train * float(problem.data[0]))
         matrix = problem.curvature(problem.start(theta), nodes, noise)[0]

@@ -141,7 +141,7 @@ class Step:
         return _moved(part, rows * self.first, rows * self.shift[self.group])
 
 
-def damped_step(
+def bounded_lm_step(
     hessian: Tensor, gradient: Tensor, unit: Tensor, damping: Tensor, low: Tensor, high: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The LM step of every set inside its box, by Marquardt's scaling: each parameter in units of its standard error.
@@ -197,7 +197,7 @@ def lm_step(
     low = torch.maximum(bounds.lower - values, -0.6 * scale)
     high = torch.minimum(bounds.upper - values, 1.5 * scale)
     added = damping[:, None] + proximal + (unit == 0).to(unit.dtype)
-    step, scaled, matrix = damped_step(hessian, gradient, unit, added, low, high)
+    step, scaled, matrix = bounded_lm_step(hessian, gradient, unit, added, low, high)
     quadratic = (step * (scaled @ step[..., None])[..., 0]).sum(1).clamp_min(0.0)
     shift = step * unit
     first = -back[..., -1] - (back[..., :-1] @ shift[group][..., None])[..., 0]
@@ -210,7 +210,7 @@ def lm_step(
 def geodesic_acceleration(
     step: Step, part: Evaluation, refused: Evaluation, bounds: Bounds, loss: Loss
 ) -> tuple[Tensor, Tensor]:
-    """A refused step, bent by the curvature that its own trial shows: new parameters ``(G, n_f)`` and nodes.
+    """A refused step, corrected by the curvature that its own trial shows: new parameters ``(G, n_f)`` and nodes.
 
     The trial's residuals less their linear prediction are half the second derivative along the step; correcting them
     to first order gives the path ``t shift + t^2 second``. Source: M. K. Transtrum, J. P. Sethna, "Improvements to the
@@ -439,7 +439,7 @@ class _Descent:
         self.running = known.nonzero().flatten()
         self.damping, self.growth = (torch.full_like(self.cost, v) for v in (options.damping, 2.0))
         self.iterations = torch.zeros(count, dtype=torch.long, device=theta.device)
-        # sets that have to close their defects, and sets whose refused step is tried again, bent
+        # sets that have to close their defects, and sets whose refused step is tried again, corrected
         self.closing, self.again = (torch.zeros_like(known) for _ in range(2))
         self.curved, self.curved_nodes = theta.clone(), batch.x.clone()
         self.nearest = torch.full_like(self.cost, torch.inf)
@@ -495,8 +495,8 @@ class _Descent:
         trial = self.theta[:, running].clone()
         trial[self.index] = self.bounds.clip(step.values + going[:, None] * step.shift).T
         trial = torch.where(accelerated, self.curved[:, running], trial)
-        bent = accelerated[group, None, None]
-        x = torch.where(bent, self.curved_nodes[turn.rows], step.nodes(turn.part, going))
+        corrected = accelerated[group, None, None]
+        x = torch.where(corrected, self.curved_nodes[turn.rows], step.nodes(turn.part, going))
         # near the end the nodes move so little that no event changes its sample: Newton closes the defects alone
         near = bool(((turn.blur < SHARP) & (step.size < 3.0)).all())
         tried = problem.batch.take(turn.rows)

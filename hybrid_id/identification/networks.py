@@ -102,7 +102,7 @@ def with_memory(system: System, batch: Batch, theta: Tensor) -> Batch:
     """The batch with the networks' hidden states along the measured motion in its guess; windows start with them.
 
     Args:
-        system: tells the hidden states.
+        system: has the hidden states.
         batch: rows; the other states of its guess stay.
         theta: all parameters of each row in table order, ``(n_p, R)``.
     """
@@ -112,7 +112,7 @@ def with_memory(system: System, batch: Batch, theta: Tensor) -> Batch:
     for k in range(x.shape[1] - 1):
         u = {name: channel[:, k] for name, channel in batch.u.items()}
         for networks in (joint.networks for joint in system.joints):
-            for row, (drive, rate, *_) in networks.relaxations(x[:, k].unbind(1), u, p):
+            for row, (drive, rate, *_) in networks.state_updates(x[:, k].unbind(1), u, p):
                 x[:, k + 1, row] = relax(x[:, k, row], drive, rate, batch.dt[:, k])
     return replace(batch, x=x)
 

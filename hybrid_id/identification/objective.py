@@ -123,10 +123,10 @@ def evaluate(
     if chunk > 1:
         x = shoot(system, engine, x, batch.u, batch.dt, theta, chunk)
     lin = linearise(system, engine, x, batch.u, batch.dt, theta, free, batch.outputs)
-    return assess(batch, x, lin, condense(lin, x), loss)
+    return evaluate_condensed(batch, x, lin, condense(lin, x), loss)
 
 
-def assess(batch: Batch, x: Tensor, measured: Measured, chain: Tensor, loss: Loss) -> Evaluation:
+def evaluate_condensed(batch: Batch, x: Tensor, measured: Measured, chain: Tensor, loss: Loss) -> Evaluation:
     """The objective and its quadratic model from condensed sensitivities.
 
     Args:

@@ -6,7 +6,7 @@ follows the gradients by BFGS. Steps are those of Levenberg-Marquardt, inside th
 
 Adam serves where no matrix of the weights is affordable. Its gradient is that of the loss per measurement in the scaled
 decision vector, clipped to a largest length before it enters the moments: a record that nearly diverges then costs one
-step, not the course.
+step, not the history.
 
 Neither is one of torch.optim: those move parameters without bounds, take one set at a time, and keep a state that
 cannot be thrown away when a trial step diverges.
@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from hybrid_id.identification.decision_vector import Problem
-from hybrid_id.identification.least_squares import damped_step
+from hybrid_id.identification.least_squares import bounded_lm_step
 from hybrid_id.simulation.rollout import rollout
 
 DECAY, DECAY_SQUARE, TINY = 0.9, 0.999, 1e-8
@@ -38,7 +38,7 @@ DAMPING, LARGEST_DAMPING = 1e-3, 1e4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Training:
+class OptimizerState:
     """Where a training stands: all that a checkpoint holds, for sets (G) and rows (R).
 
     Attributes:
@@ -69,7 +69,7 @@ class Training:
 
 
 @dataclass(frozen=True, kw_only=True)
-class State(Training):
+class QuasiNewtonState(OptimizerState):
     """Where a quasi-Newton training stands; ``distance`` is the length of the undamped step in standard errors.
 
     Attributes:
@@ -87,7 +87,7 @@ class State(Training):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Descent(Training):
+class AdamState(OptimizerState):
     """Where a training by Adam stands, for one set; ``distance`` is the length of the gradient before it is clipped.
 
     Attributes:
@@ -101,7 +101,7 @@ class Descent(Training):
 
 
 def _started(problem: Problem, theta: Tensor, stage: int, done: int) -> tuple[Problem, dict[str, Any]]:
-    """The problem with stable steps, and where a stage begins after so many gradients: fields of :class:`Training`."""
+    """The problem with stable steps, and where a stage begins: fields of :class:`OptimizerState`."""
     q = problem.start(theta)
     engine = problem.engine.stable(problem.system, problem.batch, theta[:, problem.sets])
     problem = replace(problem, engine=engine)
@@ -117,7 +117,7 @@ def _started(problem: Problem, theta: Tensor, stage: int, done: int) -> tuple[Pr
     }  # fmt: skip
 
 
-def begin(problem: Problem, theta: Tensor, stage: int, before: State | None) -> State:
+def begin(problem: Problem, theta: Tensor, stage: int, before: QuasiNewtonState | None) -> QuasiNewtonState:
     """The state at the start of a stage: steps of the engine, first gradient, Gauss-Newton metric.
 
     Args:
@@ -130,7 +130,7 @@ def begin(problem: Problem, theta: Tensor, stage: int, before: State | None) -> 
     running, zero = start["running"], torch.zeros_like(start["cost"])
     steps = torch.zeros_like(running, dtype=torch.long) if before is None else before.steps
     metric = problem.first_metric(start["q"], start["slope"])
-    state = State(
+    state = QuasiNewtonState(
         **start,
         metric=metric,
         damping=zero + DAMPING,
@@ -142,7 +142,7 @@ def begin(problem: Problem, theta: Tensor, stage: int, before: State | None) -> 
     return _renew(problem, state, running.nonzero().flatten())
 
 
-def _with_stable_steps(problem: Problem, state: State) -> tuple[Problem, State]:
+def _with_stable_steps(problem: Problem, state: QuasiNewtonState) -> tuple[Problem, QuasiNewtonState]:
     """The problem with the steps that the engine needs where the sets stand now, and the state under it."""
     problem.set_weights(state.q)
     before = replace(problem.engine, substeps=state.substeps, fine=state.fine)
@@ -163,7 +163,7 @@ def _with_stable_steps(problem: Problem, state: State) -> tuple[Problem, State]:
     return problem, _renew(problem, state, kept.nonzero().flatten())
 
 
-def prolonged(state: State, max_iterations: int) -> State:
+def prolonged(state: QuasiNewtonState, max_iterations: int) -> QuasiNewtonState:
     """A state read from a checkpoint, whose sets go on where a larger limit now leaves them gradients."""
     if state.iteration - state.began >= max_iterations:
         return state
@@ -172,7 +172,7 @@ def prolonged(state: State, max_iterations: int) -> State:
     return replace(state, status=status, running=running)
 
 
-def _renew(problem: Problem, state: State, chosen: Tensor) -> State:
+def _renew(problem: Problem, state: QuasiNewtonState, chosen: Tensor) -> QuasiNewtonState:
     """The state with the metric of some sets taken anew, that of the weights kept."""
     if chosen.numel() == 0:
         return state
@@ -188,10 +188,10 @@ def _renew(problem: Problem, state: State, chosen: Tensor) -> State:
 def _step(metric: Tensor, slope: Tensor, damping: Tensor, box: tuple[Tensor, Tensor]) -> Tensor:
     """Minimiser of the damped quadratic model of each set inside its box, ``(G, N)``."""
     unit = metric.diagonal(dim1=1, dim2=2).rsqrt()
-    return unit * damped_step(metric, slope, unit, (damping[:, None] + 1e-12).expand_as(unit), *box)[0]
+    return unit * bounded_lm_step(metric, slope, unit, (damping[:, None] + 1e-12).expand_as(unit), *box)[0]
 
 
-def _distance(problem: Problem, state: State) -> Tensor:
+def _distance(problem: Problem, state: QuasiNewtonState) -> Tensor:
     """Length of the undamped step of each set in standard errors, ``(G,)``."""
     box = problem.box(state.q, trust=False)
     step = _step(state.metric, state.slope, torch.zeros_like(state.cost), box)
@@ -199,7 +199,9 @@ def _distance(problem: Problem, state: State) -> Tensor:
     return (size.clamp_min(0.0) * problem.data / (2.0 * state.cost).clamp_min(1e-300)).sqrt()
 
 
-def advance(problem: Problem, state: State, tolerance: float, max_iterations: int, refresh: int) -> State:
+def advance(
+    problem: Problem, state: QuasiNewtonState, tolerance: float, max_iterations: int, refresh: int
+) -> QuasiNewtonState:
     """One gradient of every running set: trial, acceptance, update of the metric.
 
     A set ends when a metric that was taken at its own point says that it has arrived.
@@ -272,7 +274,7 @@ def _outer(vector: Tensor) -> Tensor:
     return vector[:, :, None] * vector[:, None, :]
 
 
-def begin_descent(problem: Problem, theta: Tensor, stage: int) -> Descent:
+def begin_descent(problem: Problem, theta: Tensor, stage: int) -> AdamState:
     """The descent at the start of a stage.
 
     Args:
@@ -282,10 +284,10 @@ def begin_descent(problem: Problem, theta: Tensor, stage: int) -> Descent:
     """
     problem, start = _started(problem, theta, stage, 0)
     zero, length = torch.zeros_like(start["q"]), start["slope"].norm(dim=1) / problem.data
-    return Descent(**start, mean=zero, square=zero, rate=1.0, distance=length)
+    return AdamState(**start, mean=zero, square=zero, rate=1.0, distance=length)
 
 
-def descend(problem: Problem, state: Descent, rate: float, clip: float, max_iterations: int) -> Descent:
+def descend(problem: Problem, state: AdamState, rate: float, clip: float, max_iterations: int) -> AdamState:
     """One step along the clipped gradient, and the gradient where it ends.
 
     Args:

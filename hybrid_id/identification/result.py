@@ -100,7 +100,7 @@ class FitResult:
     def unseen(self) -> tuple[str, ...]:
         """Estimated parameters on which no measurement depends: they stay where they started."""
         seen = np.any([np.abs(part).max((0, 1)) > 0.0 for part in self.jacobian], axis=0)
-        return tuple(name for name, told in zip(self.names, seen, strict=True) if not told)
+        return tuple(name for name, one in zip(self.names, seen, strict=True) if not one)
 
     def condensed(self) -> FitResult:
         """The same fit with a root of each record's sensitivities, ``(n_f, 1, n_f)``, whose products are the same.
@@ -130,7 +130,7 @@ def make_result(problem: LeastSquares, outcome: Outcome, chosen: int, options: O
         problem: what was minimised; of several starts, the records of one.
         outcome: end of the fit.
         chosen: the set.
-        options: tells the loss.
+        options: hold the loss.
     """
     system, batch, free = problem.system, problem.batch, problem.free
     rows = (problem.sets == chosen).nonzero().flatten()

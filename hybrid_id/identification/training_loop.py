@@ -17,9 +17,9 @@ from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.networks import output_shares, projection, with_memory, with_price
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.optimizers import (
-    Descent,
-    State,
-    Training,
+    AdamState,
+    OptimizerState,
+    QuasiNewtonState,
     advance,
     begin,
     begin_descent,
@@ -169,7 +169,7 @@ class TrainingState:
     stage: int
     theta: Tensor
     weights: Tensor
-    state: Training | None = None
+    state: OptimizerState | None = None
     best: Tensor | None = None
     kept: Tensor | None = None
     waited: int = 0
@@ -177,15 +177,18 @@ class TrainingState:
     found: list[Found] = field(default_factory=list)
 
     def content(self) -> dict[str, Any]:
-        """The course as tensors, numbers and text."""
+        """The state as tensors, numbers and text."""
         state = None if self.state is None else as_content(self.state)
         return vars(self) | {"state": state, "found": [tuple(f) for f in self.found]}
 
     @classmethod
     def of(cls, content: dict[str, Any]) -> TrainingState:
-        """The course of a checkpoint."""
+        """The state in a checkpoint."""
         state = content["state"]
-        found, kind = [Found(*f) for f in content["found"]], State if state and "metric" in state else Descent
+        found, kind = (
+            [Found(*f) for f in content["found"]],
+            QuasiNewtonState if state and "metric" in state else AdamState,
+        )
         return cls(**content | {"state": None if state is None else kind(**state), "found": found})
 
 
@@ -195,7 +198,7 @@ class Trainer:
 
     Attributes:
         whole: output error over whole records, without a price.
-        validation: records that tell when a stage ends.
+        validation: records that say when a stage ends.
         options: settings.
         identity: of the training, for the checkpoint.
         writer, checkpoint, progress: see :func:`hybrid_id.identification.hybrid.train_hybrid`.
@@ -214,13 +217,13 @@ class Trainer:
         """All stages in their order."""
         return self.options.stages
 
-    def problem(self, stage: Stage, course: TrainingState) -> Problem | None:
+    def problem(self, stage: Stage, training: TrainingState) -> Problem | None:
         """What a stage minimises; None where the records are too short for its windows."""
         whole, system = self.whole, self.whole.system
-        torch.nn.utils.vector_to_parameters(course.weights, whole.extra)
+        torch.nn.utils.vector_to_parameters(training.weights, whole.extra)
         batch, sets = whole.batch, whole.sets
         if stage.window is not None:
-            guess = with_memory(system, batch, course.theta.expand(-1, batch.rows))
+            guess = with_memory(system, batch, training.theta.expand(-1, batch.rows))
             cut = measured_windows(system, guess, *stage.window)
             if cut is None:
                 return None
@@ -229,7 +232,7 @@ class Trainer:
         if self.options.augmentation == "norm":
             return replace(whole, batch=with_price(system, batch, stage.price))
         overlap = projection(
-            system, batch, course.theta, whole.extra, width=whole.engine.width, price=stage.price
+            system, batch, training.theta, whole.extra, width=whole.engine.width, price=stage.price
         )
         return replace(whole, batch=batch, penalty=overlap)
 
@@ -253,78 +256,80 @@ class Trainer:
         count = loss.new_zeros(batch.rows, PARTS).scatter_add(1, part, number.to(loss.dtype))
         return (total / count).where(count > 0, (total.sum(1) / count.sum(1))[:, None]).T
 
-    def run(self, course: TrainingState) -> bool:
+    def run(self, training: TrainingState) -> bool:
         """Run all stages that are left; returns whether the training was stopped."""
-        while course.stage < len(self.stages):
-            stage = self.stages[course.stage]
-            problem = self.problem(stage, course)
+        while training.stage < len(self.stages):
+            stage = self.stages[training.stage]
+            problem = self.problem(stage, training)
             if problem is not None:
-                if self._stage(problem, stage, course):
+                if self._stage(problem, stage, training):
                     return True
-                self._finish(problem, stage, course)
-            course.stage += 1
-            course.state, course.best, course.kept, course.waited = None, None, None, 0
+                self._finish(problem, stage, training)
+            training.stage += 1
+            training.state, training.best, training.kept, training.waited = None, None, None, 0
         return False
 
-    def _stage(self, problem: Problem, stage: Stage, course: TrainingState) -> bool:
+    def _stage(self, problem: Problem, stage: Stage, training: TrainingState) -> bool:
         """Run one stage to its end; returns whether it was stopped before."""
         options = self.options
-        if course.state is None:
-            course.state = self._begin(problem, course)
+        if training.state is None:
+            training.state = self._begin(problem, training)
         while True:
-            state = course.state
+            state = training.state
             problem.set_weights(state.q)
             ended, looked = not bool(state.running.any()) or _settled(state), None
             if ended or (state.iteration - state.began) % options.validate_every == 0:
-                looked = self._validate(problem, state, course)
-            self._tell(problem, state, course, looked)
+                looked = self._validate(problem, state, training)
+            self._log(problem, state, training, looked)
             loss = float(state.cost[0] / self._data(problem))
-            if self.progress is not None and self.progress(stage.label, course.done + state.iteration, loss):
+            if self.progress is not None and self.progress(
+                stage.label, training.done + state.iteration, loss
+            ):
                 return True
-            if ended or course.waited > options.patience:
+            if ended or training.waited > options.patience:
                 return False
-            course.state = self._advance(problem, state)
+            training.state = self._advance(problem, state)
             if self.checkpoint is not None:
-                write_checkpoint(self.checkpoint, course.content(), self.identity)
+                write_checkpoint(self.checkpoint, training.content(), self.identity)
 
-    def _validate(self, problem: Problem, state: Training, course: TrainingState) -> float:
+    def _validate(self, problem: Problem, state: OptimizerState, training: TrainingState) -> float:
         """Compare the validation loss with the stage's best, and keep the decision vector unless it is worse."""
         losses = self.losses(problem.theta(state.q), self.validation)
-        best = losses if course.best is None else course.best
+        best = losses if training.best is None else training.best
         gain = typical(losses) < (1.0 - GAIN) * typical(best)
         worse, chance = excess(losses, best)
-        if course.kept is None or gain or worse <= chance:
-            course.kept = state.q
-        course.best, course.waited = (losses if gain else best), (0 if gain else course.waited + 1)
+        if training.kept is None or gain or worse <= chance:
+            training.kept = state.q
+        training.best, training.waited = (losses if gain else best), (0 if gain else training.waited + 1)
         return typical(losses)
 
-    def _begin(self, problem: Problem, course: TrainingState) -> Training:
+    def _begin(self, problem: Problem, training: TrainingState) -> OptimizerState:
         """The optimiser's state at the start of a stage."""
         if self.options.optimizer == "adam":
-            return begin_descent(problem, course.theta, course.stage)
-        return begin(problem, course.theta, course.stage, None)
+            return begin_descent(problem, training.theta, training.stage)
+        return begin(problem, training.theta, training.stage, None)
 
-    def _advance(self, problem: Problem, state: Training) -> Training:
+    def _advance(self, problem: Problem, state: OptimizerState) -> OptimizerState:
         """One more gradient."""
         wish = self.options
-        if isinstance(state, Descent):
+        if isinstance(state, AdamState):
             return descend(problem, state, wish.rate, wish.clip, wish.max_iterations)
-        assert isinstance(state, State)
+        assert isinstance(state, QuasiNewtonState)
         return advance(problem, state, wish.tolerance, wish.max_iterations, 1)
 
-    def _finish(self, problem: Problem, stage: Stage, course: TrainingState) -> None:
+    def _finish(self, problem: Problem, stage: Stage, training: TrainingState) -> None:
         """Go on from the stage's kept decision vector; the last stage of a price is a rung of the ladder."""
-        state, q = course.state, course.kept
+        state, q = training.state, training.kept
         assert state is not None and q is not None
         problem.set_weights(q)
-        course.theta, course.done = problem.theta(q), course.done + state.iteration
-        course.weights = torch.nn.utils.parameters_to_vector(problem.extra).detach().clone()
+        training.theta, training.done = problem.theta(q), training.done + state.iteration
+        training.weights = torch.nn.utils.parameters_to_vector(problem.extra).detach().clone()
         if not stage.hold:
-            early = state.status[0] == "running" and course.waited > self.options.patience
+            early = state.status[0] == "running" and training.waited > self.options.patience
             status = (
                 "stopped early" if early else "settled" if state.status[0] == "running" else state.status[0]
             )
-            course.found.append(self.found(course.theta, course.weights, course.done, status))
+            training.found.append(self.found(training.theta, training.weights, training.done, status))
 
     def found(self, theta: Tensor, weights: Tensor, iterations: int, status: str) -> Found:
         """What a rung came to, with the weights as they are."""
@@ -333,7 +338,7 @@ class Trainer:
         )
         counts = (
             (self.whole.batch.weight > 0).sum((1, 2)).to(train.dtype)
-        )  # a long record tells more of the noise
+        )  # a long record says more of the noise
         mean = float(train.mean(0) @ counts / counts.sum())
         return Found(theta, weights, mean, validation, iterations, status)
 
@@ -341,7 +346,9 @@ class Trainer:
         """Number of measurements, the networks' outputs not among them."""
         return int((problem.batch.weight[..., : len(self.whole.batch.outputs)] > 0).sum())
 
-    def _tell(self, problem: Problem, state: Training, course: TrainingState, looked: float | None) -> None:
+    def _log(
+        self, problem: Problem, state: OptimizerState, training: TrainingState, looked: float | None
+    ) -> None:
         """Give the writer one snapshot, networks' outputs apart from the measured ones."""
         if self.writer is None:
             return
@@ -354,7 +361,7 @@ class Trainer:
         )
         self.writer.record(
             Snapshot(
-                step=course.done + state.iteration,
+                step=training.done + state.iteration,
                 names=("hybrid",),
                 table=tuple((i.component, i.symbol) for i in info),
                 values=theta[problem.free].T,
@@ -365,16 +372,16 @@ class Trainer:
                 sets=problem.sets,
                 simulated=state.y[..., :count],
                 scalars={f"residual/share_{n}": v for n, v in shares.items()}
-                | {"residual/price": self.stages[course.stage].price},
+                | {"residual/price": self.stages[training.stage].price},
             )
         )
 
 
-def _settled(state: Training) -> bool:
+def _settled(state: OptimizerState) -> bool:
     """Whether the last gradients of a stage have lowered its cost by next to nothing; a descent goes up and down."""
     history = state.history
     return (
-        isinstance(state, State)
+        isinstance(state, QuasiNewtonState)
         and len(history) > STALE
         and bool(history[-1][0] > (1.0 - GAIN) * history[-1 - STALE][0])
     )

@@ -30,7 +30,7 @@ def measured_windows(
     """Windows of a batch whose first states are measured and free within their uncertainty, and the row of each.
 
     Args:
-        system: tells the states.
+        system: has the states.
         batch: whole records.
         seconds: length of a window.
         every: use one window in this many.

@@ -120,8 +120,8 @@ def draw_case(
         case = tuned(case, rng.uniform(0.15, 0.45))
         if not effects:
             sound = grade(case)
-            told = family == "none" or sound.errors.nominal >= PLAIN * sound.errors.refit
-            return sound if sound.ratio <= 1.1 and told else None
+            shows = family == "none" or sound.errors.nominal >= PLAIN * sound.errors.refit
+            return sound if sound.ratio <= 1.1 and shows else None
         graded = []
         for one in effects:
             alone = case.with_effects([one])

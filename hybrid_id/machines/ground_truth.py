@@ -70,7 +70,7 @@ def ground_truth(
 def messy_ground_truth(messy: Messy, family: str, source: tuple[int, int]) -> dict[str, Any]:
     """The ground truth of a messy machine: that of a clean one, its effects in the order in which they are added.
 
-    Each effect further tells its `role` (dominant or small), its `share` of the gap in that order, what it `closes`
+    Each effect has, too, its `role` (dominant or small), its `share` of the gap in that order, what it `closes`
     alone, on the test and on the train records, and by how much a small one alone lifts the re-fit over the floor;
     `messy` sums them up.
 
@@ -83,11 +83,11 @@ def messy_ground_truth(messy: Messy, family: str, source: tuple[int, int]) -> di
         messy.graded, family, source, rivals=[list(part.rivals) for part in messy.parts], alone=None
     )
     found["level"] = messy.graded.level
-    for told, part in zip(found["effects"], messy.parts, strict=True):
-        told |= {"role": part.role, "share": round(part.share, 4), "closes": round(part.closes, 4)}
-        told["closes_train"] = round(part.closes_train, 4)
+    for effect, part in zip(found["effects"], messy.parts, strict=True):
+        effect |= {"role": part.role, "share": round(part.share, 4), "closes": round(part.closes, 4)}
+        effect["closes_train"] = round(part.closes_train, 4)
         if part.lift is not None:
-            told["lift"] = round(part.lift, 3)
+            effect["lift"] = round(part.lift, 3)
     encoders = messy.graded.case.campaign.encoders
     flaws, noise = encoders.flaws, noise_std(encoders)
     found["notes"].pop("rest_of_gap_with_rival", None)

@@ -42,10 +42,10 @@ class Judged:
             "unknown" with no name beside it where it is outside the catalogue. Of a messy machine: a dominant effect
             first, no name that was not at work, and "unknown" only where the dominant effect is outside the catalogue.
         false_alarm: whether something is named in a case where the structure is right.
-        values: whether it is told there that nothing is wrong, or the parameters alone.
+        values: whether the verdict there is that nothing is wrong, or the parameters alone.
         outside: whether something outside the catalogue is detected where it acts.
         outside_at: whether the joint, and the side of its gear, at which it is said to act are right; None where
-            neither is told.
+            neither is claimed.
         false_unknown: whether it is claimed where nothing like it acts.
         claims: probability of each ranked effect, and whether it was at work.
         share_errors: claimed share of the gap of each effect that is rightly named, less the true one [points].
@@ -214,13 +214,13 @@ def _shares(chosen: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float
     return tuple(errors), covered
 
 
-def _acts_there(told: Said, truth: Truth) -> bool | None:
-    """Whether a joint, and a side where one is told, hold what acts outside the catalogue."""
-    if told.get("joint") is None:
+def _acts_there(claimed: Said, truth: Truth) -> bool | None:
+    """Whether a joint, and a side where one is claimed, hold what acts outside the catalogue."""
+    if claimed.get("joint") is None:
         return None
     places = [where.split("/") for where in truth["accept_where"]]
     return any(
-        joint == told["joint"] and told.get("place") in (None, "load" if place in LINK else "motor")
+        joint == claimed["joint"] and claimed.get("place") in (None, "load" if place in LINK else "motor")
         for joint, place in places
     )
 

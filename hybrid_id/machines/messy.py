@@ -171,7 +171,7 @@ def draw_messy(
     withheld = tuple(n for n in names if rng.random() < 0.4)
     wrong = 0.0 if family == "none" else rng.uniform(0.08, 0.32)
     if family in SOUND:
-        return _sound(rng, case, drift, withheld, wrong, told=family == "none")
+        return _sound(rng, case, drift, withheld, wrong, right_values=family == "none")
     return _mixed(rng, case, leaders, small, family, drift, withheld, wrong)
 
 
@@ -276,7 +276,7 @@ def _sound(
     withheld: tuple[str, ...],
     wrong: float,
     *,
-    told: bool,
+    right_values: bool,
 ) -> Messy | None:
     """A machine whose structure is that of its simulator."""
     mixtures = Mixtures(case.robot, (), case.campaign)
@@ -285,7 +285,7 @@ def _sound(
     fit = mixtures.fit([Simulator(0, (), mixtures.true)], made, rounds=12)[0]
     case = replace(case, model=_model(rng, case.robot, (), withheld, wrong))
     graded = _graded(case, made[0], fit, floor)
-    if not fit.test <= HARMLESS * floor or (not told and graded.errors.nominal < 1.5 * fit.test):
+    if not fit.test <= HARMLESS * floor or (not right_values and graded.errors.nominal < 1.5 * fit.test):
         return None
     return Messy(graded, (), drift, withheld)
 

@@ -1,7 +1,7 @@
 """Which other effects explain a case as well as the true one does: they count as right answers.
 
 Each named effect is built into the nominal model in every place where it fits, and fitted with it to the train
-records, from the simulator's re-fitted values and from the true ones: a re-fit that has been bent is no place to start.
+records, from the simulator's re-fitted values and from the true ones, since re-fitted values may be implausible.
 A rival counts when it predicts the test records within 6 % of the true effect's error, fitted alike, and leaves less
 than a tenth of the gap (mean square). Those that could close little of it even in the linear prediction are not fitted.
 """

@@ -73,11 +73,11 @@ def figures(judged: Sequence[Judged]) -> dict[str, Score]:
     """Scores of a group of cases; those without a case to speak of are left out."""
     found: dict[str, Score] = {"cases": {"value": len(judged), "n": len(judged)}}
     for name, ask in SHARES.items():
-        told = [(one.case, ask(one)) for one in judged]
-        told = [(case, answer) for case, answer in told if answer is not None]
-        if told:
-            wrong = [case for case, answer in told if answer == (name in BAD)]
-            found[name] = share([bool(answer) for _, answer in told]) | {"wrong": wrong}
+        known = [(one.case, ask(one)) for one in judged]
+        known = [(case, answer) for case, answer in known if answer is not None]
+        if known:
+            wrong = [case for case, answer in known if answer == (name in BAD)]
+            found[name] = share([bool(answer) for _, answer in known]) | {"wrong": wrong}
     f1 = [(one.case, one.f1) for one in judged if one.f1 is not None]
     if f1:
         found["f1"] = mean([value for _, value in f1]) | {"wrong": [case for case, value in f1 if value < 1]}
@@ -98,11 +98,11 @@ def figures(judged: Sequence[Judged]) -> dict[str, Score]:
         ("shrink_error", [(one.case, one.shrink_error) for one in judged]),
         ("seconds", [(one.case, one.seconds) for one in judged]),
     ):
-        told = [(case, abs(v) if name.endswith("_error") else v) for case, v in values if v is not None]
-        told = [(case, v) for case, v in told if math.isfinite(v)]
-        if told:
-            worst = sorted(told, key=lambda pair: pair[1], reverse=name != "closed")[:5]
-            found[name] = median([v for _, v in told]) | {"wrong": [case for case, _ in worst]}
+        known = [(case, abs(v) if name.endswith("_error") else v) for case, v in values if v is not None]
+        known = [(case, v) for case, v in known if math.isfinite(v)]
+        if known:
+            worst = sorted(known, key=lambda pair: pair[1], reverse=name != "closed")[:5]
+            found[name] = median([v for _, v in known]) | {"wrong": [case for case, _ in worst]}
     if "seconds" in found:
         most = {"value": found["seconds"]["most"], "low": None, "high": None, "n": found["seconds"]["n"]}
         found["slowest"] = most | {"wrong": found["seconds"]["wrong"][:1]}
@@ -142,25 +142,25 @@ def _claims(judged: Sequence[Judged]) -> list[tuple[float, bool]]:
     return [(p, right) for one in judged for p, right in one.claims if right or p >= TRIVIAL]
 
 
-def reliability(told: Sequence[tuple[float, bool]]) -> dict[str, Any]:
+def reliability(claims: Sequence[tuple[float, bool]]) -> dict[str, Any]:
     """How often a named effect is at work, against the probability that was claimed.
 
     The expected calibration error is the mean distance of the two over bins of equal count (C. Guo et al., On
     calibration of modern neural networks, ICML 2017, has bins of equal width).
 
     Args:
-        told: claimed probability and truth of each claim.
+        claims: claimed probability and truth of each claim.
     """
     bins, error = [], 0.0
-    ordered = sorted(told, key=lambda claim: claim[0])
+    ordered = sorted(claims, key=lambda claim: claim[0])
     for own in np.array_split(np.arange(len(ordered)), BINS):
         if len(own):
             claimed = float(np.mean([ordered[k][0] for k in own]))
             seen = share([ordered[k][1] for k in own])
             bins.append({"claimed": claimed, **seen})
-            error += len(own) / len(told) * abs(claimed - seen["value"])
-    brier = float(np.mean([(p - right) ** 2 for p, right in told])) if told else None
-    return {"bins": bins, "expected_error": error if told else None, "brier": brier, "n": len(told)}
+            error += len(own) / len(claims) * abs(claimed - seen["value"])
+    brier = float(np.mean([(p - right) ** 2 for p, right in claims])) if claims else None
+    return {"bins": bins, "expected_error": error if claims else None, "brier": brier, "n": len(claims)}
 
 
 def confusion(judged: Sequence[Judged]) -> dict[str, Any]:
@@ -297,7 +297,7 @@ def against_targets(scores: Mapping[str, Any], realism: str = "clean") -> list[d
         judged = None if seen is None else seen["high" if target.surely else "value"]
         met = None if judged is None else target.met(judged)
         cases = [] if seen is None or met else seen["wrong"]
-        told = {"claim": target.claim, "target": target.words, "score": target.score}
+        row = {"claim": target.claim, "target": target.words, "score": target.score}
         shown = bool(met and seen is not None and target.shown(seen))
-        rows.append(told | {"seen": seen, "met": met, "shown": shown, "cases": cases})
+        rows.append(row | {"seen": seen, "met": met, "shown": shown, "cases": cases})
     return rows

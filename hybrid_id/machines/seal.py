@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import write_whole
 
 MANIFEST, ANSWERS = "manifest.json", "answers"
 
@@ -40,7 +40,7 @@ def seal(cases: Path, archive: Path | None, about: Mapping[str, Any]) -> dict[st
     Args:
         cases: folder of the cases, with their answers in `answers/`.
         archive: file that takes the answers; None leaves them where they are, open, for development.
-        about: what else the manifest tells, say seed and version.
+        about: what else the manifest holds, say seed and version.
 
     Returns:
         The manifest.
@@ -113,7 +113,7 @@ def read_manifest(cases: Path) -> dict[str, Any]:
 
 
 def refuse_others(cases: Path, **about: Any) -> None:
-    """Raise InputError where the cases of a folder were made otherwise than ``about`` tells."""
+    """Raise InputError where the cases of a folder were made otherwise than ``about`` says."""
     manifest = {"first": 1} | read_manifest(cases)
     if any(manifest[key] != value for key, value in about.items()):
         raise InputError(f"{cases} holds cases of another seed, number or kind; give another --out")
@@ -145,7 +145,7 @@ def _listed(folder: Path, pattern: str) -> list[Path]:
 
 
 def _is_archive(path: Path) -> bool:
-    """Whether a path, whatever its name, is a file that begins as an archive; what cannot be read tells nothing."""
+    """Whether a path, whatever its name, is a file that begins as an archive; what cannot be read is none."""
     try:
         with path.open("rb") as file:
             return file.read(262)[257:] == b"ustar"

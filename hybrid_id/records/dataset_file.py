@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
+from hybrid_id.records.files import plain
 from hybrid_id.records.readers import Table, Window, load_any, record_name
 from hybrid_id.records.record import Record, find_fault
 from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels

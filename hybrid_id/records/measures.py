@@ -88,11 +88,6 @@ def rest_samples(record: Record) -> int:
     return quiet
 
 
-def start_position(record: Record, channel: str) -> float:
-    """Return the mean of an output over the samples at rest at the start of a record, in its unit."""
-    return float(record.outputs[channel][: rest_samples(record)].mean())
-
-
 def count_turns(values: np.ndarray, threshold: float) -> int:
     """Count how often a signal changes between rising and falling, by more than `threshold` each time."""
     blocks = np.array_split(values, min(400, values.size))

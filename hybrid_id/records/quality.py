@@ -353,18 +353,18 @@ def check_encoders(dataset: Dataset, gear_ratio: Sequence[float | None]) -> list
 
 
 TOGETHER = 0.9
-"""Correlation over the records from which two facts count as one: less than a fifth of either's variance is its own."""
+"""Correlation over the records from which two conditions count as one: less than a fifth of either is its own."""
 FEWEST = 4
-"""Records below which any two facts may go together by chance."""
+"""Records below which any two conditions may go together by chance."""
 STEADY = 0.1
-"""Largest share of a channel's variance that lies within the records where it says what each was taken under."""
+"""Largest share of a channel's variance that lies within the records where it is a condition of each."""
 
 
-def taken_under(records: Sequence[Record]) -> dict[str, np.ndarray]:
-    """What records were taken under, by name, one number a record, ``(R,)``; only what differs between them.
+def record_conditions(records: Sequence[Record]) -> dict[str, np.ndarray]:
+    """Conditions of records by name, one number a record, ``(R,)``; only what differs between them.
 
     Numbers of the records' meta (payload, controller gain, temperature), and the means of input channels that hardly
-    change within a record. What has the numbers of an earlier fact is the same one under another name.
+    change within a record. What has the numbers of an earlier condition is the same one under another name.
     """
     known = [name for name, value in (records[0].meta if records else {}).items() if _is_number(value)]
     found = {
@@ -386,10 +386,10 @@ def taken_under(records: Sequence[Record]) -> dict[str, np.ndarray]:
 
 
 def confounded_signals(records: Sequence[Record]) -> Iterator[str]:
-    """Pairs of facts that change together over the records, each in a sentence without its full stop."""
+    """Pairs of conditions that change together over the records, each in a sentence without its full stop."""
     if len(records) < FEWEST:
         return
-    for (one, first), (other, second) in combinations(taken_under(records).items(), 2):
+    for (one, first), (other, second) in combinations(record_conditions(records).items(), 2):
         correlation = float(np.corrcoef(first, second)[0, 1])
         if abs(correlation) >= TOGETHER:
             way = "rise together" if correlation > 0 else "go opposite ways"

@@ -17,7 +17,7 @@ _NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")  # names become file names
 
 
 def stamp(time: float) -> str:
-    """A time [s] as a message tells it: to the millisecond where stamps count from 1970, too."""
+    """A time [s] as a message shows it: to the millisecond where stamps count from 1970, too."""
     return f"{time:.13g}"
 
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import write_whole
 
 Schema = TypeVar("Schema", bound=BaseModel)
 MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser
@@ -130,7 +130,7 @@ def _refuse_truth_as_number(given: Any, found: Any, key: str, path: str | Path) 
 
 
 def _refuse_other_kind(schema: type[BaseModel], values: Mapping[str, Any], path: str | Path) -> None:
-    """Raise InputError where a file of another kind was given: one key of each tells."""
+    """Raise InputError where a file of another kind was given: one key of each shows it."""
     asked = next((kind for kind, key in KINDS.items() if key in schema.model_fields), None)
     given = next((kind for kind, key in KINDS.items() if key in values), None)
     if asked and given and KINDS[asked] not in values and KINDS[given] not in schema.model_fields:

@@ -38,7 +38,7 @@ from hybrid_id.reporting.diagnosis_words import (
 from hybrid_id.reporting.interactive import Drawn
 from hybrid_id.reporting.page import Page, Section
 from hybrid_id.reporting.residuals import residual_blocks
-from hybrid_id.reporting.study import JUDGED, LEGEND, combinations_table, judged_cells
+from hybrid_id.reporting.study import JUDGED, LEGEND, combinations_table, reliability_cells
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.study import Study
 from hybrid_id.systems.chain import System
@@ -103,7 +103,7 @@ def parameters_table(diagnosis: Diagnosis) -> Table:
     infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
     for name, info in infos.items():
         cells = [cell for one in studies for cell in _estimate(one, name)]
-        grades = judged_cells(last, name) if name in last.names else []
+        grades = reliability_cells(last, name) if name in last.names else []
         rows.append((name, info.doc, _value(nominal, name), *cells, info.spec.unit, *grades))
     return table(("parameter", "meaning", "nominal>", *heads, "unit", *JUDGED), rows)
 

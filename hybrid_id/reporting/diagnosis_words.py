@@ -166,13 +166,13 @@ def where_line(diagnosis: Diagnosis) -> str:
 
 
 def disturbance_line(diagnosis: Diagnosis) -> str:
-    """How much a torque of any course in time explains of what remains, there and elsewhere; empty where none acts."""
+    """What a torque of arbitrary shape in time explains of the remainder, here and elsewhere; empty without one."""
     joint, _ = acts_at(diagnosis.disturbances)
     elsewhere = [one.share for one in diagnosis.disturbances if one.joint != joint]
     if joint is None or not elsewhere:
         return ""
     return (
-        f"residual after (corrected model): a torque of any course in time at {joint_words(joint)} explains "
+        f"residual after (corrected model): a torque of arbitrary shape in time at {joint_words(joint)} explains "
         f"{percent(diagnosis.disturbances[0].share)} of it within short windows (mean square), elsewhere "
         f"{percent(max(*elsewhere, 0.0))} at most."
     )
@@ -240,18 +240,18 @@ def _excitations(members: Sequence[tuple[str, str]], brief: bool) -> str:
 
 
 def experiment_lines(diagnosis: Diagnosis) -> list[str]:
-    """The follow-up record that distinguishes the tied models best, as one line; none without ties."""
+    """The follow-up record that distinguishes the models best, as one line; none without ties."""
     if not diagnosis.experiments:
         return []
     best = diagnosis.experiments[0]
-    if not best.tells:
+    if not best.distinguishes:
         return [
-            "next experiment: no simulated command makes the outputs of the tied models differ by more than "
+            "next experiment: no simulated command makes the outputs of these models differ by more than "
             f"{best.distance:.2g} times the encoders' noise (RMS); change the load, or how the joint stands."
         ]
     words = (
-        f"next experiment: {best.name} at joint {best.joint}: the outputs of the tied models would differ by "
-        f"{best.distance:.2g} times the encoders' noise (RMS; {best.today:.2g} in these records)."
+        f"next experiment: {best.name} at joint {best.joint}: the outputs of these models would differ by "
+        f"{best.distance:.2g} times the encoders' noise (RMS; {best.distance_now:.2g} in these records)."
     )
     alike = "; ".join(" and ".join(_at(*_member(name)) for name in pair) for pair in best.together)
     return [words + (f" It does not distinguish {alike}." if alike else "")]

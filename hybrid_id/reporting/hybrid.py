@@ -16,7 +16,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.residuals import Residuals, residual_blocks
-from hybrid_id.reporting.study import LEGEND, bound_cells, judged_cells
+from hybrid_id.reporting.study import LEGEND, bound_cells, reliability_cells
 from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol
 from hybrid_id.reporting.tables import count, interval_words, records_table, table
 from hybrid_id.statistics.uncertainty import normal_interval
@@ -90,7 +90,7 @@ def drift_table(study: HybridStudy, alone: Study | None = None) -> Table:
             f"{drift:+.1f}" if math.isfinite(drift) else "unknown",
         ]  # fmt: skip
         if alone is not None:
-            word, *_, why = judged_cells(alone, name)
+            word, *_, why = reliability_cells(alone, name)
             against = [*study.against(name), *([str(why)] if str(why) else [])]
             row += [word, *bound_cells(study.result.system, name), "; ".join(against)]
         rows.append(row)

@@ -21,7 +21,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FixedLocator
 
-from hybrid_id.plain import plain
+from hybrid_id.records.files import plain
 from hybrid_id.reporting.style import pixels
 
 Plot = dict[str, Any]

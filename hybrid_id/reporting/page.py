@@ -147,7 +147,7 @@ def how_made(
     page: Page,
     command: str,
     config: str = "",
-    facts: Mapping[str, object] | None = None,
+    settings: Mapping[str, object] | None = None,
     *,
     words: str = "the whole study file, config.yaml",
 ) -> Page:
@@ -157,14 +157,14 @@ def how_made(
         page: the page.
         command: name of the command.
         config: text of the study file, defaults included.
-        facts: what else decides the result, the seed say.
+        settings: what else decides the result, the seed say.
         words: what the text is, where it is not the study file.
     """
     table = Table("what", "value")
     table.add_row("program", f"{program()}, command {command}")
     versions = ", ".join(f"{name} {version(name)}" for name in PACKAGES)
     table.add_row("versions", f"Python {platform.python_version()}, {versions}")
-    for name, value in (facts or {}).items():
+    for name, value in (settings or {}).items():
         table.add_row(name, str(value))
     section = page.section("How it was made").add(table)
     if config:

@@ -93,7 +93,8 @@ def inertia_table(rows: Mapping[str, ParameterRow]) -> Table:
     cells = [
         (
             title, f"{paper.TABLE_12[title]:.3f}", f"{row.value:.6f}", f"{row.interval:.1g}", f"{row.truth:.6f}",
-            f"{row.percent:.2g} %", f"{row.printed.percent:.2f} %", f"± {row.typical:.2g} %", f"± {row.told:.2g} %",
+            f"{row.percent:.2g} %", f"{row.printed.percent:.2f} %", f"± {row.typical:.2g} %",
+            f"± {row.predicted:.2g} %",
         )
         for title, row in rows.items()
     ]  # fmt: skip

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
-from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.files import plain
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.uncertainty import normal_interval

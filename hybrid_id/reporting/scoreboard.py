@@ -12,7 +12,7 @@ import numpy as np
 from rich.table import Table
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import write_whole
 from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.provenance import short
@@ -317,14 +317,14 @@ def blind_page(content: Scores, figures: Mapping[str, Drawn]) -> Page:
         groups.add(f"By {dimension}", _on_page(*group_rows(figures)))
     if content["ties"] is not None:
         page.section("Ties").add(ties_line(content["ties"]).replace("**", ""))
-    facts = {
+    settings = {
         "scored": about["date"],
         "diagnosed": f"at commit {about['commit']}",
         "made": f"at commit {about['made_at']}, seed {about['seed']}",
         "hash of the answers": ", ".join(about["sha256"]),
     }
     return how_made(
-        page, "blind score", "\n".join(about["commands"]), facts, words="what makes and scores it again"
+        page, "blind score", "\n".join(about["commands"]), settings, words="what makes and scores it again"
     )
 
 

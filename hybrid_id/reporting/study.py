@@ -51,12 +51,12 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
         if spread is not None:
             colour = "" if spread.acceptable[k] or spread.held[k] else "red"
             row += [f"{spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
-        rows.append([*row, *judged_cells(study, name)[: None if full else 1]])
+        rows.append([*row, *reliability_cells(study, name)[: None if full else 1]])
     found = table([*heads, *JUDGED[: None if full else 1]], rows)
     return Group(found, *combinations_table(study), *(Text(line) for line in _remarks(study)))
 
 
-def judged_cells(study: Study, name: str) -> list[Text]:
+def reliability_cells(study: Study, name: str) -> list[Text]:
     """Reliability, lower and upper bound of a parameter of the selected set, and why it is not more reliable."""
     one = study.reliability[study.names.index(name)]
     word, why = one.words, "" if one.grade == "A" else one.reason

@@ -1,4 +1,4 @@
-"""What TensorBoard shows: the course of a training, a cell of an ablation, a finished study or diagnosis."""
+"""What TensorBoard shows: the history of a training, a cell of an ablation, a finished study or diagnosis."""
 
 from __future__ import annotations
 
@@ -159,8 +159,8 @@ def write_cell_events(folder: Path, result: CellResult) -> None:
     with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".") as temporary:
         new = Path(temporary) / "new"
         with SummaryWriter(str(new)) as writer:
-            for tag, course in result.history.items():
-                for step, value in course:
+            for tag, values in result.history.items():
+                for step, value in values:
                     writer.add_scalar(tag, value, step)
             writer.add_hparams(settings, finite, run_name=".")
         shutil.rmtree(place, ignore_errors=True)

@@ -48,7 +48,7 @@ class ParameterRow:
         truth: of that set's own run.
         interval: half-width of our 95 % interval.
         percent: our std/mean [%].
-        told: standard error that the least telling record leaves [%].
+        predicted: standard error that the least informative record leaves [%].
         typical: the same of a typical record, the median [%].
         scatter: std/mean of the runs' own true values [%].
         printed: the paper's row.
@@ -61,7 +61,7 @@ class ParameterRow:
     truth: float
     interval: float
     percent: float
-    told: float
+    predicted: float
     typical: float
     scatter: float
     printed: paper.Variation
@@ -88,7 +88,7 @@ class ParameterRow:
             return ""
         if self.scatter > 0.5 * self.percent:
             return f"the runs' true values themselves scatter by {self.scatter:.2f} %"
-        return f"± {self.told:.2g} % from the record that says least"
+        return f"± {self.predicted:.2g} % from the record that says least"
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def parameter_rows(stage: str, result: StageResult, truth: Mapping[str, float]) 
                 truth=own_truths[result.selected],
                 interval=factor * result.interval[k],
                 percent=result.percent[k],
-                told=float(errors.max()),
+                predicted=float(errors.max()),
                 typical=float(np.median(errors)),
                 scatter=100 * own_truths.std(ddof=1) / abs(own_truths.mean()),
                 printed=printed,

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
-from hybrid_id.plain import plain
-from hybrid_id.records.whole_file import write_whole
+from hybrid_id.records.files import plain, write_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +28,7 @@ class StageResult:
         held_error: what the uncertainty of held parameters adds to the selected set's standard errors ``(p,)``.
         by_prior: names that a prior holds.
         held: parameters that an earlier stage or the data sheet holds, and their values.
-        told: relative standard error that the check predicts from the selected set's record ``(p,)``.
+        predicted_std: relative standard error that the check predicts from the selected set's record ``(p,)``.
         words: what the check says of the records' limits.
         signals: replayed signals (s).
         fits: fit % of every set on every record ``(n, n, s)``.
@@ -49,7 +48,7 @@ class StageResult:
     held_error: np.ndarray
     by_prior: tuple[str, ...]
     held: dict[str, float]
-    told: np.ndarray
+    predicted_std: np.ndarray
     words: tuple[str, ...]
     signals: tuple[str, ...]
     fits: np.ndarray

@@ -87,7 +87,7 @@ def reproduce(
         quick: two short records a stage.
         seeds: runs of each closed loop.
         program: that computes; what another one has kept is computed again.
-        say: told what comes next.
+        say: gets what comes next.
         progress: called after each iteration of a fit.
     """
     plan = read_plan(quick=quick)

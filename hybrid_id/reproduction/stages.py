@@ -51,7 +51,7 @@ def start_model(
 
 
 def _expected(spec: Bounded, found: StageResult, name: str) -> Bounded:
-    """A parameter with a prior at the mean of an earlier stage's sets, as wide as they scatter and as it was told."""
+    """A parameter with a prior at the mean of an earlier stage's sets, as wide as their scatter and its error."""
     k = found.names.index(name)
     mean, width = found.values[:, k].mean(), found.values[:, k].std(ddof=1)
     error = found.std_error[found.selected, k]
@@ -85,7 +85,7 @@ def run_stage(
     begin = time.monotonic()
     study = identify(dataset, system, seed=seed, progress=progress)
     seconds = time.monotonic() - begin
-    told = study.identifiability
+    identifiability = study.identifiability
     held = {info.name: info.spec.value for info in study.system.table if not info.spec.estimate}
     chosen = study.selection.index
     larger = max(
@@ -100,10 +100,12 @@ def run_stage(
         std_error=np.array([study.standard_errors(i) for i in range(len(study.sets))]),
         covariance=larger.matrix,
         held_error=_held_error(study, dataset, list(held), held_covariance(plan, list(held), earlier)),
-        by_prior=tuple(n for n, share in zip(study.names, told.prior_share, strict=True) if share > 0.5),
+        by_prior=tuple(
+            n for n, share in zip(study.names, identifiability.prior_share, strict=True) if share > 0.5
+        ),
         held=held,
-        told=told.relative_std,
-        words=tuple(direction.text for direction in told.directions),
+        predicted_std=identifiability.relative_std,
+        words=tuple(direction.text for direction in identifiability.directions),
         signals=study.cross_validation.signal_names,
         fits=study.cross_validation.fits,
         truth_fits=_truth_fits(dataset, truths, study, config),

@@ -147,7 +147,7 @@ def measure(
     """Evaluate and differentiate the outputs at every node.
 
     Args:
-        system: tells the outputs.
+        system: has the outputs.
         x: nodes, ``(R, T, n_x)``.
         u: channels, ``(R, T)`` each.
         theta: all parameters in table order, ``(n_p, R)``.
@@ -156,7 +156,7 @@ def measure(
     """
     rows, samples, n_x = x.shape
     n_y, n_f = len(outputs), len(free)
-    states = x[:, 0].unbind(1)  # one sample of each row tells which outputs are states
+    states = x[:, 0].unbind(1)  # one sample of each row shows which outputs are states
     with torch.no_grad():
         found = system.outputs(
             outputs, states, {name: channel[:, 0] for name, channel in u.items()}, system.views(list(theta))

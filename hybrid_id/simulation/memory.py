@@ -13,7 +13,7 @@ LARGEST = 32 << 20
 
 @functools.cache
 def keep_freed_memory() -> bool:
-    """Let the C library keep up to 256 MB of freed blocks, where it can be told so; whether it could.
+    """Let the C library keep up to 256 MB of freed blocks, where it has such a setting; whether it has.
 
     A fit frees and asks again for rows of a few hundred kB thousands of times. By default each goes back to the
     system, and fetching it anew, page by page, is a sixth of the fit's time.

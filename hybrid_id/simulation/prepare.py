@@ -45,7 +45,7 @@ def make_batch(
     The side of a gear that nobody has measured starts at rest where the load has wound it up, bristles unloaded.
 
     Args:
-        system: tells channels and states.
+        system: has channels and states.
         records: at least one; lengths and sample times may differ.
         outputs: outputs to compare (default: all that the first record has).
         noise_std: standard deviation of the noise by output; estimated from the record where it is None.
@@ -82,7 +82,7 @@ def make_batch(
     x0_std = torch.tensor(np.array(spread), dtype=torch.float64)
     _wind_up(system, records, x, x0_std, u)
     _begin_loops(system, records, x, x0_std, u, estimate_start)
-    _begin_readings(system, x, u)
+    _start_sensor_states(system, x, u)
     return Batch(u, dt, y, weight, x, x0_std, outputs, tuple(record.name for record in records))
 
 
@@ -129,7 +129,7 @@ def _deviations(
 ) -> np.ndarray:
     """Standard deviation of each record's measurements, ``(R, n_y)``.
 
-    An output that never changes says nothing of its noise: the noisiest of the other records tells, or it counts 1.
+    An output that never changes says nothing of its noise: that of the noisiest other record stands for it, or 1.
     """
     deviation = np.array(
         [
@@ -264,7 +264,7 @@ def _begin_loops(
 
 
 @torch.no_grad()
-def _begin_readings(system: System, x: Tensor, u: Mapping[str, Tensor]) -> None:
+def _start_sensor_states(system: System, x: Tensor, u: Mapping[str, Tensor]) -> None:
     """Let torque sensors that lag read the torques of the guess at once."""
     if not any(joint.sensing.lag for joint in system.joints):
         return

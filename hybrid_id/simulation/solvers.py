@@ -64,7 +64,7 @@ class HeldField(nn.Module):
 def ode_rates(system: System, x: Rows, u: Channels, p: Views, width: float) -> list[Tensor]:
     """Time derivative of all state rows, ``(B,)`` each, with smooth friction and what remembers."""
     rates = system.rates(x, u, p, width=width)
-    for row, (drive, rate, low, high) in system.relaxations(x, u, p):
+    for row, (drive, rate, low, high) in system.state_updates(x, u, p):
         rates[row] = drive - rate * x[row]
         if low is not None and high is not None:
             least, most = (low - x[row]) / NEAR_BOUND, (high - x[row]) / NEAR_BOUND
@@ -220,7 +220,7 @@ def memory_rate(system: System, batch: Batch, theta: Tensor) -> float:
     x = [column.flatten() for column in batch.x.unbind(2)]
     u = {name: channel.flatten() for name, channel in batch.u.items()}
     p = system.views(list(theta.repeat_interleave(batch.x.shape[1], 1)))
-    found = [one for _, one in system.relaxations(x, u, p)]
+    found = [one for _, one in system.state_updates(x, u, p)]
     bounded = [1.0 / NEAR_BOUND for one in found if one.low is not None]
     return max([*bounded, *(float(one.rate.nan_to_num(0.0).max()) for one in found)], default=0.0)
 

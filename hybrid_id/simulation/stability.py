@@ -44,11 +44,11 @@ def fastest_rate(system: System, engine: Engine, batch: Batch, theta: Tensor, no
     with torch.enable_grad():
         signs = None if engine.friction == "smooth" else system.directions(leaves, u, p)
         rates = system.rates(leaves, u, p, signs, engine.width)
-        relaxations = system.relaxations(leaves, u, p)
+        state_updates = system.state_updates(leaves, u, p)
     jacobian = torch.zeros(n_x, n_x, len(pick), dtype=batch.x.dtype, device=batch.x.device)
     fill_jacobian(jacobian, rates, leaves)
     # what remembers couples back through its drive (a bristle that sticks is a spring); its own rate is exact
-    for row, one in relaxations:
+    for row, one in state_updates:
         fill_jacobian(jacobian[row : row + 1], [one.drive], leaves)
     jacobian = jacobian.permute(2, 0, 1)
     jacobian = jacobian[torch.isfinite(jacobian).all(2).all(1)]

@@ -116,7 +116,7 @@ def update_internal_states(system: System, x: list[Tensor], u: Channels, p: View
     if not system.memory_rows:
         return x
     after = list(x)
-    for row, (drive, rate, low, high) in system.relaxations(x, u, p):
+    for row, (drive, rate, low, high) in system.state_updates(x, u, p):
         after[row] = relax(x[row], drive, rate, h)
         if low is not None and high is not None:  # on a bound it forgets where it came from
             after[row] = torch.where(after[row] <= low, low, after[row])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -38,10 +38,3 @@ def known_mean(values: Iterable[float]) -> float:
 def fit_percent(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     """Fit ``100 (1 - ‖y - ŷ‖ / ‖y - mean y‖)`` in % over the last axis; -inf for a simulation that diverged."""
     return 100.0 * (1.0 - nrmse(measured, simulated))
-
-
-def fit_by_signal(
-    measured: Mapping[str, np.ndarray], simulated: Mapping[str, np.ndarray]
-) -> dict[str, np.ndarray]:
-    """Fit in % of every signal that is in both; values (T,) or, on the simulated side, (..., T)."""
-    return {name: fit_percent(measured[name], simulated[name]) for name in measured if name in simulated}

@@ -173,14 +173,14 @@ def identifiability(
 def _root(jacobian: Arrays) -> np.ndarray:
     """R (n, p) with ``RᵀR`` the information."""
     records = [jacobian] if isinstance(jacobian, np.ndarray) else jacobian
-    # where a simulation has diverged, it tells nothing
-    told = (np.nan_to_num(np.reshape(j, (-1, np.shape(j)[-1])), posinf=0.0, neginf=0.0) for j in records)
-    return np.linalg.qr(np.concatenate([np.linalg.qr(j)[1] for j in told]))[1]
+    # a simulation that has diverged holds no information
+    finite = (np.nan_to_num(np.reshape(j, (-1, np.shape(j)[-1])), posinf=0.0, neginf=0.0) for j in records)
+    return np.linalg.qr(np.concatenate([np.linalg.qr(j)[1] for j in finite]))[1]
 
 
 def _marginal(information: np.ndarray) -> np.ndarray:
     """Standard errors (p,) from an information matrix on a relative scale; inf where a null direction leads."""
-    # in units of each parameter's own error: else one that is told far better than another drowns it
+    # in units of each parameter's own error: else one that is known far better than another drowns it
     unit = np.sqrt(np.where(np.diag(information) > 0, np.diag(information), 1.0))
     squares, vectors = np.linalg.eigh(information / np.outer(unit, unit))
     null = squares <= 1e-13 * len(squares) * squares[-1]
@@ -202,7 +202,7 @@ def _words(
     moved = [int(k) for k in np.flatnonzero(vector)]
     group = ", ".join(names[k] for k in moved)
     null = relative_std > _HOPELESS
-    told = (
+    how = (
         "without a change of the outputs"
         if null
         else f"and the records identify it only to ±{_REACH * 100 * relative_std:.0f} % (95 %)"
@@ -214,7 +214,7 @@ def _words(
             else f"{group} is identified only to ±{_REACH * 100 * relative_std:.0f} % (95 %)"
         )
     if np.all(vector[moved] == 1):
-        return f"{group} may all be multiplied by one number {told}"
+        return f"{group} may all be multiplied by one number {how}"
     if len(moved) == 2:
         first, second = moved
         opposite = vector[second] * vector[first] < 0
@@ -226,9 +226,9 @@ def _words(
         ]
         only = f" ({sums[0]} is what matters)" if sums else ""
         ratio = f"{abs(vector[second] / vector[first]):.3g} % for each % of {names[first]}"
-        return f"{names[first]} {way} {names[second]} {end} together, {ratio}, {told}{only}"
+        return f"{names[first]} {way} {names[second]} {end} together, {ratio}, {how}{only}"
     changes = ", ".join(f"{names[k]} {vector[k]:+.2g}" for k in moved)
-    return f"relative changes in the ratio {changes} are possible {told}"
+    return f"relative changes in the ratio {changes} are possible {how}"
 
 
 @dataclass(frozen=True, eq=False)

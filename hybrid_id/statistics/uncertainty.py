@@ -2,7 +2,7 @@
 
 Convention of this package: ``residual = w (y - ŷ)`` and ``jacobian = w ∂ŷ/∂θ`` with ``w`` = 1 / standard deviation.
 A fit weighs the records by that w, whatever residuals it ends with, and a prior of information P as it is given: the
-Hessian of its cost is ``JᵀJ + P``, and its inverse A tells how the estimate answers to either.
+Hessian of its cost is ``JᵀJ + P``, and its inverse A says how the estimate answers to either.
 One record has arrays (T,) and (T, p), or (T, n_y) and (T, n_y, p); several records come as sequences of such.
 """
 
@@ -192,7 +192,7 @@ def long_run_covariance(series: Sequence[np.ndarray]) -> tuple[np.ndarray, int]:
     sums = [s / size for s in sums]
     count = sum(len(s) for s in sums)
 
-    largest = min(_LARGEST_ORDER, max(len(s) for s in sums) // 5)  # a short record among long ones tells less
+    largest = min(_LARGEST_ORDER, max(len(s) for s in sums) // 5)  # a short record among long ones says less
     correlation = np.stack([np.diag(_lagged_products(sums, k)) for k in range(largest + 1)])
     filters = [_whitening_filter(column, count) for column in correlation.T]
     white = [
@@ -278,7 +278,7 @@ def jackknife_covariance(
     kept = values > 1e-12 * values.max()
     axes = vectors[:, kept] * np.sqrt(values[kept]) / scale[:, None]
     rest = np.eye(axes.shape[1]) - np.einsum("ik,bij,jl->bkl", axes, hessians, axes, optimize=True)
-    floor = 1e-3 * np.eye(axes.shape[1])  # a block that tells a direction alone leaves nothing of it
+    floor = 1e-3 * np.eye(axes.shape[1])  # a block that alone identifies a direction leaves nothing of it
     steps = np.linalg.solve(rest + floor, (gradients @ axes)[..., None])[..., 0]
     drawn = axes.T @ prior @ axes  # the prior's mean counts as one more measurement
     matrix = axes @ ((len(pieces) - 1) / len(pieces) * steps.T @ steps + drawn) @ axes.T
@@ -414,7 +414,7 @@ def one_step_bootstrap(
     gradient = (counts @ blocks.gradients + pull) @ kept
     hessian = np.einsum("bij,ik,jl->bkl", blocks.hessians, kept, kept, optimize=True)
     hessian = np.tensordot(counts, hessian, axes=1) + kept.T @ prior @ kept
-    # A draw may miss every block that tells one direction; the smallest ridge keeps it finite.
+    # A draw may miss every block that identifies one direction; the smallest ridge keeps it finite.
     step = np.linalg.solve(hessian + 1e-9 * np.eye(kept.shape[1]), gradient[..., None])[..., 0]
     _, determined = scaled_inverse(information)
     return _summarise(estimate + step @ kept.T, level, n_blocks, determined)

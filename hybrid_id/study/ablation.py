@@ -21,8 +21,8 @@ from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hyb
 from hybrid_id.identification.networks import with_memory
 from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.identification.windows import measured_windows
-from hybrid_id.plain import plain
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.files import plain
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
 from hybrid_id.simulation.solvers import OdeEngine
@@ -79,7 +79,7 @@ class CellResult:
         chosen: number of the rung that the validation records chose.
         gradients: of the whole training.
         seconds: that it took.
-        history: course of the training by tag, (gradient, value) each.
+        history: of the training by tag, (gradient, value) each.
         model: the chosen model as a model file holds it.
     """
 

@@ -99,7 +99,7 @@ def _in_processes(work: Work, shared: Any, left: dict[int, Any], jobs: int) -> I
             del left[number]
             yield number, result
     except BrokenProcessPool:
-        # a process was killed: what was at work gets pools of its own, which tells the guilty piece
+        # a process was killed: what was at work gets pools of its own, which shows the guilty piece
         for number in list(left)[:jobs]:
             piece = left.pop(number)
             try:

@@ -94,7 +94,7 @@ class HybridStudy:
 
     @property
     def room(self) -> np.ndarray:
-        """Half the 95 % interval of each parameter where nothing but the price tells it from the networks, ``(n_f,)``.
+        """Half the 95 % interval of each parameter where the price alone separates it from the networks, ``(n_f,)``.
 
         The linear error without the price takes the networks as they are. But how much of their torque lies in the
         parameter, the price has chosen, and nothing that was measured. So a part as large as the networks' whole effect
@@ -144,7 +144,7 @@ def hybridise(
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         level: confidence of the intervals.
-        writer: takes the course of the training.
+        writer: takes the history of the training.
         checkpoint: file that holds the training.
         resume: checkpoint to go on from.
         progress: called after each gradient; see :func:`hybrid_id.identification.hybrid.train_hybrid`.

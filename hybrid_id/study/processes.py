@@ -41,7 +41,7 @@ def fit_in_processes(
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long the free runs are; None to choose it, see :func:`hybrid_id.study.identify`.
-        watch: is told the file whose existence ends all fits after their iteration, and None when they have ended.
+        watch: gets the file whose existence ends all fits after their iteration, and None when they have ended.
 
     Returns:
         The fits in the order of the records, and the horizon that they were fitted over.

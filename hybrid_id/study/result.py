@@ -131,21 +131,21 @@ class Study:
 
     @property
     def combinations(self) -> Combinations:
-        """The identifiable combinations of the selected set's records, for every set; c = 0 where nothing is told."""
-        told = self.identifiability.combinations
-        shape = (len(self.sets), len(told))
+        """The identifiable combinations of the selected set's records, for every set; c = 0 where there is none."""
+        found = self.identifiability.combinations
+        shape = (len(self.sets), len(found))
         with np.errstate(divide="ignore", invalid="ignore"):  # a parameter at zero has no relative error
             errors = np.array(
                 [
-                    [max(c.std_error(r.values, cov.matrix) for cov in pair) for c in told]
+                    [max(c.std_error(r.values, cov.matrix) for cov in pair) for c in found]
                     for r, *pair in zip(self.sets, self.covariances, self.robust, strict=True)
                 ]
             ).reshape(shape)
         errors = np.where(np.isnan(errors), np.inf, errors)
         errors[[result.left_early for result in self.sets]] = np.inf
-        values = np.array([c.evaluate(self.values) for c in told]).reshape(shape[::-1]).T
+        values = np.array([c.evaluate(self.values) for c in found]).reshape(shape[::-1]).T
         values[[result.status == "diverged" for result in self.sets]] = np.nan  # which are no estimates
-        names = tuple(c.text for c in told)
+        names = tuple(c.text for c in found)
         return Combinations(names, values, errors, variation(values, names) if len(self.sets) > 1 else None)
 
     def summary(self) -> str:

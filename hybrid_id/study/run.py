@@ -71,7 +71,7 @@ def identify(
         level: confidence of the intervals.
         jobs: processes that share the records; one where they share a parameter set.
         progress: see :func:`hybrid_id.identification.fit.fit`; with several processes its method ``watch``, where it
-            has one, is told the file that ends them all.
+            has one, gets the file that ends them all.
 
     Raises:
         InputError: no train record, missing channels, nothing to estimate, or every fit diverged.
@@ -164,13 +164,13 @@ def analyse_fits(
     chosen = sets[selection.index]
     finite = np.isfinite(plain[selection.index].std_error)
     ratios = robust[selection.index].std_error[finite] / plain[selection.index].std_error[finite]
-    told = identifiability_of(
+    identifiability = identifiability_of(
         chosen, inflation=max(float(np.median(ratios, axis=None)) if finite.any() else 1.0, 1.0)
     )
     values = _estimates(sets)
     names = sets[0].names
     errors = _standard_errors(sets, plain, robust, pooled, seed)
-    held = [n for n, share in zip(names, told.prior_share, strict=True) if share > 0.5]
+    held = [n for n, share in zip(names, identifiability.prior_share, strict=True) if share > 0.5]
     spread = variation(values, names, held=held) if len(sets) > 1 else None
     scattered = (
         {}
@@ -185,7 +185,7 @@ def analyse_fits(
         names,
         np.nanmean(values, 0),
         errors,
-        not_identifiable=told.not_claimable,
+        not_identifiable=identifiability.not_claimable,
         at_bound=chosen.at_bound,
         held=held,
         scattered=scattered,
@@ -195,7 +195,7 @@ def analyse_fits(
         reliability = tuple(Reliability(name, "D", math.inf, why) for name in names)
     test = test_nrmse(dataset, chosen, signal_share, horizon)
     return Study(
-        system, tuple(sets), pooled, spread, plain, robust, told, reliability, matrix, selection, test,
+        system, tuple(sets), pooled, spread, plain, robust, identifiability, reliability, matrix, selection, test,
         engine_error(chosen, batch), horizon=horizon, level=level,
     )  # fmt: skip
 

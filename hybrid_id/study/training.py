@@ -1,4 +1,4 @@
-"""Training by the adjoint method on a dataset's records, and what its course says to TensorBoard."""
+"""Training by the adjoint method on a dataset's records, and its history in TensorBoard."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def train(
         options: settings.
         device: torch device.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-        writer: takes the course of the training.
+        writer: takes the history of the training.
         checkpoint: file that holds the training after each gradient.
         resume: checkpoint of the same records and model to go on from.
         progress: as in :func:`hybrid_id.identification.adjoint.train`.

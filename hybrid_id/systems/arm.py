@@ -288,13 +288,13 @@ def _link_motion(
     """Angle [rad] and speed [rad/s] of a link, its speed by that of what turns it, and its acceleration at even speed.
 
     What turns a link is the rotor behind a rigid gear, and the link itself behind a compliant one. The acceleration is
-    None where there is none. Of a link that several motors turn, the joint tells their shares.
+    None where there is none. Of a link that several motors turn, the joint has their shares.
     """
     if joint.motors or not joint.rigid:
         return *joint.link_motion(x, p), 1.0, None
     row = joint.positions[0]
-    angle, slope, bend = joint.gear.map(x[row], p)
-    return angle, x[row + 1] * slope, slope, None if bend is None else bend * x[row + 1].square()
+    angle, slope, curvature = joint.gear.map(x[row], p)
+    return angle, x[row + 1] * slope, slope, None if curvature is None else curvature * x[row + 1].square()
 
 
 def _load(speed: SpeedBalance, torque: Tensor | float) -> None:

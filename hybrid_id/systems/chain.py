@@ -10,7 +10,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from hybrid_id.components.base import PLACES, Component, Relaxation
+from hybrid_id.components.base import PLACES, Component, StateUpdate
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
@@ -252,7 +252,7 @@ class System(nn.Module):
         directions: Directions | None = None,
         width: float = 0.5,
     ) -> list[Tensor]:
-        """Time derivative of the state rows (those that remember excepted: zero here, see ``relaxations``).
+        """Time derivative of the state rows (those that remember excepted: zero here, see ``state_updates``).
 
         Args:
             x: state rows, ``(B,)`` each.
@@ -275,9 +275,9 @@ class System(nn.Module):
             rates[row - 1], rates[row] = x[row], acceleration
         return rates
 
-    def relaxations(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, Relaxation]]:
+    def state_updates(self, x: Rows, u: Channels, p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each state that remembers, and how it goes on."""
-        found = [one for joint in self.joints for one in joint.relaxations(x, u, p)]
+        found = [one for joint in self.joints for one in joint.state_updates(x, u, p)]
         lags = [(joint, joint.sensing.lag) for joint in self.joints if joint.sensing.lag is not None]
         if lags:
             # a speed of zero stays there: whether it just breaks away is nothing to a filter
@@ -287,7 +287,7 @@ class System(nn.Module):
             ]
             torques = self.link_torques(x, u, p, signs)
             for joint, (key, part) in lags:
-                going = part.relaxation(p[key], torques[joint.number - 1])
+                going = part.state_update(p[key], torques[joint.number - 1])
                 found.append((joint.sensing.lag_row, going))
         return found
 

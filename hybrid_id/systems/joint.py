@@ -19,17 +19,17 @@ from hybrid_id.components.base import (
     LoggedTorque,
     LoopStage,
     Motor,
-    Relaxation,
     RotorTorque,
     Sensor,
     ServoLoop,
+    StateUpdate,
     Transmission,
     Winding,
 )
 from hybrid_id.components.bristle import Bristle
 from hybrid_id.components.input.delay import Delay
 from hybrid_id.components.load.rotor_inertia import RotorInertia
-from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.sensor.sensor_delay import SensorDelay
 from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.errors import InputError
@@ -84,15 +84,19 @@ class Gear:
         self.rigid = found[1].rigid  # type: ignore[attr-defined]
 
     def map(self, angle: Tensor, p: Views) -> tuple[Tensor, Tensor | float, Tensor | None]:
-        """Angle of the link behind an unloaded gear [rad], its slope and its bend by the rotor's angle.
+        """Angle of the link behind an unloaded gear [rad], its slope and its curvature over the rotor's angle.
 
-        A gear without kinematic error has the slope 1/r everywhere and no bend.
+        A gear without kinematic error has the slope 1/r everywhere and no curvature.
         """
-        link, slope, bend = angle / self.ratio, 1.0 / self.ratio, None
+        link, slope, curvature = angle / self.ratio, 1.0 / self.ratio, None
         for key, part in self.errors:
             value, first, second = part.error(p[key], angle)
-            link, slope, bend = link + value, slope + first, second if bend is None else bend + second
-        return link, slope, bend
+            link, slope, curvature = (
+                link + value,
+                slope + first,
+                second if curvature is None else curvature + second,
+            )
+        return link, slope, curvature
 
     def deflection(self, rotor: Sequence[Tensor], link: Sequence[Tensor], p: Views) -> list[Tensor]:
         """Deflection of a compliant gear [rad] and its rate [rad/s] from angle and speed of both sides."""
@@ -134,7 +138,7 @@ class SensorDynamics:
         self.sensors = cast(
             "list[tuple[str, Sensor]]", [(k, part) for k, part in parts.items() if isinstance(part, Sensor)]
         )
-        self.late = next(((k, part) for k, part in parts.items() if isinstance(part, LateReading)), None)
+        self.late = next(((k, part) for k, part in parts.items() if isinstance(part, SensorDelay)), None)
         self.state_names = [f"{name}{number}" for name in self.late[1].states] if self.late else []
         self.lag = next(((k, part) for k, part in parts.items() if isinstance(part, TorqueLag)), None)
         self.lag_row = first_row + len(self.state_names)
@@ -146,7 +150,7 @@ class SensorDynamics:
         Args:
             channel: without the joint's number.
             value: what it would read in time and at the model's zero.
-            seen: what it turns for one turn of the motor, whose encoder tells it; 0 where that does not.
+            seen: what it turns for one turn of the motor, whose encoder measures it; 0 where that does not.
             x: state rows.
             p: parameter views.
         """
@@ -162,12 +166,12 @@ class SensorDynamics:
                 value = sensor.read(p[key], value)
         return value
 
-    def relaxations(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, Relaxation]]:
+    def state_updates(self, x: Sequence[Tensor], p: Views) -> list[tuple[int, StateUpdate]]:
         """Row of each state, and how it goes on."""
         if self.late is None:
             return []
         key, part = self.late
-        return [(self.row, Relaxation(*part.relaxation(p[key], x[self.rotor + 1])))]
+        return [(self.row, StateUpdate(*part.state_update(p[key], x[self.rotor + 1])))]
 
 
 class Drive:
@@ -335,11 +339,11 @@ class Drive:
         enable = u.get(f"enable{self.number}")
         return torque if enable is None else torque * enable
 
-    def relaxations(
+    def state_updates(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Relaxation]]:
+    ) -> list[tuple[int, StateUpdate]]:
         """Row of each state, and how it goes on."""
-        found = self._loop_relaxations(x, u, p)
+        found = self._loop_updates(x, u, p)
         if not self.windings:
             return found
         key, motor = self.motor
@@ -347,14 +351,14 @@ class Drive:
         torque = self._switched(torque, u)
         for key, part, rows in self.windings:
             states = [x[row] for row in rows]
-            pairs = part.relaxations(p[key], torque, states)
-            found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
+            pairs = part.state_updates(p[key], torque, states)
+            found += [(row, StateUpdate(*pair)) for row, pair in zip(rows, pairs, strict=True)]
             torque = part.torque(p[key], torque, states)
         return found
 
-    def _loop_relaxations(
+    def _loop_updates(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Relaxation]]:
+    ) -> list[tuple[int, StateUpdate]]:
         key, part = self.input
         if not self.stages or not isinstance(part, ServoLoop):
             return []
@@ -363,7 +367,7 @@ class Drive:
         aim = part.aim(p[key], {"goal": u[f"goal{self.number}"]})
         error = part.error(p[key], channels, angle)
         return [
-            (row, stage.relaxation(p[name], aim, error, speed, x[row])) for name, stage, row in self.stages
+            (row, stage.state_update(p[name], aim, error, speed, x[row])) for name, stage, row in self.stages
         ]
 
 
@@ -518,12 +522,12 @@ class Joint:
         factor = sum_if_any([law.load_factor(p[key]) for key, law in laws])
         key, inertia = self.inertia
         if self.rigid:
-            angle, slope, bend = self.gear.map(q, p)
+            angle, slope, curvature = self.gear.map(q, p)
             total, level, load, turned = inertia.total(p[key], r), motor_level, v.new_zeros(1), 0.0
-            if bend is not None:
+            if curvature is not None:
                 carried = inertia.link(p[key], r)
                 total = inertia.rotor(p[key], r) + carried * slope**2
-                turned = carried * slope * bend * v.square()  # the link's, while the rotor turns evenly
+                turned = carried * slope * curvature * v.square()  # the link's, while the rotor turns evenly
                 drive = drive - turned
             network = any(place in self.networks.by_place for place in LINK_PLACES)
             acts = self.frictions["link_friction"] or self.loads or self.logged or network
@@ -653,9 +657,9 @@ class Joint:
         rotor, link = (x[row : row + 2] for row in self.positions)
         return self.gear.torque(rotor, link, self.inertia, p)
 
-    def relaxations(
+    def state_updates(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Relaxation]]:
+    ) -> list[tuple[int, StateUpdate]]:
         """Row of each state that remembers, and how it goes on."""
         found = []
         for place, (key, law, rows) in self.bristles.items():
@@ -663,10 +667,10 @@ class Joint:
             v = x[self.positions[0] + 1] if motor or self.rigid else x[self.positions[1] + 1]
             v = v * self.gear.map(x[self.positions[0]], p)[1] if self.rigid and not motor else v
             level = self.dry_level(place, p, v.abs(), (v > 0).to(v.dtype), x)
-            pairs = law.relaxations(p[key], [x[row] for row in rows], v, level)
-            found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
-        found += self.drive.relaxations(x, u, p) + self.networks.relaxations(x, u, p)
-        return found + self.sensing.relaxations(x, p)
+            pairs = law.state_updates(p[key], [x[row] for row in rows], v, level)
+            found += [(row, StateUpdate(*pair)) for row, pair in zip(rows, pairs, strict=True)]
+        found += self.drive.state_updates(x, u, p) + self.networks.state_updates(x, u, p)
+        return found + self.sensing.state_updates(x, p)
 
     def _load(
         self, x: Sequence[Tensor], angle: Tensor, speed: Tensor, u: Mapping[str, Tensor], p: Views

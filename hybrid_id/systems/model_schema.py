@@ -97,6 +97,13 @@ SKELETON: dict[str, tuple[tuple[str, type[Component]], ...]] = {
 ROBOT = "robot"
 """Name of the system whose joints, masses and gravity stand in a robot's own description."""
 
+FORMER_KINDS = {
+    "effort_dependent_friction": "efficiency_loss",
+    "late_reading": "sensor_delay",
+    "tight_spot": "local_friction",
+}
+"""Kinds of components by the names that they had up to 0.1; read for one release."""
+
 
 class _Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -140,6 +147,11 @@ class ComponentEntry(_Section):
     weights: dict[str, list[Any]] = {}
 
     _parameters = field_validator("parameters", mode="before")(_short_parameters)
+
+    @field_validator("kind")
+    @classmethod
+    def _former_kind(cls, value: str) -> str:
+        return FORMER_KINDS.get(value, value)
 
 
 class RobotEntry(_Section):

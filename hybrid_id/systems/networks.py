@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Component, Relaxation
+from hybrid_id.components.base import Component, StateUpdate
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 
@@ -164,13 +164,13 @@ class Networks:
         key, part, _ = self.by_place[place]
         return part.output(p[key], *self.signals(place, x, u, p))
 
-    def relaxations(
+    def state_updates(
         self, x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
-    ) -> list[tuple[int, Relaxation]]:
+    ) -> list[tuple[int, StateUpdate]]:
         """Row of each hidden state, and how it goes on."""
         found = []
         for place, (key, part, rows) in self.by_place.items():
             if part.memory:
-                pairs = part.relaxations(p[key], *self.signals(place, x, u, p))
-                found += [(row, Relaxation(*pair)) for row, pair in zip(rows, pairs, strict=True)]
+                pairs = part.state_updates(p[key], *self.signals(place, x, u, p))
+                found += [(row, StateUpdate(*pair)) for row, pair in zip(rows, pairs, strict=True)]
         return found

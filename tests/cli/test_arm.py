@@ -34,7 +34,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     files = {"arm.xml": text, "model.yaml": "robot: {file: arm.xml}\ngear_ratio: [2, 3, 4]\n"}
     for name, content in files.items():
         (folder.parent / name).write_text(content)
-    time, rng = 0.01 * np.arange(200), np.random.default_rng(0)
+    time, rng = 0.01 * np.arange(100), np.random.default_rng(0)
     blanks = [
         Record(
             f"run_{n}",

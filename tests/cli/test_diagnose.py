@@ -26,6 +26,8 @@ FILES = {
     "candidates.png", "config.yaml", "diagnosis.json", "gap.png", "location.png", "missing_torque.png", "model.yaml",
     "refit.yaml", "report.html", "reversals.png", "shares.png", "tensorboard", "torque_map.png", "worst_record.png",
 }  # fmt: skip
+PLAIN = {"config.yaml", "diagnosis.json", "model.yaml", "refit.yaml"}
+"""Without pictures, events and page."""
 
 IMPORTING = """
 import builtins, os, signal
@@ -154,9 +156,7 @@ def test_whole_way_from_a_study_file(run, tmp_path: Path) -> None:
     said = run("diagnose", study)
     assert said.code == 0
     assert said.out.startswith("Wrong parameter values explain the gap, and no effect is missing.")
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {
-        "config.yaml", "diagnosis.json", "model.yaml", "refit.yaml",
-    }  # fmt: skip
+    assert {path.name for path in (tmp_path / "out").iterdir()} == PLAIN
     assert load_config(tmp_path / "out" / "config.yaml").gap.max_effects == 1
 
 
@@ -188,10 +188,10 @@ def test_wrong_input_ends_with_one_sentence(
     assert not (tmp_path / "out").exists()
 
 
-def test_a_stopped_search_keeps_its_fits_and_resumes(run, records: Path, tmp_path: Path) -> None:
+def test_a_stopped_search_keeps_its_fits_and_resumes(run, plain: Path, tmp_path: Path) -> None:
     """The signal goes to every process of the group, as from a terminal."""
     out = tmp_path / "runs" / "gap"
-    asked = ["diagnose", str(records), "--max-effects", "1", "--jobs", "1", "--out", str(out)]
+    asked = ["diagnose", str(plain), "--max-effects", "1", "--jobs", "1", "--out", str(out)]
     # a shell that started the tests in its background has told them to ignore the signal
     own = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
@@ -224,11 +224,11 @@ def test_a_stopped_search_keeps_its_fits_and_resumes(run, records: Path, tmp_pat
         done = run(*asked, "--resume")
     assert done.code == 0 and done.out.startswith("Spring load explains")
     assert kept < {file.name for file in files}
-    assert {path.name for path in out.iterdir()} == FILES
+    assert {path.name for path in out.iterdir()} == PLAIN
 
 
 def test_results_of_an_interrupted_search_are_written_and_it_resumes(
-    run, diagnosed, monkeypatch: pytest.MonkeyPatch, records: Path, tmp_path: Path
+    run, diagnosed, monkeypatch: pytest.MonkeyPatch, plain: Path, tmp_path: Path
 ) -> None:
     found, out = diagnosed[2], tmp_path / "gap"
     cut = replace(found, search=replace(found.search, interrupted=True))
@@ -238,15 +238,15 @@ def test_results_of_an_interrupted_search_are_written_and_it_resumes(
         return cut
 
     monkeypatch.setattr(command, "run", interrupted)
-    said = run("diagnose", records, "--out", out)
+    said = run("diagnose", plain, "--out", out)
     assert said.code == 130 and "--resume goes on" in said.err
     assert "The search was interrupted" in " ".join(said.out.split())
     assert json.loads((out / "diagnosis.json").read_text())["interrupted"] is True
     assert (out / "fits" / "0.npz").exists()
-    assert "holds an unfinished diagnosis" in run("diagnose", records, "--out", out).err
+    assert "holds an unfinished diagnosis" in run("diagnose", plain, "--out", out).err
     monkeypatch.setattr(command, "run", lambda *_: found)
-    assert run("diagnose", records, "--out", out, "--resume").code == 0
-    assert {path.name for path in out.iterdir()} == FILES
+    assert run("diagnose", plain, "--out", out, "--resume").code == 0
+    assert {path.name for path in out.iterdir()} == PLAIN
     assert json.loads((out / "diagnosis.json").read_text())["interrupted"] is False
 
 

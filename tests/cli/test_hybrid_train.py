@@ -174,7 +174,10 @@ def test_faults_of_the_section_are_told(run, study: Path, tmp_path: Path) -> Non
 
 def test_stages_that_the_records_are_too_short_for_are_said(run, study: Path, tmp_path: Path) -> None:
     quiet = "\noutput: {report: false, figures: false, tensorboard: false}\n"
-    text = study.read_text().replace("max_iterations: 5", "max_iterations: 1") + quiet
+    text = (
+        study.read_text().replace("max_iterations: 5", "max_iterations: 1").replace("fine: 4", "fine: 1")
+        + quiet
+    )
     for windows, words in (
         (
             "[[0.1, 1], [0.2, 2]]",

@@ -37,7 +37,7 @@ from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.residual import ResidualNetwork
-from hybrid_id.components.sensor.late_reading import LateReading
+from hybrid_id.components.sensor.sensor_delay import SensorDelay
 from hybrid_id.components.sensor.torque_lag import TorqueLag
 from hybrid_id.components.transmission.flexibility import JointFlexibility
 from hybrid_id.components.transmission.kinematic_error import KinematicError
@@ -117,7 +117,7 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
     if isinstance(part, Bristle):
         state, level = 0.01 * torch.cos(q), 0.02 + 0.01 * torch.sin(q)
         states = [state / len(part.states)] * len(part.states)
-        for name, own, pair in zip(part.states, states, part.relaxations(p, states, v, level), strict=True):
+        for name, own, pair in zip(part.states, states, part.state_updates(p, states, v, level), strict=True):
             found[f"drive of {name}"], found[f"rate of {name}"] = pair
             found[f"advance of {name}"] = relax(own, *pair, STEP * one)
         found["bristle torque"] = part.torque(p, states, v, level)
@@ -127,13 +127,13 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
     if isinstance(part, Delay):
         found["held"] = part.held(p, [torch.sin(q + k) for k in range(4)], 0.002 * one)
     if isinstance(part, TorqueLag):
-        found["drive"], found["rate"], _, _ = part.relaxation(p, 0.1 * torch.cos(q))
-    if isinstance(part, LateReading):
-        found["drive"], found["rate"] = part.relaxation(p, v)
+        found["drive"], found["rate"], _, _ = part.state_update(p, 0.1 * torch.cos(q))
+    if isinstance(part, SensorDelay):
+        found["drive"], found["rate"] = part.state_update(p, v)
         found["angle"], found["speed"] = part.motion(p, q, v, 0.1 * one)
     if isinstance(part, LoopStage):
         state, aim = 0.3 * torch.cos(q), 0.4 * torch.sin(q)
-        went = part.relaxation(p, aim, aim - 0.2 * q, v, state)
+        went = part.state_update(p, aim, aim - 0.2 * q, v, state)
         bounds = {"low": went.low, "high": went.high}
         found |= {name: None if value is None else value * one for name, value in bounds.items()}
         found["drive"], found["rate"] = went.drive, went.rate
@@ -149,7 +149,7 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
     if isinstance(part, Winding):
         states = [0.1 * one for _ in part.states]
         found["torque"] = part.torque(p, 0.1 * torch.cos(q), states)
-        for name, pair in zip(part.states, part.relaxations(p, 0.1 * torch.cos(q), states), strict=True):
+        for name, pair in zip(part.states, part.state_updates(p, 0.1 * torch.cos(q), states), strict=True):
             found[f"drive of {name}"], found[f"rate of {name}"] = pair
     if isinstance(part, FloorContact):
         found["force"] = part.force(p, 0.1 * q)
@@ -261,7 +261,7 @@ def test_gradient_to_the_speed_is_finite_at_rest(kind: str) -> None:
     found = [part.smooth(part.view(), v), part.dry(part.view(), v.abs(), one)]
     if isinstance(part, Bristle):
         states = [0.01 * one / len(part.states)] * len(part.states)
-        pairs = part.relaxations(part.view(), states, v, 0.02 * one)
+        pairs = part.state_updates(part.view(), states, v, 0.02 * one)
         found += [relax(own, *pair, STEP * one) for own, pair in zip(states, pairs, strict=True)]
         found += [part.torque(part.view(), states, v, 0.02 * one)]
     for value in found:
@@ -294,7 +294,9 @@ def test_friction_is_odd_and_dissipates(kind: str) -> None:
             part.torque(p, turned, -SPEED, level), -part.torque(p, states, SPEED, level)
         )
         for back, forth in zip(
-            part.relaxations(p, turned, -SPEED, level), part.relaxations(p, states, SPEED, level), strict=True
+            part.state_updates(p, turned, -SPEED, level),
+            part.state_updates(p, states, SPEED, level),
+            strict=True,
         ):
             torch.testing.assert_close(back[0], -forth[0])
             torch.testing.assert_close(back[1], forth[1])
@@ -310,7 +312,7 @@ def test_bristle_takes_energy_over_a_cycle(kind: str) -> None:
     states, energy, cycles = [torch.zeros(1, dtype=torch.float64)] * len(part.states), 0.0, []
     for k in range(4000):
         v = torch.tensor([0.5 * math.sin(2 * math.pi * k * step)], dtype=torch.float64)
-        pairs = part.relaxations(p, states, v, level)
+        pairs = part.state_updates(p, states, v, level)
         states = [
             relax(own, *pair, torch.full_like(v, step)) for own, pair in zip(states, pairs, strict=True)
         ]
@@ -329,7 +331,7 @@ def test_exact_update_follows_the_rate(kind: str) -> None:
     v = torch.tensor([-2.0, 0.3, 5.0], dtype=torch.float64)
     level, stiff = torch.full_like(v, 0.02), []
     starts = [torch.full_like(v, 0.004 / len(part.states))] * len(part.states)
-    for start, (drive, rate) in zip(starts, part.relaxations(p, starts, v, level), strict=True):
+    for start, (drive, rate) in zip(starts, part.state_updates(p, starts, v, level), strict=True):
         state = start
         for _ in range(steps):  # Euler in steps of 1 microsecond
             state = state + 1e-6 * (drive - rate * state)

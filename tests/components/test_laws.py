@@ -21,6 +21,7 @@ from hybrid_id.components import (
     Gravity,
     LinearSpring,
     LoadDependent,
+    LocalFriction,
     MaxwellSlip,
     MotorEncoder,
     OneLink,
@@ -31,7 +32,6 @@ from hybrid_id.components import (
     SoftSaturation,
     Spring,
     Stribeck,
-    TightSpot,
     TorqueCommand,
     TorqueMotor,
     TwoInertias,
@@ -100,17 +100,17 @@ def test_dahl_eq_7_rises_from_rest_to_coulomb() -> None:
     law, level, steps = Dahl(sigma=1.5), tensor([0.02, 0.02]), 40
     v, h, force = tensor([0.1, 3.0]), tensor([0.01, 0.01 / 30]), tensor([0.0, 0.0])
     for k in range(1, steps + 1):
-        force = relax(force, *law.relaxations(view(law), [force], v, level)[0], h)
+        force = relax(force, *law.state_updates(view(law), [force], v, level)[0], h)
         expected = 0.02 * (1 - np.exp(-1.5 * 0.001 * k / 0.02))
         np.testing.assert_allclose(force.numpy(), expected, rtol=1e-12)
-    force = relax(force, *law.relaxations(view(law), [force], v, level)[0], h * 1e4)
+    force = relax(force, *law.state_updates(view(law), [force], v, level)[0], h * 1e4)
     np.testing.assert_allclose(force.numpy(), 0.02, rtol=1e-12)
 
 
 def test_lugre_steady_state_is_the_stribeck_curve() -> None:
     level = sliding(Coulomb(F_c=0.01), SPEED) + sliding(Stribeck(F_drop=0.02, v_s=20.0), SPEED)
     law, v = LuGre(sigma_0=2.0, sigma_1=1e-3), tensor(SPEED)
-    (pair,) = law.relaxations(view(law), [0 * v], v, tensor(np.abs(level)))
+    (pair,) = law.state_updates(view(law), [0 * v], v, tensor(np.abs(level)))
     state = relax(0 * v, *pair, tensor(10.0))
     np.testing.assert_allclose(
         law.torque(view(law), [state], v, tensor(np.abs(level))).numpy(), level, rtol=1e-12
@@ -129,7 +129,7 @@ def test_maxwell_slip_against_springs_that_slide_at_once() -> None:
     limits, speeds = 0.02 * np.array([1, 2, 3]) / 6, 8.0 * np.cos(2 * np.pi * 0.7 * np.arange(0, 4, h))
     states, forces, found, expected = [tensor([0.0])] * 3, np.zeros(3), [], []
     for speed in speeds:
-        pairs = law.relaxations(view(law), states, tensor([speed]), level)
+        pairs = law.state_updates(view(law), states, tensor([speed]), level)
         states = [relax(own, *pair, tensor([h])) for own, pair in zip(states, pairs, strict=True)]
         forces = np.clip(forces + 0.04 / 3 * speed * h, -limits, limits)
         found.append(law.torque(view(law), states, tensor([speed]), level).item())
@@ -139,7 +139,7 @@ def test_maxwell_slip_against_springs_that_slide_at_once() -> None:
     # a turn below the first spring's level gives its energy back
     held = [tensor([0.001])] * 3
     for speed in (0.1, -0.1):
-        pairs = law.relaxations(view(law), held, tensor([speed]), level)
+        pairs = law.state_updates(view(law), held, tensor([speed]), level)
         held = [relax(own, *pair, tensor([h])) for own, pair in zip(held, pairs, strict=True)]
     assert [force.item() for force in held] == pytest.approx([0.001] * 3, rel=1e-12)
 
@@ -225,7 +225,7 @@ def test_friction_over_the_angle() -> None:
     waves = PositionDependent(A_0=0.02, A_c=0.01, A_s=-0.005, n=2.0)
     expected = 0.02 + 0.01 * np.cos(2 * angle.numpy()) - 0.005 * np.sin(2 * angle.numpy())
     np.testing.assert_allclose(waves.dry_over(view(waves), angle), expected, rtol=1e-14)
-    spot = TightSpot(A=0.03, q_0=0.3, w=0.1)
+    spot = LocalFriction(A=0.03, q_0=0.3, w=0.1)
     level = spot.dry_over(view(spot), tensor([0.3, 0.4, 0.2, 2.0])).numpy()
     np.testing.assert_allclose(level, [0.03, 0.03 / np.e, 0.03 / np.e, 0.0], atol=1e-12)
 

@@ -146,10 +146,10 @@ def test_hidden_states_relax_and_stay_inside_one() -> None:
     part = ResidualNetwork(memory=3, seed=2)
     state, speed = [torch.zeros(1, dtype=torch.float64)] * 3, torch.full((1,), 7.0, dtype=torch.float64)
     for _ in range(4000):
-        pairs = part.relaxations(part.view(), [speed], state)
+        pairs = part.state_updates(part.view(), [speed], state)
         state = [relax(h, *pair, torch.full_like(h, 0.01)) for h, pair in zip(state, pairs, strict=True)]
     assert all(abs(float(h)) < 1.0 for h in state)
-    for h, (drive, rate) in zip(state, part.relaxations(part.view(), [speed], state), strict=True):
+    for h, (drive, rate) in zip(state, part.state_updates(part.view(), [speed], state), strict=True):
         torch.testing.assert_close(drive, rate * h, rtol=1e-6, atol=1e-9)
 
 
@@ -163,7 +163,7 @@ def test_weights_of_each_lane_stand_in_for_its_own(memory: int) -> None:
         setattr(lanes, name, weight[..., None].expand(*weight.shape, 5))
     torch.testing.assert_close(part.output(lanes, signals, states), part.output(p, signals, states))
     for a, b in zip(
-        part.relaxations(lanes, signals, states), part.relaxations(p, signals, states), strict=True
+        part.state_updates(lanes, signals, states), part.state_updates(p, signals, states), strict=True
     ):
         torch.testing.assert_close(a, b)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hybrid_id.diagnosis.confidence import as_identified
+from hybrid_id.diagnosis.details import as_identified
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset

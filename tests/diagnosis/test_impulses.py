@@ -8,8 +8,7 @@ import pytest
 from drives import batch_of, measure
 
 from hybrid_id.components import TorqueCommand, TorqueMotor
-from hybrid_id.diagnosis.impulses import Detector, calibrate
-from hybrid_id.diagnosis.missing_torque import missing_torques
+from hybrid_id.diagnosis.impulses import Detector, calibrate, missing_torques
 from hybrid_id.errors import InputError
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import Batch, make_batch

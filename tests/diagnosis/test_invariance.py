@@ -14,6 +14,7 @@ from hybrid_id import Dataset, Diagnosis, load_model
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.diagnose import diagnose
+from hybrid_id.diagnosis.keep import Kept
 
 ON_DEMAND = "HYBRID_ID_DEVELOPMENT_CASES"
 """Environment variable with which the development cases are diagnosed twice each, which takes minutes a case."""
@@ -66,21 +67,24 @@ def few() -> Iterator[None]:
 
 @pytest.mark.usefixtures("few")
 @pytest.mark.parametrize("missing", ["spring", "nothing", "unknown"])
-def test_scrambled_test_records_change_no_answer(missing: str) -> None:
+def test_scrambled_test_records_change_no_answer(missing: str, kept: Kept) -> None:
     laws = {
         "spring": ("spring_load", {"k_s": 0.6, "q_s": 0.3}, "load"),
         "unknown": ("cogging", {"T_c": 0.01}, "motor"),
     }
     kind, values, place = laws.get(missing, (None, {}, "load"))
     dataset, nominal = small_case(kind and REGISTRY[kind](**values), f"joint1/{place}")
-    found = diagnose(dataset, nominal, max_effects=1)
+    found = diagnose(dataset, nominal, max_effects=1, kept=kept)
     assert [one.name for one in found.selected] == (["spring_load"] if missing == "spring" else [])
     assert found.unknown == (missing == "unknown")
-    for how in ("permuted", "noise"):
-        other = diagnose(scrambled(dataset, how), nominal, max_effects=1)
+    for how, fits in (
+        ("permuted", None),
+        ("noise", kept),
+    ):  # once with no fit in common, then with those kept
+        other = diagnose(scrambled(dataset, how), nominal, max_effects=1, kept=fits)
         assert answer(other) == answer(found)
         assert other.with_effect.nrmse > found.with_effect.nrmse
-    without = diagnose(replace(dataset, records=dataset.train), nominal, max_effects=1)
+    without = diagnose(replace(dataset, records=dataset.train), nominal, max_effects=1, kept=kept)
     assert answer(without) == answer(found)
     assert without.shrink is None
 

@@ -31,7 +31,7 @@ def test_the_experiment_that_parts_models_most_comes_first() -> None:
     assert len(found) == 6
     assert distances == sorted(distances, reverse=True)
     assert distances[0] > 0
-    assert all(one.today == found[0].today > 0 for one in found)
+    assert all(one.distance_now == found[0].distance_now > 0 for one in found)
     largest = max(np.abs(record.inputs["u1"]).max() for record in dataset.train)
     for one in found:
         assert one.joint == 1
@@ -44,7 +44,7 @@ def test_what_no_command_parts_is_said_and_the_rest_parted() -> None:
     other = today.with_component("joint1/motor_friction", Stribeck(F_drop=0.005, v_s=20.0))
     tied = [explanation(today, "bias"), explanation(today, "uneven"), explanation(other, "fall")]
     best = next_experiment(dataset, tied)[0]
-    assert best.tells and best.together == (("bias@joint1/load", "uneven@joint1/load"),)
+    assert best.distinguishes and best.together == (("bias@joint1/load", "uneven@joint1/load"),)
     assert best.distance == pytest.approx(next_experiment(dataset, tied[1:])[0].distance)
 
 
@@ -77,5 +77,5 @@ def test_models_that_are_alike_are_parted_by_none() -> None:
     short = replace(dataset, records=dataset.records[:1])
     found = next_experiment(short, [explanation(today), explanation(today)])
     assert found
-    assert not any(one.tells or one.distance for one in found)
+    assert not any(one.distinguishes or one.distance for one in found)
     assert next_experiment(short, [explanation(today)]) == []

@@ -11,7 +11,7 @@ from drives import flexible_drive, make_records, multisine
 from gapcase import small_case
 
 from hybrid_id import load_model, save_model
-from hybrid_id.components import Cogging, KinematicError, PositionDependent, TightSpot
+from hybrid_id.components import Cogging, KinematicError, LocalFriction, PositionDependent
 from hybrid_id.components.base import Component
 from hybrid_id.components.transmission.kinematic_error import WAVES
 from hybrid_id.diagnosis.catalogue import CATALOGUE, effect, with_effect, with_further
@@ -110,8 +110,8 @@ def test_waves_of_friction() -> None:
     assert min(abs(n - 7.0) for n, _, _ in found) < 1.5
 
 
-def test_a_tight_spot_of_friction() -> None:
-    fit = left_by(TightSpot, A=0.008, q_0=0.2, w=0.1)
+def test_a_local_friction_of_friction() -> None:
+    fit = left_by(LocalFriction, A=0.008, q_0=0.2, w=0.1)
     angle = fit.batch.x[..., 0].numpy() / 50.0
     found = friction_spots(fit, 1, "motor_friction")
     assert min(abs(q - 0.2) for q, _, _ in found) < 0.1 * float(np.ptp(angle))
@@ -119,7 +119,7 @@ def test_a_tight_spot_of_friction() -> None:
 
 
 def test_models_from_a_scan_go_through_a_file(tmp_path: Path) -> None:
-    left = left_by(TightSpot, A=0.008, q_0=0.2, w=0.1)
+    left = left_by(LocalFriction, A=0.008, q_0=0.2, w=0.1)
     size = scales(left.result.system, left.batch)[0]
     for name in ("position_dependent_friction", "cogging"):
         for starts in with_effect(CATALOGUE[name], left.result.system, size, left).values():

@@ -30,8 +30,8 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System
 
 NOISE = {"q_m1": 0.02}
-SMOOTH = Engine("smooth", substeps=8, width=2.0, compiled=compiler() is not None)
-ADJOINT = OdeEngine(fine=8, width=2.0)
+SMOOTH = Engine("smooth", substeps=4, width=2.0, compiled=compiler() is not None)
+ADJOINT = OdeEngine(fine=4, width=2.0)
 train = partial(adjoint.train, engine=ADJOINT)
 
 

@@ -33,7 +33,7 @@ def integrate_scipy(
     states = [x[:, 0]]
     for k in range(len(time) - 1):
         u = inputs[k][:, None]
-        x, mode = system.settle(x, mode, u, mode == 0)
+        x, mode = system.solve_sticking(x, mode, u, mode == 0)
         x, mode = _one_sample(system, x, mode, u, (time[k], time[k + 1]), rtol, atol)
         states.append(x[:, 0])
     return np.array(states)
@@ -56,7 +56,7 @@ def _one_sample(system: StickSlip, x, mode, u, span, rtol: float, atol: float):
         if solution.status != 1:
             return x, mode
         fired = np.array([[times.size > 0] for times in solution.t_events])
-        x, mode = system.settle(x, mode, u, fired | (mode == 0))
+        x, mode = system.solve_sticking(x, mode, u, fired | (mode == 0))
     raise RuntimeError(f"more than {MAX_SWITCHES} switches between stick and slip within one sample")
 
 

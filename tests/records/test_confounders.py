@@ -3,7 +3,7 @@
 import numpy as np
 
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.quality import check_dataset, confounded_signals, taken_under
+from hybrid_id.records.quality import check_dataset, confounded_signals, record_conditions
 from hybrid_id.records.record import Record
 
 
@@ -41,13 +41,13 @@ def test_too_few_records_say_nothing() -> None:
 
 def test_what_is_the_same_everywhere_or_has_two_names_is_one_fact_or_none() -> None:
     records = [record(k, {"kp": float(k), "mass": 0.5}, gain1=np.full(50, float(k))) for k in range(4)]
-    assert set(taken_under(records)) == {"kp"}
+    assert set(record_conditions(records)) == {"kp"}
 
 
 def test_a_steady_channel_is_a_fact_and_a_moving_one_is_not() -> None:
     wave = np.sin(np.arange(50.0))
     records = [record(k, {}, load1=np.full(50, 1.0 + k) + 1e-3 * wave, other1=k + 3 * wave) for k in range(4)]
-    assert set(taken_under(records)) == {"load1"}
+    assert set(record_conditions(records)) == {"load1"}
 
 
 def test_the_check_of_a_dataset_says_so() -> None:

@@ -9,7 +9,6 @@ from hybrid_id.records.measures import (
     estimate_noise,
     quantisation_step,
     rest_samples,
-    start_position,
 )
 from hybrid_id.records.quality import (
     Finding,
@@ -70,22 +69,19 @@ def test_noise_of_the_gap_cases(shared) -> None:
             assert np.median(estimates) == pytest.approx(channel.noise_std, rel=0.05)
 
 
-def test_start_position_is_the_mean_at_rest() -> None:
-    rec = record(noise=0.01)
-    assert rest_samples(rec) == 50
-    assert start_position(rec, "q_m1") == pytest.approx(0.4, abs=4 * 0.01 / np.sqrt(50))
+def test_the_samples_before_the_first_motion_are_at_rest() -> None:
+    assert rest_samples(record(noise=0.01)) == 50
 
 
 def test_an_arm_let_go_without_voltage_is_not_at_rest_for_long() -> None:
     q = np.cos(5 * TIME) + 1e-3 * np.random.default_rng(2).normal(size=T)
     rec = record(inputs={"u1": np.zeros(T)}, outputs={"q_m1": q})
     assert 1 <= rest_samples(rec) < 10
-    assert start_position(rec, "q_m1") == pytest.approx(1.0, abs=3e-3)
 
 
 def test_start_without_rest_is_the_first_sample() -> None:
     rec = record(inputs={"u1": np.full(T, 2.0)})
-    assert start_position(rec, "q_m1") == rec.outputs["q_m1"][0]
+    assert rest_samples(rec) == 1
 
 
 def test_turns_are_counted_above_the_threshold() -> None:

@@ -160,7 +160,7 @@ def test_ties_come_with_the_experiment_that_distinguishes_them(diagnosed) -> Non
     )
     assert "What would distinguish them: slow motion both ways over a quarter turn and more." in words
     assert (
-        "next experiment: reversals of growing size at joint 1: the outputs of the tied models would differ"
+        "next experiment: reversals of growing size at joint 1: the outputs of these models would differ"
         in words
     )
     assert "by 12 times the encoders' noise (RMS; 1.3 in these records)." in words

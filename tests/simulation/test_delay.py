@@ -7,7 +7,7 @@ import pytest
 import torch
 from drives import STEP, measure, multisine, rigid_drive
 
-from hybrid_id.components import Delay, LateReading
+from hybrid_id.components import Delay, SensorDelay
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
 from hybrid_id.records.record import Record
@@ -79,8 +79,8 @@ def test_channels_without_a_past_are_refused() -> None:
         measure(delayed(STEP), {"u1": VOLTAGE})
 
 
-def test_late_reading_shows_what_was_there_before() -> None:
-    late = DRIVE.with_component("joint1/input", LateReading(T_r=4 * STEP))
+def test_sensor_delay_shows_what_was_there_before() -> None:
+    late = DRIVE.with_component("joint1/input", SensorDelay(T_r=4 * STEP))
     # the phase of 9 Hz is right to (w T_r)^3 / 12, a sixtieth of it; corners of the speed are rounded
     for channel, share in (("q_m1", 0.03), ("v_m1", 0.1)):
         true, read = (measure(s, {"u1": VOLTAGE}, outputs=[channel])[channel] for s in (DRIVE, late))
@@ -88,9 +88,9 @@ def test_late_reading_shows_what_was_there_before() -> None:
         assert np.abs(read - shifted).max() < share * np.abs(true - shifted).max()
 
 
-def test_late_reading_of_one_joint_leaves_the_other_of_an_arm_alone() -> None:
+def test_sensor_delay_of_one_joint_leaves_the_other_of_an_arm_alone() -> None:
     arm = two_link((50.0, 40.0))
-    late = arm.with_component("joint1/input", LateReading(T_r=0.01))
+    late = arm.with_component("joint1/input", SensorDelay(T_r=0.01))
     channels, outputs = {"u1": VOLTAGE, "u2": 0.5 * VOLTAGE}, ["q_m1", "q_a1", "q_m2"]
     before, after = (measure(system, channels, outputs=outputs) for system in (arm, late))
     np.testing.assert_allclose(after["q_m2"], before["q_m2"], rtol=1e-9)
@@ -98,9 +98,9 @@ def test_late_reading_of_one_joint_leaves_the_other_of_an_arm_alone() -> None:
     assert np.abs(after["q_m1"] - before["q_m1"]).max() > 0.01 * np.ptp(before["q_m1"])
 
 
-def test_fit_finds_a_late_reading() -> None:
+def test_fit_finds_a_sensor_delay() -> None:
     voltage = multisine(1, samples=400, amplitude=7.0)
-    truth, start = (DRIVE.with_component("joint1/input", LateReading(T_r=t)) for t in (2.6 * STEP, STEP))
+    truth, start = (DRIVE.with_component("joint1/input", SensorDelay(T_r=t)) for t in (2.6 * STEP, STEP))
     y = run(truth, voltage) + 0.01 * np.random.default_rng(1).standard_normal(400)
     record = Record("run", STEP * np.arange(400), {"u1": voltage}, {"q_m1": y})
     (found,) = fit(start, make_batch(start, [record], noise_std={"q_m1": 0.01}))

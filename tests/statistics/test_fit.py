@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hybrid_id.statistics.fit import fit_by_signal, fit_percent, nrmse
+from hybrid_id.statistics.fit import fit_percent, nrmse
 
 
 def test_perfect_mean_and_by_hand():
@@ -32,11 +32,6 @@ def test_divergence_is_minus_infinity_and_a_constant_measurement_has_no_fit():
 def test_many_simulations_face_one_measurement(rng):
     y, simulated = rng.standard_normal(50), rng.standard_normal((4, 50))
     np.testing.assert_allclose(nrmse(y, simulated), [nrmse(y, one) for one in simulated])
-
-
-def test_by_signal_takes_what_both_have():
-    y = np.arange(4.0)
-    assert fit_by_signal({"q_m1": y, "i1": y}, {"q_m1": y}) == {"q_m1": 100}
 
 
 @given(y=arrays(float, 20, elements=st.floats(-10, 10)), scale=st.floats(0.1, 10), offset=st.floats(-5, 5))

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from hybrid_id.components import (
     AsymmetricFriction,
     Coulomb,
-    EffortDependent,
+    EfficiencyLoss,
     KinematicError,
     LoadDependent,
     PositionDependent,
@@ -68,7 +68,7 @@ def test_without_amplitude_the_gear_is_the_ideal_one() -> None:
 def test_a_gear_of_constant_efficiency_passes_on_its_share_of_the_torque() -> None:
     # J a = (1 - mu) tau while the motor drives, (1 + mu) tau while it brakes; at rest mu < 1 holds nothing
     mu, volts = 0.3, 1.5
-    lossy = FREE.with_component("joint1/motor_friction", EffortDependent(mu=mu))
+    lossy = FREE.with_component("joint1/motor_friction", EfficiencyLoss(mu=mu))
     pull = 0.02 * volts / J
     time = STEP * np.arange(60)
     driven = run(lossy, np.full(60, volts))[:, 0]

@@ -12,7 +12,7 @@ class AsymmetricTanh(Friction):
     | symbol | unit | meaning |
     | --- | --- | --- |
     | f_a1, f_a2 | N m | level at the link, forward and backward |
-    | slope | s/rad | s, the paper's 70; held unless told otherwise |
+    | slope | s/rad | s, the paper's 70; held by default |
 
     Smooth through zero: it brakes but does not hold, so that a pushed link creeps (below 1 / s = 0.014 rad/s). Differs
     from the paper's letter: Neg(v) is read as Pos(-v) here, since tanh already carries the sign; the paper's second

@@ -20,7 +20,7 @@ class Dahl(Bristle):
     states = ("F",)
     sigma = Parameter(1.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="stiffness at rest")
 
-    def relaxations(self, p, states, speed, level):
+    def state_updates(self, p, states, speed, level):
         return [(p.sigma * speed, p.sigma * speed.abs() / level)]
 
     def torque(self, p, states, speed, level):

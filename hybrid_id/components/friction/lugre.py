@@ -24,11 +24,11 @@ class LuGre(Bristle):
     sigma_0 = Parameter(1.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="bristle stiffness")
     sigma_1 = Parameter(1e-3, upper=1e4, unit="N m s/rad", doc="bristle damping")
 
-    def relaxations(self, p, states, speed, level):
+    def state_updates(self, p, states, speed, level):
         return [(speed, p.sigma_0 * speed.abs() / level)]
 
     def torque(self, p, states, speed, level):
-        (state,), ((drive, rate),) = states, self.relaxations(p, states, speed, level)
+        (state,), ((drive, rate),) = states, self.state_updates(p, states, speed, level)
         return p.sigma_0 * state + p.sigma_1 * (drive - rate * state)
 
     @staticmethod

@@ -30,7 +30,7 @@ class MaxwellSlip(Bristle):
     states = tuple(f"F{i + 1}" for i in range(ELEMENTS))
     sigma = Parameter(1.0, lower=1e-6, upper=1e6, unit="N m/rad", doc="stiffness at rest")
 
-    def relaxations(self, p, states, speed, level):
+    def state_updates(self, p, states, speed, level):
         found = []
         for force, limit in zip(states, _limits(level), strict=True):
             drawn = ((force * torch.sign(speed) / limit - (1.0 - GIVES)) / GIVES).clamp(0.0, 1.0)

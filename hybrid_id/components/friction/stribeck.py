@@ -14,7 +14,7 @@ class Stribeck(Friction):
     | --- | --- | --- |
     | F_drop = F_s - F_c | N m | breakaway level less Coulomb level |
     | v_s | rad/s | Stribeck speed |
-    | p | 1 | shape; 1 exponential, 2 Gaussian (held unless told otherwise) |
+    | p | 1 | shape; 1 exponential, 2 Gaussian (held by default) |
 
     Differs from the paper's letter: F_s is written as F_c + F_drop with F_drop >= 0, so that the inequality
     F_s >= F_c holds by construction and F_drop = 0 is the Coulomb model. Coulomb and viscous terms are components

@@ -2,7 +2,7 @@
 
 import torch
 
-from hybrid_id.components.base import LoopStage, Relaxation
+from hybrid_id.components.base import LoopStage, StateUpdate
 from hybrid_id.parameters import Parameter
 
 FAR = 1e12
@@ -28,10 +28,10 @@ class GoalRateLimit(LoopStage):
     def goal(self, p, aim, state):
         return state
 
-    def relaxation(self, p, aim, error, speed, state):
+    def state_update(self, p, aim, error, speed, state):
         low = torch.where(aim <= state, aim, -FAR * torch.ones_like(aim))
         high = torch.where(aim >= state, aim, FAR * torch.ones_like(aim))
-        return Relaxation(p.w_max * torch.sign(aim - state), torch.zeros_like(aim), low, high)
+        return StateUpdate(p.w_max * torch.sign(aim - state), torch.zeros_like(aim), low, high)
 
     def start(self, p, aim, speed):
         return aim

@@ -1,14 +1,14 @@
 """Dead time within a servo's position loop."""
 
-from hybrid_id.components.base import LoopStage, Relaxation
-from hybrid_id.components.sensor.late_reading import late_motion, trailing
+from hybrid_id.components.base import LoopStage, StateUpdate
+from hybrid_id.components.sensor.sensor_delay import late_motion, trailing
 from hybrid_id.parameters import Parameter
 
 
 class LoopDelay(LoopStage):
     """``y = q + z``, ``dz/dt = -2 v - (2 / T_l) z``: the loop acts on the angle and the speed that were there T_l ago.
 
-    It is the first Pade approximant of the dead time, as in ``late_reading``, of what the loop reads; what the record
+    It is the first Pade approximant of the dead time, as in ``sensor_delay``, of what the loop reads; what the record
     reads stays in time. A sampled loop has half its period of it, and all that it takes to measure and to compute. It
     takes ``k_p T_l`` from the loop's damping.
 
@@ -29,8 +29,8 @@ class LoopDelay(LoopStage):
     def reading(self, p, angle, speed, state):
         return late_motion(p.T_l, angle, speed, state)
 
-    def relaxation(self, p, aim, error, speed, state):
-        return Relaxation(*trailing(p.T_l, speed))
+    def state_update(self, p, aim, error, speed, state):
+        return StateUpdate(*trailing(p.T_l, speed))
 
     def start(self, p, aim, speed):
         return -p.T_l * speed

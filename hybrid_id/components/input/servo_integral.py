@@ -2,7 +2,7 @@
 
 import torch
 
-from hybrid_id.components.base import LoopStage, Relaxation
+from hybrid_id.components.base import LoopStage, StateUpdate
 from hybrid_id.parameters import Parameter
 
 
@@ -32,5 +32,5 @@ class ServoIntegral(LoopStage):
     def integral(self, p, state):
         return state
 
-    def relaxation(self, p, aim, error, speed, state):
-        return Relaxation(p.w_i * error, torch.zeros_like(error), -p.z_max, p.z_max)
+    def state_update(self, p, aim, error, speed, state):
+        return StateUpdate(p.w_i * error, torch.zeros_like(error), -p.z_max, p.z_max)

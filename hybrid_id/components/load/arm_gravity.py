@@ -19,7 +19,7 @@ class ArmGravity(Coupling):
     | --- | --- | --- |
     | G_l1 | N m | weight torque about joint 1 of link 1 with link 2 as a point at its end |
     | G_l2 | N m | weight torque of link 2 about joint 2; in a tilted plane both times the sine of the tilt |
-    | q_0 | rad | angle of joint 1 at which the stretched arm hangs, 0 in a vertical plane (held unless told to move) |
+    | q_0 | rad | angle of joint 1 at which the stretched arm hangs, 0 in a vertical plane (held by default) |
     """
 
     kind = "arm_gravity"

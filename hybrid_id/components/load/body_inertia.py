@@ -35,7 +35,7 @@ class BodyInertia(Attached):
     | m_0, c_0 | kg, m | mass and centre in the description |
     | S, I | kg m^2 | second moments of the mass, and the inertia, about the centre; S_0 is the description's |
     | c_m | 1 | mass over the description's: the inertia grows with it as that of a denser body |
-    | x_c, y_c, z_c | m | how far the centre lies from the description's (held unless told otherwise) |
+    | x_c, y_c, z_c | m | how far the centre lies from the description's (held by default) |
     | s_x, s_y, s_z, s_xy, s_xz, s_yz | 1 | how the body is stretched and sheared about its centre (held) |
 
     With c_m > 0 and s_x, s_y, s_z > 0 the pseudo-inertia is positive definite wherever the description's is. The joint

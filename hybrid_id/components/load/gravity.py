@@ -17,7 +17,7 @@ class Gravity(LoadTorque):
     | symbol | unit | meaning |
     | --- | --- | --- |
     | G_l = m g l | N m | gravity torque of the horizontal link |
-    | q_0 | rad | angle of the hanging link, 0 unless the encoder's zero lies elsewhere (held unless told otherwise) |
+    | q_0 | rad | angle of the hanging link, 0 unless the encoder's zero lies elsewhere (held by default) |
     """
 
     kind = "gravity_load"

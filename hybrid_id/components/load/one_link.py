@@ -11,7 +11,7 @@ class OneLink(Inertia):
     | --- | --- | --- |
     | J | kg m^2 | whole inertia at the motor |
     | rotor_share | 1 | part of J on the motor's side of the gear; not identifiable while the gear is rigid and no
-    load-dependent friction acts, so it is held unless told otherwise |
+    load-dependent friction acts, so it is held by default |
     """
 
     kind = "one_link"

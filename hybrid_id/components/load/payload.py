@@ -14,7 +14,7 @@ class Payload(Attached):
     | symbol | unit | meaning |
     | --- | --- | --- |
     | m_l | kg | mass; 0 is no payload |
-    | x_l, y_l, z_l | m | its centre in the axes of the site or body (held at 0 unless told otherwise) |
+    | x_l, y_l, z_l | m | its centre in the axes of the site or body (held at 0 by default) |
 
     The payload's inertia about its own centre is neglected. The joint at whose load it is listed must carry it; a fit
     of one joint by itself estimates it at that joint alone.

@@ -11,7 +11,7 @@ class Spring(LoadTorque):
     | symbol | unit | meaning |
     | --- | --- | --- |
     | k_s | N m/rad | stiffness of what pulls |
-    | q_s | rad | rest angle (held unless told otherwise) |
+    | q_s | rad | rest angle (held by default) |
     """
 
     kind = "spring_load"

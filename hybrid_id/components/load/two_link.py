@@ -14,7 +14,7 @@ class LinkInertia(Inertia):
     | --- | --- | --- |
     | P | kg m^2 | P_1: both links with q_2 at 90 degrees, and rotor 1 times r^2; P_2: link 2, and rotor 2 times r^2 |
     | rotor_share | 1 | part of P on the motor's side of the gear; not identifiable while the gear is rigid and no
-    load-dependent friction acts, so it is held unless told otherwise |
+    load-dependent friction acts, so it is held by default |
     """
 
     kind = "link_inertia"

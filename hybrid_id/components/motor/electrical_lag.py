@@ -28,7 +28,7 @@ class ElectricalLag(Winding):
     def torque(self, p, torque, states):
         return states[0]
 
-    def relaxations(self, p, torque, states):
+    def state_updates(self, p, torque, states):
         return [(torque / p.T_e, (1.0 / p.T_e).expand_as(torque))]
 
     @staticmethod

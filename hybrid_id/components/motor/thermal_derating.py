@@ -44,7 +44,7 @@ class ThermalDerating(Winding):
     def torque(self, p, torque, states):
         return torque / (1.0 + states[0])
 
-    def relaxations(self, p, torque, states):
+    def state_updates(self, p, torque, states):
         heat = p.c * torque.square() / (1.0 + states[0])
         return [(heat / p.T_w, (1.0 / p.T_w).expand_as(torque))]
 

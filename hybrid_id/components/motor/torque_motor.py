@@ -9,7 +9,7 @@ class TorqueMotor(Motor):
 
     | symbol | unit | meaning |
     | --- | --- | --- |
-    | gain | 1 | torque delivered per torque commanded; held at 1 unless told otherwise |
+    | gain | 1 | torque delivered per torque commanded; held at 1 by default |
     """
 
     kind = "torque_motor"

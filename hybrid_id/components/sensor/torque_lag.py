@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 from torch import Tensor
 
-from hybrid_id.components.base import Component, Relaxation
+from hybrid_id.components.base import Component, StateUpdate
 from hybrid_id.parameters import Parameter
 
 
@@ -25,9 +25,9 @@ class TorqueLag(Component):
     states = ("tau_z",)
     T_s = Parameter(0.005, lower=1e-4, upper=0.5, unit="s", doc="time constant of the reading")
 
-    def relaxation(self, p: SimpleNamespace, torque: Tensor) -> Relaxation:
+    def state_update(self, p: SimpleNamespace, torque: Tensor) -> StateUpdate:
         """How its state goes on under a torque [N m], ``(B,)``."""
-        return Relaxation(torque / p.T_s, (1.0 / p.T_s).expand_as(torque))
+        return StateUpdate(torque / p.T_s, (1.0 / p.T_s).expand_as(torque))
 
     def mjcf(self, p):
         return {}, "is left out, the exported model has no torque sensor"

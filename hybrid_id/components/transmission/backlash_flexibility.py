@@ -19,7 +19,7 @@ class BacklashFlexibility(Transmission):
     | d | N m s/rad | damping at the link where the spring acts |
 
     Far out ``k delta``, near zero ``k alpha beta^2 delta^3 / 2``. Differs from the paper: the damping, which the paper
-    has not, acts in proportion to ``1 - sech^alpha`` and is 0 and held unless told otherwise. delta, the redundant
+    has not, acts in proportion to ``1 - sech^alpha`` and is 0 and held by default. delta, the redundant
     state x_3 of eq. (4), is no state here but the difference of x_1 / r and x_4: float64 keeps it to 1e-12 rad at
     1e4 rad, while a state of its own would drift from them and take a row more of every sensitivity.
     """

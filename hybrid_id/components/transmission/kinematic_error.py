@@ -50,14 +50,14 @@ class KinematicError(Component):
         """Error of the link's angle [rad], its first and its second derivative by the rotor's angle, ``(B,)`` each."""
         first = _wave(p.E_c, p.E_s, p.n, angle)
         second = _wave(p.E_c2, p.E_s2, p.n_2, angle)
-        value, slope, bend = (one + two for one, two in zip(first, second, strict=True))
-        return value, slope, bend
+        value, slope, curvature = (one + two for one, two in zip(first, second, strict=True))
+        return value, slope, curvature
 
     @staticmethod
     def starts(site):
         small = 0.02 * min(0.01 * site.angle, 0.5 / site.ratio)
         limit, near = min(0.1 * site.angle, 0.9 / site.ratio, WORST_GEAR), math.pi / site.turns
-        # a linear estimate from whole runs tells little of the period, and the fits from all of them soon tell it
+        # a linear estimate from whole runs hardly identifies the period, and the fits from all of them soon do
         waves = [*((n, small, small) for n in (1.0, 2.0)), *site.search("gear_waves")[:WAVES]]
         return [
             {

@@ -94,7 +94,7 @@ class StickSlip:
         room = [_room(push, torque) + more for push, torque, more in zip(pushes, held, slack, strict=True)]
         return np.where(rest, np.array(room), sliding)
 
-    def settle(
+    def solve_sticking(
         self, x: np.ndarray, mode: np.ndarray, u: np.ndarray, at_rest: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """State and mode after the joints marked in `at_rest`, bool (n_joints, B), have come to zero speed."""
@@ -213,7 +213,7 @@ def advance(
     system: StickSlip, x: np.ndarray, mode: np.ndarray, u: np.ndarray, sample_time: float, *, substeps: int
 ) -> tuple[np.ndarray, np.ndarray]:
     """State (n_x, B) and mode (n_axes, B) after one sample with its inputs u (n_inputs, B) held."""
-    x, mode = system.settle(x, mode, u, mode == 0)
+    x, mode = system.solve_sticking(x, mode, u, mode == 0)
     for _ in range(substeps):
         x, mode = _step(system, x, mode, u, sample_time / substeps)
     return x, mode
@@ -257,7 +257,7 @@ def _step_with_switches(
         x = _runge_kutta(system, x, mode, u, elapsed)
         guards = system.guards(x, mode, u)
         fired = (np.arange(len(guards))[:, None] == guards.argmin(axis=0)) & switching
-        x, mode = system.settle(x, mode, u, fired | (mode == 0))
+        x, mode = system.solve_sticking(x, mode, u, fired | (mode == 0))
         remaining = remaining - elapsed
     raise RuntimeError(f"more than {MAX_SWITCHES} switches between stick and slip within one step")
 

@@ -85,7 +85,7 @@ def test_sticking_of_both_joints_is_the_solution_of_the_box_problem() -> None:
     x[2] = random.uniform(-np.pi, np.pi, n) * R_2
     u = np.zeros((4, n))
     u[0], u[1] = random.uniform(-6, 6, n), random.uniform(-1, 1, n)
-    _, mode = mechanism.settle(x, np.zeros((2, n)), u, np.ones((2, n), bool))
+    _, mode = mechanism.solve_sticking(x, np.zeros((2, n)), u, np.ones((2, n), bool))
     (m_11, m_12), (_, m_22) = (
         mass(np.cos(x[2] / R_2)) / np.array([[R_1**2, R_1 * R_2], [1.0, R_2**2]])[..., None]
     )
@@ -113,7 +113,7 @@ def test_the_second_joint_shakes_the_first_one_loose() -> None:
     threshold = (holds * m[1, 1] / m[0, 1] + own) / R_2 / ARM["P_m1m2"]
     for share, moves in ((0.999, False), (1.001, True)):
         u = np.array([[0.0], [share * threshold], [0.0], [0.0]])
-        _, mode = mechanism.settle(START, np.zeros((2, 1)), u, np.ones((2, 1), bool))
+        _, mode = mechanism.solve_sticking(START, np.zeros((2, 1)), u, np.ones((2, 1), bool))
         assert mode[1, 0] == 1 and (mode[0, 0] == -1) == moves
 
 

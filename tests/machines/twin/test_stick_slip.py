@@ -68,7 +68,7 @@ def test_uneven_time_stamps_hold_the_input_over_each_step() -> None:
 class Contradiction(StickSlip):
     """Says at every stop that it goes on sliding the way it came."""
 
-    def settle(self, x, mode, u, at_rest):
+    def solve_sticking(self, x, mode, u, at_rest):
         stopped = np.array([x[0], np.where(at_rest[0], 0.0, x[1])])
         return stopped, mode
 

@@ -11,7 +11,7 @@ from hybrid_id.parameters import Parameter
 
 
 def late_motion(delay: Tensor, angle: Tensor, speed: Tensor, state: Tensor) -> tuple[Tensor, Tensor]:
-    """Angle [rad] and speed [rad/s] as they were a dead time [s] ago, ``(B,)`` each, see :class:`LateReading`."""
+    """Angle [rad] and speed [rad/s] as they were a dead time [s] ago, ``(B,)`` each, see :class:`SensorDelay`."""
     return angle + state, -speed - 2.0 / delay * state
 
 
@@ -20,7 +20,7 @@ def trailing(delay: Tensor, speed: Tensor) -> tuple[Tensor, Tensor]:
     return -2.0 * speed, (2.0 / delay).expand_as(speed)
 
 
-class LateReading(Component):
+class SensorDelay(Component):
     """``y = q + z``, ``dz/dt = -2 v - (2 / T_r) z``: the motor's angle is read T_r [s] after it was there.
 
     It is the first Pade approximant of the dead time, ``(1 - T_r s / 2) / (1 + T_r s / 2)`` of the angle, right to the
@@ -31,7 +31,7 @@ class LateReading(Component):
     section 5.6.3.
     """
 
-    kind = "late_reading"
+    kind = "sensor_delay"
     places = ("input",)
     states = ("lag",)
     T_r = Parameter(0.005, lower=1e-4, upper=0.05, unit="s", doc="dead time of the reading")
@@ -43,7 +43,7 @@ class LateReading(Component):
         """Angle [rad] and speed [rad/s] as they are read at the motor, ``(B,)`` each."""
         return late_motion(p.T_r, angle, speed, state)
 
-    def relaxation(self, p: SimpleNamespace, speed: Tensor) -> tuple[Tensor, Tensor]:
+    def state_update(self, p: SimpleNamespace, speed: Tensor) -> tuple[Tensor, Tensor]:
         """Drive [rad/s] and rate [1/s] of its state, ``dz/dt = drive - rate z``, ``(B,)`` each."""
         return trailing(p.T_r, speed)
 

@@ -8,7 +8,7 @@ from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 
-class TightSpot(Friction):
+class LocalFriction(Friction):
     """Dry level ``A exp(-((q - q_0) / w)^2)`` beyond the other laws', q [rad] the joint's angle at the link.
 
     | symbol | unit | meaning |
@@ -21,7 +21,7 @@ class TightSpot(Friction):
     depends on the angle, B. Armstrong-Helouvry, Control of Machines with Friction, Kluwer 1991; one radial basis.
     """
 
-    kind = "tight_spot"
+    kind = "local_friction"
     A = Parameter(1e-3, lower=-1e3, upper=1e3, unit="N m", doc="height")
     q_0 = Parameter(0.0, lower=-1e3, upper=1e3, unit="rad", doc="middle of the spot")
     w = Parameter(0.2, lower=1e-3, upper=1e3, unit="rad", doc="its half width")

@@ -5,7 +5,7 @@ from hybrid_id.components.friction.load_dependent import LoadDependent
 from hybrid_id.parameters import Parameter
 
 
-class EffortDependent(Friction):
+class EfficiencyLoss(Friction):
     """Dry level ``mu |tau_m|`` with tau_m the torque of the motor: of what goes in, the share 1 - mu comes out.
 
     | symbol | unit | meaning |
@@ -13,11 +13,11 @@ class EffortDependent(Friction):
     | mu | 1 | friction per torque of the motor, one less the gear's efficiency |
 
     Where ``load_dependent_friction`` takes the torque that leaves the gear, this law takes the one that enters it; a
-    rotor that accelerates tells them apart. Source: efficiency of a gear, e.g. VDI 2158 and G. Niemann, H. Winter,
+    rotor that accelerates distinguishes them. Source: efficiency of a gear, e.g. VDI 2158 and G. Niemann, H. Winter,
     Maschinenelemente 2, Springer 2003, section 21.5.
     """
 
-    kind = "effort_dependent_friction"
+    kind = "efficiency_loss"
     places = ("motor_friction",)
     mu = Parameter(0.05, upper=0.95, unit="1", doc="friction per torque of the motor")
     effect = LoadDependent.effect
