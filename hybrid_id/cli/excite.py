@@ -1,4 +1,4 @@
-"""`excite`: an excitation that moves the drive as much as its limits allow."""
+"""`excite`: an excitation that moves a drive, or all joints of a robot, as much as their limits allow."""
 
 import math
 from enum import StrEnum
@@ -23,15 +23,23 @@ class Act(StrEnum):
 
 def excite(
     file: Annotated[
-        Path, typer.Option("--out", "-o", help="CSV file to write: columns t (s) and u1.", show_default=False)
+        Path,
+        typer.Option(
+            "--out",
+            "-o",
+            help="CSV file to write: columns t (s) and u1, of a robot goal1, goal2 ...",
+            show_default=False,
+        ),
     ],
-    band: Annotated[tuple[float, float], typer.Option(help="Lowest and highest frequency in Hz.")] = (
-        0.3,
-        8.0,
-    ),
+    band: Annotated[
+        tuple[float, float] | None,
+        typer.Option(help="Lowest and highest frequency in Hz.", show_default="0.3 8, of a robot 0.1 2"),
+    ] = None,
     duration: Annotated[float, typer.Option(help="Length in s.")] = 10.0,
     sample_time: Annotated[float, typer.Option(help="Sample time in s.")] = 0.002,
-    amplitude: Annotated[float, typer.Option(help="Peak, in the unit of the input (V).")] = 10.0,
+    amplitude: Annotated[
+        float | None, typer.Option(help="Peak, in the unit of the input (V).", show_default="10")
+    ] = None,
     tones: Annotated[int, typer.Option(help="Number of tones, spread evenly over the band.", min=1)] = 20,
     gear: Annotated[
         Act | None,
@@ -41,20 +49,91 @@ def excite(
         ),
     ] = None,
     model: Annotated[
-        Path | None, typer.Option("--model", "-m", help="Model whose gear has them.", show_default=False)
+        Path | None,
+        typer.Option("--model", "-m", help="Model whose gear has them, or a robot's.", show_default=False),
+    ] = None,
+    speed: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Largest speed of a robot's joint: NAME=VALUE, or VALUE for all.", show_default=False
+        ),
+    ] = None,
+    torque: Annotated[
+        list[str] | None,
+        typer.Option(help="Largest torque of a joint's motor, at the joint; as --speed.", show_default=False),
+    ] = None,
+    share: Annotated[
+        float | None, typer.Option(help="Share of a robot's limits that is used.", show_default="0.9")
     ] = None,
     rest: Annotated[
         float, typer.Option(help="Rest at zero before the signal in s, so that the start is known.")
     ] = 0.1,
     starts: Annotated[
-        int, typer.Option(help="Phase sets to start the search from.", min=1, max=10_000)
-    ] = 150,
+        int | None,
+        typer.Option(
+            help="Phase sets to start the search from.",
+            min=1,
+            max=10_000,
+            show_default="150, of a robot 20 a joint",
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0)] = 0,
     plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.", show_default=False)] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Design a multisine of least crest factor and write it as CSV, and beside it as JSON how it was made."""
+    from hybrid_id.cli.excite_robot import excite_robot, robot_of
+
+    system = None if model is None or gear is not None else robot_of(model)
+    if system is None:
+        if (gear is None) != (model is None):
+            raise InputError("--gear and --model go together; give both or none, or the model of a robot")
+        if speed or torque or share is not None:
+            raise InputError("--speed, --torque and --share belong to a robot's joints; give its --model")
+    elif amplitude is not None:
+        raise InputError(
+            "--amplitude belongs to one drive; a robot's joints have --speed, --torque and --share"
+        )
+    band = band or ((0.3, 8.0) if system is None else (0.1, 2.0))
+    amplitude = 10.0 if amplitude is None else amplitude
+    _refuse(rest, sample_time, duration, band, amplitude)
+    if file.is_dir():
+        raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
+    if file.with_suffix(".json") == file:
+        raise InputError(f"{file} would also be the name of the description beside it; take another ending")
+    if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
+        raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
+    asked = {
+        "sample_time": sample_time, "duration": duration, "tones": tones, "rest": rest, "seed": seed, "plot": plot,
+        "force": force, "as_json": as_json,
+    }  # fmt: skip
+    if system is not None:
+        return excite_robot(
+            file, system, band, speeds=speed or [], torques=torque or [], share=0.9 if share is None else share,
+            starts=starts or 20, model=model, **asked,
+        )  # fmt: skip
+    _excite_drive(file, band, amplitude=amplitude, gear=gear, model=model, starts=starts or 150, **asked)
+
+
+def _excite_drive(
+    file: Path,
+    band: tuple[float, float],
+    *,
+    sample_time: float,
+    duration: float,
+    amplitude: float,
+    tones: int,
+    gear: Act | None,
+    model: Path | None,
+    rest: float,
+    starts: int,
+    seed: int,
+    plot: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write the multisine of one drive."""
     from contextlib import ExitStack
 
     import numpy as np
@@ -62,20 +141,10 @@ def excite(
     from hybrid_id.records.excitation import design_multisine, usual_crest_factors
     from hybrid_id.reporting.results import as_json as as_json_text
 
-    _refuse(rest, sample_time, duration, band, amplitude)
-    if (gear is None) != (model is None):
-        raise InputError("--gear and --model go together; give both or none")
-    if file.is_dir():
-        raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
-    beside = file.with_suffix(".json")
-    if beside == file:
-        raise InputError(f"{file} would also be the name of the description beside it; take another ending")
     with ExitStack() as files:
         table = files.enter_context(result_file(file, force=force))
-        words = files.enter_context(result_file(beside, force=force))
+        words = files.enter_context(result_file(file.with_suffix(".json"), force=force))
         picture = files.enter_context(result_file(plot, force=force)) if plot else None
-        if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
-            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
         parts = []
         if gear is not None and model is not None:
             from hybrid_id.study.excitation import bands_by_gear

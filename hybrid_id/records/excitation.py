@@ -44,10 +44,11 @@ class Multisine:
     predicted_peaks: tuple[float, ...]
     message: str
 
-    def at(self, time: np.ndarray) -> np.ndarray:
-        """The continuous-time signal at any instants (T,) [s]."""
-        angle = 2 * np.pi * np.multiply.outer(np.asarray(time, float), self.frequencies) + self.phases
-        return self.offset + np.cos(angle) @ self.amplitudes
+    def at(self, time: np.ndarray, derivative: int = 0) -> np.ndarray:
+        """The continuous-time signal, or a derivative of it, at any instants (T,) [s]."""
+        rates = 2 * np.pi * self.frequencies
+        angle = np.multiply.outer(np.asarray(time, float), rates) + self.phases + 0.5 * np.pi * derivative
+        return (0.0 if derivative else self.offset) + np.cos(angle) @ (self.amplitudes * rates**derivative)
 
 
 def schroeder_phases(powers: np.ndarray) -> np.ndarray:
@@ -68,7 +69,7 @@ def design_multisine(
     duration: float,
     amplitude_limits: float | tuple[float, float],
     tones: int = 20,
-    spectrum: Literal["flat"] | Sequence[float] | np.ndarray = "flat",
+    spectrum: Literal["flat", "flat rate"] | Sequence[float] | np.ndarray = "flat",
     predicted: Sequence[tuple[Callable[[np.ndarray], np.ndarray], float]] = (),
     starts: int = 150,
     seed: int = 0,
@@ -87,7 +88,7 @@ def design_multisine(
         duration: Length of the signal [s]; it holds a whole number of periods.
         amplitude_limits: Peak, or (lowest, highest) value of the signal.
         tones: Number of tones spread over the band.
-        spectrum: "flat", or relative amplitude of each tone (K,).
+        spectrum: "flat", "flat rate" for amplitudes as 1 / f, or relative amplitude of each tone (K,).
         predicted: Pairs (response, peak): a linear response ``G(f)`` of the robot, frequencies (K,) [Hz] to
             complex gain (K,), and the peak that ``G u`` (say, the speed) must not exceed. Peaks of input
             and responses are minimised together, each relative to its limit.
@@ -102,7 +103,8 @@ def design_multisine(
         raise InputError(f"excitation: duration {duration:g} s holds no two samples; lengthen it")
     period = n_samples * sample_time
     harmonics = _harmonics(band, frequencies, tones, period, sample_time)
-    relative = np.ones(len(harmonics)) if isinstance(spectrum, str) else np.asarray(spectrum, float)
+    known = {"flat": np.ones(len(harmonics)), "flat rate": harmonics[0] / harmonics}
+    relative = known[spectrum] if isinstance(spectrum, str) else np.asarray(spectrum, float)
     if relative.shape != harmonics.shape or not np.all(np.isfinite(relative) & (relative > 0)):
         raise InputError(
             f"excitation: spectrum must give a positive amplitude for each of {len(harmonics)} tones"

@@ -33,6 +33,7 @@ from hybrid_id.reporting.tables import count
 from hybrid_id.statistics.profile import Profile
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Comparison, Replay, Study
+from hybrid_id.study.arm_excitation import ArmExcitation
 from hybrid_id.study.truth import against_truth
 
 MAX_TITLE = 50
@@ -351,6 +352,22 @@ def excitation_figure(design: Multisine, name: str = "u1") -> Figure:
     right.plot(design.frequencies, design.amplitudes, "o", ms=3, color=COLOURS[0])
     right.set(xlabel="frequency [Hz]", ylabel="amplitude [V]", ylim=(0, None))
     right.set_title(count(len(design.frequencies), "tone"), loc="left")
+    return figure
+
+
+@journal()
+def arm_excitation_figure(design: ArmExcitation) -> Figure:
+    """A designed motion of a robot: position of each joint over time, and its limits."""
+    figure = new_figure(0.5 + 0.8 * len(design.limits))
+    axes = figure.subplots(len(design.limits), 1, sharex=True, squeeze=False)[:, 0]
+    for k, (one, axis) in enumerate(zip(design.limits, axes, strict=True)):
+        axis.plot(design.time, design.position[:, k], color=COLOURS[0], lw=0.8)
+        for limit in one.position:
+            axis.axhline(limit, color=GREY, lw=0.6, ls=(0, (4, 2)))
+        axis.set_title(shortened(one.name, MAX_TITLE), loc="left")
+        axis.set(ylabel=f"goal{k + 1}")
+        axis.margins(x=0)
+    axes[-1].set(xlabel="time [s]")
     return figure
 
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
@@ -154,6 +156,7 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
     joints: list[TreeJoint] = []
     bodies: list[Body] = []
     points: dict[str, Point] = {}
+    speeds = _speed_limits(path)
     held: dict[int, tuple[int, Pose]] = {0: (-1, (np.eye(3), np.zeros(3)))}  # body: its joint, its pose there
     for b in range(1, model.nbody):
         joint, pose = held[int(model.body_parentid[b])]
@@ -163,7 +166,8 @@ def _tree(path: Path, mujoco: Any, model: Any) -> RigidBodyTree:
             turned = np.array(frame(model.jnt_axis[j].tolist()), dtype=float)
             there = (turned, np.array(model.jnt_pos[j]))  # in the body's axes
             start = _after(pose, there)
-            joints.append(_joint(path, mujoco, model, j, joint, start))
+            found = _joint(path, mujoco, model, j, joint, start)
+            joints.append(replace(found, speed_limit=speeds.get(found.name, np.inf)))
             joint, pose = len(joints) - 1, _inverse(there)
         held[b] = (joint, pose)
         if joint >= 0:
@@ -210,7 +214,39 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         stiffness=float(np.ravel(model.jnt_stiffness[j])[0]),
         reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
         servo=_servo(mujoco, model, j),
+        torque_limit=_torque_limit(mujoco, model, j),
     )
+
+
+def _speed_limits(path: Path) -> dict[str, float]:
+    """Largest speed of each joint of a URDF [rad/s or m/s], which MuJoCo's parser leaves out; MJCF has none."""
+    root = ElementTree.parse(path).getroot()
+    found = {}
+    for joint in root.iter("joint") if root.tag == "robot" else ():
+        limit = joint.find("limit")
+        words = "" if limit is None else limit.get("velocity", "")
+        try:
+            speed = float(words or 0.0)
+        except ValueError:
+            raise InputError(
+                f"{path}: the velocity '{words}' of joint '{joint.get('name')}' is no number."
+            ) from None
+        if speed > 0.0:  # 0 is what generators write where they know none
+            found[joint.get("name", "")] = speed
+    return found
+
+
+def _torque_limit(mujoco: Any, model: Any, j: int) -> float:
+    """Largest torque [N m or N] that a joint's actuator may give; inf where nothing limits it."""
+    least = np.inf
+    if model.jnt_actfrclimited[j]:
+        least = float(np.min(np.abs(model.jnt_actfrcrange[j])))
+    for i in range(model.nu):
+        acts = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
+        if acts and int(model.actuator_trnid[i][0]) == j and model.actuator_forcelimited[i]:
+            gear = abs(float(model.actuator_gear[i][0]))
+            least = min(least, gear * float(np.min(np.abs(model.actuator_forcerange[i]))))
+    return least
 
 
 def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:

@@ -210,6 +210,8 @@ class TreeJoint:
         rotation: turns vectors of its frame at position zero into its parent's axes, ``(3, 3)``.
         position: of its origin at position zero in its parent's frame [m], ``(3,)``.
         limits: least and largest position [rad or m].
+        speed_limit: largest speed [rad/s or m/s]; inf where the file names none.
+        torque_limit: largest torque or force of its actuator [N m or N]; inf where the file names none.
         armature: inertia of its rotor at the joint [kg m^2 or kg].
         damping: [N m s/rad or N s/m].
         friction_loss: dry friction [N m or N].
@@ -230,6 +232,8 @@ class TreeJoint:
     stiffness: float = 0.0
     reference: float = 0.0
     servo: Servo | None = None
+    speed_limit: float = float("inf")
+    torque_limit: float = float("inf")
 
 
 @dataclass(frozen=True)

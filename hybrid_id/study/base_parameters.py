@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +15,7 @@ from hybrid_id.robots.base_parameters import (
     inertial_parameters,
     whole_regressor,
 )
+from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.by_joint import measured_motion
 from hybrid_id.systems.chain import System
 
@@ -62,6 +64,31 @@ def check_base_parameters(dataset: Dataset, system: System) -> BaseParameterChec
     Raises:
         InputError: the model has no description of a robot.
     """
+    tree = tree_of(system)
+    base = base_parameters(tree)
+    phi = inertial_parameters(tree)
+    values = base.grouping @ phi
+    motions = []
+    try:
+        for record in dataset.train or dataset.records:
+            motion = [measured_motion(record, system, k) for k in range(len(tree.joints))]
+            every = max(round(INDEPENDENT / record.sample_time), 1)
+            motions.append(np.stack([np.stack(rows, 1)[::every] for rows in zip(*motion, strict=True)]))
+    except InputError as error:
+        return BaseParameterCheck(base, values, np.full(len(values), np.inf), np.inf, str(error))
+    w, columns = regressors(tree, base, motions)
+    size = TORQUE_ERROR * np.sqrt(np.mean((w @ phi) ** 2, axis=0))
+    size = np.maximum(size, 1e-6 * size.max())
+    std, condition = _predicted((columns / size[:, None]).reshape(-1, columns.shape[2]))
+    return BaseParameterCheck(base, values, std[: len(values)], condition)
+
+
+def tree_of(system: System) -> RigidBodyTree:
+    """A robot's tree with the inertias and rotors that the model's values say.
+
+    Raises:
+        InputError: the model has no description of a robot.
+    """
     if system.tree is None:
         raise InputError("Base parameters belong to a robot; give a model that names its description.")
     views = system.views([value.reshape(1) for value in system.theta().detach()])
@@ -70,27 +97,26 @@ def check_base_parameters(dataset: Dataset, system: System) -> BaseParameterChec
         replace(known, armature=float(joint.inertia[1].rotor(views[joint.inertia[0]], r)) * r**2)
         for known, joint, r in zip(tree.joints, system.joints, system.gear_ratio, strict=True)
     )
-    tree = replace(tree, joints=joints)
-    base = base_parameters(tree)
-    phi = inertial_parameters(tree)
-    values = base.grouping @ phi
-    blocks, speeds = [], []
-    try:
-        for record in dataset.train or dataset.records:
-            motion = [measured_motion(record, system, k) for k in range(len(joints))]
-            every = max(round(INDEPENDENT / record.sample_time), 1)
-            q, v, a = (np.stack(rows, 1)[::every] for rows in zip(*motion, strict=True))
-            blocks.append(whole_regressor(tree, q, v, a))
-            speeds.append(v)
-    except InputError as error:
-        return BaseParameterCheck(base, values, np.full(len(values), np.inf), np.inf, str(error))
-    w, v = np.concatenate(blocks), np.concatenate(speeds)
-    size = TORQUE_ERROR * np.sqrt(np.mean((w @ phi) ** 2, axis=0))
-    size = np.maximum(size, 1e-6 * size.max())
-    friction = np.concatenate([_at_own_joint(np.sign(v)), _at_own_joint(v)], axis=2)
-    columns = np.concatenate([w[..., list(base.independent)], friction], axis=2) / size[:, None]
-    std, condition = _predicted(columns.reshape(-1, columns.shape[2]))
-    return BaseParameterCheck(base, values, std[: len(values)], condition)
+    return replace(tree, joints=joints)
+
+
+def regressors(
+    tree: RigidBodyTree, base: BaseParameters, motions: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whole regressor, and torques by each base parameter, then by each joint's dry and viscous friction.
+
+    Args:
+        tree: of the robot.
+        base: its base parameters.
+        motions: positions, speeds and accelerations, ``(3, T_k, n)`` each.
+
+    Returns:
+        ``(T, n, 11 n)`` and ``(T, n, n_b + 2 n)``.
+    """
+    w = np.concatenate([whole_regressor(tree, *motion) for motion in motions])
+    v = np.concatenate([motion[1] for motion in motions])
+    friction = _at_own_joint(np.sign(v)), _at_own_joint(v)
+    return w, np.concatenate([w[..., list(base.independent)], *friction], axis=2)
 
 
 def _at_own_joint(rows: np.ndarray) -> np.ndarray:

@@ -1,0 +1,147 @@
+"""`excite` with the model of a robot: goals for all of its joints, within their limits."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hybrid_id.cli.console import show
+from hybrid_id.cli.folder import result_file
+from hybrid_id.errors import InputError, close_match
+
+if TYPE_CHECKING:
+    from hybrid_id.study.arm_excitation import ArmExcitation
+    from hybrid_id.systems.chain import System
+
+EVERY = ""
+"""Name of a limit that holds for all joints that have none of their own."""
+
+
+def robot_of(model: Path) -> "System | None":
+    """The system of a model file that names a robot's description; None for a drive."""
+    from hybrid_id.systems.model_file import load_model
+
+    system = load_model(model)
+    return None if system.tree is None else system
+
+
+def excite_robot(
+    file: Path,
+    system: "System",
+    band: tuple[float, float],
+    *,
+    model: Path | None,
+    speeds: Sequence[str],
+    torques: Sequence[str],
+    share: float,
+    sample_time: float,
+    duration: float,
+    tones: int,
+    rest: float,
+    starts: int,
+    seed: int,
+    plot: Path | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Design the motion, write it and say what it is."""
+    from contextlib import ExitStack
+
+    from hybrid_id.reporting.results import as_json as as_json_text
+    from hybrid_id.study.arm_excitation import design_arm_motion, joint_limits
+
+    if not 0.0 < share <= 1.0:
+        raise InputError(f"--share is {share:g}; give a number above 0, 1 at most")
+    names = system.tree.names if system.tree is not None else ()
+    limits = joint_limits(system, _by_joint(speeds, names, "--speed"), _by_joint(torques, names, "--torque"))
+    with ExitStack() as files:
+        table = files.enter_context(result_file(file, force=force))
+        words = files.enter_context(result_file(file.with_suffix(".json"), force=force))
+        picture = files.enter_context(result_file(plot, force=force)) if plot else None
+        design = design_arm_motion(
+            system, tuple(one.within(share) for one in limits), band, sample_time=sample_time, duration=duration,
+            tones=tones, rest=rest, starts=starts, seed=seed,
+        )  # fmt: skip
+        _write_table(table, design)
+        if picture:
+            from hybrid_id.reporting.study_figures import arm_excitation_figure
+            from hybrid_id.reporting.style import save
+
+            save(arm_excitation_figure(design), picture)
+        described = {
+            "samples": len(design.time), "sample_time": sample_time, "rest": rest, "band": band,
+            "duration": duration, "tones": tones, "starts": starts, "seed": seed, "share": share,
+            "file": str(file), "plot": plot and str(plot), "model": str(model), "joints": _described(design),
+            "scale": design.scale, "condition_number": design.condition_number,
+            "std_ratio": design.std_ratio,
+        }  # fmt: skip
+        text = as_json_text("excite", described)
+        words.write_text(text + "\n", encoding="utf-8")
+    if as_json:
+        return show(text)
+    show(*_told(design, band, tones), f"{len(design.time)} samples, {design.time[-1]:.6g} s, in {file}"
+         + (f"; picture in {plot}" if plot else ""))  # fmt: skip
+
+
+def _by_joint(given: Sequence[str], names: Sequence[str], option: str) -> dict[str, float]:
+    """Limits by joint, from ``NAME=VALUE`` and from a ``VALUE`` for all others."""
+    found: dict[str, float] = {}
+    for words in given:
+        name, _, value = words.rpartition("=")
+        if name and name not in names:
+            raise InputError(
+                f"{option} {words}: the robot has no joint '{name}'{close_match(name, names)}; it has "
+                f"{', '.join(names)}."
+            )
+        try:
+            found[name] = float(value)
+        except ValueError:
+            found[name] = 0.0
+        if not 0.0 < found[name] < float("inf"):
+            raise InputError(f"{option} {words}: '{value}' is no number above 0")
+    return dict.fromkeys(names, found[EVERY]) | found if EVERY in found else found
+
+
+def _write_table(table: Path, design: "ArmExcitation") -> None:
+    head = ",".join(["t", *(f"goal{k}" for k in range(1, design.position.shape[1] + 1))])
+    rows = zip(design.time, design.position, strict=True)
+    lines = (",".join(f"{value:.9g}" for value in (t, *row)) for t, row in rows)
+    table.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+
+
+def _described(design: "ArmExcitation") -> list[dict[str, object]]:
+    """Limits and peaks of each joint, for the JSON."""
+    peaks = abs(design.speed).max(0), abs(design.torque).max(0)
+    return [
+        {
+            "joint": one.name, "column": f"goal{k + 1}", "position_limits": one.position,
+            "speed_limit": one.speed, "torque_limit": one.torque,
+            "position": (design.position[:, k].min(), design.position[:, k].max()),
+            "peak_speed": peaks[0][k], "peak_torque": peaks[1][k],
+            "crest_factor": design.designs[k].crest_factor,
+        }
+        for k, one in enumerate(design.limits)
+    ]  # fmt: skip
+
+
+def _told(design: "ArmExcitation", band: tuple[float, float], tones: int) -> list[str]:
+    """What the screen says of a design."""
+    words = [f"{tones} tones from {band[0]:.4g} to {band[1]:.4g} Hz at each joint, positions at the joint:"]
+    speeds, torques = abs(design.speed).max(0), abs(design.torque).max(0)
+    width = max(len(one.name) for one in design.limits)
+    for k, one in enumerate(design.limits):
+        q = design.position[:, k]
+        words.append(
+            f"  goal{k + 1} {one.name:{width}}  {q.min():8.3f} to {q.max():.3f} of {one.position[0]:.3f} to "
+            f"{one.position[1]:.3f}; speed {speeds[k]:.3g} of {one.speed:.3g}, torque {torques[k]:.3g} of "
+            f"{one.torque:.3g}"
+        )
+    if design.scale < 1.0:
+        words.append(
+            f"The torques leave {100 * design.scale:.0f} % of the amplitude that position and speed allow."
+        )
+    return [
+        *words,
+        f"Base parameters and friction: condition number {design.condition_number:.3g}; shifts and signs bring the "
+        f"predicted standard errors to {100 * design.std_ratio:.0f} % of those at random.",
+        "Collisions are not checked. Bring the robot to the first position before it starts.",
+    ]  # fmt: skip
