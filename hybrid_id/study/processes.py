@@ -11,7 +11,7 @@ from typing import Any
 import torch
 from joblib import Parallel, delayed
 
-from hybrid_id.identification.fit import fit
+from hybrid_id.identification.fit import fit_records
 from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
@@ -90,4 +90,4 @@ def fit_share(
     batch = batch_of(dataset, system, dataset.train, signal_share, "cpu").take(torch.tensor(share))
     system = system.to(device)
     batch = horizon.cut(system, settings["engine"], batch.to(device))
-    return fit(system, batch, pooled=False, numbers=share, progress=lambda *_: stop.exists(), **settings)
+    return fit_records(system, batch, numbers=share, progress=lambda *_: stop.exists(), **settings)

@@ -46,7 +46,7 @@ def cross_validate(sets: Sequence[FitResult], batch: Batch, *, pooled: bool) -> 
         batch: whole records, or their pieces, over which the free runs begin anew.
         pooled: whether one set was fitted to all of them.
     """
-    system, engine = sets[0].system, max((r.engine for r in sets), key=lambda e: e.substeps)
+    system = sets[0].system
     speeds = [joint.positions[0] + 1 for joint in system.joints if f"v_m{joint.number}" not in batch.outputs]
     signals = (*batch.outputs, *(system.state_names[row] for row in speeds))
     theta = torch.stack([r.system.theta().detach() for r in sets], 1).to(batch.x.device)
@@ -54,13 +54,16 @@ def cross_validate(sets: Sequence[FitResult], batch: Batch, *, pooled: bool) -> 
     records = tuple(dict.fromkeys(batch.names))
     run_freely = simulate if len(records) == batch.rows else free_runs
     fits = np.empty((len(sets), len(records), len(signals)))
-    for first in range(0, len(sets), share):
-        some = torch.arange(first, min(first + share, len(sets)))
-        rows = torch.arange(batch.rows).repeat(len(some)).to(batch.x.device)
-        run = run_freely(system, engine, batch.take(rows), theta[:, some.repeat_interleave(batch.rows)])
-        simulated = torch.cat([run.y, run.x[..., speeds]], -1).cpu().numpy()
-        for k, i in enumerate(some.tolist()):
-            fits[i] = _fits(batch, simulated[k * batch.rows : (k + 1) * batch.rows], speeds)
+    engines = [stable_engine(r.system, r.engine, batch) for r in sets]
+    for engine in dict.fromkeys(engines):  # sets of the same sub-steps at once
+        alike = [k for k, one in enumerate(engines) if one == engine]
+        for first in range(0, len(alike), share):
+            some = torch.tensor(alike[first : first + share])
+            rows = torch.arange(batch.rows).repeat(len(some)).to(batch.x.device)
+            run = run_freely(system, engine, batch.take(rows), theta[:, some.repeat_interleave(batch.rows)])
+            simulated = torch.cat([run.y, run.x[..., speeds]], -1).cpu().numpy()
+            for k, i in enumerate(some.tolist()):
+                fits[i] = _fits(batch, simulated[k * batch.rows : (k + 1) * batch.rows], speeds)
     own = [-1] * len(sets) if pooled else list(range(len(sets)))
     labels = ["pooled"] if pooled else [r.records[0] for r in sets]
     return cross_validation(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import Progress, fit
+from hybrid_id.identification.fit import Progress, fit, fit_records
 from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.restarts import confirmed
@@ -105,17 +105,11 @@ def identify(
 
     def fitted(horizon: Horizon) -> list[FitResult]:
         part = horizon.cut(model, engine, batch)
-        found = fit(
-            model,
-            part,
-            pooled=pooled,
-            engine=engine,
-            options=options,
-            starts=starts,
-            seed=seed,
-            progress=progress,
-        )
-        return [confirmed(found[0], part, options=options, seed=seed, progress=progress)] if pooled else found
+        settings: dict[str, Any] = {"engine": engine, "options": options, "seed": seed, "progress": progress}
+        if not pooled:
+            return fit_records(model, part, starts=starts, **settings)
+        (found,) = fit(model, part, pooled=True, starts=starts, **settings)
+        return [confirmed(found, part, options=options, seed=seed, progress=progress)]
 
     sets = fitted(horizon or WHOLE)
     if horizon is None:

@@ -1,5 +1,6 @@
 """Bounds, robust losses, several starts, status and determinism of a fit; the development cases."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ from scipy.optimize import least_squares
 
 from hybrid_id.components import Backlash, Stribeck
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import fit, start_points
+from hybrid_id.identification.fit import fit, fit_records, start_points
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import sensitivities
@@ -364,3 +365,26 @@ def test_sets_behind_play_grow_on_records_of_less_than_half_a_second() -> None:
     batch = make_batch(loose, made, noise_std={"q_m1": 0.01})
     ends = fit(loose, batch, starts=2, options=Options(max_iterations=2))
     assert len(ends) == 2 and all(np.isfinite(end.values).all() for end in ends)
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="needs a C compiler")
+def test_compiled_records_are_fitted_one_by_one_with_sub_steps_of_their_own() -> None:
+    records = [record(0), record(1, samples=600), record(2)]
+    many = make_batch(TRUTH, records, noise_std=NOISE, signal_share=0.0)
+    seen: list[tuple[int, int]] = []
+
+    def progress(_stage: str, _iteration: int, cost: torch.Tensor, running: torch.Tensor) -> None:
+        seen.append((len(cost), len(running)))
+
+    each = fit_records(TRUTH, many, engine=Engine(compiled=True), starts=2, progress=progress)
+    together = fit(TRUTH, many, engine=Engine(compiled=True), starts=2)
+    assert [one.records for one in each] == [("r0",), ("r1",), ("r2",)]
+    for one, other in zip(each, together, strict=True):
+        np.testing.assert_allclose(one.values, other.values, rtol=2e-3)
+        assert one.n_samples == other.n_samples
+    assert {sets for sets, _ in seen} == {3}
+    assert [left for _, left in seen] == sorted((left for _, left in seen), reverse=True)
+    (alone,) = fit_records(
+        TRUTH, many.take(torch.tensor([1])), engine=Engine(compiled=True), numbers=[1], starts=2
+    )
+    np.testing.assert_allclose(alone.values, each[1].values, rtol=1e-9)
