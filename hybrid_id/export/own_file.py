@@ -44,16 +44,10 @@ def edited(system: System, tree: RigidBodyTree, step: float | None = None) -> Mj
         step: time step [s] to set; the file's own by default.
 
     Raises:
-        InputError: the robot was read from no file, its motors are coupled, or a joint stands in a file that it
-            includes.
+        InputError: the robot was read from no file, or a joint stands in a file that it includes.
     """
     if not tree.source:
         raise InputError("a robot that was read from no file has none to be edited; load its MJCF or URDF")
-    if tree.couplings:
-        names = ", ".join(tree.names[k] for k in tree.couplings[0].joints)
-        raise InputError(
-            f"the motors of {names} are coupled, for which an MJCF has no actuator yet; export a program instead"
-        )
     path = Path(tree.source)
     spec, text = read_spec(path), path.read_bytes().decode("utf-8")
     if converted := _Text(text).root == "robot":
@@ -202,6 +196,7 @@ class _Edit(Drives):
         self.tree, self.path, self.model = tree, path, model
         self.text, self.set_step = _Text(text), step is not None
         self.added: list[str] = []
+        self.shafts: list[str] = []
         self.replaced: dict[tuple[str, str], list[str]] = {}
 
     def label(self, joint: Joint) -> str:
@@ -300,6 +295,8 @@ class _Edit(Drives):
             self.text.append(section, self.added)
         elif self.added:
             lines += ["<actuator>", *(f"  {line}" for line in self.added), "</actuator>"]
+        if self.shafts:
+            lines += ["<tendon>", *(f"  {line}" for line in self.shafts), "</tendon>"]
         if self.set_step:
             lines.append(f'<option timestep="{number(self.step)}"/>')
         self.text.append(root, lines)
@@ -329,7 +326,13 @@ class _Edit(Drives):
             self.notes.append(left_out(gear, "the joint stays rigid: its link would need a second joint"))
         target = {"joint": known.name}
         found: Attributes = {"armature": number(rotor), "damping": "0 0 0", "frictionloss": "0"}
-        tag, attributes = self.act(joint, found, found, target, target)
+        if joint.motors:
+            shaft, found = found, found | {"armature": "0"}
+            turned_by = {"tendon": f"shaft{self.label(joint)}"}
+            tag, attributes = self.act(joint, shaft, found, turned_by, target)
+            self._shaft(joint, turned_by["tendon"], shaft)
+        else:
+            tag, attributes = self.act(joint, found, found, target, target)
         found["damping"] = re.sub(r"( 0)+$", "", found["damping"])
         self.sensed(joint)
         turned = known.kind == "hinge" and self._in_degrees()
@@ -337,6 +340,16 @@ class _Edit(Drives):
             found["springref"] = number(math.degrees(float(found["springref"])))
         self.text.put(element, _changed(found, known, turned=turned))
         return self._motor(joint, known, tag, attributes)
+
+    def _shaft(self, joint: Joint, name: str, found: Attributes) -> None:
+        """The rotor of a coupled motor: a fixed tendon as long as the rotor's angle behind its own gear."""
+        found["damping"] = re.sub(r"( 0)+$", "", found["damping"])
+        turned = (
+            (self.tree.names[link.number - 1], number(turns / joint.gear_ratio))
+            for link, turns in joint.links
+        )
+        inside = "".join(_written("joint", {"joint": link, "coef": coef}) for link, coef in turned)
+        self.shafts.append(f"{_written('fixed', {'name': name} | found)[:-2]}>{inside}</fixed>")
 
     def _in_degrees(self) -> bool:
         """Whether angles of the text are in degrees, as MJCF's are unless it says otherwise."""
@@ -352,7 +365,12 @@ class _Edit(Drives):
         ]
         if mine and self._same(mine[0], attributes, tag):
             return mine[0].values["name"]
-        if len(mine) == 1 and self.closes(joint) and self._adjusted(mine[0], attributes):
+        if (
+            len(mine) == 1
+            and self.closes(joint)
+            and "joint" in attributes
+            and self._adjusted(mine[0], attributes)
+        ):
             return mine[0].values["name"]
         gives = joint.drive.input[1].gives
         command = "motor's " + UNITS.get(gives, f"command [{gives}]")

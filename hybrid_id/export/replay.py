@@ -115,8 +115,9 @@ def mujoco_replay(
     data = mujoco.MjData(model)  # type: ignore[attr-defined]
     start = make_batch(system, [record], noise_std=noise_std).x[0, 0].tolist()
     for joint in system.joints:
-        row, r, name = joint.positions[0], joint.gear_ratio, exported.joints[joint.number - 1]
-        state = {name: [v / r for v in start[row : row + 2]]}
+        name = exported.joints[joint.number - 1]
+        turning = joint.motors or [(joint, 1.0 / joint.gear_ratio)]
+        state = {name: [sum(share * start[m.positions[0] + k] for m, share in turning) for k in (0, 1)]}
         if not joint.rigid:
             rotor, link = state[name], start[joint.positions[1] : joint.positions[1] + 2]
             state[f"gear{joint.number}"] = [b - a for a, b in zip(rotor, link, strict=True)]
@@ -124,8 +125,8 @@ def mujoco_replay(
             data.joint(hinge).qpos[:], data.joint(hinge).qvel[:] = angle, speed
     motors = [model.actuator(name).id for name in exported.motors]
     commands = [
-        _Command(system, joint, name, record, model.opt.timestep, bool(model.actuator_biastype[motor]))
-        for joint, name, motor in zip(system.joints, exported.joints, motors, strict=True)
+        _Command(system, joint, exported, record, model.opt.timestep, bool(model.actuator_biastype[motor]))
+        for joint, motor in zip(system.joints, motors, strict=True)
     ]
     for command, motor in zip(commands, motors, strict=True):
         if command.delays:
@@ -183,8 +184,14 @@ def _output(system: System, exported: Mjcf, data: Any, name: str) -> float:
     field = "qvel" if channel[0] == "v" else "qpos"
     rotor = getattr(data.joint(exported.joints[number]), field)[0]
     if channel[2] == "m":
-        return joint.gear_ratio * rotor
+        return _shaft(exported, joint, data, field)
     return rotor if joint.rigid else rotor + getattr(data.joint(f"gear{joint.number}"), field)[0]
+
+
+def _shaft(exported: Mjcf, joint: Joint, data: Any, field: str) -> float:
+    """Angle or speed of a joint's motor."""
+    links = ((exported.joints[link.number - 1], turns) for link, turns in joint.links)
+    return sum(turns * getattr(data.joint(name), field)[0] for name, turns in links)
 
 
 class _Command:
@@ -197,10 +204,11 @@ class _Command:
     """
 
     def __init__(
-        self, system: System, joint: Joint, name: str, record: Record, tick: float, servo: bool
+        self, system: System, joint: Joint, exported: Mjcf, record: Record, tick: float, servo: bool
     ) -> None:
         key, self._source = joint.drive.input
-        self._name, self._joint, self._view = name, joint, system.components[key].view()  # type: ignore[operator]
+        self._exported, self._joint = exported, joint
+        self._view = system.components[key].view()  # type: ignore[operator]
         self.on = record.inputs.get(f"enable{joint.number}", np.ones(record.n_samples))
         key, motor = joint.drive.motor
         self._induced = motor.specs["P_m2"].value if isinstance(motor, DCMotor) else 0.0
@@ -241,7 +249,7 @@ class _Command:
         """The command at a sample."""
         if self.servo:
             return self._given(sample, data)
-        speed = self._joint.gear_ratio * data.joint(self._name).qvel[0]
+        speed = _shaft(self._exported, self._joint, data, "qvel")
         on = float(self.on[sample])
         return on * self._given(sample, data) + (1.0 - on) * self._induced * speed
 
@@ -257,12 +265,13 @@ class _Command:
 
     def _motion(self, data: Any) -> tuple[float, float]:
         """Angle and speed that the loop is closed over: of the rotor, or of the link."""
-        hinge, r = data.joint(self._name), self._joint.gear_ratio
+        angle, speed = (_shaft(self._exported, self._joint, data, field) for field in ("qpos", "qvel"))
         if not self._source.at_joint:
-            return r * hinge.qpos[0], r * hinge.qvel[0]
+            return angle, speed
+        r = self._joint.gear_ratio
         gear = None if self._joint.rigid else data.joint(f"gear{self._joint.number}")
-        turned, speed = (0.0, 0.0) if gear is None else (gear.qpos[0], gear.qvel[0])
-        return hinge.qpos[0] + turned, hinge.qvel[0] + speed
+        twist, rate = (0.0, 0.0) if gear is None else (gear.qpos[0], gear.qvel[0])
+        return angle / r + twist, speed / r + rate
 
     def _arrived(self, data: Any) -> int:
         """The sample whose command has arrived; half a step forgives the rounding to MuJoCo's."""

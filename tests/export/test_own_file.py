@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hybrid_id.components import MotorEncoder
+from hybrid_id.components import MotorEncoder, PositionServo
 from hybrid_id.errors import InputError
 from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.export.own_file import mujoco_model
@@ -220,3 +220,36 @@ def test_a_tree_without_a_file_has_nothing_to_edit(tmp_path: Path) -> None:
     system.tree = replace(system.tree, source="")
     with pytest.raises(InputError, match="read from no file"):
         to_mjcf(system)
+
+
+COUPLED = """
+robot: {file: arm.xml}
+gear_ratio: [50, 20]
+couplings: [{joints: [lift, elbow], matrix: [[1, 0], [0.5, 1]]}]
+"""
+
+
+def test_coupled_motors_become_tendons(tmp_path: Path) -> None:
+    text = re.sub("<position.*/>", '<motor name="drive" joint="elbow" gear="3"/>', ARM)
+    system = arm(tmp_path, COUPLED, text)
+    system = system.with_values({"F_c_lift": 0.001, "F_c_elbow": 0.001, "J_m_elbow": 3e-5, "F_v_elbow": 2e-4})
+    exported = to_mjcf(system)
+    model = mujoco_model(exported)
+    assert exported.motors == ("motor_lift", "drive") and exported.joints == ("lift", "elbow")
+    assert model.tendon_armature.tolist() == pytest.approx([0.02, 3e-5 * 400])
+    assert np.ravel(model.tendon_frictionloss).tolist() == pytest.approx([0.05, 0.02])
+    assert not model.dof_armature.any() and not np.any(model.dof_frictionloss)
+    data = mujoco.MjData(model)
+    data.qpos[:] = 0.4, 0.3
+    mujoco.mj_forward(model, data)
+    assert data.ten_length.tolist() == pytest.approx([0.4, 0.5])
+    assert apart(system, waves(system, [0.02, 0.02], ["tau1", "tau2"])) < 2e-3
+
+
+def test_a_coupled_servo_closes_its_loop_over_its_own_shaft(tmp_path: Path) -> None:
+    system = arm(tmp_path, COUPLED.replace("50, 20", "1, 1")).with_component(
+        "joint2/input", PositionServo(k_p=20.0, k_d=0.2, tau_max=4.0)
+    )
+    exported = to_mjcf(system)
+    assert exported.motors == ("servo", "motor_elbow")
+    assert apart(system, waves(system, [0.4, 0.3], ["goal1", "goal2"])) < 2e-3

@@ -16,7 +16,6 @@ from hybrid_id.components.load.spring import Spring
 from hybrid_id.components.sensor.encoder import LinkEncoder
 from hybrid_id.components.transmission.linear_spring import LinearSpring
 from hybrid_id.errors import InputError
-from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.robots.base_parameters import base_parameters, inertial_parameters, whole_regressor
@@ -328,8 +327,6 @@ def test_what_else_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="motor of roll is coupled with bend"):
         alone(system, 2)
     alone(system, 0)
-    with pytest.raises(InputError, match="bend, roll are coupled, for which an MJCF has no actuator yet"):
-        to_mjcf(system)
     with pytest.raises(InputError, match="'diagnose' takes 2 joints"):
         refuse_arm(system, tmp_path, "diagnose")
     with pytest.raises(InputError, match="does not know couplings"):
