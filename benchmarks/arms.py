@@ -223,14 +223,17 @@ def _plot(rows: list[dict[str, Any]]) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--joints", type=int, nargs="*", default=list(JOINTS))
+    parser.add_argument(
+        "--joints", type=int, nargs="*", default=list(JOINTS), help="arms to run; others stay as they were"
+    )
     torch.set_num_threads(1)
-    rows = []
+    kept = HERE / "arms.json"
+    rows = {one["joints"]: one for one in json.loads(kept.read_text())} if kept.exists() else {}
     with tempfile.TemporaryDirectory() as folder:
         for n in parser.parse_args().joints:
-            rows.append(compared(n, Path(folder)))
-            print({k: round(v, 8) if isinstance(v, float) else v for k, v in rows[-1].items()}, flush=True)
-    write(rows)
+            rows[n] = compared(n, Path(folder))
+            print(rows[n], flush=True)
+            write([rows[k] for k in sorted(rows)])
 
 
 if __name__ == "__main__":
