@@ -38,15 +38,15 @@ BLOCK = inverse.SHOWN
 LENGTH = round(inverse.WINDOW / (inverse.STEP * BLOCK))
 FOLDS = 3
 ENGINE = Engine(compiled=True)
-PRIORS = {"c_m": (1.0, 0.3), **dict.fromkeys(("x_c", "y_c", "z_c"), (0.0, 0.03)),
-          **dict.fromkeys(("s_x", "s_y", "s_z"), (1.0, 0.3))}  # fmt: skip
-"""What the URDF is trusted with: mass and centre [m] of each link, its size; they matter where windows say nothing."""
+PRIORS = {"c_m": (1.0, 0.3), **dict.fromkeys(("x_c", "y_c", "z_c"), (0.0, 0.03))}
+"""What the URDF is trusted with: mass and centre [m] of each link; it matters where windows say nothing."""
+MASSES = ("c_m", "x_c", "y_c", "z_c")
 VARIANTS: dict[str, tuple[str, ...]] = {
     "drives": (),
-    "drives, masses and centres": ("c_m", "x_c", "y_c", "z_c"),
-    "drives and links": tuple(PRIORS),
-    "drives and links, load-dependent friction": (*PRIORS, "mu"),
-    "drives and links, Stribeck friction": (*PRIORS, "F_drop", "v_s"),
+    "drives, load-dependent friction": ("mu",),
+    "drives, Stribeck friction": ("F_drop", "v_s"),
+    "drives, masses and centres": MASSES,
+    "drives, masses and centres, load-dependent friction": (*MASSES, "mu"),
 }
 
 
@@ -104,7 +104,7 @@ def model(folder: Path, out: Path, values: np.ndarray, symbols: Sequence[str]) -
         elif info.component.endswith("motor_friction/coulomb_friction"):
             specs[info.name] = replace(info.spec, value=dry, upper=10 * dry)
         elif info.symbol == "J_m":
-            rotor = 0.3 / RATIO[k] ** 2 if k < 2 else 0.05 / RATIO[k] ** 2
+            rotor = (0.3 if k < 2 else 0.05) / float(RATIO[k]) ** 2
             specs[info.name] = replace(info.spec, value=rotor, lower=1e-7, upper=20 * rotor)
         elif info.symbol in PRIORS:
             mean, std = PRIORS[info.symbol]
@@ -180,18 +180,19 @@ def left_out(
     return rms(np.concatenate(found))
 
 
-def inverse_dynamics(folder: Path, angles: np.ndarray, torque: np.ndarray, keep: np.ndarray) -> np.ndarray:
-    """Inverse dynamics least squares on some of the samples (5 kHz) of a part, for start values and comparison."""
+def inverse_dynamics(
+    folder: Path, angles: np.ndarray, torque: np.ndarray, keep: Sequence[np.ndarray]
+) -> list[np.ndarray]:
+    """Least squares of inverse dynamics on several choices of the samples (5 kHz) of a part: start values."""
     tree = load_tree(folder / "tx40_mdh_modified.urdf")
     base = base_parameters(tree)
     q, v, a = inverse.motion(angles)
     w = np.concatenate([inverse.links(tree, base, q, v, a), inverse.friction(v)], 2)
     every = slice(None, None, inverse.EVERY)
     columns, measured = (
-        inverse.filtered(w, inverse.BAND)[every],
-        inverse.filtered(inverse.filtered(torque), inverse.BAND)[every],
+        inverse.filtered(rows, inverse.BAND)[every] for rows in (w, inverse.filtered(torque))
     )
-    return inverse.fit(columns[keep[every]], measured[keep[every]])[0]
+    return [inverse.fit(columns[one[every]], measured[one[every]])[0] for one in keep]
 
 
 def inverse_errors(
@@ -215,6 +216,7 @@ def main() -> None:
     parser.add_argument("--data", type=Path, required=True)
     parser.add_argument("--out", type=Path, default=Path("runs/19_tx40"))
     parser.add_argument("--variants", nargs="*", default=list(VARIANTS))
+    parser.add_argument("--inverse", action="store_true", help="inverse dynamics beside them (minutes)")
     parser.add_argument("--final", help="variant that is fitted on all of the first two thirds and saved")
     parser.add_argument("--open", action="store_true", help="measure the saved model on the last third")
     given = parser.parse_args()
@@ -236,21 +238,29 @@ def main() -> None:
     count = len(train[0].time) // LENGTH
     third = np.arange(count) * FOLDS // count
     of_sample = np.minimum(np.arange(split) // (LENGTH * BLOCK), count - 1)
-    values = [inverse_dynamics(given.data, *first, third[of_sample] != fold) for fold in range(FOLDS)]
-    plain = [inverse_errors(given.data, values[f], *first, np.flatnonzero(third == f)) for f in range(FOLDS)]
+    kept = [third[of_sample] != fold for fold in range(FOLDS)]
+    *values, whole = inverse_dynamics(given.data, *first, [*kept, np.ones(split, bool)])
     print(
         "| left out of the first two thirds, RMSE [mrad] | 1 | 2 | 3 | 4 | 5 | 6 | mean |\n"
         + "| --- " * 8
         + "|"
     )
-    table("inverse dynamics", rms(np.concatenate(plain)))
-    noise = 1e-3 * rms(np.concatenate(plain))
+    start = model(given.data, given.out, whole, ())
+    noise = 1e-3 * rms(errors(start, windows(start, train, np.ones(6))))
+    table("the URDF's links, friction by inverse dynamics, nothing left out", 1e3 * noise)
+    noise = noise * np.sqrt(
+        LENGTH
+    )  # what a model lacks bends a window as a whole: it counts as one measurement
+    if given.inverse:
+        plain = [
+            inverse_errors(given.data, values[f], *first, np.flatnonzero(third == f)) for f in range(FOLDS)
+        ]
+        table("inverse dynamics", rms(np.concatenate(plain)))
     for name in given.variants:
         began = time.perf_counter()
         table(name, left_out(given.data, given.out, name, train, values, noise))
         print(f"    {time.perf_counter() - began:.0f} s")
     if given.final:
-        whole = inverse_dynamics(given.data, *first, np.ones(split, bool))
         system = model(given.data, given.out, whole, VARIANTS[given.final])
         best = fitted(system, windows(system, train, noise))
         table("fitted on all of it, its own windows", rms(errors(best, windows(best, train, noise))))
