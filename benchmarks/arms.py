@@ -188,7 +188,7 @@ def write(rows: list[dict[str, Any]]) -> None:
     (HERE / "arms.json").write_text(json.dumps(rows, indent=1) + "\n")
     head = (__doc__ or "").split("Usage")[0].strip()
     text = (
-        f"# Arms: sensitivities against the number of joints\n\n    python -m benchmarks.arms\n\n{head}\n\n"
+        f"# Arms: sensitivities against the number of joints\n\n![time](../docs/arms.png)\n\n    python -m benchmarks.arms\n\n{head}\n\n"
     )
     text += (
         "| joints | parameters | compiled | error | MuJoCo, differences | its integrator and step | its error | "
@@ -217,7 +217,7 @@ def _plot(rows: list[dict[str, Any]]) -> None:
     axis.loglog(joints, at_default, "s--", mfc="none", label="MuJoCo, 2 ms")
     axis.set(xlabel="joints", ylabel="time of a 2 ms step [µs]", xticks=joints, xticklabels=joints)
     axis.minorticks_off()
-    axis.legend(frameon=False)
+    figure.legend(frameon=False, loc="outside upper center", ncols=3)
     figure.savefig(HERE.parent / "docs" / "arms.png", dpi=150)
 
 
