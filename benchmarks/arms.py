@@ -187,7 +187,8 @@ def write(rows: list[dict[str, Any]]) -> None:
     """The table, the figures and the plot."""
     (HERE / "arms.json").write_text(json.dumps(rows, indent=1) + "\n")
     head = (__doc__ or "").split("Usage")[0].strip()
-    text = f"# Arms: sensitivities against the number of joints\n\n![time](../docs/arms.png)\n\n    python -m benchmarks.arms\n\n{head}\n\n"
+    text = "# Arms: sensitivities against the number of joints\n\n![time](../docs/arms.png)\n\n"
+    text += f"    python -m benchmarks.arms\n\n{head}\n\n"
     text += (
         "| joints | parameters | compiled | error | MuJoCo, differences | its integrator and step | its error | "
         "ratio | `mj_step` at 2 ms | its error | ratio at 2 ms |\n" + "| --- " * 11 + "|\n"
