@@ -216,7 +216,7 @@ def _plot(rows: list[dict[str, Any]]) -> None:
     axis.loglog(joints, at_default, "s--", mfc="none", label="MuJoCo, 2 ms")
     axis.set(xlabel="joints", ylabel="time of a 2 ms step [µs]", xticks=joints, xticklabels=joints)
     axis.minorticks_off()
-    figure.legend(frameon=False, loc="outside upper center", ncols=3)
+    figure.legend(frameon=False, loc="outside upper center", ncols=3, fontsize="small", columnspacing=1.0)
     figure.savefig(HERE.parent / "docs" / "arms.png", dpi=150)
 
 
