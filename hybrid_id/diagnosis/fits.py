@@ -56,9 +56,9 @@ WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
 """How closely parameters are held where the model leaves structure; each is tried while it predicts better."""
-SUBSTEPS = 8
-"""Sub-steps that any candidate may take: they follow all that records at their sample time can show. Where the nominal
-model takes more than half as many, twice its own."""
+FINEST = 2.5e-4
+"""Sub-steps [s] that a candidate needs at most: they follow what swings at 300 Hz. Shorter ones where the nominal model
+takes any: twice as many as it does."""
 NARROWEST = 1e-6
 """Relative standard deviation of the narrowest prior that a fit can still move against."""
 PARALLEL_FROM = 2_000_000
@@ -158,9 +158,8 @@ class Fits:
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
-        self.engine = replace(
-            engine(), most_substeps=max(SUBSTEPS, min(2 * near.engine.substeps, MAX_SUBSTEPS))
-        )
+        most = max(round(batch.step / FINEST), 2 * near.engine.substeps, 1)
+        self.engine = replace(engine(), most_substeps=min(most, MAX_SUBSTEPS))
         best = self._best([system, near.system])
         if best is None:
             raise InputError(
