@@ -56,6 +56,8 @@ WINDOW = 0.5
 """Length [s] of the windows, each from a measured state, over which a fit from afar begins."""
 HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
 """How closely parameters are held where the model leaves structure; each is tried while it predicts better."""
+TRIES = 2
+"""Rounds of perturbed restarts of a gear whose link nobody measures."""
 FINEST = 2.5e-4
 """Sub-steps [s] that a candidate needs at most: they follow what swings at 300 Hz. Shorter ones where the nominal model
 takes any: twice as many as it does."""
@@ -284,7 +286,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
         else:
             result = _nearest(fits.engine, task, batch, iterations, halting)
         if hidden and task.shake and full:
-            result = perturbed_restarts(result, batch)
+            result = perturbed_restarts(result, batch, tries=TRIES)
         found = (
             _judged(fits, result, batch) if judge else validation(result.residual, batch.step, batch.names)
         )
