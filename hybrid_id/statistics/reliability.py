@@ -76,7 +76,7 @@ def reliability_grades(
             )
         elif name in at_bound:
             grades.append(
-                Reliability(name, "D", largest, "it lies at a bound; the interval is cut off there")
+                Reliability(name, "D", largest, "it lies at a bound; no interval is claimed")
             )
         else:
             grade, reason = _compare(errors, float(estimate[k]))
