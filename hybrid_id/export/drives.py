@@ -124,7 +124,9 @@ class Drives:
             return float(mass.total(self.p[key], r)) * (1.0 if rotor else r**2)
         return float((mass.rotor if rotor else mass.link)(self.p[key], r))
 
-    def _friction(self, target: Attributes, friction: FrictionCurve, gear: float, inertia: float) -> Attributes:
+    def _friction(
+        self, target: Attributes, friction: FrictionCurve, gear: float, inertia: float
+    ) -> Attributes:
         """Write friction into a hinge or tendon; what falls with speed or has a bristle is returned as LuGre."""
         before = [float(d) for d in target.get("damping", "0 0 0").split()]
         damping = [

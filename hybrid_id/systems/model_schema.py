@@ -120,7 +120,7 @@ def _short_parameters(value: Any) -> Any:
 
 
 class ParameterEntry(_Section):
-    """One parameter in a file, and an optional Gaussian prior, around the nominal value unless it has a mean of its own.
+    """One parameter in a file, and an optional Gaussian prior, whose mean is the nominal value unless one is given.
 
     The keys are columns of PEtab's parameter table without their affixes (``nominalValue``, ``lowerBound``,
     ``upperBound``, ``estimate``); PEtab is a file format for parameter estimation in systems biology.
