@@ -73,10 +73,10 @@ def export(
     the difference is stated as normalised RMSE.
     """
     _refuse_foreign_options(to, check, sample_time, width)
+    refuse_file(out, force=force)
     beside = _description_beside(out, to)
-    for one in (out, beside):
-        if one is not None:
-            refuse_file(one, force=force)
+    if beside is not None:
+        refuse_file(beside, force=force)
     use_threads(1)
     from hybrid_id.reporting.results import as_json as to_json
 
