@@ -72,19 +72,10 @@ def export(
     JSON of the same name). With --check, records are replayed through the exported MuJoCo model and through ours, and
     the difference is stated as normalised RMSE.
     """
-    if check is not None and to is not Format.mjcf:
-        raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
-    if to is not Format.torch and (sample_time, width) != (None, None):
-        raise InputError(
-            "--sample-time and --width are of the torch program; leave them out, or take --to torch"
-        )
+    _refuse_foreign_options(to, check, sample_time, width)
     refuse_file(out, force=force)
-    beside = out.with_suffix(".json")
-    if to is not Format.ranges:
-        if beside == out:
-            raise InputError(
-                f"{out} would also be the name of the description beside it; take another ending"
-            )
+    beside = _description_beside(out, to)
+    if beside is not None:
         refuse_file(beside, force=force)
     use_threads(1)
     from hybrid_id.reporting.results import as_json as to_json
@@ -98,21 +89,16 @@ def export(
         content, described, rows = _mjcf(system, check, out)
     else:
         content, described = _program(system, sample_time or SAMPLE_TIME, width or WIDTH)
-    about: dict[str, Any] = {"model": str(model if to is Format.ranges else file), "format": to.value}
-    about |= {} if to is Format.ranges else {"file": out.name}
+    about = {"model": str(model), "format": to.value}
+    if beside is not None:
+        about |= {"model": str(file), "file": out.name}
     text = to_json("export", about | described)
-    with ExitStack() as files:
-        main = files.enter_context(result_file(out, force=force))
-        if to is Format.ranges:
-            write_last(main, text)
-        else:
-            main.write_bytes(content)
-            write_last(files.enter_context(result_file(beside, force=force)), text)
+    _write(out, beside, content, text, force=force)
     if as_json:
         return show(text)
     for note in described.get("left_out", []):
         remark(f"{note}.")
-    if to is Format.ranges:
+    if beside is None:
         return show(f"a range for each parameter is in {out}")
     if to is Format.torch:
         words = f"{described['difference']:.1e} of the largest state"
@@ -123,6 +109,39 @@ def export(
         show("give --check DATASET to see how closely MuJoCo replays your records")
     left_out = f"what it leaves out in {beside}" if described["left_out"] else "nothing is left out"
     show(f"the model is in {out}, {left_out}")
+
+
+def _refuse_foreign_options(
+    to: Format, check: Path | None, sample_time: float | None, width: float | None
+) -> None:
+    """Refuse an option of another format than the one asked for."""
+    if check is not None and to is not Format.mjcf:
+        raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
+    if to is not Format.torch and (sample_time, width) != (None, None):
+        raise InputError(
+            "--sample-time and --width are of the torch program; leave them out, or take --to torch"
+        )
+
+
+def _description_beside(out: Path, to: Format) -> Path | None:
+    """The JSON file beside an exported model; None for ranges, which are JSON themselves."""
+    if to is Format.ranges:
+        return None
+    beside = out.with_suffix(".json")
+    if beside == out:
+        raise InputError(f"{out} would also be the name of the description beside it; take another ending")
+    return beside
+
+
+def _write(out: Path, beside: Path | None, content: bytes, text: str, *, force: bool) -> None:
+    """Write the model and its description beside it, both or none; without a second file the description alone."""
+    with ExitStack() as files:
+        main = files.enter_context(result_file(out, force=force))
+        if beside is None:
+            write_last(main, text)
+        else:
+            main.write_bytes(content)
+            write_last(files.enter_context(result_file(beside, force=force)), text)
 
 
 def _mjcf(system: "System", check: Path | None, out: Path) -> "tuple[bytes, dict[str, Any], list[Agreement]]":

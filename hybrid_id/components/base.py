@@ -4,7 +4,9 @@ A component reads its parameters from a *view* ``p`` (``p.F_c``, each shaped ``(
 attributes, so that values shared by all lanes and values that differ from lane to lane run through the same equations.
 
 A law's class holds all that is particular to it: its equations; as ``effect`` and ``starts`` what a diagnosis has to
-know to suspect it; as ``mjcf`` what it becomes in MuJoCo. Subclassing registers it.
+know to suspect it; as ``mjcf`` what it becomes in MuJoCo. Friction needs no ``mjcf``: ``export/curves.py:
+friction_curve`` samples its ``dry`` level and ``smooth`` torque, and ``export/drives.py`` writes the curve as
+``frictionloss`` and ``damping``. Subclassing registers it.
 """
 
 from __future__ import annotations

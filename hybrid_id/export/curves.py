@@ -40,7 +40,7 @@ def left_out(key: str, why: str) -> str:
 
 
 @dataclass(frozen=True)
-class Resistance:
+class FrictionCurve:
     """Friction of one place: ``level(v) sgn v + a v + b v |v| + c v^3``, a bias, and ramps.
 
     A bias is exact for dry friction that one direction has more of: at rest it shifts the interval that holds.
@@ -72,7 +72,7 @@ class Resistance:
         return abs(self.static - self.coulomb) > 1e-3 * max(self.static, self.coulomb)
 
 
-def resistance(joint: Joint, place: str, p: Views, top_speed: float) -> Resistance:
+def friction_curve(joint: Joint, place: str, p: Views, top_speed: float) -> FrictionCurve:
     """The friction of a place over speeds up to ``top_speed`` [rad/s], both directions averaged."""
     where, laws = f"{joint.name}/{place}", joint.frictions[place]
     speeds = torch.tensor(np.concatenate([[0.0], np.geomspace(1e-4, 1.0, 80)]) * top_speed)
@@ -126,7 +126,7 @@ def resistance(joint: Joint, place: str, p: Views, top_speed: float) -> Resistan
     a, b, c = (float(f) / top_speed**n for n, f in enumerate(found) if n)
     coulomb = level + float(found[0])
     edges = coulomb, coulomb + fall, stribeck * top_speed
-    return Resistance((a, b, c), *edges, bristle, bias, tuple(ramps), tuple(notes))
+    return FrictionCurve((a, b, c), *edges, bristle, bias, tuple(ramps), tuple(notes))
 
 
 def _largest(misses: list[np.ndarray]) -> float:

@@ -12,7 +12,7 @@ from hybrid_id.components.input.position_loop import PositionLoop
 from hybrid_id.components.load.gravity import Gravity
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.errors import InputError
-from hybrid_id.export.curves import SUPPLY, Resistance, left_out, noted, resistance
+from hybrid_id.export.curves import SUPPLY, FrictionCurve, friction_curve, left_out, noted
 from hybrid_id.systems.chain import System, Views
 from hybrid_id.systems.joint import Joint
 
@@ -85,8 +85,8 @@ class Drives:
         key, part = joint.drive.motor
         servo = self.closes(joint)
         top = SUPPLY / max(float(self.p[key].P_m2), 1e-3) if isinstance(part, DCMotor) else TOP_SPEED
-        rotor = resistance(joint, "motor_friction", self.p, top)
-        side = resistance(joint, "link_friction", self.p, top / r)
+        rotor = friction_curve(joint, "motor_friction", self.p, top)
+        side = friction_curve(joint, "link_friction", self.p, top / r)
         self.notes += [*rotor.notes, *side.notes]
         extras, notes = carried(joint.drive.torques, self.p)
         self.notes += notes + carried(joint.gear.errors, self.p)[1]
@@ -124,7 +124,9 @@ class Drives:
             return float(mass.total(self.p[key], r)) * (1.0 if rotor else r**2)
         return float((mass.rotor if rotor else mass.link)(self.p[key], r))
 
-    def _friction(self, target: Attributes, friction: Resistance, gear: float, inertia: float) -> Attributes:
+    def _friction(
+        self, target: Attributes, friction: FrictionCurve, gear: float, inertia: float
+    ) -> Attributes:
         """Write friction into a hinge or tendon; what falls with speed or has a bristle is returned as LuGre."""
         before = [float(d) for d in target.get("damping", "0 0 0").split()]
         damping = [
@@ -162,7 +164,7 @@ class Drives:
             self.notes += [noted(key, missing)] if missing else []
         self.notes += carried(joint.logged, self.p)[1]
 
-    def _uneven(self, name: str, friction: Resistance, gear: float, on: Attributes) -> None:
+    def _uneven(self, name: str, friction: FrictionCurve, gear: float, on: Attributes) -> None:
         """What one direction of motion has beyond the other: a bias, and dampers that act one way up to a force."""
         self._bias(f"{name}_bias", gear * friction.bias, on)
         for k, (torque, speed) in enumerate(friction.ramps):

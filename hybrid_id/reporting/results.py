@@ -17,6 +17,7 @@ from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, Replay, Study
+from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import save_model
 
 
@@ -28,60 +29,22 @@ def horizon_result(horizon: Horizon) -> dict[str, Any]:
 
 def study_result(study: Study) -> dict[str, Any]:
     """A study as plain data."""
-    selection, variation, cross = study.selection, study.variation, study.cross_validation
-    values, intervals = study.selected.values, study.intervals()
-    half = 0.5 * np.diff(normal_interval(values, study.standard_errors(selection.index), study.level))[:, 0]
-    combinations = study.combinations
-    reliability = {
-        one.name: {
-            "grade": one.grade,
-            "words": one.words,
-            "std_error": one.std_error,
-            "reason": one.reason,
-        }
-        for one in study.reliability
-    }
+    selection, cross = study.selection, study.cross_validation
+    reliability = _reliability_result(study)
     return {
         "pooled": study.pooled,
         "horizon": horizon_result(study.horizon),
         "parameters": list(study.names),
         "units": list(study.selected.units),
         "level": study.level,
-        "selected": {
-            "set": selection.name,
-            "reason": selection.reason,
-            "set_by_the_papers_rule": selection.paper_name,
-            "values": dict(zip(study.names, values, strict=True)),
-            "intervals": {
-                name: ends if np.isfinite(ends).all() else None
-                for name, ends in zip(study.names, intervals, strict=True)
-            },
-            "half_widths": dict(zip(study.names, half, strict=True)),  # of the intervals: its name until 0.2
-        },
+        "nominal_model": nominal_result(study.system),
+        "selected": _selected_result(study),
         "sets": [_set_result(study, i) for i in range(len(study.sets))],
-        "variation": None
-        if variation is None
-        else {
-            name: {
-                "mean": variation.mean[k],
-                "std": variation.std[k],
-                "percent": variation.percent[k],
-                "acceptable": variation.acceptable[k],
-                "held_by_prior": variation.held[k],
-            }
-            for k, name in enumerate(variation.names)
-        },
+        "variation": _variation_result(study),
         "reliability": reliability,
         "trust": reliability,  # its name until 0.2
         "identifiability": identifiability_result(study.identifiability),
-        "combinations": {
-            name: {
-                "values": combinations.values[:, k],
-                "std_error": combinations.std_error[:, k],
-                "percent": None if combinations.variation is None else combinations.variation.percent[k],
-            }
-            for k, name in enumerate(combinations.names)
-        },
+        "combinations": _combinations_result(study),
         "cross_validation": {
             "sets": cross.set_names,
             "records": cross.record_names,
@@ -93,6 +56,84 @@ def study_result(study: Study) -> dict[str, Any]:
         "test_nrmse": study.test_nrmse,
         "engine_error": study.engine_error,
         "profiles": {name: vars(one) for name, one in study.profiles.items()},
+    }
+
+
+def nominal_result(system: System) -> dict[str, Any]:
+    """Start value, bounds and prior of every parameter, held ones too, under the keys of a model file."""
+    return {
+        info.name: {
+            "nominal": info.spec.value,
+            "lower": info.spec.lower,
+            "upper": info.spec.upper,
+            "unit": info.spec.unit,
+            "estimate": info.spec.estimate,
+            "prior_mean": info.spec.prior_mean,
+            "prior_std": info.spec.prior_std,
+        }
+        for info in system.table
+    }
+
+
+def _selected_result(study: Study) -> dict[str, Any]:
+    """The selected set: its values and their intervals."""
+    selection, values = study.selection, study.selected.values
+    half = 0.5 * np.diff(normal_interval(values, study.standard_errors(selection.index), study.level))[:, 0]
+    return {
+        "set": selection.name,
+        "reason": selection.reason,
+        "set_by_the_papers_rule": selection.paper_name,
+        "values": dict(zip(study.names, values, strict=True)),
+        "intervals": {
+            name: ends if np.isfinite(ends).all() else None
+            for name, ends in zip(study.names, study.intervals(), strict=True)
+        },
+        "half_widths": dict(zip(study.names, half, strict=True)),  # of the intervals: its name until 0.2
+    }
+
+
+def _variation_result(study: Study) -> dict[str, Any] | None:
+    """std/mean of each parameter over the sets; None with fewer than two."""
+    variation = study.variation
+    if variation is None:
+        return None
+    return {
+        name: {
+            "mean": variation.mean[k],
+            "std": variation.std[k],
+            "percent": variation.percent[k],
+            "acceptable": variation.acceptable[k],
+            "held_by_prior": variation.held[k],
+        }
+        for k, name in enumerate(variation.names)
+    }
+
+
+def _reliability_result(study: Study) -> dict[str, Any]:
+    """Reliability of each parameter; its standard error is the mean of the sets', not the selected set's."""
+    return {
+        one.name: {
+            "grade": one.grade,
+            "words": one.words,
+            "std_error_of_mean": one.std_error,
+            "std_error": one.std_error,  # its name until 0.2
+            "reason": one.reason,
+        }
+        for one in study.reliability
+    }
+
+
+def _combinations_result(study: Study) -> dict[str, Any]:
+    """What the records identify where parameters alone are not identifiable, of every set."""
+    combinations = study.combinations
+    variation = combinations.variation
+    return {
+        name: {
+            "values": combinations.values[:, k],
+            "std_error": combinations.std_error[:, k],
+            "percent": None if variation is None else variation.percent[k],
+        }
+        for k, name in enumerate(combinations.names)
     }
 
 
@@ -132,7 +173,8 @@ def identifiability_result(identified: Identifiability) -> dict[str, Any]:
             for c, std in zip(identified.combinations, identified.combination_std, strict=True)
         ],
         "relative_std": dict(zip(identified.names, identified.relative_std, strict=True)),
-        "not_claimable": identified.not_claimable,
+        "not_identifiable": identified.not_claimable,
+        "not_claimable": identified.not_claimable,  # its name until 0.2
     }
 
 
@@ -199,15 +241,21 @@ def write_parameters(path: Path, study: Study) -> None:
 
     At a bound the errors are not normal, so nothing is claimed there.
     """
-    heads = ["set", "selected", "parameter", "value", "unit", "std_error", "lower", "upper"]
-    heads += ["claimable", "at_bound", "status"]
+    heads = ["set", "selected", "parameter", "value", "unit", "std_error", "interval_lower", "interval_upper"]
+    heads += [
+        "lower",
+        "upper",
+        "claimable",
+        "at_bound",
+        "status",
+    ]  # lower, upper: the interval's names until 0.2
     rows = []
     for i, result in enumerate(study.sets):
         label, chosen = study.cross_validation.set_names[i], int(i == study.selection.index)
         errors, intervals = study.standard_errors(i), study.intervals(i)
         for k, (name, value, unit) in enumerate(zip(study.names, result.values, result.units, strict=True)):
             known = bool(np.isfinite(errors[k]))
-            interval = (f"{v:.6g}" if known else "" for v in (errors[k], *intervals[k]))
+            interval = (f"{v:.6g}" if known else "" for v in (errors[k], *intervals[k], *intervals[k]))
             flags = int(known), int(name in result.at_bound), result.status
             rows.append([label, chosen, name, f"{value:.10g}", unit, *interval, *flags])
     _write_rows(path, heads, rows)

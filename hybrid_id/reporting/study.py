@@ -38,22 +38,33 @@ _STYLE = {"good": "green", "doubtful": "yellow", "not on its own": "red"}
 def study_table(study: Study, *, full: bool = False) -> RenderableType:
     """Parameters of the selected set with intervals, their variation and reliability, and what follows.
 
-    With ``full`` their bounds and the reasons of the reliability are given, too, for which a terminal has no room.
+    With ``full`` also what the fit started from (nominal value, prior, bounds) and the reasons of the reliability, for
+    which a terminal has no room.
     """
     intervals, spread = study.intervals(), study.variation
     heads = ["parameter", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
-    heads += [f"{100 * study.level:g} % interval>", "unit"]
+    heads += [f"{100 * study.level:g} % interval>", "unit", *(["nominal>", "prior std>"] if full else [])]
     heads += [] if spread is None else ["mean of sets>", "std/mean>"]
     rows = []
     for k, name in enumerate(study.names):
         value = study.selected.values[k]
         row = [name, f"{value:.5g}", interval_words(*intervals[k]), study.selected.units[k]]
+        row += start_cells(study.system, name) if full else []
         if spread is not None:
             colour = "" if spread.acceptable[k] or spread.held[k] else "red"
             row += [f"{spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
         rows.append([*row, *reliability_cells(study, name)[: None if full else 1]])
     found = table([*heads, *JUDGED[: None if full else 1]], rows)
     return Group(found, *combinations_table(study), *(Text(line) for line in _remarks(study)))
+
+
+def start_cells(system: System, name: str) -> list[str]:
+    """Nominal value of a parameter, and its prior's standard deviation, with the prior's mean where that is another."""
+    spec = system.parameter(name).spec
+    if spec.prior_std is None:
+        return [f"{spec.value:.5g}", "none"]
+    about = "" if spec.prior_mean in (None, spec.value) else f" about {spec.prior_mean:.5g}"
+    return [f"{spec.value:.5g}", f"{spec.prior_std:.3g}{about}"]
 
 
 def reliability_cells(study: Study, name: str) -> list[Text]:

@@ -75,9 +75,7 @@ def reliability_grades(
                 Reliability(name, "D", largest, "its prior holds it; the records say next to nothing")
             )
         elif name in at_bound:
-            grades.append(
-                Reliability(name, "D", largest, "it lies at a bound; the interval is cut off there")
-            )
+            grades.append(Reliability(name, "D", largest, "it lies at a bound; no interval is claimed"))
         else:
             grade, reason = _compare(errors, float(estimate[k]))
             if grade in "AB" and name in (scattered or {}):

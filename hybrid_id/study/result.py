@@ -49,7 +49,8 @@ class Study:
         covariances: plain covariance of each set.
         robust: autocorrelation-robust covariance of each set.
         identifiability: what the records of the selected set tell.
-        reliability: grade of each parameter, A to D.
+        reliability: grade of each parameter, A to D, from standard errors of the mean of the sets, where there are
+            several; intervals are of one set.
         cross_validation: fit % of every set on every record, measured signals and speeds.
         selection: the set to use.
         test_nrmse: normalised RMSE of the selected set on each test record, by name; empty without test records.

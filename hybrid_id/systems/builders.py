@@ -30,6 +30,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.robots.tree import RigidBodyTree, Servo, TreeJoint
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_schema import FLAT
 
 ROTOR_SHARE = 0.1
 """Start of a rotor's inertia at the joint, by the largest inertia that a joint of the arm carries."""
@@ -193,33 +194,17 @@ def joint_names(tree: RigidBodyTree, parts: Sequence[tuple[str, Component]]) -> 
 
 
 FLAT_NAMES: dict[str, dict[tuple[str, str], str]] = {
-    "one_link": {},
-    "one_link_flexible": {
-        ("joint1/motor_friction/coulomb_friction", "F_c"): "F_cm",
-        ("joint1/motor_friction/viscous_friction", "F_v"): "F_vm",
-        ("joint1/link_friction/viscous_friction", "F_v"): "F_va",
-        ("joint1/link_friction/coulomb_friction", "F_c"): "F_ca",
-    },
-    "two_link": {
-        (f"joint{n}/{place}", symbol): f"{name}{n}"
-        for n in (1, 2)
-        for place, symbol, name in (
-            ("load/link_inertia", "P", "P_"),
-            ("load/link_inertia", "rotor_share", "rotor_share"),
-            ("motor/dc_motor", "P_m1", "P_m1m"),
-            ("motor/dc_motor", "P_m2", "P_m2m"),
-            ("motor_friction/coulomb_friction", "F_c", "F_cm"),
-            ("motor_friction/viscous_friction", "F_v", "F_vm"),
-            ("link_friction/coulomb_friction", "F_c", "F_ca"),
-            ("link_friction/viscous_friction", "F_v", "F_va"),
-            *(
-                ("motor_friction/asymmetric_stribeck", name, f"{name}m")
-                for name in AsymmetricStribeck.declared
-            ),
-        )
-    },
+    system: {
+        (f"{where}/{kind}", symbol): name for name, (where, kind, symbol) in flat.items() if name != symbol
+    }
+    for system, flat in FLAT.items()
 }
-"""Result names where the bare symbol would be ambiguous: the flat names of the model file, and the paper's."""
+FLAT_NAMES["two_link"] |= {
+    (f"joint{n}/motor_friction/{AsymmetricStribeck.kind}", symbol): f"{symbol}m{n}"
+    for n in (1, 2)
+    for symbol in AsymmetricStribeck.declared
+}
+"""Result names where they differ from the bare symbol: the flat names of the model file, and the paper's."""
 
 
 def black_box(

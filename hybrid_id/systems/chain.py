@@ -32,7 +32,8 @@ class System(nn.Module):
     Args:
         gear_ratio: motor turns per joint turn, one a joint.
         parts: (where, component) pairs, ``where`` as ``"joint1/motor_friction"``.
-        aliases: preferred result names by (component key, symbol), for example ``("joint1/motor", "P_m1"): "P_m1"``.
+        aliases: preferred result names by (component key, symbol), as
+            ``("joint1/motor/dc_motor", "P_m1"): "P_m1m1"``.
         name: kind of system in model files (``one_link`` ...).
         tree: what couples the joints of a robot; None for joints that stand alone or in a plane.
         seats: number in the tree, from 0, of each joint; None for all of them in order. Of the tree's other joints the

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -216,7 +215,10 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
 
 
 def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
-    """Put the flat parameters into their components; one that no component needs brings it along, the rest of it 0."""
+    """Put the flat parameters into their components.
+
+    A component that is not there yet comes with its parameter; what the file leaves out of it is 0 and held.
+    """
     names, listed = FLAT[file.system], set(parts)
     replaced: dict[tuple[str, str], list[str]] = {}
     for name in file.parameters:
@@ -388,8 +390,3 @@ def _entry(spec: Bounded) -> dict[str, Any]:
         if spec.prior_mean != spec.value:
             entry["prior_mean"] = spec.prior_mean
     return entry
-
-
-def values_of(system: System) -> Mapping[str, float]:
-    """Parameter values by result name."""
-    return {info.name: info.spec.value for info in system.table}

@@ -14,10 +14,10 @@ from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.components.transmission.linear_spring import LinearSpring
 from hybrid_id.components.transmission.rigid import Rigid
 
-Where = tuple[str, str, str]
+ParameterPlace = tuple[str, str, str]
 """Place, kind and symbol that a flat name stands for."""
 
-FLAT: dict[str, dict[str, Where]] = {
+FLAT: dict[str, dict[str, ParameterPlace]] = {
     "one_link": {
         "J": ("joint1/load", "one_link", "J"),
         "rotor_share": ("joint1/load", "one_link", "rotor_share"),
@@ -120,7 +120,11 @@ def _short_parameters(value: Any) -> Any:
 
 
 class ParameterEntry(_Section):
-    """One parameter in a file: PEtab's columns, and an optional Gaussian prior around the nominal value."""
+    """One parameter in a file, and an optional Gaussian prior, whose mean is the nominal value unless one is given.
+
+    The keys are columns of PEtab's parameter table without their affixes (``nominalValue``, ``lowerBound``,
+    ``upperBound``, ``estimate``); PEtab is a file format for parameter estimation in systems biology.
+    """
 
     nominal: float
     lower: float | None = None

@@ -12,7 +12,7 @@ import yaml
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.schema import DatasetFile
 from hybrid_id.records.yaml_file import validate
-from hybrid_id.systems.model_file import ModelFile, build_model, values_of
+from hybrid_id.systems.model_file import ModelFile, build_model
 
 HOME = Path(__file__).resolve().parents[2]
 README = (HOME / "README.md").read_text(encoding="utf-8")
@@ -43,7 +43,8 @@ def workplace(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> P
 def test_example_files_are_sound() -> None:
     dataset, model = (yaml.safe_load(text) for text in blocks(TOUR, "yaml"))
     validate(DatasetFile, dataset, "tour.md")
-    assert "F_c" in values_of(build_model(validate(ModelFile, model, "tour.md")))
+    system = build_model(validate(ModelFile, model, "tour.md"))
+    assert "F_c" in {info.name for info in system.table}
 
 
 @pytest.mark.parametrize("ending", ["", "identify", "train"])

@@ -15,7 +15,7 @@ from rich.console import Console
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.excitation import design_multisine
 from hybrid_id.reporting.results import as_json, study_result, write_parameters
-from hybrid_id.reporting.study import study_table
+from hybrid_id.reporting.study import start_cells, study_table
 from hybrid_id.reporting.study_figures import (
     comparison_figure,
     cross_validation_figure,
@@ -178,6 +178,17 @@ def test_a_value_far_from_its_prior_is_said(study: Study) -> None:
     assert words.startswith("J = ") and "10 standard deviations from its prior" in words
 
 
+def test_full_table_says_what_the_fit_started_from(study: Study) -> None:
+    assert "prior" in text_of(study_table(study, full=True))
+    spec = study.system.parameter("J").spec
+    own = replace(spec, value=2e-5, prior_mean=2e-5, prior_std=1e-6)
+    without = replace(own, prior_mean=None, prior_std=None)
+    assert start_cells(study.system.with_specs({"J": without}), "J") == ["2e-05", "none"]
+    assert start_cells(study.system.with_specs({"J": own}), "J") == ["2e-05", "1e-06"]
+    other = replace(own, prior_mean=3e-5)
+    assert start_cells(study.system.with_specs({"J": other}), "J")[1] == "1e-06 about 3e-05"
+
+
 def test_tables_claim_no_interval_where_there_is_none(study: Study) -> None:
     words = text_of(study_table(study))
     row = next(line for line in words.splitlines() if line.startswith("J "))
@@ -217,13 +228,19 @@ def test_json_is_strict_and_agrees_with_the_table(study: Study, tmp_path: Path) 
     result = json.loads(text, parse_constant=refuse)
     assert result["selected"]["half_widths"]["J"] is result["selected"]["intervals"]["J"] is None
     assert result["reliability"]["J"]["words"] == "not on its own" and result["trust"]["J"]["grade"] == "D"
+    assert result["reliability"]["F_c"]["std_error_of_mean"] == result["reliability"]["F_c"]["std_error"]
+    assert result["identifiability"]["not_identifiable"] == result["identifiability"]["not_claimable"] != []
+    assert set(result["nominal_model"]) == {info.name for info in study.system.table}  # held ones, too
+    start, spec = result["nominal_model"]["J"], study.system.parameter("J").spec
+    assert (start["nominal"], start["lower"], start["prior_std"]) == (spec.value, spec.lower, spec.prior_std)
     assert result["program"].startswith("hybrid_id ")
     write_parameters(tmp_path / "parameters.csv", study)
     with (tmp_path / "parameters.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 2 * len(study.names)
     for row in rows:
-        assert (row["claimable"] == "0") == (row["std_error"] == "" == row["lower"])
+        assert (row["claimable"] == "0") == (row["std_error"] == "" == row["interval_lower"])
+        assert [row["interval_lower"], row["interval_upper"]] == [row["lower"], row["upper"]]
         k = study.names.index(row["parameter"])
         i = [r.records[0] for r in study.sets].index(row["set"])
         assert math.isclose(float(row["value"]), study.values[i, k], rel_tol=1e-9)

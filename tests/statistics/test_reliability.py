@@ -42,7 +42,11 @@ def test_grades(errors, expected, words):
 
 @pytest.mark.parametrize(
     ("state", "words"),
-    [("not_identifiable", "do not identify it"), ("held", "prior holds it"), ("at_bound", "at a bound")],
+    [
+        ("not_identifiable", "do not identify it"),
+        ("held", "prior holds it"),
+        ("at_bound", "bound; no interval is claimed"),
+    ],
 )
 def test_no_agreement_rescues_these(state, words):
     found = grade({"plain": 0.01, "robust": 0.01}, **{state: ["J"]})

@@ -90,6 +90,22 @@ components:
     assert found.tree == system.tree
 
 
+def test_a_parameter_of_the_usual_parts_gets_bounds_and_a_prior(tmp_path: Path) -> None:
+    """The line of docs/model.md takes the place of the description's dry friction, at that joint alone."""
+    own = "{F_c: {nominal: 0.05, lower: 0.0, upper: 0.3, prior_std: 0.02}}"
+    listed = f"components: [{{place: elbow/motor_friction, kind: coulomb_friction, parameters: {own}}}]\n"
+    system = load_model(written(tmp_path, "robot: {file: arm.xml}\n" + listed))
+    spec = system.parameter("F_c_elbow").spec
+    assert (spec.value, spec.lower, spec.upper, spec.prior_mean, spec.prior_std) == (
+        0.05,
+        0.0,
+        0.3,
+        0.05,
+        0.02,
+    )
+    assert system.parameter("F_c_lift").spec.value == 0.04
+
+
 def test_servos_by_name_give_start_values_of_the_data_sheet(tmp_path: Path) -> None:
     text = """
 robot: {file: arm.xml}
