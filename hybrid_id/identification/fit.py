@@ -15,8 +15,8 @@ from torch import Tensor
 from hybrid_id.identification.least_squares import Bounds, LeastSquares, Options, free_parameters, minimise
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.windows import hidden_links, measured_windows
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.memory import keep_freed_memory
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import rollout, simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.objective import Evaluation, Loss, evaluate
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 

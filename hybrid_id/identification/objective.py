@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import Measured, condense, linearise, shoot
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 

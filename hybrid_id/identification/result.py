@@ -10,7 +10,7 @@ from torch import Tensor
 
 from hybrid_id.identification.least_squares import LeastSquares, Options, Outcome
 from hybrid_id.identification.objective import Evaluation
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
