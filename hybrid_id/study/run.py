@@ -200,7 +200,7 @@ def _spread(way: Callable[..., Covariance], result: FitResult) -> Covariance:
     if result.status == "diverged":
         nothing = np.full((len(result.values),) * 2, np.nan)
         return Covariance(nothing, nothing[0], math.nan, "none", 0, nothing)
-    return way(result.jacobian, result.residual, prior_information=result.prior_precision)
+    return way(result.jacobian, result.residual, prior_precision=result.prior_precision)
 
 
 def _estimates(sets: Sequence[FitResult]) -> np.ndarray:
@@ -238,6 +238,6 @@ def _standard_errors(
     for way, block in ways.items():
         blocks = block_contributions(result.jacobian, result.residual, block=block)
         errors[way] = one_step_bootstrap(
-            result.values, blocks, prior_information=result.prior_precision, seed=seed
+            result.values, blocks, prior_precision=result.prior_precision, seed=seed
         ).std_error
     return errors
