@@ -235,7 +235,7 @@ def geodesic_acceleration(
 
 def _moved(part: Evaluation, first: Tensor, shift: Tensor) -> Tensor:
     move = torch.cat([first, shift, first.new_ones(len(first), 1)], 1)
-    return part.x + (part.chain.flatten(1, 2) @ move[..., None]).view_as(part.x)
+    return part.x + (part.node_sensitivity.flatten(1, 2) @ move[..., None]).view_as(part.x)
 
 
 def _reduce(
