@@ -100,7 +100,7 @@ def grow(problem: LeastSquares, theta: Tensor, options: Options, report: Report 
     coarse = replace(options, max_iterations=30, tolerance=0.3, loss=options.loss.stages[0])
     system, batch, sets = problem.system, problem.batch, problem.sets
     count = int(sets.max()) + 1
-    step = batch.step
+    step = batch.sample_time
     samples = batch.dt.shape[1]
 
     def run(seconds: float, start: Tensor, shared: bool) -> tuple[Tensor, Tensor]:

@@ -108,7 +108,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Step:
+class LMStep:
     """Step of G sets and of the nodes of their R rows.
 
     Attributes:
@@ -173,7 +173,7 @@ def lm_step(
     noise: Tensor,
     spread: Tensor,
     bounds: Bounds,
-) -> Step:
+) -> LMStep:
     """The step that minimises the damped quadratic model inside the box and a trust region of relative changes.
 
     Args:
@@ -201,14 +201,14 @@ def lm_step(
     quadratic = (step * (scaled @ step[..., None])[..., 0]).sum(1).clamp_min(0.0)
     shift = step * unit
     first = -back[..., -1] - (back[..., :-1] @ shift[group][..., None])[..., 0]
-    return Step(
+    return LMStep(
         values, shift, first, (quadratic / noise.clamp_min(1e-300)).sqrt(),
         -(gradient * unit * step).sum(1) - 0.5 * quadratic + gain, matrix, unit, damping[group], near, group,
     )  # fmt: skip
 
 
 def geodesic_acceleration(
-    step: Step, part: Evaluation, refused: Evaluation, bounds: Bounds, loss: Loss
+    step: LMStep, part: Evaluation, refused: Evaluation, bounds: Bounds, loss: Loss
 ) -> tuple[Tensor, Tensor]:
     """A refused step, corrected by the curvature that its own trial shows: new parameters ``(G, n_f)`` and nodes.
 
@@ -409,7 +409,7 @@ class _Turn:
     group: Tensor
     part: Evaluation
     noise: Tensor
-    step: Step
+    step: LMStep
     blur: Tensor
     short: Tensor
 

@@ -113,7 +113,7 @@ def common_sample_time(records: tuple[Record, ...]) -> float | None:
     return step if all(keeps_step(record, step) for record in records) else None
 
 
-def usual_step(records: tuple[Record, ...]) -> float:
+def usual_sample_time(records: tuple[Record, ...]) -> float:
     """The step (s) that all records keep; where they have none in common, the median one to 3 digits."""
     middle = float(np.median([record.sample_time for record in records]))
     return common_sample_time(records) or float(f"{middle:.3g}")
@@ -243,7 +243,7 @@ def _resample(
             f"{file}: key 'resample.sample_time' is {options.sample_time:g} s where 'sample_time' is "
             f"{sample_time:g} s; give one of them"
         )
-    step = options.sample_time or sample_time or usual_step(records)
+    step = options.sample_time or sample_time or usual_sample_time(records)
     pairs = [
         resample_record(record, step, inputs=options.inputs, max_gap=options.max_gap) for record in records
     ]
