@@ -8,7 +8,7 @@ import numpy as np
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
 from hybrid_id.records.files import plain
-from hybrid_id.records.readers import Table, Window, load_any, record_name
+from hybrid_id.records.readers import Table, TimeRange, load_any, record_name
 from hybrid_id.records.record import Record, find_fault
 from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
@@ -213,7 +213,10 @@ def _read(
         low, high = (stamp / factor for stamp in entry.between)
         slack = 1e-9 * max(abs(low), abs(high))  # the exact cut comes later, in seconds
         table = load_any(
-            path, wanted, file_format=file_format, window=Window(time.column, low - slack, high + slack)
+            path,
+            wanted,
+            file_format=file_format,
+            time_range=TimeRange(time.column, low - slack, high + slack),
         )
         if len(table.columns[time.column]) > 1:
             return table
