@@ -13,8 +13,8 @@ from torch import Tensor
 
 from hybrid_id.components.base import Component
 from hybrid_id.records.record import Record
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import Simulation, rollout, simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible

@@ -22,7 +22,8 @@ from hybrid_id.identification.hybrid import HybridOptions, train_hybrid
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.objective import Loss
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine

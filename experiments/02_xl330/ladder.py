@@ -17,7 +17,8 @@ from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import ModelFile, build_model

@@ -23,12 +23,12 @@ class Comparison:
                 r.values,
                 names,
                 jacobian=r.jacobian,
-                prior_information=r.prior_precision,
+                prior_precision=r.prior_precision,
                 references=("P_m1",),
             )
             for r in fitted
         ]
-        covs = [covariance(r.jacobian, r.residual, prior_information=r.prior_precision) for r in fitted]
+        covs = [covariance(r.jacobian, r.residual, prior_precision=r.prior_precision) for r in fitted]
         sets = [np.array([r.values for r in results]) for results in (fitted, trained)]
         if all(t.claimable.all() for t in told):
             self.names, self.values = names, sets

@@ -11,7 +11,8 @@ from machine import Machine
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.hybrid import Rung
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.study.hybrid import HybridStudy, network_roles

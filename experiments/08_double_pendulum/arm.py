@@ -15,7 +15,8 @@ from hybrid_id.components import Delay, ResidualNetwork, TorqueCommand, TorqueMo
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import resample_record
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.systems import two_link
 from hybrid_id.systems.chain import System
 

@@ -14,7 +14,8 @@ from hybrid_id.diagnosis.impulses import Pulse
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.record import Record
 from hybrid_id.records.resample import resample_record
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.systems.chain import System
 
 INPUTS = {"tau1": "tau_con1", "tau2": "tau_con2"}

@@ -155,7 +155,7 @@ def window_errors(system: System, records: Sequence[Record], seconds: float) -> 
     for row, record in enumerate(records):
         for name, values in record.outputs.items():
             states[row, : record.n_samples, system.state_names.index(name)] = torch.tensor(values)
-    length = round(seconds / batch.step)
+    length = round(seconds / batch.sample_time)
     cut, _ = replace(batch, x=states).windows(length + 1, length // 2, 0.0 * batch.x0_std)
     cut = cut.take((cut.weight > 0).all(2).all(1).nonzero().flatten())
     miss = (simulate(system, Engine(), cut).y - cut.y).square().mean((0, 1)).sqrt()

@@ -18,7 +18,8 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.by_joint import alone, with_others_measured

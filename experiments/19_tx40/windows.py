@@ -19,7 +19,8 @@ from hybrid_id.parameters import Bounded
 from hybrid_id.records.record import Record
 from hybrid_id.robots.base_parameters import base_parameters
 from hybrid_id.robots.description import load_tree
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine

@@ -89,6 +89,9 @@ def identify(
     if joint is not None:
         dataset, system = one_joint(dataset, system, joint)
     remark_start_values(dataset, system)
+    if unused := len(dataset.validation):
+        those = "1 validation record is" if unused == 1 else f"{unused} validation records are"
+        remark(f"{those} neither fitted nor scored by identify; 'hybrid-id diagnose' chooses models by them")
     use_device(config.identification.device)
     check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
     study, progress = run(dataset, system, config, jobs=jobs)

@@ -24,7 +24,7 @@ def load_records(path: Path, config: StudyConfig | None = None) -> "Dataset":
     from dataclasses import replace
 
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.records.dataset_file import usual_step
+    from hybrid_id.records.dataset_file import usual_sample_time
     from hybrid_id.records.resample import resample_record
 
     dataset = Dataset.load(path)
@@ -40,7 +40,7 @@ def load_records(path: Path, config: StudyConfig | None = None) -> "Dataset":
             records = tuple(record.between(*wish.between) for record in records)
     if wish.resample is None:
         return replace(dataset, records=records)
-    step = wish.resample.sample_time or dataset.sample_time or usual_step(records)
+    step = wish.resample.sample_time or dataset.sample_time or usual_sample_time(records)
     pairs = [
         resample_record(record, step, inputs=wish.resample.inputs, max_gap=wish.resample.max_gap)
         for record in records

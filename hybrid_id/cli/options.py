@@ -44,7 +44,7 @@ WindowOption = Annotated[
     str | None,
     typer.Option(
         metavar="SECONDS|whole|strokes|auto",
-        help="Free runs of this length from measured states, over whole records, or from rest to rest; "
+        help="Horizon: free runs of this length from measured states, over whole records, or from rest to rest; "
         "auto: over whole records where they follow them.",
         show_default="auto",
     ),

@@ -288,7 +288,9 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
         if hidden and task.shake and full:
             result = perturbed_restarts(result, batch, tries=TRIES)
         found = (
-            _judged(fits, result, batch) if judge else validation(result.residual, batch.step, batch.names)
+            _judged(fits, result, batch)
+            if judge
+            else validation(result.residual, batch.sample_time, batch.names)
         )
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
@@ -317,12 +319,12 @@ def _unseen(fits: Fits, result: FitResult, batch: Batch) -> tuple[list[np.ndarra
     train = batch if fits.whole else fits.records(system)
     reach = train.motion().amax(0).clamp_min(1.0).numpy()
     if not fits.dataset.validation:
-        return bounded(predicted(result, batch), reach), batch.step, batch.names
+        return bounded(predicted(result, batch), reach), batch.sample_time, batch.names
     whole = batch_of(fits.dataset, system, fits.dataset.validation, share, "cpu")
     seen, run = runs(system, result.engine, whole, fits.horizon)
     error = np.nan_to_num((seen.y.numpy() - run) * seen.weight.numpy(), nan=WORST).clip(-WORST, WORST)
     kept = [row[(weight > 0).any(1)] for row, weight in zip(error, seen.weight.numpy(), strict=True)]
-    return bounded(kept, reach), seen.step, seen.names
+    return bounded(kept, reach), seen.sample_time, seen.names
 
 
 def bounded(errors: Sequence[np.ndarray], reach: np.ndarray) -> list[np.ndarray]:

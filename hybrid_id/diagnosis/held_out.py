@@ -83,7 +83,7 @@ def errors(
         return None
     whole = batch_of(dataset, system, records, signal_share, "cpu")
     batch, simulated = runs(system, engine, whole, horizon)
-    length = max(1, round(BLOCK / batch.step))
+    length = max(1, round(BLOCK / batch.sample_time))
     declared = {channel.name: channel.noise_std or 0.0 for channel in dataset.outputs}
     blocks, by_record, by_output, noise, weighted = [], {}, {}, [], []
     for r, name in enumerate(whole.names):

@@ -127,7 +127,7 @@ def _late(signal: Tensor, samples: int) -> Tensor:
 
 def _remembered(opened: Response, v: Tensor, sign: Tensor) -> Tensor:
     """Direction and speed less what they were on average of late."""
-    step = opened.batch.step
+    step = opened.batch.sample_time
     found = []
     for constant in MEMORY:
         keep = float(np.exp(-step / constant))
@@ -139,7 +139,7 @@ def _remembered(opened: Response, v: Tensor, sign: Tensor) -> Tensor:
 
 def _swinging(opened: Response, v: Tensor) -> Tensor:
     """What masses on springs would pull, which the motion shakes: deflection and rate of each, of unit size."""
-    step = opened.batch.step
+    step = opened.batch.sample_time
     acceleration, found = np.gradient(v.numpy(), step, axis=1), []
     for frequency in SWINGS:
         w = 2.0 * np.pi * frequency

@@ -138,7 +138,7 @@ def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
     part = system.joints[joint - 1]
     opened = left.opened(joint, "motor")
     q, v = (left.batch.x[..., opened.row + k, None] for k in range(2))
-    a = torch.gradient(v, dim=1)[0] / left.batch.step
+    a = torch.gradient(v, dim=1)[0] / left.batch.sample_time
     views = {key: c.view() for key, c in system.components.items() if isinstance(c, Component)}
     key, inertia = part.inertia
     pull = float(inertia.link(views[key], part.gear_ratio).detach()) / part.gear_ratio

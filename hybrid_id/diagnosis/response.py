@@ -98,7 +98,7 @@ class Response:
             knot: distance of the bumps that make up the torque [s].
         """
         length = self.index.shape[1]
-        count = max(2, round(length * self.batch.step / knot))
+        count = max(2, round(length * self.batch.sample_time / knot))
         waves = bumps(torch.linspace(0.0, 1.0, length, dtype=self.x.dtype), count, 0.0, 1.0)
         columns = self._chained(waves.expand(len(self.record), length, count))
         columns = columns / columns.square().sum((0, 1)).sqrt().max().clamp_min(1e-300)
@@ -168,7 +168,7 @@ def respond(system: System, engine: Engine, batch: Batch, joint: int, side: str)
     torque = next(i for i, info in enumerate(table) if (info.component, info.symbol) == (key, "T_0"))
     own = [i for i, o in enumerate(table) if o.spec.estimate and (o.component != key or opened is system)]
     free = own if torque in own else [*own, torque]
-    step, samples = batch.step, batch.dt.shape[1]
+    step, samples = batch.sample_time, batch.dt.shape[1]
     length = min(max(25, round(WINDOW / step)), samples)
     first = torch.arange(0, samples - length + 1, length)
     record = torch.arange(batch.rows).repeat_interleave(len(first))

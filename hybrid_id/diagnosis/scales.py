@@ -58,7 +58,7 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
     return Scales(
         joint=joint.number,
         ratio=joint.gear_ratio,
-        sample_time=batch.step,
+        sample_time=batch.sample_time,
         duration=float(batch.dt.sum(1).max()),
         command=float(command.abs().max()) or 1.0,
         command_rms=float(moving.square().mean().sqrt()) if moving.numel() else 1.0,

@@ -31,7 +31,7 @@ from hybrid_id.identification.objective import Loss, evaluate
 from hybrid_id.identification.optimizers import QuasiNewtonState, advance, begin, prolonged
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.windows import measured_windows
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.systems.chain import System
 

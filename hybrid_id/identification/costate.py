@@ -16,8 +16,8 @@ import torch
 from torch import Tensor, nn
 
 from hybrid_id.identification.objective import Loss
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import LANES, Linearisation, condense, linearise
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System

@@ -6,17 +6,24 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from hybrid_id.identification.least_squares import Bounds, LeastSquares, Options, free_parameters, minimise
+from hybrid_id.identification.least_squares import (
+    Bounds,
+    LeastSquares,
+    Options,
+    Outcome,
+    free_parameters,
+    minimise,
+)
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.windows import hidden_links, measured_windows
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.memory import keep_freed_memory
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import rollout, simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
@@ -100,7 +107,7 @@ def grow(problem: LeastSquares, theta: Tensor, options: Options, report: Report 
     coarse = replace(options, max_iterations=30, tolerance=0.3, loss=options.loss.stages[0])
     system, batch, sets = problem.system, problem.batch, problem.sets
     count = int(sets.max()) + 1
-    step = batch.step
+    step = batch.sample_time
     samples = batch.dt.shape[1]
 
     def run(seconds: float, start: Tensor, shared: bool) -> tuple[Tensor, Tensor]:
@@ -149,9 +156,9 @@ def fit(
     """Identify one parameter set for each record of a batch, or one for all of them.
 
     The warm start fits short windows that begin at measured states, where the problem is nearly convex (behind a
-    gear with play and no encoder: horizons that grow from the records' starts); the full fit then runs over whole
-    records (output error, paper eq. 2). With several starts each set keeps its best end; a loss with stages keeps the
-    best quarter of the starts after each stage.
+    gear with play and no encoder: horizons that grow from the records' starts). The full fit then runs over all rows
+    as they are, whole records or pieces of them (output error, paper eq. 2). With several starts each set keeps its
+    best end; a loss with stages keeps the best quarter of the starts after each stage.
 
     Args:
         system: model with start values, bounds, priors and roles.
@@ -182,6 +189,7 @@ def fit(
     count = 1 if pooled else len(records)
     bounds = make_bounds(system, free, device)
     drawn_as = numbers or range(count)
+    # every start has a copy of all rows and a column of theta a set: column = start x count + set
     theta = start_points(system, free, bounds, drawn_as, starts, spread, seed, start_values).to(device)
     start = theta[:, :count]
     many = batch.take(rows.repeat(starts)) if starts > 1 else batch
@@ -207,34 +215,69 @@ def fit(
         nodes = rollout(system, engine, many, theta[:, many_sets])
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
-        for refinements_left in (2, 1, 0):
-            problem = LeastSquares(system, engine, many, many_sets, free, bounds)
-            outcome = minimise(problem, theta, setting, report("records"), nodes)
-            finer = with_substeps(system, engine, many, outcome.theta[:, many_sets])
-            settled = finer.substeps == engine.substeps or "interrupted" in outcome.status
-            if settled or refinements_left == 0:  # the result names the engine that it was found with
-                break
-            engine, theta, nodes = finer, outcome.theta, outcome.at.x
-            # where none are left, the end is only simulated with the finer sub-steps
-            left = setting.max_iterations - int(outcome.iterations.max())
-            setting = replace(setting, max_iterations=left)
+        problem = LeastSquares(system, engine, many, many_sets, free, bounds)
+        problem, outcome, setting = _refined(problem, theta, setting, report("records"), nodes)
+        engine = problem.engine
         cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
         order = cost.reshape(alive, count).argsort(0)
         if loss == options.loss or "interrupted" in outcome.status:
             break
-        # the best go on twice, from their own and from the measured states; the start joins them, so that it is beaten
-        better = order[: max(1, alive // 4)]
-        theta = outcome.theta[:, (better * count + each).flatten()]
-        theta = torch.cat([theta, theta, start], 1)
-        own = outcome.at.x[(better[:, sets] * batch.rows + rows).flatten()]
-        nodes = torch.cat(
-            [own, batch.x.repeat(len(better), 1, 1), simulate(system, engine, batch, start[:, sets]).x]
-        )
-        alive = 2 * len(better) + 1
+        simulated = simulate(system, engine, batch, start[:, sets]).x
+        theta, nodes = _survivors(outcome, order[: max(1, alive // 4)], batch, sets, start, simulated)
+        alive = theta.shape[1] // count
         many = batch.take(rows.repeat(alive))
         many_sets = torch.cat([sets + k * count for k in range(alive)])
     best = order[0] * count + each
     return [make_result(replace(problem, batch=batch), outcome, int(g), setting) for g in best]
+
+
+class _Refined(NamedTuple):
+    """The end of a fit; the problem has the engine that it was found with, the options the iterations left to it."""
+
+    problem: LeastSquares
+    outcome: Outcome
+    options: Options
+
+
+def _refined(
+    problem: LeastSquares, theta: Tensor, options: Options, report: Report, nodes: Tensor | None
+) -> _Refined:
+    """A fit that goes on with finer sub-steps, twice at most, where its end needs them; arguments as of `minimise`."""
+    system, batch, sets = problem.system, problem.batch, problem.sets
+    for refinements_left in (2, 1, 0):
+        outcome = minimise(problem, theta, options, report, nodes)
+        finer = with_substeps(system, problem.engine, batch, outcome.theta[:, sets])
+        settled = finer.substeps == problem.engine.substeps or "interrupted" in outcome.status
+        if settled or refinements_left == 0:
+            break
+        problem, theta, nodes = replace(problem, engine=finer), outcome.theta, outcome.at.x
+        # where none are left, the end is only simulated with the finer sub-steps
+        left = options.max_iterations - int(outcome.iterations.max())
+        options = replace(options, max_iterations=left)
+    return _Refined(problem, outcome, options)
+
+
+def _survivors(
+    outcome: Outcome, better: Tensor, batch: Batch, sets: Tensor, start: Tensor, simulated: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Where the next stage of a loss starts: parameters ``(n_p, S * G)`` and nodes ``(S * R, T, n_x)`` of S starts.
+
+    The best go on twice, from their own and from the measured states; the start joins them, so that it is beaten.
+
+    Args:
+        outcome: end of the stage before.
+        better: numbers of the best starts of each set, best first, ``(S', G)``; S = 2 S' + 1.
+        batch: the R rows of one start.
+        sets: set of each of them, ``(R,)``.
+        start: parameters that the fit began with, ``(n_p, G)``.
+        simulated: states at these parameters, ``(R, T, n_x)``.
+    """
+    count = better.shape[1]
+    each, rows = (torch.arange(n, device=better.device) for n in (count, batch.rows))
+    best = outcome.theta[:, (better * count + each).flatten()]
+    own = outcome.at.x[(better[:, sets] * batch.rows + rows).flatten()]
+    measured = batch.x.repeat(len(better), 1, 1)
+    return torch.cat([best, best, start], 1), torch.cat([own, measured, simulated])
 
 
 def fit_records(

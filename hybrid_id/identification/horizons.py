@@ -131,7 +131,7 @@ def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Bat
         batch: whole records, prepared for it.
         seconds: length of a window.
     """
-    if window_samples(batch.x.shape[1], batch.step, seconds) is None:
+    if window_samples(batch.x.shape[1], batch.sample_time, seconds) is None:
         return batch
     batch, hidden = _simulated_hidden(system, engine, batch)
     cut = measured_windows(system, batch, seconds)
@@ -324,7 +324,7 @@ def _lost_after(result: FitResult, batch: Batch) -> str:
     samples = np.arange(1, residual.shape[1] + 1)[:, None]
     errors = [_relative(np.cumsum(r**2, 0) / samples, batch, k).mean(1) for k, r in enumerate(residual)]
     lost = ~(np.mean(errors, 0) <= FOLLOWED)
-    return f" after {np.argmax(lost) * batch.step:.2g} s" if lost.any() else ""
+    return f" after {np.argmax(lost) * batch.sample_time:.2g} s" if lost.any() else ""
 
 
 def _joined(parts: Sequence[np.ndarray], result: FitResult, record: str) -> np.ndarray:

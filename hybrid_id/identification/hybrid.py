@@ -38,7 +38,7 @@ from hybrid_id.identification.training_loop import (
     excess,
     typical,
 )
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System

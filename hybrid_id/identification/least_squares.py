@@ -15,8 +15,8 @@ from torch import Tensor
 
 from hybrid_id.errors import InputError
 from hybrid_id.identification.objective import Evaluation, Loss, evaluate
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -108,7 +108,7 @@ class Bounds:
 
 
 @dataclass(frozen=True)
-class Step:
+class LMStep:
     """Step of G sets and of the nodes of their R rows.
 
     Attributes:
@@ -170,10 +170,10 @@ def lm_step(
     group: Tensor,
     values: Tensor,
     damping: Tensor,
-    noise: Tensor,
-    spread: Tensor,
+    residual_variance: Tensor,
+    state_rms: Tensor,
     bounds: Bounds,
-) -> Step:
+) -> LMStep:
     """The step that minimises the damped quadratic model inside the box and a trust region of relative changes.
 
     Args:
@@ -181,11 +181,11 @@ def lm_step(
         group: set of each row, ``(R,)``.
         values: free parameters, ``(G, n_f)``.
         damping: Marquardt damping, ``(G,)``.
-        noise: variance of the weighted residuals, ``(G,)``.
-        spread: RMS of each row's states, ``(R, n_x)``.
+        residual_variance: of the weighted residuals of each set, ``(G,)``.
+        state_rms: of each row's states, ``(R, n_x)``.
         bounds: box and priors.
     """
-    near = noise[group, None] * (PROXIMAL_SHARE * spread).square().reciprocal()
+    near = residual_variance[group, None] * (PROXIMAL_SHARE * state_rms).square().reciprocal()
     hessian, gradient, gain, back = _reduce(part, group, len(values), damping[group], near)
     hessian = hessian + torch.diag_embed(bounds.prior_precision.expand_as(values))
     gradient = gradient + bounds.prior_precision * (values - bounds.prior_mean)
@@ -193,7 +193,7 @@ def lm_step(
     unit = diagonal.clamp_min(1e-300).rsqrt().where(diagonal > 0, torch.zeros_like(diagonal))
     scale = torch.maximum(values.abs(), bounds.scale)
     # a proximal term keeps directions that the records do not tell where they are
-    proximal = noise[:, None] * (unit / (PROXIMAL_SHARE * scale)).square()
+    proximal = residual_variance[:, None] * (unit / (PROXIMAL_SHARE * scale)).square()
     low = torch.maximum(bounds.lower - values, -0.6 * scale)
     high = torch.minimum(bounds.upper - values, 1.5 * scale)
     added = damping[:, None] + proximal + (unit == 0).to(unit.dtype)
@@ -201,14 +201,14 @@ def lm_step(
     quadratic = (step * (scaled @ step[..., None])[..., 0]).sum(1).clamp_min(0.0)
     shift = step * unit
     first = -back[..., -1] - (back[..., :-1] @ shift[group][..., None])[..., 0]
-    return Step(
-        values, shift, first, (quadratic / noise.clamp_min(1e-300)).sqrt(),
+    return LMStep(
+        values, shift, first, (quadratic / residual_variance.clamp_min(1e-300)).sqrt(),
         -(gradient * unit * step).sum(1) - 0.5 * quadratic + gain, matrix, unit, damping[group], near, group,
     )  # fmt: skip
 
 
 def geodesic_acceleration(
-    step: Step, part: Evaluation, refused: Evaluation, bounds: Bounds, loss: Loss
+    step: LMStep, part: Evaluation, refused: Evaluation, bounds: Bounds, loss: Loss
 ) -> tuple[Tensor, Tensor]:
     """A refused step, corrected by the curvature that its own trial shows: new parameters ``(G, n_f)`` and nodes.
 
@@ -235,13 +235,25 @@ def geodesic_acceleration(
 
 def _moved(part: Evaluation, first: Tensor, shift: Tensor) -> Tensor:
     move = torch.cat([first, shift, first.new_ones(len(first), 1)], 1)
-    return part.x + (part.chain.flatten(1, 2) @ move[..., None]).view_as(part.x)
+    return part.x + (part.node_sensitivity.flatten(1, 2) @ move[..., None]).view_as(part.x)
 
 
 def _reduce(
     e: Evaluation, sets: Tensor, count: int, damping: Tensor, near: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Eliminate each row's first state and add the rows of each set: hessian, gradient, gain and the way back."""
+    """Eliminate each row's first state and add the rows of each set.
+
+    Args:
+        e: evaluation of R rows.
+        sets: set of each row, ``(R,)``.
+        count: number of sets, G.
+        damping: Marquardt damping of each row, ``(R,)``.
+        near: proximal precision of the first states, ``(R, n_x)``.
+
+    Returns:
+        Hessian ``(G, n_f, n_f)``, gradient ``(G, n_f)``, fall of the cost by the first states alone ``(G,)``, and the
+        way back ``(R, n_x, n_f + 1)``: minus the first states' change per unit of each parameter, and (last) without.
+    """
     n_x = near.shape[1]
     h_xx, h_xt, h_tt = e.hessian[:, :n_x, :n_x], e.hessian[:, :n_x, n_x:], e.hessian[:, n_x:, n_x:]
     right = torch.cat([h_xt, e.gradient[:, :n_x, None]], 2)
@@ -399,7 +411,7 @@ class _Turn:
     Attributes:
         rows: the rows of these sets, ``(R',)``, and ``group``, the set of each among those that run.
         part: their last evaluation.
-        noise: variance of the weighted residuals of each set.
+        residual_variance: of the weighted residuals of each set, ``(G',)``.
         step: to be tried.
         blur: largest defect of each set, in units of its residuals.
         short: sets whose step is shorter than the tolerance, undamped.
@@ -408,8 +420,8 @@ class _Turn:
     rows: Tensor
     group: Tensor
     part: Evaluation
-    noise: Tensor
-    step: Step
+    residual_variance: Tensor
+    step: LMStep
     blur: Tensor
     short: Tensor
 
@@ -417,14 +429,32 @@ class _Turn:
 class _Descent:
     """A batched fit on its way: what every set has reached, how it is damped, and which sets still run.
 
-    Arguments as in :func:`minimise`.
+    Arguments as in :func:`minimise`. Shapes: G sets, R rows, T samples.
+
+    Attributes:
+        theta: best parameters so far in table order, ``(n_p, G)``; ``index`` are the rows that move, ``(n_f,)``.
+        best: evaluation there, of all R rows.
+        cost: there, with priors, ``(G,)``; ``history`` has it after each iteration.
+        data: number of measurements of each set, ``(G,)``.
+        state_rms: RMS of each row's states, ``(R, n_x)``.
+        bounds: those of the problem, with the sizes that steps are measured by.
+        running: numbers of the sets that still run, ``(<= G,)``: an index into all that is ``(G,)``, no mask.
+        status: why each set ended, G words; "max_iterations" while it runs.
+        iterations: trial steps of each set, ``(G,)``.
+        damping: Marquardt damping of each set, ``(G,)``.
+        growth: factor by which the next refusal raises it, doubled by each refusal and 2 again after a gain, ``(G,)``.
+        closing: sets that next close the defects of the point they stand at, without a step, ``(G,)`` booleans.
+        again: sets that next try a refused step again, corrected for curvature, ``(G,)`` booleans.
+        curved: these corrected parameters, ``(n_p, G)``, and ``curved_nodes`` their nodes, ``(R, T, n_x)``; read
+            where ``again`` is true.
+        nearest: length in standard errors of the last uncorrected step with damping below 1, ``(G,)``; inf before.
     """
 
     def __init__(self, problem: LeastSquares, theta: Tensor, options: Options, nodes: Tensor | None) -> None:
         batch, sets, count = problem.batch, problem.sets, theta.shape[1]
         self.problem, self.options = problem, options
         self.theta, self.index = theta.clone(), torch.tensor(problem.free, device=theta.device)
-        self.spread = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
+        self.state_rms = batch.x.square().mean(1).sqrt().clamp_min(1e-9)
         start_nodes = batch.x if nodes is None else nodes
         self.best = problem.at(batch, start_nodes, theta[:, sets], options.loss, options.chunk)
         self.cost = problem.cost(self.best, theta, sets)
@@ -439,7 +469,6 @@ class _Descent:
         self.running = known.nonzero().flatten()
         self.damping, self.growth = (torch.full_like(self.cost, v) for v in (options.damping, 2.0))
         self.iterations = torch.zeros(count, dtype=torch.long, device=theta.device)
-        # sets that have to close their defects, and sets whose refused step is tried again, corrected
         self.closing, self.again = (torch.zeros_like(known) for _ in range(2))
         self.curved, self.curved_nodes = theta.clone(), batch.x.clone()
         self.nearest = torch.full_like(self.cost, torch.inf)
@@ -452,7 +481,7 @@ class _Descent:
         return bool(running.numel()) and int(self.iterations[running[0]]) < self.options.max_iterations
 
     @property
-    def noise(self) -> Tensor:
+    def residual_variance(self) -> Tensor:
         """Variance of the weighted residuals of each set, ``(G,)``."""
         return (2.0 * self.cost / self.data).clamp_min(PERFECT)
 
@@ -467,13 +496,16 @@ class _Descent:
         local = torch.full_like(self.iterations, -1)
         local[running] = torch.arange(running.numel(), device=local.device)
         rows = (local[sets] >= 0).nonzero().flatten()
-        group, part, noise = local[sets[rows]], self.best.take(rows), self.noise[running]
+        group, part = local[sets[rows]], self.best.take(rows)
+        variance = self.residual_variance[running]
         values = self.theta[self.index][:, running].T
-        step = lm_step(part, group, values, self.damping[running], noise, self.spread[rows], self.bounds)
+        step = lm_step(
+            part, group, values, self.damping[running], variance, self.state_rms[rows], self.bounds
+        )
         honest = (self.damping[running] < 1.0) & ~self.closing[running] & ~self.again[running]
         self.nearest[running] = torch.where(honest, step.size, self.nearest[running])
         short = honest & (step.size < self.options.tolerance)
-        return _Turn(rows, group, part, noise, step, _worst(part.defect, group, noise), short)
+        return _Turn(rows, group, part, variance, step, _worst(part.defect, group, variance), short)
 
     def ended(self, turn: _Turn) -> bool:
         """Let go of the sets that have converged or stalled; whether there were any."""
@@ -501,7 +533,7 @@ class _Descent:
         near = bool(((turn.blur < SHARP) & (step.size < 3.0)).all())
         tried = problem.batch.take(turn.rows)
         new = problem.at(tried, x, trial[:, group], self.options.loss, 1 if near else self.options.chunk)
-        cycling = (new.defect > 2 * SETTLED * turn.noise.sqrt()[group]) & (
+        cycling = (new.defect > 2 * SETTLED * turn.residual_variance.sqrt()[group]) & (
             new.defect > 0.7 * turn.part.defect
         )
         cycling &= (shut | turn.short)[group]
@@ -542,13 +574,13 @@ class _Descent:
         if not options.closed:
             return Outcome(theta, self.cost, self.iterations, self.status, best, self.history)
         sets = problem.sets
-        open_rows = best.defect > SETTLED * self.noise.sqrt()[sets]
+        open_rows = best.defect > SETTLED * self.residual_variance.sqrt()[sets]
         best = problem.close(best, problem.batch, theta[:, sets], open_rows, open_rows, options)
         cost = problem.cost(best, theta, sets)
         return Outcome(theta, cost, self.iterations, self.status, best, self.history)
 
 
-def _scale(e: Evaluation, bounds: Bounds, noise: Tensor) -> Tensor:
+def _scale(e: Evaluation, bounds: Bounds, residual_variance: Tensor) -> Tensor:
     """Sizes that steps are measured by, ``(n_f,)``: a standard error where neither start value nor range gives one.
 
     A fixed size would end the fit: steps as short as it allows may be far below the standard error, as if converged.
@@ -556,15 +588,16 @@ def _scale(e: Evaluation, bounds: Bounds, noise: Tensor) -> Tensor:
     Args:
         e: evaluation at the start.
         bounds: box and scales.
-        noise: variance of the weighted residuals of each row, ``(R,)``.
+        residual_variance: of the weighted residuals of the set of each row, ``(R,)``.
     """
-    information = e.hessian.diagonal(dim1=1, dim2=2)[:, -len(bounds.scale) :] / noise[:, None]
+    information = e.hessian.diagonal(dim1=1, dim2=2)[:, -len(bounds.scale) :] / residual_variance[:, None]
     known = torch.isfinite(information).all(1)
     total = information[known].mean(0) if bool(known.any()) else torch.zeros_like(bounds.scale)
     unknown = (bounds.sized == 0) & (total > 0)
     return torch.where(unknown, torch.maximum(total.clamp_min(1e-300).rsqrt(), bounds.scale), bounds.scale)
 
 
-def _worst(defect: Tensor, group: Tensor, noise: Tensor) -> Tensor:
+def _worst(defect: Tensor, group: Tensor, residual_variance: Tensor) -> Tensor:
     """Largest defect among the rows of each set, in units of its residuals."""
-    return torch.zeros_like(noise).scatter_reduce(0, group, defect, "amax") / noise.sqrt()
+    largest = torch.zeros_like(residual_variance).scatter_reduce(0, group, defect, "amax")
+    return largest / residual_variance.sqrt()

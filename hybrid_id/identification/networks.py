@@ -17,8 +17,8 @@ from torch import Tensor, nn
 from hybrid_id.components.bristle import relax
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.identification.costate import linearise_sorted
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import Linearisation
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.networks import HARMONIC, LINK_PLACES, Networks

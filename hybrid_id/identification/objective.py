@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from hybrid_id.errors import InputError
-from hybrid_id.simulation.lifted import Measured, condense, linearise, shoot
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.lifted import Outputs, condense, linearise, shoot
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -65,7 +65,7 @@ class Evaluation:
 
     Attributes:
         x: nodes, ``(R, T, n_x)``.
-        chain: condensed sensitivities, ``(R, T, n_x, n_x + n_f + 1)``.
+        node_sensitivity: of the nodes, condensed, ``(R, T, n_x, n_x + n_f + 1)``.
         jacobian: weighted sensitivities of the outputs to (first state, parameters), ``(R, T, n_y, n_x + n_f)``.
         residual: weighted residuals of the simulation (defects closed to first order), ``(R, T, n_y)``.
         cost: loss of each row, its initial-state prior included, ``(R,)``.
@@ -75,7 +75,7 @@ class Evaluation:
     """
 
     x: Tensor
-    chain: Tensor
+    node_sensitivity: Tensor
     jacobian: Tensor
     residual: Tensor
     cost: Tensor
@@ -126,23 +126,25 @@ def evaluate(
     return evaluate_condensed(batch, x, lin, condense(lin, x), loss)
 
 
-def evaluate_condensed(batch: Batch, x: Tensor, measured: Measured, chain: Tensor, loss: Loss) -> Evaluation:
+def evaluate_condensed(
+    batch: Batch, x: Tensor, outputs: Outputs, node_sensitivity: Tensor, loss: Loss
+) -> Evaluation:
     """The objective and its quadratic model from condensed sensitivities.
 
     Args:
         batch: rows of data.
         x: nodes, ``(R, T, n_x)``.
-        measured: outputs there.
-        chain: see :func:`hybrid_id.simulation.lifted.condense`.
+        outputs: what is simulated there, with its Jacobians.
+        node_sensitivity: see :func:`hybrid_id.simulation.lifted.condense`.
         loss: loss of the weighted residuals.
     """
     n_x = x.shape[-1]
-    sensitivity = measured.chain(chain)
+    sensitivity = outputs.through(node_sensitivity)
     closing = sensitivity[..., -1]
-    residual = (batch.y - measured.y - closing) * batch.weight
+    residual = (batch.y - outputs.y - closing) * batch.weight
     # a held first state keeps its row of the identity, so that it solves to zero
     loose = (batch.x0_std > 0).to(x.dtype)
-    mask = torch.cat([loose, loose.new_ones(len(loose), chain.shape[-1] - n_x - 1)], 1)
+    mask = torch.cat([loose, loose.new_ones(len(loose), node_sensitivity.shape[-1] - n_x - 1)], 1)
     jacobian = sensitivity[..., :-1] * (batch.weight[..., None] * mask[:, None, None])
     factor = loss.factor(residual)
     pull = (residual * factor).flatten(1, 2)[..., None]
@@ -157,4 +159,4 @@ def evaluate_condensed(batch: Batch, x: Tensor, measured: Measured, chain: Tenso
     cost = loss.value(residual).sum((1, 2)) + 0.5 * (precision * shift.square()).sum(1)
     count = (batch.weight > 0).sum((1, 2)).clamp_min(1)
     defect = ((closing * batch.weight).square().sum((1, 2)) / count).sqrt()
-    return Evaluation(x, chain, jacobian, residual, cost, hessian, gradient, defect)
+    return Evaluation(x, node_sensitivity, jacobian, residual, cost, hessian, gradient, defect)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from hybrid_id.identification.least_squares import LeastSquares, Options, Outcome
 from hybrid_id.identification.objective import Evaluation
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -41,10 +41,10 @@ class FitResult:
         cost: loss with priors at the end.
         n_samples: number of measurements.
         iterations: trial steps.
-        jacobian: for each record the weighted sensitivities of the outputs, start state eliminated, ``(T, n_y, n_f)``.
-        residual: for each record the weighted residuals (measured - simulated), ``(T, n_y)``.
+        jacobian: for each row the weighted sensitivities of the outputs, start state eliminated, ``(T, n_y, n_f)``.
+        residual: for each row the weighted residuals (measured - simulated), ``(T, n_y)``.
         prior_precision: of each estimated parameter, ``(n_f,)``, 0 where it has no prior.
-        x0: start states of each record, ``(R, n_x)``.
+        x0: start states of each row, ``(R, n_x)``.
         engine: how it was integrated.
         history: cost after each iteration.
     """
@@ -103,7 +103,7 @@ class FitResult:
         return tuple(name for name, one in zip(self.names, seen, strict=True) if not one)
 
     def condensed(self) -> FitResult:
-        """The same fit with a root of each record's sensitivities, ``(n_f, 1, n_f)``, whose products are the same.
+        """The same fit with a root of each row's sensitivities, ``(n_f, 1, n_f)``, whose products are the same.
 
         Information and covariances come from products alone, and the root takes a thousandth of the memory.
         """
@@ -161,7 +161,7 @@ def make_result(problem: LeastSquares, outcome: Outcome, chosen: int, options: O
 def sensitivities(
     at: Evaluation, rows: Tensor, records: Tensor, batch: Batch, options: Options
 ) -> tuple[tuple[np.ndarray, ...], tuple[np.ndarray, ...]]:
-    """For each record the weighted sensitivities, the start state eliminated, and the weighted residuals."""
+    """For each row the weighted sensitivities, the start state eliminated, and the weighted residuals."""
     n_x = at.x.shape[-1]
     jacobians, residuals = [], []
     for row, record in zip(rows.tolist(), records.tolist(), strict=True):

@@ -26,7 +26,7 @@ from hybrid_id.identification.optimizers import (
     descend,
 )
 from hybrid_id.identification.windows import measured_windows
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
 
 GAIN, STALE = 1e-3, 8
 """Least share by which a loss must fall to count as a gain, and gradients within which the cost must do so."""

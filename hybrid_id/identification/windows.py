@@ -38,7 +38,7 @@ def measured_windows(
     Returns:
         None where the records are shorter than four windows.
     """
-    length = window_samples(batch.x.shape[1], batch.step, seconds)
+    length = window_samples(batch.x.shape[1], batch.sample_time, seconds)
     if length is None:
         return None
     return batch.windows(length, every * length, measured_spread(system, batch))
@@ -54,7 +54,7 @@ def measured_spread(system: System, batch: Batch) -> Tensor:
         link = max(abs(turns) for _, turns in joint.links) if joint.rigid else 1.0
         for side, row, ratio in (("a", joint.positions[-1], link), ("m", joint.positions[0], 1.0)):
             if (angle := noise.get(f"q_{side}{joint.number}")) is not None:
-                x0_std[:, row], x0_std[:, row + 1] = ratio * angle, ratio * angle / (20 * batch.step)
+                x0_std[:, row], x0_std[:, row + 1] = ratio * angle, ratio * angle / (20 * batch.sample_time)
             if (speed := noise.get(f"v_{side}{joint.number}")) is not None:
                 x0_std[:, row + 1] = ratio * speed
     return x0_std

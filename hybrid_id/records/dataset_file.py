@@ -8,7 +8,7 @@ import numpy as np
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
 from hybrid_id.records.files import plain
-from hybrid_id.records.readers import Table, Window, load_any, record_name
+from hybrid_id.records.readers import Table, TimeRange, load_any, record_name
 from hybrid_id.records.record import Record, find_fault
 from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
@@ -113,7 +113,7 @@ def common_sample_time(records: tuple[Record, ...]) -> float | None:
     return step if all(keeps_step(record, step) for record in records) else None
 
 
-def usual_step(records: tuple[Record, ...]) -> float:
+def usual_sample_time(records: tuple[Record, ...]) -> float:
     """The step (s) that all records keep; where they have none in common, the median one to 3 digits."""
     middle = float(np.median([record.sample_time for record in records]))
     return common_sample_time(records) or float(f"{middle:.3g}")
@@ -213,7 +213,10 @@ def _read(
         low, high = (stamp / factor for stamp in entry.between)
         slack = 1e-9 * max(abs(low), abs(high))  # the exact cut comes later, in seconds
         table = load_any(
-            path, wanted, file_format=file_format, window=Window(time.column, low - slack, high + slack)
+            path,
+            wanted,
+            file_format=file_format,
+            time_range=TimeRange(time.column, low - slack, high + slack),
         )
         if len(table.columns[time.column]) > 1:
             return table
@@ -243,7 +246,7 @@ def _resample(
             f"{file}: key 'resample.sample_time' is {options.sample_time:g} s where 'sample_time' is "
             f"{sample_time:g} s; give one of them"
         )
-    step = options.sample_time or sample_time or usual_step(records)
+    step = options.sample_time or sample_time or usual_sample_time(records)
     pairs = [
         resample_record(record, step, inputs=options.inputs, max_gap=options.max_gap) for record in records
     ]

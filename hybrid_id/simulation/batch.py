@@ -39,7 +39,7 @@ class Batch:
         return self.y.shape[0]
 
     @property
-    def step(self) -> float:
+    def sample_time(self) -> float:
         """Median sample time [s]."""
         return float(self.dt[self.dt > 0].median())
 

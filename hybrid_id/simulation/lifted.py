@@ -40,8 +40,8 @@ BLOCK = 16
 
 
 @dataclass(frozen=True)
-class Measured:
-    """Outputs at all nodes.
+class Outputs:
+    """Simulated outputs at all nodes, with their Jacobians.
 
     Attributes:
         y: outputs, ``(R, T, n_y)``.
@@ -55,18 +55,18 @@ class Measured:
     d: Tensor
     picks: tuple[int | None, ...]
 
-    def chain(self, chain: Tensor) -> Tensor:
-        """Sensitivities of the outputs from those of the nodes, ``(R, T, n_y, n_x + n_f + 1)``."""
+    def through(self, nodes: Tensor) -> Tensor:
+        """Sensitivities of the outputs ``(R, T, n_y, n_x + n_f + 1)`` from those of the nodes, see :func:`condense`."""
         states = [pick for pick in self.picks if pick is not None]
         if len(states) == len(self.picks):
-            return chain[:, :, states]
-        through = self.c @ chain
-        through[..., chain.shape[2] : -1] += self.d
-        return through
+            return nodes[:, :, states]
+        found = self.c @ nodes
+        found[..., nodes.shape[2] : -1] += self.d
+        return found
 
 
 @dataclass(frozen=True)
-class Linearisation(Measured):
+class Linearisation(Outputs):
     """The outputs and Phi at all nodes, with Jacobians.
 
     Attributes:
@@ -105,8 +105,8 @@ def linearise(
     rows, samples, n_x = x.shape
     if supports_compiled(system, engine, x):
         after, jacobian = compiled.linearise(system, engine, x, u, dt, theta, free)
-        measured = measure(system, x, u, theta, free, outputs)
-        return Linearisation(**vars(measured), x_next=after, a=jacobian[..., :n_x], b=jacobian[..., n_x:])
+        simulated = linearise_outputs(system, x, u, theta, free, outputs)
+        return Linearisation(**vars(simulated), x_next=after, a=jacobian[..., :n_x], b=jacobian[..., n_x:])
     lanes, columns = rows * samples, n_x + len(free)
     flat_x, flat_dt = x.reshape(lanes, n_x), dt.reshape(lanes)
     flat_u = {name: channel.reshape(lanes) for name, channel in u.items()}
@@ -129,21 +129,21 @@ def linearise(
         fill_jacobian(jacobian[:, :, block], after, [*leaves, *(values[i] for i in free)])
     grid = jacobian.reshape(n_x, columns, rows, samples).permute(2, 3, 0, 1)
     return Linearisation(
-        **vars(measure(system, x, u, theta, free, outputs)),
+        **vars(linearise_outputs(system, x, u, theta, free, outputs)),
         x_next=x_next.reshape(n_x, rows, samples).movedim(0, 2),
         a=grid[..., :n_x],
         b=grid[..., n_x:],
     )
 
 
-def measure(
+def linearise_outputs(
     system: System,
     x: Tensor,
     u: Mapping[str, Tensor],
     theta: Tensor,
     free: Sequence[int],
     outputs: Sequence[str],
-) -> Measured:
+) -> Outputs:
     """Evaluate and differentiate the outputs at every node.
 
     Args:
@@ -164,7 +164,7 @@ def measure(
     picks = [next((j for j, state in enumerate(states) if one is state), None) for one in found]
     if all(pick is not None for pick in picks):
         c = torch.eye(n_x, dtype=x.dtype, device=x.device)[picks].expand(rows, samples, n_y, n_x)
-        return Measured(x[..., picks], c, x.new_zeros(1).expand(rows, samples, n_y, n_f), tuple(picks))
+        return Outputs(x[..., picks], c, x.new_zeros(1).expand(rows, samples, n_y, n_f), tuple(picks))
     leaves = [column.reshape(-1).requires_grad_() for column in x.detach().clone().unbind(2)]
     values = list(theta.repeat_interleave(samples, 1).unbind(0))
     for i in free:
@@ -176,7 +176,7 @@ def measure(
     fill_jacobian(jacobian.permute(1, 2, 0), found, [*leaves, *(values[i] for i in free)])
     y = torch.stack([target.detach() for target in found], -1) if found else x.new_empty(rows * samples, 0)
     grid = jacobian.reshape(rows, samples, n_y, n_x + n_f)
-    return Measured(y.reshape(rows, samples, n_y), grid[..., :n_x], grid[..., n_x:], tuple(picks))
+    return Outputs(y.reshape(rows, samples, n_y), grid[..., :n_x], grid[..., n_x:], tuple(picks))
 
 
 def condense(lin: Linearisation, x: Tensor) -> Tensor:

@@ -71,15 +71,15 @@ def make_batch(
     dt = _padded([np.append(np.diff(record.time), 0.0) for record in records], samples, hold=False)
     y = torch.stack([_padded([record.outputs[name] for record in records], samples) for name in outputs], -1)
     noises = [{name: _noise(record, name, noise_std) for name in record.outputs} for record in records]
-    weight, guess, spread = torch.zeros_like(y), [], []
+    weight, guess, start_std = torch.zeros_like(y), [], []
     deviation = _deviations(records, outputs, noises, signal_share)
     for row, (record, noise) in enumerate(zip(records, noises, strict=True)):
         weight[row, : record.n_samples] = torch.tensor(1.0 / deviation[row])
         states, stds = _states(system, record, noise, estimate_start)
         guess.append(states)
-        spread.append(stds)
+        start_std.append(stds)
     x = torch.stack([_padded([g[:, i] for g in guess], samples) for i in range(len(system.state_names))], -1)
-    x0_std = torch.tensor(np.array(spread), dtype=torch.float64)
+    x0_std = torch.tensor(np.array(start_std), dtype=torch.float64)
     _wind_up(system, records, x, x0_std, u)
     _begin_loops(system, records, x, x0_std, u, estimate_start)
     _start_sensor_states(system, x, u)
@@ -342,8 +342,8 @@ def _rotor_motion(
                 for other, (one, turns) in zip(others, joint.links, strict=True)
             ]
             moved = sum(motion * turns for motion, _, turns in each)
-            spread = np.sqrt(sum((std * turns) ** 2 for _, std, turns in each))
-            return np.asarray(moved), np.asarray(spread)
+            start_std = np.sqrt(sum((std * turns) ** 2 for _, std, turns in each))
+            return np.asarray(moved), np.asarray(start_std)
     others = (
         f", the links' at joints {' and '.join(str(one.number) for one in linked)}" if joint.motors else ""
     )

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 from torchdiffeq import odeint, odeint_adjoint
 
 from hybrid_id.errors import InputError
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.stability import fastest_rate, with_substeps
 from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine, LaneSubset
 from hybrid_id.systems.chain import Channels, Rows, System, Views

@@ -8,7 +8,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from hybrid_id.simulation.prepare import Batch
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.step import MAX_SUBSTEPS, Engine, fill_jacobian
 from hybrid_id.systems.chain import System
 

@@ -102,7 +102,7 @@ def identifiability(
     names: Sequence[str],
     *,
     jacobian: Arrays,
-    prior_information: np.ndarray | None = None,
+    prior_precision: np.ndarray | None = None,
     scale: np.ndarray | None = None,
     inflation: float = 1.0,
     vague: float = VAGUE,
@@ -117,7 +117,7 @@ def identifiability(
         values: θ (p,) at which the Jacobian was taken.
         names: Names of the p parameters.
         jacobian: Weighted by 1 / noise (convention: `uncertainty`), one record or several.
-        prior_information: Inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
+        prior_precision: Inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
         scale: Size that stands in for a parameter whose value is zero (p,).
         inflation: Factor on standard errors for correlated residuals.
         vague: Relative standard error from which a direction counts as not identified.
@@ -146,7 +146,7 @@ def identifiability(
     seen = vectors[:, ~hopeless] / singular[~hopeless]
     gradients = [c.gradient(size) / c.evaluate(size) for c in combinations]
     data = (vectors[:, ~hopeless] * singular[~hopeless] ** 2) @ vectors[:, ~hopeless].T
-    prior = prior_matrix(prior_information, len(values)) * np.outer(size, size)
+    prior = prior_matrix(prior_precision, len(values)) * np.outer(size, size)
     relative_std = _marginal(data + prior)
 
     directions = []

@@ -26,7 +26,8 @@ class Reliability:
         grade: A: all ways agree. B: the plain covariance is too confident, the others agree. C: the others disagree,
             so take the largest, or single sets differ by more than the 30 % rule allows. D: do not use the value on
             its own.
-        std_error: The standard error to use: the largest of all; inf where it is not identifiable.
+        std_error: The largest of all standard errors, for the grade; inf where it is not identifiable. Intervals take
+            `Study.standard_errors`.
         reason: Why, in words.
     """
 

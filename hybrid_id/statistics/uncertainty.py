@@ -57,7 +57,7 @@ def covariance(
     jacobian: Arrays,
     residual: Arrays,
     *,
-    prior_information: np.ndarray | None = None,
+    prior_precision: np.ndarray | None = None,
     noise_variance: float | None = None,
 ) -> Covariance:
     """``A (s² JᵀJ + P) A``: right where residuals are white and the model is; ``s² (JᵀJ)⁻¹`` without a prior.
@@ -65,10 +65,10 @@ def covariance(
     Args:
         jacobian: Weighted Jacobian of one record or of several.
         residual: Weighted residuals alike.
-        prior_information: P, inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
+        prior_precision: P, inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
         noise_variance: s², where it is known; ``Σr² / (N - p)`` otherwise.
     """
-    records, _, prior, inverse, determined = _normal_equations(jacobian, residual, prior_information)
+    records, _, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
     variance = noise_variance_of(records) if noise_variance is None else noise_variance
     # the same, without cancellation where there is no prior
     matrix = variance * inverse + (1.0 - variance) * inverse @ prior @ inverse
@@ -79,7 +79,7 @@ def robust_covariance(
     jacobian: Arrays,
     residual: Arrays,
     *,
-    prior_information: np.ndarray | None = None,
+    prior_precision: np.ndarray | None = None,
 ) -> Covariance:
     """``A (B + P) A`` with B the long-run covariance of the scores ``J_tᵀ r_t``: residuals may be autocorrelated.
 
@@ -89,9 +89,9 @@ def robust_covariance(
     Args:
         jacobian: Weighted Jacobian of one record or of several.
         residual: Weighted residuals alike.
-        prior_information: As in `covariance`; the prior's mean counts as one more measurement.
+        prior_precision: As in `covariance`; the prior's mean counts as one more measurement.
     """
-    records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_information)
+    records, hessian, prior, inverse, determined = _normal_equations(jacobian, residual, prior_precision)
     variance = noise_variance_of(records)
     # principal axes of the information: along a null direction the scores are zero, and must stay zero
     scale = diagonal_scale(hessian)
@@ -108,12 +108,12 @@ def robust_covariance(
 
 
 def _normal_equations(
-    jacobian: Arrays, residual: Arrays, prior_information: np.ndarray | None
+    jacobian: Arrays, residual: Arrays, prior_precision: np.ndarray | None
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Records, ``JᵀJ``, prior P, A, and which parameters they determine."""
     records = as_records(jacobian, residual)
     hessian = np.sum([np.einsum("tyi,tyj->ij", j, j) for j, _ in records], axis=0)
-    prior = prior_matrix(prior_information, len(hessian))
+    prior = prior_matrix(prior_precision, len(hessian))
     return records, hessian, prior, *scaled_inverse(hessian + prior)
 
 
@@ -127,11 +127,11 @@ def as_records(jacobian: Arrays, residual: Arrays) -> list[tuple[np.ndarray, np.
     ]
 
 
-def prior_matrix(prior_information: np.ndarray | None, size: int) -> np.ndarray:
+def prior_matrix(prior_precision: np.ndarray | None, size: int) -> np.ndarray:
     """Prior information as a matrix (p, p)."""
-    if prior_information is None:
+    if prior_precision is None:
         return np.zeros((size, size))
-    prior = np.asarray(prior_information, float)
+    prior = np.asarray(prior_precision, float)
     return np.diag(prior) if prior.ndim == 1 else prior
 
 
@@ -245,7 +245,7 @@ def _newey_west_lag(series: Sequence[np.ndarray]) -> int:
 
 
 def jackknife_covariance(
-    jacobian: Arrays, residual: Arrays, *, prior_information: np.ndarray | None = None, blocks: int = BLOCKS
+    jacobian: Arrays, residual: Arrays, *, prior_precision: np.ndarray | None = None, blocks: int = BLOCKS
 ) -> Covariance:
     """Delete-a-block jackknife, each estimate moved by one exact Gauss-Newton step of the reduced data.
 
@@ -257,7 +257,7 @@ def jackknife_covariance(
     Args:
         jacobian: weighted Jacobian of one record or of several (convention: `uncertainty`).
         residual: weighted residuals alike.
-        prior_information: inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
+        prior_precision: inverse covariance of a Gaussian prior, (p, p) or its diagonal (p,).
         blocks: number of blocks over all records; no block spans two records.
     """
     records = as_records(jacobian, residual)
@@ -269,7 +269,7 @@ def jackknife_covariance(
         pieces += zip(np.array_split(j, share), np.array_split(r, share), strict=True)
     gradients = np.stack([np.einsum("tyi,ty->i", j, r) for j, r in pieces])
     hessians = np.stack([np.einsum("tyi,tyj->ij", j, j) for j, _ in pieces])
-    prior = prior_matrix(prior_information, n_parameters)
+    prior = prior_matrix(prior_precision, n_parameters)
     information = hessians.sum(0) + prior
     inverse, determined = scaled_inverse(information)
     # axes in which the information is the identity: directions that the records do not tell are left out
@@ -287,7 +287,7 @@ def jackknife_covariance(
 
 
 def autocorrelation_robust(
-    jacobian: Arrays, residual: Arrays, *, prior_information: np.ndarray | None = None
+    jacobian: Arrays, residual: Arrays, *, prior_precision: np.ndarray | None = None
 ) -> Covariance:
     """The larger of the long-run (`uncertainty.robust_covariance`) and the jackknife covariance.
 
@@ -295,7 +295,7 @@ def autocorrelation_robust(
     residuals, the second where residuals stay correlated for longer than a block.
     """
     pair = [
-        estimate(jacobian, residual, prior_information=prior_information)
+        estimate(jacobian, residual, prior_precision=prior_precision)
         for estimate in (robust_covariance, jackknife_covariance)
     ]
     finite = np.isfinite(pair[0].std_error) & (pair[0].std_error > 0)
@@ -376,7 +376,7 @@ def one_step_bootstrap(
     estimate: np.ndarray,
     blocks: BlockContributions,
     *,
-    prior_information: np.ndarray | None = None,
+    prior_precision: np.ndarray | None = None,
     prior_mean: np.ndarray | None = None,
     replicates: int = 1000,
     level: float = 0.95,
@@ -391,7 +391,7 @@ def one_step_bootstrap(
     Args:
         estimate: θ̂ (p,).
         blocks: From `block_contributions`.
-        prior_information: P, (p, p) or its diagonal (p,), in the unit of the weighted residuals.
+        prior_precision: P, (p, p) or its diagonal (p,), in the unit of the weighted residuals.
         prior_mean: θ_0 (p,); the estimate where absent.
         replicates: Number of draws.
         level: Confidence of the percentile interval.
@@ -401,7 +401,7 @@ def one_step_bootstrap(
     n_blocks, n_parameters = blocks.gradients.shape
     rng = np.random.default_rng(seed)
     counts = rng.multinomial(n_blocks, np.full(n_blocks, 1 / n_blocks), size=replicates).astype(float)
-    prior = prior_matrix(prior_information, n_parameters)
+    prior = prior_matrix(prior_precision, n_parameters)
     centre = estimate if prior_mean is None else np.asarray(prior_mean, float)
     values, vectors = np.linalg.eigh(prior)
     root = vectors * np.sqrt(np.maximum(values, 0.0))  # P (θ_0* - θ_0) has covariance P

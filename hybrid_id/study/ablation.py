@@ -24,7 +24,8 @@ from hybrid_id.identification.windows import measured_windows
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.files import plain
 from hybrid_id.records.yaml_file import write_yaml
-from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.study.ablation_plan import BLACK_BOX, NONE, Cell, Split, split_records, with_arm
 from hybrid_id.study.fan_out import Failure, fan_out

@@ -62,7 +62,7 @@ def identifiability_of(result: FitResult, *, inflation: float = 1.0) -> Identifi
         result.values,
         result.names,
         jacobian=[j / scale for j in result.jacobian],
-        prior_information=result.prior_precision,
+        prior_precision=result.prior_precision,
         scale=size,
         inflation=inflation,
         references=REFERENCES,
@@ -93,7 +93,7 @@ def check_identifiability(
         np.array([i.spec.value for i in info]),
         [i.name for i in info],
         jacobian=jacobian,
-        prior_information=bounds.prior_precision.numpy(),
+        prior_precision=bounds.prior_precision.numpy(),
         scale=(10.0 * bounds.scale).numpy(),
         references=REFERENCES,
     )

@@ -19,7 +19,8 @@ from hybrid_id.identification.networks import effects, networks_of, physical_nam
 from hybrid_id.identification.training_loop import Progress
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine

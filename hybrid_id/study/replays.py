@@ -13,8 +13,9 @@ from hybrid_id.identification.horizons import FOLLOWED, WHOLE, Horizon, choose_h
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
-from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch, make_batch
+from hybrid_id.simulation.prepare import SIGNAL_SHARE, make_batch
 from hybrid_id.simulation.rollout import cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine

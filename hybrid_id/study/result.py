@@ -47,7 +47,8 @@ class Study:
         pooled: whether it is one over all.
         variation: std/mean of each parameter over the experiments; None with fewer than two sets.
         covariances: plain covariance of each set.
-        robust: autocorrelation-robust covariance of each set.
+        robust: of each set the larger of the covariance that allows for autocorrelation and the block jackknife, see
+            :func:`hybrid_id.statistics.uncertainty.autocorrelation_robust`.
         identifiability: what the records of the selected set tell.
         reliability: grade of each parameter, A to D, from standard errors of the mean of the sets, where there are
             several; intervals are of one set.

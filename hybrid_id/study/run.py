@@ -16,8 +16,9 @@ from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.restarts import confirmed
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
-from hybrid_id.simulation.prepare import SIGNAL_SHARE, Batch
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
@@ -60,7 +61,7 @@ def identify(
         dataset: train records are fitted, test records only scored.
         system: model with start values, bounds and priors.
         pooled: one set over all train records.
-        engine: how a sample is integrated (default: dry friction by projection).
+        engine: how a sample is integrated (default: dry friction, with stick and slip as events).
         options: settings of the fit (loss, iterations ...).
         starts: start points; the best end counts.
         seed: of start points and bootstrap.
@@ -152,7 +153,9 @@ def analyse_fits(
     for result in sets:  # statistics are numpy's
         result.system.to("cpu")
     batch = horizon.cut(sets[0].system, sets[0].engine, batch)
-    plain, robust = (tuple(_spread(way, r) for r in sets) for way in (covariance, autocorrelation_robust))
+    plain, robust = (
+        tuple(_covariance_of(way, r) for r in sets) for way in (covariance, autocorrelation_robust)
+    )
     matrix = cross_validate(sets, batch, pooled=pooled)
     selection = select(matrix)
     chosen = sets[selection.index]
@@ -163,15 +166,15 @@ def analyse_fits(
     )
     values = _estimates(sets)
     names = sets[0].names
-    errors = _standard_errors(sets, plain, robust, pooled, seed)
+    errors = _errors_of_the_mean(sets, plain, robust, pooled, seed)
     held = [n for n, share in zip(names, identifiability.prior_share, strict=True) if share > 0.5]
-    spread = variation(values, names, held=held) if len(sets) > 1 else None
+    variations = variation(values, names, held=held) if len(sets) > 1 else None
     scattered = (
         {}
-        if spread is None
+        if variations is None
         else {
             n: p
-            for n, p, fine in zip(names, spread.percent, spread.acceptable, strict=True)
+            for n, p, fine in zip(names, variations.percent, variations.acceptable, strict=True)
             if not fine and n not in held
         }
     )
@@ -189,17 +192,17 @@ def analyse_fits(
         reliability = tuple(Reliability(name, "D", math.inf, why) for name in names)
     test = test_nrmse(dataset, chosen, signal_share, horizon)
     return Study(
-        system, tuple(sets), pooled, spread, plain, robust, identifiability, reliability, matrix, selection, test,
+        system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection, test,
         engine_error(chosen, batch), horizon=horizon, level=level,
     )  # fmt: skip
 
 
-def _spread(way: Callable[..., Covariance], result: FitResult) -> Covariance:
+def _covariance_of(way: Callable[..., Covariance], result: FitResult) -> Covariance:
     """Covariance of a set; a fit that diverged has none."""
     if result.status == "diverged":
         nothing = np.full((len(result.values),) * 2, np.nan)
         return Covariance(nothing, nothing[0], math.nan, "none", 0, nothing)
-    return way(result.jacobian, result.residual, prior_information=result.prior_precision)
+    return way(result.jacobian, result.residual, prior_precision=result.prior_precision)
 
 
 def _estimates(sets: Sequence[FitResult]) -> np.ndarray:
@@ -207,14 +210,17 @@ def _estimates(sets: Sequence[FitResult]) -> np.ndarray:
     return np.array([np.full(len(r.values), np.nan) if r.status == "diverged" else r.values for r in sets])
 
 
-def _standard_errors(
+def _errors_of_the_mean(
     sets: Sequence[FitResult],
     plain: Sequence[Covariance],
     robust: Sequence[Covariance],
     pooled: bool,
     seed: int,
 ) -> dict[str, np.ndarray]:
-    """Standard errors of the study's estimate (the pooled set, or the mean over the experiments), in several ways."""
+    """Standard errors of the mean of the sets (of the set itself where it is pooled), in several ways.
+
+    The grades compare them; the interval of a single set takes :meth:`Study.standard_errors`.
+    """
     if not pooled:
         ended = [k for k, result in enumerate(sets) if result.status != "diverged"]
         count = len(ended)
@@ -237,6 +243,6 @@ def _standard_errors(
     for way, block in ways.items():
         blocks = block_contributions(result.jacobian, result.residual, block=block)
         errors[way] = one_step_bootstrap(
-            result.values, blocks, prior_information=result.prior_precision, seed=seed
+            result.values, blocks, prior_precision=result.prior_precision, seed=seed
         ).std_error
     return errors

@@ -11,7 +11,8 @@ from hybrid_id.components import TorqueCommand, TorqueMotor
 from hybrid_id.diagnosis.impulses import Detector, calibrate, missing_torques
 from hybrid_id.errors import InputError
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, two_link

@@ -23,8 +23,9 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import Bounded
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import compiler
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System

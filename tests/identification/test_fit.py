@@ -21,7 +21,8 @@ from hybrid_id.identification.result import sensitivities
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System

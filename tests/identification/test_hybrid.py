@@ -31,7 +31,8 @@ from hybrid_id.identification.objective import Loss
 from hybrid_id.identification.optimizers import clipped
 from hybrid_id.identification.training_loop import Trainer
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine, extra_parameters
 from hybrid_id.simulation.step import Engine

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from hybrid_id.components import AsymmetricStribeck, Coulomb, LoadDependent, LuGre
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import (
     Linearisation,
     condense,
@@ -20,7 +21,6 @@ from hybrid_id.simulation.lifted import (
     linearise,
     shoot,
 )
-from hybrid_id.simulation.prepare import Batch
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System

@@ -64,7 +64,7 @@ def test_prior_holds_what_the_blocks_do_not_tell(rng):
     alone = one_step_bootstrap(np.array([1.0, 5.0]), blocks)
     assert np.isinf(alone.std_error[1]) and np.isfinite(alone.std_error[0])
     held = one_step_bootstrap(
-        np.array([1.0, 5.0]), blocks, prior_information=np.array([0, 4.0]), replicates=4000
+        np.array([1.0, 5.0]), blocks, prior_precision=np.array([0, 4.0]), replicates=4000
     )
     assert held.std_error[1] == pytest.approx(0.5, rel=0.1)
     assert held.std_error[0] == pytest.approx(alone.std_error[0], rel=0.15)

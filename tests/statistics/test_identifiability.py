@@ -91,7 +91,7 @@ def test_predicted_errors_of_combinations_match_a_parametrisation_that_has_only_
 def test_data_sheet_priors_hold_all_of_it():
     prior = np.zeros(12)
     prior[[1, 2]] = 1 / (0.03 * DRIVE[[1, 2]]) ** 2
-    result = identifiability(DRIVE, DRIVE_NAMES, jacobian=drive_jacobian(), prior_information=prior)
+    result = identifiability(DRIVE, DRIVE_NAMES, jacobian=drive_jacobian(), prior_precision=prior)
     assert result.not_claimable == ()
     assert result.relative_std[0] == pytest.approx(0.03, rel=0.05)
     assert result.prior_share[[1, 2]] == pytest.approx(1, abs=0.02)

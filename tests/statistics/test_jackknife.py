@@ -47,7 +47,7 @@ def test_null_direction_and_prior(rng):
     found = jackknife_covariance(jacobian, residual)
     assert np.all(np.isinf(found.std_error))
     assert np.isclose(np.ones(2) @ found.matrix @ np.ones(2), 1 / np.sum(column**2), rtol=0.6)
-    held = jackknife_covariance(jacobian, residual, prior_information=np.array([100.0, 0.0]))
+    held = jackknife_covariance(jacobian, residual, prior_precision=np.array([100.0, 0.0]))
     assert np.isclose(held.std_error[0], 0.1, rtol=0.2)
 
 

@@ -97,9 +97,9 @@ def test_prior_enters_as_one_more_measurement(regression):
     prior = np.array([1e4, 0.0])
     expected = np.linalg.inv(design.T @ design + np.diag(prior))
     np.testing.assert_allclose(
-        covariance(design, noise[0], prior_information=prior, noise_variance=1).matrix, expected
+        covariance(design, noise[0], prior_precision=prior, noise_variance=1).matrix, expected
     )
-    held = robust_covariance(design, noise[0], prior_information=np.array([1e12, 0.0]))
+    held = robust_covariance(design, noise[0], prior_precision=np.array([1e12, 0.0]))
     assert held.std_error[0] == pytest.approx(1e-6, rel=1e-3)
 
 
@@ -135,8 +135,8 @@ def test_beside_a_prior_errors_are_those_of_the_fit_that_weighs_noise_as_declare
     scatter = found.std(axis=0)
     residual = noise[0] - design @ found[0]
     for way in (covariance, robust_covariance, jackknife_covariance):
-        error = way(design, residual, prior_information=prior).std_error
+        error = way(design, residual, prior_precision=prior).std_error
         np.testing.assert_allclose(error, scatter, rtol=0.25 if way is not covariance else 0.08)
     blocks = block_contributions(design, residual, block=10)
-    drawn = one_step_bootstrap(found[0], blocks, prior_information=prior, prior_mean=found[0]).std_error
+    drawn = one_step_bootstrap(found[0], blocks, prior_precision=prior, prior_mean=found[0]).std_error
     np.testing.assert_allclose(drawn, scatter, rtol=0.25)

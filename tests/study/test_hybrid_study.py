@@ -12,7 +12,8 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.hybrid import HybridOptions
 from hybrid_id.identification.networks import with_scales
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.simulation.prepare import Batch, make_batch
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.hybrid import NetworkRole, hybridise, network_roles, split

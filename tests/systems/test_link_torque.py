@@ -14,7 +14,7 @@ from hybrid_id.components.transmission.kinematic_error import KinematicError
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.c_code import compiler
-from hybrid_id.simulation.lifted import measure
+from hybrid_id.simulation.lifted import linearise_outputs
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -157,15 +157,16 @@ def test_gradients_of_the_output(tmp_path: Path) -> None:
     u = {f"tau{k}": torch.full((1, 2), 0.01, dtype=torch.float64) for k in (1, 2, 3)}
     theta, names = system.theta().detach()[:, None], ("tau_a1", "tau_a2", "tau_a3")
     free = list(range(len(theta)))
-    exact = measure(system, x, u, theta, free, names)
+    exact = linearise_outputs(system, x, u, theta, free, names)
     for k in free:
         h = 1e-6 * max(float(theta[k].abs()), 1e-6)
         ahead, back = theta.clone(), theta.clone()
         ahead[k] += h
         back[k] -= h
-        slope = (measure(system, x, u, ahead, [], names).y - measure(system, x, u, back, [], names).y) / (
-            2 * h
-        )
+        slope = (
+            linearise_outputs(system, x, u, ahead, [], names).y
+            - linearise_outputs(system, x, u, back, [], names).y
+        ) / (2 * h)
         np.testing.assert_allclose(
             exact.d[..., k], slope, rtol=1e-5, atol=1e-7 * float(slope.abs().max()) + 1e-9
         )
@@ -173,8 +174,8 @@ def test_gradients_of_the_output(tmp_path: Path) -> None:
         step = torch.zeros_like(x)
         step[..., k] = 1e-5
         slope = (
-            measure(system, x + step, u, theta, [], names).y
-            - measure(system, x - step, u, theta, [], names).y
+            linearise_outputs(system, x + step, u, theta, [], names).y
+            - linearise_outputs(system, x - step, u, theta, [], names).y
         ) / 2e-5
         np.testing.assert_allclose(exact.c[..., k], slope, rtol=1e-6, atol=1e-7)
 

@@ -8,7 +8,7 @@ from hybrid_id.records.readers.bam import read_bam
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.readers.mat import read_mat
 from hybrid_id.records.readers.parquet import read_parquet
-from hybrid_id.records.readers.table import Table, Window, record_name
+from hybrid_id.records.readers.table import Table, TimeRange, record_name
 from hybrid_id.records.readers.unpack import refuse_bomb
 
 READERS: dict[str, Callable[..., Table]] = {
@@ -20,7 +20,7 @@ READERS: dict[str, Callable[..., Table]] = {
 _IN_PIECES = ("csv", "parquet")
 _ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
 
-__all__ = ["READERS", "Table", "Window", "load_any", "record_name"]
+__all__ = ["READERS", "Table", "TimeRange", "load_any", "record_name"]
 
 
 def load_any(
@@ -28,7 +28,7 @@ def load_any(
     wanted: Collection[str],
     *,
     file_format: str | None = None,
-    window: Window | None = None,
+    time_range: TimeRange | None = None,
 ) -> Table:
     """Read the wanted columns of a file of any known format.
 
@@ -36,7 +36,7 @@ def load_any(
         path: The file.
         wanted: Names of the columns, as the file has them.
         file_format: A key of `READERS`; None takes it from the file's ending.
-        window: Rows to keep where the format can be read in pieces (CSV, Parquet); the others come whole.
+        time_range: Rows to keep where the format can be read in pieces (CSV, Parquet); the others come whole.
 
     Raises:
         InputError: when the file is missing, its format unknown, or its contents are at fault.
@@ -53,8 +53,8 @@ def load_any(
     try:
         if path.suffix == ".gz" or file_format == "mat":
             refuse_bomb(path)
-        if window is not None and file_format in _IN_PIECES:
-            return READERS[file_format](path, wanted, window)
+        if time_range is not None and file_format in _IN_PIECES:
+            return READERS[file_format](path, wanted, time_range)
         return READERS[file_format](path, wanted)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct 'file' or bring the file") from None

@@ -20,14 +20,14 @@ from typing import NoReturn, TextIO
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import PIECE, Table, Window, require_columns
+from hybrid_id.records.readers.table import PIECE, Table, TimeRange, require_columns
 
 HEADER_LIMIT = 200  # lines in which the header must come
 DECIMAL_COMMA = (";", "\t")  # delimiters beside which a comma may be the decimal sign
 
 
-def read_csv(path: Path, wanted: Collection[str], window: Window | None = None) -> Table:
-    """Read the wanted columns of a text table, of the rows in a window only where one is given.
+def read_csv(path: Path, wanted: Collection[str], time_range: TimeRange | None = None) -> Table:
+    """Read the wanted columns of a text table, of the rows in a time range only where one is given.
 
     Raises:
         InputError: naming file, row and column, for a missing column, a cell that is no finite number, rows
@@ -42,8 +42,8 @@ def read_csv(path: Path, wanted: Collection[str], window: Window | None = None) 
                 "name them under 'columns' in the dataset file"
             )
         require_columns(path, wanted, layout.names)
-        with closing(_pieces(path, layout, wanted, None if window is None else PIECE)) as pieces:
-            values, kept = (next(pieces), None) if window is None else window.gather(pieces)
+        with closing(_pieces(path, layout, wanted, None if time_range is None else PIECE)) as pieces:
+            values, kept = (next(pieces), None) if time_range is None else time_range.gather(pieces)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
     except (UnicodeDecodeError, csv.Error):

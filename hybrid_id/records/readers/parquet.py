@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import PIECE, Table, Window, require_columns
+from hybrid_id.records.readers.table import PIECE, Table, TimeRange, require_columns
 from hybrid_id.records.readers.unpack import refuse_growth
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def read_parquet(path: Path, wanted: Collection[str], window: Window | None = None) -> Table:
-    """Read the wanted columns of a Parquet file, of the rows in a window only where one is given.
+def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | None = None) -> Table:
+    """Read the wanted columns of a Parquet file, of the rows in a time range only where one is given.
 
     Raises:
         InputError: for a damaged file, one that unpacks beyond any record, a missing column, or one without numbers.
@@ -27,12 +27,12 @@ def read_parquet(path: Path, wanted: Collection[str], window: Window | None = No
     try:
         file = pq.ParquetFile(path)
         require_columns(path, wanted, file.schema_arrow.names)
-        if window is None or not file.metadata.num_rows:  # an empty file comes in no pieces at all
+        if time_range is None or not file.metadata.num_rows:  # an empty file comes in no pieces at all
             refuse_growth(path, path.stat().st_size, 8 * len(wanted) * file.metadata.num_rows)
             columns = next(_pieces(path, [file.read(list(wanted))], wanted))
         else:
             batches = (pa.Table.from_batches([b]) for b in file.iter_batches(PIECE, columns=list(wanted)))
-            columns, kept = window.gather(_pieces(path, batches, wanted))
+            columns, kept = time_range.gather(_pieces(path, batches, wanted))
     except (pa.ArrowException, OSError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None

@@ -31,11 +31,11 @@ class Table:
 
 
 PIECE = 1_000_000
-"""Rows that are in memory at once while a window of a file is read."""
+"""Rows that are in memory at once while a part of a file is read."""
 
 
 @dataclass(frozen=True)
-class Window:
+class TimeRange:
     """The rows that a reader keeps, so that no more than a part of a long file is ever in memory.
 
     Attributes:
@@ -49,7 +49,7 @@ class Window:
     high: float
 
     def gather(self, pieces: Iterable[Mapping[str, np.ndarray]]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Columns of the rows inside, and their numbers in the file; nothing is read beyond the window's end."""
+        """Columns of the rows inside, and their numbers in the file; nothing is read beyond the range's end."""
         found: list[dict[str, np.ndarray]] = []
         kept, first = [np.empty(0, int)], 0
         for piece in pieces:
