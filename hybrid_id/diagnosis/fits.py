@@ -160,7 +160,7 @@ class Fits:
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
-        most = max(round(batch.step / FINEST), 2 * near.engine.substeps, 1)
+        most = max(round(batch.sample_time / FINEST), 2 * near.engine.substeps, 1)
         self.engine = replace(engine(), most_substeps=min(most, MAX_SUBSTEPS))
         best = self._best([system, near.system])
         if best is None:
