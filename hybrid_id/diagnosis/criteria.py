@@ -29,7 +29,7 @@ class Criteria:
             the least share of the gap that a remainder has where something outside the catalogue is claimed.
         white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
             residuals are white noise.
-        coloured: the same from which something structural is missing; small random torques and the rounding of
+        autocorrelation: the same from which something structural is missing; small random torques and the rounding of
             encoders alone leave less.
         negligible: RMS of weighted errors below which nothing is looked for; 1 is the noise and what any good model
             misses.

@@ -178,7 +178,7 @@ def _correlation_length(series: np.ndarray, row: np.ndarray) -> float:
     return length * (1.0 + 2.0 * length / max(shortest, 2))
 
 
-def coloured(residuals: Sequence[np.ndarray]) -> float:
+def autocorrelation(residuals: Sequence[np.ndarray]) -> float:
     """Share of the mean square that neighbouring samples have in common: 0 for white noise, 1 for what is smooth.
 
     One less von Neumann's ratio, ``1 - <(r_t - r_{t-1})^2> / (2 <r_t^2>)`` (J. von Neumann, Ann. Math. Stat. 12, 1941):
