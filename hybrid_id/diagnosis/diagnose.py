@@ -1,4 +1,4 @@
-"""From records and the nominal model to a diagnosis: measure, screen, fit, select, test, report.
+"""From records and the nominal model to a diagnosis, in four functions: search, settle, test, report.
 
 Train records fit. Train records left out whole, in turn, or validation records where there are some, choose and reject.
 The test records are opened once, after the answer is frozen: they measure the gap and change nothing.
@@ -53,9 +53,6 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.checks import check_identifiability
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
-
-TOO_FEW = 30.0
-"""Independent samples below which no effect can be identified."""
 
 
 def diagnose(
@@ -150,7 +147,7 @@ class Answer:
         if self.vague > CRITERIA.vague:
             return "inconclusive"  # what identifies no parameter identifies no effect either
         noisy = mean_square(base.result.residual) >= CRITERIA.negligible**2
-        if noisy and base.validation.effective < TOO_FEW:
+        if noisy and base.validation.effective < CRITERIA.too_few:
             return "inconclusive"
         return "parameters_only" if self.wrong_values else "no_gap"
 
@@ -163,7 +160,7 @@ def search(
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> tuple[Fits, Selection]:
-    """Stages measure, screen, fit and select: the re-fitted model and the effects that the train records call for.
+    """Stage search: the re-fitted model and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
     leave no structure. Otherwise the records choose the horizon, and all is done over that. Where the best effect still
@@ -234,7 +231,11 @@ def _helping(step: SelectionStep) -> frozenset[Name]:
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
-    """Freeze the answer: drop what is not sure, divide the gap, locate it, say whether something unknown acts."""
+    """Stage settle: freeze the answer, once all that is selected is sure enough to be asserted.
+
+    :func:`locate` comes first, for the structural share of what remains depends on it; :func:`grade` divides the gap.
+    The last effect that is not sure enough is dropped, and both are done again for the rest.
+    """
     before, rejected = tuple(locate(fits, found.base)), list[str]()
     while True:
         chosen = found.chosen

@@ -34,7 +34,7 @@ class RatedEffect:
         parameters: estimate and standard error of each parameter that it brings, by symbol; a fixed one that belongs
             to the answer has the error 0.
         share: of the gap that it explains where it is added after those before it; None of one that is not selected.
-        share_interval: 95 % interval of that, with the uncertainty of its selection.
+        share_interval: 95 % interval of that; every draw of blocks chooses again among the rivals of its step.
         alone: share of the gap that it explains when it stands alone beside the nominal model.
     """
 
@@ -56,9 +56,11 @@ class Grade:
     Attributes:
         effects: every effect that was tried, the selected ones by share, then the others by probability.
         remainder: structural share of the gap that stays unexplained.
-        remainder_interval: 95 % interval.
+        remainder_interval: 95 % interval, for the chosen model as it is: its draws know no rivals.
         unknown: whether what remains is at least a tenth of the gap and as much as all that is explained.
-        gap: in units of the measurements' weights.
+        gap: mean square of weighted errors, in noise variances.
+
+    The floor is ``(1 - structural) * error`` of the chosen model.
     """
 
     effects: tuple[RatedEffect, ...]
@@ -199,7 +201,7 @@ def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[Selec
 def _nested(
     models: Sequence[FittedModel], steps: Sequence[SelectionStep], structural: float, seed: int
 ) -> np.ndarray:
-    """Draws of the shares ``(draws, n + 1)``, the remainder last: the blocks drawn choose among rivals, too."""
+    """Draws of the shares ``(draws, n + 1)``, the remainder last: shares choose among rivals, too; it does not."""
     generator, n = np.random.default_rng(seed), len(models[0].validation.blocks)
     ends = [one.validation for one in models]
     rivals = []
@@ -310,7 +312,7 @@ def _present(one: FittedModel, before: FittedModel, p: float) -> float:
     """
     fall = one.validation.fall(before.validation) / needed_fall(one, before)
     against = -np.e * p * np.log(p) if p < np.exp(-1.0) else 1.0
-    return float(expit(8.0 * (fall - 1.0)) / (1.0 + against))
+    return float(expit(CRITERIA.fall_slope * (fall - 1.0)) / (1.0 + against))
 
 
 def _contains(model: FittedModel, step: SelectionStep) -> bool:

@@ -15,6 +15,7 @@ import torch
 from scipy.signal import bilinear, lfilter
 from torch import Tensor
 
+from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.response import Response, bumps, respond
@@ -30,8 +31,6 @@ TURNS = (1, 2, 3, 4, 6)
 """Periods a turn of the rotor in which a motor may pass the command on unevenly."""
 KNOT = 0.05
 """Time [s] over which the torque is smooth."""
-SURE = 3.0
-"""Standard errors by which another place has to explain less."""
 
 IN_WORDS = {
     "angle, opposite to the velocity": "it brakes more at some angles than at others",
@@ -221,7 +220,9 @@ def acts_at(found: Sequence[Disturbance]) -> tuple[str | None, str | None]:
     if not found or found[0].share <= 0.0:
         return None, None
     best, others = found[0], found[1:]
-    if any(one.joint != best.joint and one.behind < SURE for one in others):
+    if any(one.joint != best.joint and one.behind < CRITERIA.place_z for one in others):
         return None, None
-    sure = best.side != "joint" and all(one.behind >= SURE for one in others if one.joint == best.joint)
+    sure = best.side != "joint" and all(
+        one.behind >= CRITERIA.place_z for one in others if one.joint == best.joint
+    )
     return best.joint, best.side if sure else None

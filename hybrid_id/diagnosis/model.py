@@ -23,8 +23,8 @@ class FittedModel:
     Attributes:
         effects: what has been added to the nominal model, in the order of their names.
         result: the fit.
-        validation: its errors on records left out; those of the fit itself for what has not been fitted to the end.
-        judged: whether it has been fitted to the end.
+        validation: its errors on records left out where it is judged; those of the fit itself elsewhere.
+        judged: whether records left out have judged it: only what has been fitted to the end is.
     """
 
     effects: tuple[Name, ...]
@@ -39,12 +39,12 @@ class FittedModel:
 
     @property
     def error(self) -> float:
-        """Mean square of the weighted errors on records left out."""
+        """Mean square of the weighted errors on records left out, in noise variances."""
         return self.validation.error
 
     @property
     def trained(self) -> float:
-        """Mean square of the weighted errors of the fit itself."""
+        """Mean square of the weighted errors of the fit itself, in noise variances."""
         return mean_square(self.result.residual)
 
     def fall(self, before: FittedModel) -> float:
@@ -55,7 +55,7 @@ class FittedModel:
 
     @property
     def autocorrelation(self) -> float:
-        """Share of what the fit leaves that neighbouring samples have in common."""
+        """Share of what the fit leaves that neighbouring samples have in common (lag one)."""
         return autocorrelation(self.result.residual)
 
     @property
@@ -66,8 +66,8 @@ class FittedModel:
     def ahead_of(self, other: FittedModel) -> float:
         """By how many standard errors this model predicts better than another.
 
-        Where this one is right, what is left is noise and every block of time a witness of its own. Where it leaves
-        structure, the reasons why either errs last as long as a record, and records are the witnesses, so few that
+        Where this one leaves no structure, what is left is noise and every block of time a witness of its own. Where it
+        leaves some, the reasons why either errs last as long as a record, and records are the witnesses, so few that
         Student's distribution is taken for a normal one of the same probability.
         """
         if self.no_structure:
@@ -77,7 +77,7 @@ class FittedModel:
 
     @property
     def no_structure(self) -> bool:
-        """Whether what it leaves has no structure from which something is missing."""
+        """Whether what it leaves is too close to white noise for anything to be missing."""
         return self.autocorrelation <= CRITERIA.coloured
 
 

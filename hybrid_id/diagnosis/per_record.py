@@ -22,8 +22,6 @@ NAMED = 3
 """Parameters that are named."""
 BEYOND = 4.0
 """Variance of the sets along a direction, over that of their own errors, from which the records differ along it."""
-FAINT = 0.5
-"""RMS of coloured errors up to which they say nothing: encoders whose counts rest, ripple or miss leave as much."""
 LEAST_INFORMATION = 1e-6
 """Eigenvalue of the information on relative changes, over the greatest, below which records do not tell a direction."""
 
@@ -74,7 +72,7 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     if any(one.status == "diverged" for one in sets):
         return None
     left = autocorrelation([residual for one in sets for residual in one.residual])
-    if float(np.mean([_structural(one) for one in sets])) > FAINT**2:
+    if float(np.mean([_structural(one) for one in sets])) > CRITERIA.faint**2:
         return PerRecord(model, left)
     if model.autocorrelation <= CRITERIA.coloured:
         return PerRecord(model, left, _scatter(sets), True)

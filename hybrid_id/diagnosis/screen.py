@@ -59,7 +59,9 @@ def screen(
     """Every effect of the catalogue, or some of them, added to a model, one at a time.
 
     All are fitted coarsely, the promising ones finer, and the best of these to the end: only then are they judged, by
-    re-fits without the records that judge them.
+    re-fits without the records that judge them. Where the nominal model is held, the priors travel in its ``System`` to
+    every candidate, and from there to the chosen model; ``_unheld_if_enough`` takes them out of what leaves no
+    structure, ``diagnose._unheld`` of the answer.
 
     Args:
         fits: fits models to the train records.
@@ -82,6 +84,7 @@ def screen(
     if fits.whole and not (ranked and ranked[0].white):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
+    # a first round for all finalists; each later one fits to the end who leads now, where that is another one
     for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
         chosen = best_of_each(ranked, key=effects_of)[:keep]
         ranked = _further(

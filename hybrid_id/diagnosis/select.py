@@ -98,11 +98,7 @@ def select(
             best = min((s.best for s in swaps if s.best is not None), key=lambda e: e.error, default=best)
         if best is None or not accepted(best, model, step.candidates):
             break
-        before = model
-        if set(model.effects) < set(best.effects):
-            # the new effect may only have freed the fit of the others
-            again = refitted_without(fits, base, best, added_effect(best, model))
-            before = again if again is not None and again.error < model.error else model
+        before = _refit_before(fits, base, best, model)
         base = base if before.effects else before
         steps[-1] = replace(step, before=before)
         if not accepted(best, before, step.candidates):
@@ -119,6 +115,18 @@ def select(
             if len(model.effects) <= len(before.effects) and not _better_set(model, before):
                 break
     return Selection(base if model.effects else model, tuple(steps), model)
+
+
+def _refit_before(fits: Fits, base: FittedModel, best: FittedModel, model: FittedModel) -> FittedModel:
+    """The model that a step has begun with, fitted again from where the best with one more effect has ended.
+
+    As it was where that predicts no better, or the best has other effects: a new effect may only have freed the fit of
+    the others, and would be accepted for it.
+    """
+    if not set(model.effects) < set(best.effects):
+        return model
+    again = refitted_without(fits, base, best, added_effect(best, model))
+    return again if again is not None and again.error < model.error else model
 
 
 def interrupted(base: FittedModel, steps: Sequence[SelectionStep]) -> Selection:
@@ -277,7 +285,7 @@ def _alive(steps: Sequence[SelectionStep], model: FittedModel) -> frozenset[Name
     last = next((one for one in reversed(steps) if one.before.effects and not one.swap), None)
     if last is None or len(model.effects) <= len(last.before.effects):
         return None
-    alive = (e for e in last.candidates if e.result.cost < 0.99 * last.before.result.cost)
+    alive = (e for e in last.candidates if e.result.cost < CRITERIA.again * last.before.result.cost)
     return frozenset(added_effect(e, last.before) for e in alive)
 
 

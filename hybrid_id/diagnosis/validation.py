@@ -1,8 +1,8 @@
-"""Errors on train records that an estimate has not seen, and what they say of one model against another.
+"""Errors on records that an estimate has not seen, and what they say of one model against another.
 
-Every record is left out in turn: the model is fitted again without it, and predicts it. The squared errors of two
-models are compared block by block. Where the richer model predicts no better, the sign of each block's difference is a
-coin's: thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic
+These are the validation records where there are some. Elsewhere train records are left out whole, in turn, in at most
+six folds: the model is fitted again without them, and predicts them. The squared errors of two models are compared
+block by block. Where the richer model predicts no better, the sign of each block's difference is a coin's: thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic
 of a whole search (R. A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young,
 Resampling-Based Multiple Testing, 1993, for the maximum). It is conservative, for a needless parameter makes
 predictions worse.
@@ -27,7 +27,7 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class Validation:
-    """Squared errors of prediction, in units of the measurements' weights.
+    """Squared errors of prediction, in units of the measurements' weights: noise variances.
 
     Attributes:
         blocks: sums over short blocks, ``(n,)``.
@@ -60,7 +60,7 @@ class Validation:
 
     @property
     def error(self) -> float:
-        """Mean square of the weighted errors of prediction."""
+        """Mean square of the weighted errors of prediction, in noise variances."""
         return float(self.blocks.sum() / self.sizes.sum())
 
     @property
