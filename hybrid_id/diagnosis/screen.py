@@ -167,7 +167,7 @@ def _further(
 ) -> list[FittedModel]:
     """Some of the candidates fitted further, as far as they are not hopeless, among everyone again, best first.
 
-    To the end, what is right without its parameters held is fitted without.
+    To the end, what leaves no structure without its parameters held is fitted without.
     """
     if not some:
         return list(everyone)
@@ -290,8 +290,8 @@ def log_odds(best: FittedModel, one: FittedModel, before: FittedModel) -> float:
 
     The second is what a needless parameter costs a marginal likelihood (G. Schwarz, Annals of Statistics 6, 1978).
     Only of what explains the greater part of what the best does: of the rest, parameters are not needless. Where the
-    best is right, it leads by what is more than chance already. What errs more in all is no better for being so on
-    most records.
+    best leaves no structure, it leads by what is more than chance already. What errs more in all is no better for being
+    so on most records.
     """
     surplus = best.ahead_of(one)
     if best.no_structure or one.error > best.error:
@@ -330,8 +330,8 @@ def simplest_first(ranked: list[FittedModel], before: FittedModel) -> list[Fitte
 def _equals(best: FittedModel, one: FittedModel, before: FittedModel) -> bool:
     """Whether a candidate predicts as well as the best.
 
-    Where the best is right, next to as well; where it leaves structure, whatever these records do not surely tell from
-    it, and what does the greater part of what it does: a flexible law takes some of what others leave.
+    Where the best leaves no structure, next to as well; where it leaves some, whatever these records do not surely tell
+    from it, and what does the greater part of what it does: a flexible law takes some of what others leave.
     """
     if best.no_structure:
         closed = best.error + CRITERIA.left_open * max(before.error - best.error, 0.0)

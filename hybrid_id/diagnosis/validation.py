@@ -2,10 +2,10 @@
 
 These are the validation records where there are some. Elsewhere train records are left out whole, in turn, in at most
 six folds: the model is fitted again without them, and predicts them. The squared errors of two models are compared
-block by block. Where the richer model predicts no better, the sign of each block's difference is a coin's: thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic
-of a whole search (R. A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young,
-Resampling-Based Multiple Testing, 1993, for the maximum). It is conservative, for a needless parameter makes
-predictions worse.
+block by block. Where the richer model predicts no better, the sign of each block's difference is a coin's: thousands of
+draws of these signs, the same for all candidates, give the distribution of the largest statistic of a whole search (R.
+A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young, Resampling-Based Multiple
+Testing, 1993, for the maximum). It is conservative, for a needless parameter makes predictions worse.
 """
 
 from __future__ import annotations

@@ -61,9 +61,10 @@ def _effects(diagnosis: Diagnosis) -> str:
 
 
 def _sure(diagnosis: Diagnosis, one: RatedEffect) -> str:
+    """The share's interval, and the probability of an effect or of one that it is indistinguishable from."""
     share = "" if one.share_interval is None else f"{range_percent(one.share_interval)}; "
-    probability = together(one, diagnosis.effects)
-    return f"{share}probability {'above 0.99' if probability > 0.99 else f'{probability:.2f}'}"
+    probability, of = together(one, diagnosis.effects), " of one of them" if one.tied_with else ""
+    return f"{share}probability{of} {'above 0.99' if probability > 0.99 else f'{probability:.2f}'}"
 
 
 def _named(diagnosis: Diagnosis, one: RatedEffect) -> str:

@@ -123,6 +123,7 @@ def test_indistinguishable_effects_share_a_headline(diagnosed) -> None:
     assert sentence.startswith(
         "Spring load, gravity load or load-dependent friction (indistinguishable on these records) explains 43 %"
     )
+    assert "probability of one of them" in sentence and "of one of them" not in headline(found)
 
 
 def test_an_interrupted_search_says_so(diagnosed, sound) -> None:
