@@ -4,10 +4,10 @@ import sys
 import time
 from pathlib import Path
 
-from hybrid_id.diagnosis.candidates import tasks
 from hybrid_id.diagnosis.diagnose import search
 from hybrid_id.diagnosis.fits import FULL, Fits
 from hybrid_id.diagnosis.screen import best_of_each, effects_of, simplest_first
+from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
 

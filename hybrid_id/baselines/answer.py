@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.errors_on_test import errors, shrink
 from hybrid_id.diagnosis.fits import engine
-from hybrid_id.diagnosis.held_out import errors, shrink
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System

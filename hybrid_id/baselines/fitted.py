@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.baselines.answer import answer, gap_of, named
-from hybrid_id.diagnosis.candidates import tasks
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.fits import Fits, Task
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 
@@ -61,16 +61,16 @@ def bic(dataset: Dataset, system: System) -> dict[str, Any]:
     return answer(dataset.name, effects, gap_of(dataset, system, base.result, chosen.result))
 
 
-def criterion(one: Model) -> float:
+def criterion(one: FittedModel) -> float:
     """Schwarz's criterion of a fit."""
     residual = np.concatenate([r.reshape(-1) for r in one.result.residual])
     n = np.count_nonzero(residual)
     return float(n * np.log(np.square(residual).sum() / n) + len(one.result.names) * np.log(n))
 
 
-def best_of_each(found: list[Model | None]) -> list[Model]:
+def best_of_each(found: list[FittedModel | None]) -> list[FittedModel]:
     """The best fit of each effect at each place, least criterion first."""
-    best: dict[tuple[tuple[str, str], ...], Model] = {}
+    best: dict[tuple[tuple[str, str], ...], FittedModel] = {}
     for one in sorted((e for e in found if e is not None), key=criterion):
         best.setdefault(one.effects, one)
     return list(best.values())

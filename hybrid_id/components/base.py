@@ -29,7 +29,7 @@ PLACES = ("input", "motor", "motor_friction", "transmission", "link_friction", "
 REGISTRY: dict[str, type[Component]] = {}
 """Every law by its kind."""
 CATALOGUE: dict[str, Effect] = {}
-"""Every effect that a diagnosis can name."""
+"""Every effect that a diagnosis can name, by name; :class:`Component` fills it as each law's class is defined."""
 
 Values = Mapping[str, float | Bounded]
 """Parameter values by symbol: a number takes the bounds of its declaration."""
@@ -384,11 +384,11 @@ class Friction(Component):
         return None
 
     def load_factor(self, p: SimpleNamespace) -> Tensor | None:
-        """Dry friction per unit of torque through the gear [1]."""
+        """Dry friction per unit of torque through the gear [1], ``(1,)`` or ``(B,)``."""
         return None
 
     def effort_factor(self, p: SimpleNamespace) -> Tensor | None:
-        """Dry friction per unit of the motor's torque [1]."""
+        """Dry friction per unit of the motor's torque [1], ``(1,)`` or ``(B,)``."""
         return None
 
     def mjcf(self, p: SimpleNamespace) -> Counterpart:

@@ -11,7 +11,7 @@ from typing import cast
 from hybrid_id.components import CATALOGUE
 from hybrid_id.components.base import Component, Effect, Values
 from hybrid_id.components.site import Scales, Searches, Site
-from hybrid_id.diagnosis.periodic import Left, friction_spots, friction_waves, gear_waves, rotor_waves
+from hybrid_id.diagnosis.periodic import Residual, friction_spots, friction_waves, gear_waves, rotor_waves
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.systems.chain import System
@@ -28,7 +28,7 @@ JOINTS = "one joint moved while the other is held"
 
 
 def with_effect(
-    effect: Effect, system: System, scales: Scales, left: Left | None = None
+    effect: Effect, system: System, scales: Scales, left: Residual | None = None
 ) -> dict[str, list[System]]:
     """The system with an effect at each place of a joint where it may act, one model for each start point.
 
@@ -56,7 +56,7 @@ def with_effect(
     return found
 
 
-def with_further(effect: Effect, system: System, where: str, left: Left) -> list[System]:
+def with_further(effect: Effect, system: System, where: str, left: Residual) -> list[System]:
     """The system with further parameters of an effect freed, one model for each start point.
 
     Args:
@@ -79,7 +79,7 @@ def with_further(effect: Effect, system: System, where: str, left: Left) -> list
     return [system.with_specs(specs(values)) for values in law.further(searches)]
 
 
-def _site(system: System, scales: Scales, place: str, left: Left | None) -> Site:
+def _site(system: System, scales: Scales, place: str, left: Residual | None) -> Site:
     """A place of a joint as a law sees it."""
     return Site(
         **vars(scales),
@@ -91,7 +91,7 @@ def _site(system: System, scales: Scales, place: str, left: Left | None) -> Site
     )
 
 
-def _searches(left: Left, joint: int, place: str) -> Searches:
+def _searches(left: Residual, joint: int, place: str) -> Searches:
     """The searches that a law may ask for, by name."""
     searches = rotor_waves, gear_waves, friction_waves, friction_spots
     return {search.__name__: partial(search, left, joint, place) for search in searches}

@@ -1,4 +1,9 @@
-"""Every number that decides what a diagnosis claims, with its meaning and source."""
+"""The numbers that decide what a diagnosis claims, with their meaning and source.
+
+Numbers that decide what is computed (which fits, iterations, draws, the length of blocks, initial values) stand beside
+the code that uses them, and so do those of what is said beside the verdict: of parameters that differ from record to
+record (``per_record.py``), are implausible (``plausibility.py``), or have changed physically (``changes.py``).
+"""
 
 from __future__ import annotations
 
@@ -22,14 +27,15 @@ class Criteria:
         distinct_fall: relative difference of the mean squares of two candidates below which these are
             indistinguishable, and
         distinct_z: standard errors of their difference below which they are, too.
-        much: share of what the best explains that a simpler candidate has to explain to lead in its place, where both
-            leave structure that the records do not surely tell apart; and the share of the colour that a small first
-            effect may leave.
-        left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival; and
-            the least share of the gap that a remainder has where something outside the catalogue is claimed.
+        much: in two unrelated uses: share of what the best explains that a simpler candidate has to explain to lead in
+            its place, where both leave structure that the records do not surely tell apart; and, in
+            ``screen.needed_fall``, the share of the autocorrelation that a small first effect may leave.
+        left_open: in two unrelated uses: share of the gap that a candidate may leave open, which another closes, and
+            still be its rival; and the least share of the gap that a remainder has where something outside the
+            catalogue is claimed, and that a torque has to explain of what remains to be named in the headline.
         white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
             residuals are white noise.
-        coloured: the same from which something structural is missing; small random torques and the rounding of
+        autocorrelation: the same from which something structural is missing; small random torques and the rounding of
             encoders alone leave less.
         negligible: RMS of weighted errors below which nothing is looked for; 1 is the noise and what any good model
             misses.
@@ -48,6 +54,14 @@ class Criteria:
             a real machine lacks several. Chosen on twelve generated machines.
         left_worth: independent errors that what a model leaves is worth, where it is structural: neighbouring ones go
             together, and so do those of one record. Chosen with it.
+        fall_slope: by how much the log-odds that an effect is at work grow as its fall grows by what it needs.
+        again: ratio of the cost with an effect, beside another one, to the cost without it, below which it is tried
+            beside two others.
+        too_few: independent samples below which no effect can be identified.
+        faint: RMS of autocorrelated errors of per-record fits up to which these say nothing: encoders whose counts
+            rest, ripple or miss leave as much.
+        place_z: standard errors by which a torque at another joint or side has to explain less, for a place to be
+            named.
     """
 
     false_alarms: float = 0.05
@@ -71,6 +85,11 @@ class Criteria:
     least_probability: float = 0.5
     base_rate: float = 0.1
     left_worth: float = 30.0
+    fall_slope: float = 8.0
+    again: float = 0.99
+    too_few: float = 30.0
+    faint: float = 0.5
+    place_z: float = 3.0
 
 
 CRITERIA = Criteria()

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
+from hybrid_id.diagnosis.errors_on_test import Errors
 from hybrid_id.diagnosis.fits import Fits
-from hybrid_id.diagnosis.held_out import Errors
 from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.maps import Reversals, TorqueMap, after_reversals, torque_map
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.identification.finite_differences import finite_difference_fit
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.study import Comparison, Study, analyse_fits, check_identifiability, replay
@@ -42,7 +42,7 @@ class Details:
         self,
         fits: Fits,
         nominal: System,
-        fitted: Mapping[str, Model],
+        fitted: Mapping[str, FittedModel],
         location: tuple[Location, ...],
         errors: Errors | None,
         *,
@@ -60,13 +60,13 @@ class Details:
     @cached_property
     def maps(self) -> tuple[Mapping[str, TorqueMap], ...]:
         """Torque that each fitted model misses over angle and speed, of one joint each."""
-        places = {one.joint: one.place for one in reversed(self._location)}  # the best of a joint is the last
+        sides = {one.joint: one.side for one in reversed(self._location)}  # the best of a joint is the last
         return tuple(
             {
-                name: torque_map(self._fits, m, int(joint[5:]), places[joint])
+                name: torque_map(self._fits, m, int(joint[5:]), sides[joint])
                 for name, m in self._fitted.items()
             }
-            for joint in sorted(places)[:JOINTS]
+            for joint in sorted(sides)[:JOINTS]
         )
 
     @cached_property
@@ -102,7 +102,7 @@ class Details:
         return Comparison({"nominal": replay(part, self.nominal)} | fitted)
 
 
-def as_identified(fits: Fits, model: Model, *, seed: int = 0, level: float = 0.95) -> Study:
+def as_identified(fits: Fits, model: FittedModel, *, seed: int = 0, level: float = 0.95) -> Study:
     """The statistics of `identify` for a model that a search has fitted: intervals, reliability, what is identified.
 
     A search keeps of its sensitivities only their products; here they are computed again, at the values where it has

@@ -1,4 +1,4 @@
-"""From records and the nominal model to a diagnosis: measure, screen, fit, select, test, report.
+"""From records and the nominal model to a diagnosis, in four functions: search, settle, test, report.
 
 Train records fit. Train records left out whole, in turn, or validation records where there are some, choose and reject.
 The test records are opened once, after the answer is frozen: they measure the gap and change nothing.
@@ -14,7 +14,8 @@ import numpy as np
 from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
-from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, held, released
+from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, repeatability, shrink
+from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, with_priors, without_priors
 from hybrid_id.diagnosis.grade import (
     Grade,
     behind_play,
@@ -24,15 +25,14 @@ from hybrid_id.diagnosis.grade import (
     tied_models,
     tied_sets,
 )
-from hybrid_id.diagnosis.held_out import Errors, Shrink, errors, repeatability, shrink
 from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.locate import Location, disturbances, locate
-from hybrid_id.diagnosis.model import Model, Name, added_effect
+from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import NUISANCE, implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.diagnosis.screen import Progress, Step, screen
+from hybrid_id.diagnosis.screen import Progress, SelectionStep, screen
 from hybrid_id.diagnosis.select import (
     MAX_EFFECTS,
     Selection,
@@ -53,9 +53,6 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.checks import check_identifiability
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
-
-TOO_FEW = 30.0
-"""Independent samples below which no effect can be identified."""
 
 
 def diagnose(
@@ -150,7 +147,7 @@ class Answer:
         if self.vague > CRITERIA.vague:
             return "inconclusive"  # what identifies no parameter identifies no effect either
         noisy = mean_square(base.result.residual) >= CRITERIA.negligible**2
-        if noisy and base.validation.effective < TOO_FEW:
+        if noisy and base.validation.effective < CRITERIA.too_few:
             return "inconclusive"
         return "parameters_only" if self.wrong_values else "no_gap"
 
@@ -163,7 +160,7 @@ def search(
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> tuple[Fits, Selection]:
-    """Stages measure, screen, fit and select: the re-fitted model and the effects that the train records call for.
+    """Stage search: the re-fitted model and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
     leave no structure. Otherwise the records choose the horizon, and all is done over that. Where the best effect still
@@ -178,18 +175,18 @@ def search(
     """
     fits = fits if horizon is None else fits.over(horizon)
     best = base = fits.base(system)
-    first, steps = None, list[Step]()
+    first, steps = None, list[SelectionStep]()
     try:
         if horizon is None:
             if fits.astray(base) <= CRITERIA.lost_refit:
                 first = screen(fits, base, system, progress=progress)
-                best = min((e for e in (base, *first.candidates) if e.finished), key=lambda e: e.error)
-                if not best.right and (own := _own_values(fits, base, system)) is not None:
+                best = min((e for e in (base, *first.candidates) if e.judged), key=lambda e: e.error)
+                if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own)
             if _adds_up(fits, base, best, system):
                 batch, how = fits.records(best.system), best.result.engine
                 # not held so closely that any horizon says as much
-                loose = held(best.system, system, best, NUISANCE)
+                loose = with_priors(best.system, system, best, NUISANCE)
                 chance = best.validation.plain > CRITERIA.by_chance * best.trained
                 chosen = choose_horizon(loose, how, batch, [best.result], followed=0.0, pieces=chance)
                 if chosen.kind != "whole":
@@ -209,7 +206,7 @@ def search(
         return fits, interrupted(base, steps)
 
 
-def _adds_up(fits: Fits, base: Model, best: Model, system: System) -> bool:
+def _adds_up(fits: Fits, base: FittedModel, best: FittedModel, system: System) -> bool:
     """Whether what the best model lacks adds up along its free runs, so that shorter ones are asked for.
 
     Not within a few noises, and not where each record's own values explain the structure that is left.
@@ -218,23 +215,27 @@ def _adds_up(fits: Fits, base: Model, best: Model, system: System) -> bool:
         return False
     if fits.astray(best) > CRITERIA.lost:
         return True
-    return not (best.right or (best is not base and _own_values(fits, best, system) is not None))
+    return not (best.no_structure or (best is not base and _own_values(fits, best, system) is not None))
 
 
-def _own_values(fits: Fits, model: Model, system: System) -> PerRecord | None:
+def _own_values(fits: Fits, model: FittedModel, system: System) -> PerRecord | None:
     """Each record's own values of a model, where they leave noise alone: the records differ, and nothing is missing."""
     own = per_record(fits, model, system)
     return own if own is not None and own.explained else None
 
 
-def _helping(step: Step) -> frozenset[Name]:
+def _helping(step: SelectionStep) -> frozenset[Name]:
     """The effects that explain anything of what their train records show."""
     least = (1.0 - CRITERIA.least_fall) * step.before.trained
     return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained < least)
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
-    """Freeze the answer: drop what is not sure, divide the gap, locate it, say whether something unknown acts."""
+    """Stage settle: freeze the answer, once all that is selected is sure enough to be asserted.
+
+    :func:`locate` comes first, for the structural share of what remains depends on it; :func:`grade` divides the gap.
+    The last effect that is not sure enough is dropped, and both are done again for the rest.
+    """
     before, rejected = tuple(locate(fits, found.base)), list[str]()
     while True:
         chosen = found.chosen
@@ -242,7 +243,7 @@ def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         structural = structural_share(chosen, after)
         own = (found.own or per_record(fits, chosen, system)) if structural > CRITERIA.coloured else None
         if own is not None:
-            structural = 0.0 if own.explained else structural_share(chosen, after, own.coloured)
+            structural = 0.0 if own.explained else structural_share(chosen, after, own.autocorrelation)
             found = _for_all_records(found, own)
         varying = () if own is None else own.varying
         graded = grade(fits, found, structural, seed=seed)
@@ -282,8 +283,8 @@ def _final(fits: Fits, found: Selection) -> Selection:
 def _unheld(found: Selection, nominal: System) -> Selection:
     """The models without the priors that held their parameters during the search, which nobody has given."""
 
-    def free(model: Model) -> Model:
-        system = released(model.system, nominal)
+    def free(model: FittedModel) -> FittedModel:
+        system = without_priors(model.system, nominal)
         precision = make_bounds(system, system.estimated).prior_precision.numpy()
         return replace(model, result=replace(model.result, system=system, prior_precision=precision))
 
@@ -291,7 +292,7 @@ def _unheld(found: Selection, nominal: System) -> Selection:
     return replace(found, base=base, chosen=base if found.chosen is found.base else free(found.chosen))
 
 
-def _wrong_values(fits: Fits, system: System, base: Model) -> bool:
+def _wrong_values(fits: Fits, system: System, base: FittedModel) -> bool:
     """Whether the nominal values err clearly more on the train records than the re-fitted ones."""
     both = [
         errors(fits.dataset, one, engine(), fits.dataset.train, horizon=fits.horizon)
@@ -330,7 +331,11 @@ def test(dataset: Dataset, system: System, answer: Answer, *, seed: int = 0) -> 
     )
     if nominal is None or first is None or last is None:
         return Tested()
-    left = last.coloured if last.coloured > CRITERIA.coloured or behind_play(chosen) else answer.structural
+    left = (
+        last.autocorrelation
+        if last.autocorrelation > CRITERIA.coloured or behind_play(chosen)
+        else answer.structural
+    )
     again = repeatability(dataset) if fits.whole else None
     rest = last.nrmse * float(np.sqrt(1.0 - min(left, 1.0)))
     floor = min(max(last.noise, rest if again is None else again), last.nrmse)
@@ -346,10 +351,10 @@ def _contradiction(answer: Answer, gap: Shrink, last: Errors) -> str:
     if answer.found.chosen.effects and gap.interval[0] <= 0.0:
         return "The test records do not confirm the correction: the interval of the shrink holds zero."
     trained = np.sqrt(mean_square(answer.found.chosen.result.residual))
-    quiet = answer.found.chosen.coloured <= CRITERIA.coloured
+    quiet = answer.found.chosen.autocorrelation <= CRITERIA.coloured
     if (
         quiet
-        and last.coloured > CRITERIA.coloured
+        and last.autocorrelation > CRITERIA.coloured
         and last.over_noise > 2.0 * max(trained, CRITERIA.negligible)
     ):
         return (
@@ -359,13 +364,18 @@ def _contradiction(answer: Answer, gap: Shrink, last: Errors) -> str:
     return ""
 
 
-def _rest_differs(fits: Fits, base: Model, chosen: Model, last: Errors) -> bool:
+def _rest_differs(fits: Fits, base: FittedModel, chosen: FittedModel, last: Errors) -> bool:
     """Whether free runs over the test records are lost at other rest positions, although the model is right about them.
 
     Such a model is judged by windows that begin at measured states: of what the re-fitted model leaves there, it has to
     leave next to nothing.
     """
-    if not fits.whole or last.coloured <= CRITERIA.coloured or not chosen.effects or behind_play(chosen):
+    if (
+        not fits.whole
+        or last.autocorrelation <= CRITERIA.coloured
+        or not chosen.effects
+        or behind_play(chosen)
+    ):
         return False
     left = []
     for system in (base.system, chosen.system):
@@ -409,8 +419,8 @@ def report(
     return Diagnosis(
         case=dataset.name,
         verdict=answer.verdict,
-        effects=graded.candidates,
-        ties=tuple(tied_sets(graded.candidates)),
+        effects=graded.effects,
+        ties=tuple(tied_sets(graded.effects)),
         unknown=graded.unknown and not found.interrupted,
         remainder=graded.remainder,
         remainder_interval=graded.remainder_interval,

@@ -1,4 +1,4 @@
-"""Fits of models to the train records, and their errors on records left out."""
+"""Fits of models to the train records, and their errors on records left out: validation or train records."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.keep import Kept
-from hybrid_id.diagnosis.model import Model, Name
+from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.plausibility import NUISANCE
-from hybrid_id.diagnosis.validation import Validation, coloured, validation
+from hybrid_id.diagnosis.validation import Validation, autocorrelation, validation
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.identification.finite_differences import (
     WORST,
@@ -78,8 +78,9 @@ class Task:
         near: slopes of the model that it is close to, for a coarse fit.
         cost: where an earlier fit has ended; another method is tried where this one ends higher.
         x0: first states that the earlier fit has ended with, ``(R, n_x)``.
-        shake: whether the last fit of a gear whose link nobody measures is restarted from perturbed values.
-        judge: whether the last fit is followed by those without the records that judge it.
+        perturb: whether the last fit of a gear whose link nobody measures is restarted from perturbed values.
+        judge: whether the last fit is followed by its errors on records left out, by re-fits where these are train
+            records.
     """
 
     effects: tuple[Name, ...]
@@ -87,15 +88,15 @@ class Task:
     near: Slopes | None = None
     cost: float = 0.0
     x0: np.ndarray | None = None
-    shake: bool = True
+    perturb: bool = True
     judge: bool = True
 
 
 class Fits:
-    """Fits models to the train records of a dataset.
+    """Fits models to the train records of a dataset, and judges them on records left out.
 
     Args:
-        dataset: only its train records are used.
+        dataset: models are fitted to its train records; the validation records, where there are any, only judge.
         jobs: processes that share the fits, once a search turns out to be long.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         horizon: how long free runs are before they start again from a measured state.
@@ -147,15 +148,15 @@ class Fits:
         """What models are fitted to: the train records, or pieces of them from measured states."""
         return self.horizon.cut(system, self.engine, self.records(system))
 
-    def astray(self, model: Model) -> float:
+    def astray(self, model: FittedModel) -> float:
         """Normalised RMSE of a model's free runs, less the noise, however little an output moves."""
         return astray([model.result], self.records(model.system))
 
-    def base(self, system: System, *, free: bool = False) -> Model:
+    def base(self, system: System, *, free: bool = False) -> FittedModel:
         """The nominal model, fitted from its nominal values and from a fit in windows, whichever ends lower.
 
-        Where it leaves structure its parameters are held (:func:`held`), unless they are to be ``free``. How well it
-        predicts each record says how much that counts in all later comparisons.
+        Where it leaves structure its parameters are held (:func:`with_priors`), unless they are to be ``free``. How
+        well it predicts each record says how much that counts in all later comparisons.
         """
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
@@ -167,8 +168,8 @@ class Fits:
             raise InputError(
                 f"The nominal model diverges on dataset '{self.dataset.name}'; check units, signs and start values."
             )
-        if not (best.right or free):
-            best = self._held(system, best) or best
+        if not (best.no_structure or free):
+            best = self._base_with_priors(system, best) or best
         # a fit that has stopped early would lend its gap to the first effect that frees it
         again = confirmed(best.result, self.batch(best.system), options=Options(tolerance=0.05))
         ends = (best.result,) if again is best.result else (best.result, again)
@@ -177,16 +178,16 @@ class Fits:
         self.weights = best.validation.even_weights()
         return replace(best, validation=best.validation.weighted(self.weights))
 
-    def _best(self, starts: Sequence[System], *, judge: bool = False) -> Model | None:
+    def _best(self, starts: Sequence[System], *, judge: bool = False) -> FittedModel | None:
         """The fit of the nominal model from several starts that ends lowest."""
         ends = [e for e in self.run([Task((), one, judge=judge) for one in starts], FULL) if e is not None]
         return min(ends, key=lambda e: e.result.cost, default=None)
 
-    def _held(self, system: System, free: Model) -> Model | None:
+    def _base_with_priors(self, system: System, free: FittedModel) -> FittedModel | None:
         """The nominal model with its parameters held as closely as predicts records left out best."""
         found, starts = None, [system, free.system]
         for share in HOLDS:
-            end = self._best([held(start, system, free, share) for start in starts], judge=True)
+            end = self._best([with_priors(start, system, free, share) for start in starts], judge=True)
             if end is None or (found is not None and end.validation.typical >= found.validation.typical):
                 break
             found, starts = end, [end.system]
@@ -200,7 +201,7 @@ class Fits:
 
     def run(
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
-    ) -> list[Model | None]:
+    ) -> list[FittedModel | None]:
         """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted."""
         samples, found = sum(record.n_samples for record in self.dataset.train), []
         while len(found) < len(tasks):
@@ -222,7 +223,7 @@ class Fits:
         return found
 
 
-def held(system: System, nominal: System, fitted: Model, share: float) -> System:
+def with_priors(system: System, nominal: System, fitted: FittedModel, share: float) -> System:
     """A model whose parameters are held to their nominal values as data sheets hold them, or closer.
 
     What a model lacks moves its parameters beyond reason, and a re-fit without one record the more: an error of several
@@ -237,15 +238,15 @@ def held(system: System, nominal: System, fitted: Model, share: float) -> System
     """
     worth = fitted.result.noise_scale**2 * fitted.result.n_samples / max(fitted.validation.effective, 1.0)
     std = max(share / max(worth, 1.0) ** 0.5, NARROWEST)
-    return _with_priors(system, nominal, lambda value: (value, std * abs(value)))
+    return _prior_on_known(system, nominal, lambda value: (value, std * abs(value)))
 
 
-def released(system: System, nominal: System) -> System:
+def without_priors(system: System, nominal: System) -> System:
     """The same model held no longer: one that lacks nothing needs no help to stay near its true values."""
-    return _with_priors(system, nominal, lambda value: (None, None))
+    return _prior_on_known(system, nominal, lambda value: (None, None))
 
 
-def _with_priors(
+def _prior_on_known(
     system: System, nominal: System, prior: Callable[[float], tuple[float | None, float | None]]
 ) -> System:
     known = {(i.component, i.symbol): i.spec for i in nominal.table if i.spec.prior_std is None}
@@ -259,7 +260,7 @@ def _with_priors(
     return system.with_specs(priors)
 
 
-def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None:
+def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | None:
     """A fit, as an earlier run has kept it if there is one."""
     if fits.kept is None:
         return _fit(fits, task, iterations, halting)
@@ -269,7 +270,7 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | Non
     return fits.kept.of(made_from, task.effects, task.system, lambda: _fit(fits, task, iterations, halting))
 
 
-def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None:
+def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | None:
     torch.set_num_threads(1)
     if fits.jobs > 1:
         leave_ctrl_c_to_the_first()
@@ -285,7 +286,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
             )
         else:
             result = _nearest(fits.engine, task, batch, iterations, halting)
-        if hidden and task.shake and full:
+        if hidden and task.perturb and full:
             result = perturbed_restarts(result, batch, tries=TRIES)
         found = (
             _judged(fits, result, batch)
@@ -298,7 +299,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> Model | None
         return None  # a start that the physics refuses is no candidate
     sound = np.isfinite(found.error) and all(np.isfinite(part).all() for part in result.jacobian)
     # a search keeps hundreds
-    return Model(task.effects, result.condensed(), found, judge) if sound else None
+    return FittedModel(task.effects, result.condensed(), found, judge) if sound else None
 
 
 def _judged(fits: Fits, result: FitResult, batch: Batch) -> Validation:
@@ -372,7 +373,7 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
     In the ripples of a cost that leaves structure such a fit may not move at all, and would predict what it has seen:
     then it starts where the linearised step without the part leads.
     """
-    rippled = coloured(result.residual) > CRITERIA.coloured
+    rippled = autocorrelation(result.residual) > CRITERIA.coloured
     starts = started_without(result, batch, fold) if rippled else None
     found: list[np.ndarray] = [np.empty(0)] * batch.rows
     for k in np.unique(fold):
@@ -398,7 +399,7 @@ def _nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bo
     from measured states does not.
     """
     ends = _both_ways(how, task.system, batch, iterations, task.cost, task.x0)
-    if halting and iterations == FULL and min(coloured(end.residual) for end in ends) > CRITERIA.white:
+    if halting and iterations == FULL and min(autocorrelation(end.residual) for end in ends) > CRITERIA.white:
         with suppress(InputError, RuntimeError):
             near = _within(how, task.system, windows(task.system, how, batch, WINDOW), FINER)
             ends += _both_ways(how, near.system, batch, iterations, task.cost, None)
@@ -410,7 +411,7 @@ def _both_ways(
 ) -> list[FitResult]:
     """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower than a cost.
 
-    The first walks through valleys in which whole rollouts are stuck; the second sees through events and from afar.
+    The first walks through basins in which whole rollouts are stuck; the second sees through events and from afar.
     """
     # standard errors are those of the encoders' noise, of which the errors of what is not there yet are many
     noise = (2.0 * cost / float((batch.weight > 0).sum())) ** 0.5
@@ -432,7 +433,7 @@ def _over_windows(fits: Fits, task: Task, batch: Batch, iterations: int) -> FitR
     Over long windows a model that sticks and slips, or rests in detents, is not linear: a fit may not move at all.
     """
     ends = [_within(fits.engine, task.system, batch, iterations)]
-    if fits.horizon.seconds > WINDOW and coloured(ends[0].residual) > CRITERIA.white:
+    if fits.horizon.seconds > WINDOW and autocorrelation(ends[0].residual) > CRITERIA.white:
         with suppress(InputError, RuntimeError):
             short = fits.over(Horizon("windows", WINDOW)).batch(task.system)
             near = _within(fits.engine, task.system, short, iterations)

@@ -14,8 +14,8 @@ from hybrid_id.diagnosis.catalogue import effect
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.locate import Location
-from hybrid_id.diagnosis.model import Model, Name, added_effect
-from hybrid_id.diagnosis.screen import Step, log_odds, needed_fall, odds_at
+from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
+from hybrid_id.diagnosis.screen import SelectionStep, log_odds, log_odds_at, needed_fall
 from hybrid_id.diagnosis.select import Selection, accepted_ones, chances, refitted_without
 from hybrid_id.diagnosis.validation import DRAWS, Validation, mean_square
 
@@ -23,7 +23,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class Candidate:
+class RatedEffect:
     """One effect at one place.
 
     Attributes:
@@ -34,7 +34,7 @@ class Candidate:
         parameters: estimate and standard error of each parameter that it brings, by symbol; a fixed one that belongs
             to the answer has the error 0.
         share: of the gap that it explains where it is added after those before it; None of one that is not selected.
-        share_interval: 95 % interval of that, with the uncertainty of its selection.
+        share_interval: 95 % interval of that; every draw of blocks chooses again among the rivals of its step.
         alone: share of the gap that it explains when it stands alone beside the nominal model.
     """
 
@@ -54,14 +54,16 @@ class Grade:
     """How the gap divides. Gap: mean square of the re-fitted model's errors on records left out, less the floor's.
 
     Attributes:
-        candidates: every effect that was tried, the selected ones by share, then the others by probability.
+        effects: every effect that was tried, the selected ones by share, then the others by probability.
         remainder: structural share of the gap that stays unexplained.
-        remainder_interval: 95 % interval.
+        remainder_interval: 95 % interval, for the chosen model as it is: its draws know no rivals.
         unknown: whether what remains is at least a tenth of the gap and as much as all that is explained.
-        gap: in units of the measurements' weights.
+        gap: mean square of weighted errors, in noise variances.
+
+    The floor is ``(1 - structural) * error`` of the chosen model.
     """
 
-    candidates: tuple[Candidate, ...]
+    effects: tuple[RatedEffect, ...]
     remainder: float
     remainder_interval: Interval
     unknown: bool
@@ -70,15 +72,17 @@ class Grade:
     @property
     def explained(self) -> float:
         """Share of the gap that the selected effects explain."""
-        return sum(c.share or 0.0 for c in self.candidates if c.selected)
+        return sum(c.share or 0.0 for c in self.effects if c.selected)
 
 
-def behind_play(model: Model) -> bool:
+def behind_play(model: FittedModel) -> bool:
     """Whether a model has play, behind which nobody has measured where the link is."""
     return any("backlash" in key for key in model.system.components)
 
 
-def structural_share(model: Model, left: Sequence[Location], within_records: float | None = None) -> float:
+def structural_share(
+    model: FittedModel, left: Sequence[Location], within_records: float | None = None
+) -> float:
     """Share of what a model leaves that a right model would not leave.
 
     All that has colour, also where each record has parameters of its own; where small random torques would leave less
@@ -92,7 +96,7 @@ def structural_share(model: Model, left: Sequence[Location], within_records: flo
     """
     if mean_square(model.result.residual) < CRITERIA.negligible**2:
         return 0.0
-    share = model.coloured if within_records is None else min(model.coloured, within_records)
+    share = model.autocorrelation if within_records is None else min(model.autocorrelation, within_records)
     if share > CRITERIA.coloured or behind_play(model):
         return share
     return min(max(max((one.share for one in left), default=0.0), 0.0), share)
@@ -117,7 +121,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         name: ((a.error - b.error) / gap, _interval(draws[:, k]))
         for k, (name, a, b) in enumerate(zip(names, models[:-1], models[1:], strict=True))
     }
-    rated = [_with_share(c, shares, found, gap) for c in _candidates(found, structural)]
+    rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
     rated.sort(key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability))
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
@@ -126,8 +130,8 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
 
 
 def _with_share(
-    one: Candidate, shares: dict[Name, tuple[float, Interval]], found: Selection, gap: float
-) -> Candidate:
+    one: RatedEffect, shares: dict[Name, tuple[float, Interval]], found: Selection, gap: float
+) -> RatedEffect:
     base = found.base.validation.error
     measurable = gap > CRITERIA.least_fall * base  # shares of next to nothing say nothing
     alone = next(
@@ -144,7 +148,7 @@ def _with_share(
     return replace(one, share=share, share_interval=interval, alone=alone)
 
 
-def together(one: Candidate, everyone: Sequence[Candidate]) -> float:
+def together(one: RatedEffect, everyone: Sequence[RatedEffect]) -> float:
     """Probability that an effect or one that it is indistinguishable from is at work."""
     return min(
         sum(c.probability for c in everyone if c is one or f"{c.name}@{c.where}" in one.tied_with), 1.0
@@ -155,30 +159,30 @@ def doubtful(found: Grade) -> list[Name]:
     """Selected effects that may not be asserted: improbable, with all that they are tied with, or of no sure size."""
     return [
         (c.name, c.where)
-        for c in found.candidates
+        for c in found.effects
         if c.selected
         and (
-            together(c, found.candidates) < CRITERIA.least_probability
+            together(c, found.effects) < CRITERIA.least_probability
             or (c.share_interval is not None and c.share_interval[0] <= 0.0)
         )
     ]
 
 
-def _ladder(fits: Fits, found: Selection) -> tuple[list[Model], list[Step]]:
+def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[SelectionStep]]:
     """Models from the re-fitted nominal one to the chosen one, an effect more each, and the step of each effect.
 
     Last comes the effect without which the others predict best, as far as they have been fitted: each explains what it
     can before the smaller ones may, in whatever order they were found.
     """
     chosen, base = found.chosen, found.base
-    order: dict[Name, Step] = {}
+    order: dict[Name, SelectionStep] = {}
     for step in found.steps:
         if step.best is not None and (name := added_effect(step.best, step.before)) in chosen.effects:
             order.setdefault(name, step)
     for name in chosen.effects:
-        order.setdefault(name, Step(base, (chosen,)))
+        order.setdefault(name, SelectionStep(base, (chosen,)))
     models, names, last = [chosen], list(order), list[Name]()
-    known = [e for s in found.steps for e in (s.before, *s.candidates) if e.finished]
+    known = [e for s in found.steps for e in (s.before, *s.candidates) if e.judged]
     while len(names) > 1:
         rests = [tuple(sorted(set(names) - {name})) for name in names]
         simpler = [e for e in known if e.effects in rests]
@@ -194,8 +198,10 @@ def _ladder(fits: Fits, found: Selection) -> tuple[list[Model], list[Step]]:
     return ([base, *models] if chosen.effects else [base]), steps
 
 
-def _nested(models: Sequence[Model], steps: Sequence[Step], structural: float, seed: int) -> np.ndarray:
-    """Draws of the shares ``(draws, n + 1)``, the remainder last: the blocks drawn choose among rivals, too."""
+def _nested(
+    models: Sequence[FittedModel], steps: Sequence[SelectionStep], structural: float, seed: int
+) -> np.ndarray:
+    """Draws of the shares ``(draws, n + 1)``, the remainder last: shares choose among rivals, too; it does not."""
     generator, n = np.random.default_rng(seed), len(models[0].validation.blocks)
     ends = [one.validation for one in models]
     rivals = []
@@ -219,10 +225,10 @@ def _nested(models: Sequence[Model], steps: Sequence[Step], structural: float, s
     return found
 
 
-def _leaders(step: Step, after: Model) -> list[Model]:
+def _leaders(step: SelectionStep, after: FittedModel) -> list[FittedModel]:
     """Accepted candidates that other records could have put first: where structure is left, none of more parameters."""
     alike = accepted_ones(step)
-    most = math.inf if after.right or not alike else len(alike[0].result.names)
+    most = math.inf if after.no_structure or not alike else len(alike[0].result.names)
     return [e for e in alike if len(e.result.names) <= most]
 
 
@@ -230,19 +236,19 @@ def _interval(draws: np.ndarray) -> Interval:
     return float(np.quantile(draws, 0.025)), float(np.quantile(draws, 0.975))
 
 
-def _candidates(found: Selection, structural: float) -> list[Candidate]:
+def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
     """Every effect that was tried, with the probability that the last step which compared it gives.
 
     Where something structural is left, none of the others is excluded by what is selected.
     """
     chosen = set(found.chosen.effects)
-    best: dict[Name, Candidate] = {}
+    best: dict[Name, RatedEffect] = {}
     for step in found.steps:
         if step.best is None:
             continue
         for model, probability in zip(step.candidates, _probabilities(step), strict=True):
             name = added_effect(model, step.before)
-            one = Candidate(
+            one = RatedEffect(
                 name[0], name[1], float(probability), name in chosen, _ties(model, step, name),
                 _parameters(found.chosen if name in chosen else model, name),
             )  # fmt: skip
@@ -282,7 +288,7 @@ def _beside(found: Selection) -> dict[Name, float]:
     return {name: min(o / (1.0 + o), CRITERIA.least_probability) for name, o in odds.items()}
 
 
-def _probabilities(step: Step) -> np.ndarray:
+def _probabilities(step: SelectionStep) -> np.ndarray:
     """Probability of each candidate: how surely the best predicts better, and how surely each explains anything."""
     best, logs = step.candidates[0], np.full(len(step.candidates), -np.inf)
     present = {one: _present(one, step.before, p) for one, p in chances(step).items()}
@@ -290,14 +296,14 @@ def _probabilities(step: Step) -> np.ndarray:
     for k, one in enumerate(step.candidates):
         if one is best:
             logs[k] = 0.0
-        elif one.finished and one.error < step.before.error and not _contains(one, step):
+        elif one.judged and one.error < step.before.error and not _contains(one, step):
             explains = min(max(present[one], 1e-300) / max(sure, 1e-300), 1.0)
             logs[k] = log_odds(best, one, step.before) + math.log(explains)
     odds = np.exp(logs - logs.max())
     return sure * odds / odds.sum()
 
 
-def _present(one: Model, before: Model, p: float) -> float:
+def _present(one: FittedModel, before: FittedModel, p: float) -> float:
     """Probability that the effect of a finished candidate or one beside it is at work, and not none beyond ``before``.
 
     The p-value of the whole search as a bound of the Bayes factor against chance, ``-e p ln p`` at even odds
@@ -306,49 +312,49 @@ def _present(one: Model, before: Model, p: float) -> float:
     """
     fall = one.validation.fall(before.validation) / needed_fall(one, before)
     against = -np.e * p * np.log(p) if p < np.exp(-1.0) else 1.0
-    return float(expit(8.0 * (fall - 1.0)) / (1.0 + against))
+    return float(expit(CRITERIA.fall_slope * (fall - 1.0)) / (1.0 + against))
 
 
-def _contains(model: Model, step: Step) -> bool:
+def _contains(model: FittedModel, step: SelectionStep) -> bool:
     """Whether an effect has a step's best as its special case: that it explains as much says nothing for it."""
     (name, where), best = added_effect(model, step.before), step.best and added_effect(step.best, step.before)
     return best is not None and best[1] == where and best[0] in effect(name).contains
 
 
-def indistinguishable(model: Model, step: Step) -> list[Model]:
+def indistinguishable(model: FittedModel, step: SelectionStep) -> list[FittedModel]:
     """Candidates of a step whose errors are those of one of them, as far as its records say; itself among them.
 
     None for what does not explain what the best does. Where it leaves structure, the errors have reasons of their own:
     what does the greater part of what the best does counts, if it is not much less probable.
     """
-    least = min(e.error for e in step.candidates if e.finished or e is model)
-    open_ = CRITERIA.left_open if model.right else 1.0 - CRITERIA.much
+    least = min(e.error for e in step.candidates if e.judged or e is model)
+    open_ = CRITERIA.left_open if model.no_structure else 1.0 - CRITERIA.much
     closed = least + open_ * max(step.before.error - least, 0.0)
-    near = 1.0 / (1.0 - CRITERIA.distinct_fall) if model.right else math.inf
-    unlikely = odds_at(CRITERIA.distinct_z)
-    if not model.finished or model.error >= closed:
+    near = 1.0 / (1.0 - CRITERIA.distinct_fall) if model.no_structure else math.inf
+    unlikely = log_odds_at(CRITERIA.distinct_z)
+    if not model.judged or model.error >= closed:
         return []
     return [
         e
         for e in step.candidates
-        if e.finished
+        if e.judged
         and e.error < closed
         and not _contains(e, step)
         and max(e.error / model.error, model.error / e.error) < near
         and (
             model.ahead_of(e) < CRITERIA.distinct_z
-            if model.right
+            if model.no_structure
             else log_odds(model, e, step.before) > unlikely
         )
     ]
 
 
-def _ties(model: Model, step: Step, name: Name) -> tuple[str, ...]:
+def _ties(model: FittedModel, step: SelectionStep, name: Name) -> tuple[str, ...]:
     rivals = (added_effect(e, step.before) for e in indistinguishable(model, step))
     return tuple("@".join(rival) for rival in rivals if rival != name)
 
 
-def tied_models(found: Selection) -> list[Model]:
+def tied_models(found: Selection) -> list[FittedModel]:
     """Models that explain the records as well as the chosen one, itself among them; empty without a rival."""
     for step in found.steps:
         if step.best is not None and step.best.effects == found.chosen.effects:
@@ -358,12 +364,12 @@ def tied_models(found: Selection) -> list[Model]:
     return []
 
 
-def tied_sets(found: Sequence[Candidate]) -> list[tuple[str, ...]]:
+def tied_sets(found: Sequence[RatedEffect]) -> list[tuple[str, ...]]:
     """Groups of effects that these records cannot distinguish, of the selected ones."""
     return [(f"{c.name}@{c.where}", *c.tied_with) for c in found if c.selected and c.tied_with]
 
 
-def _parameters(model: Model, name: Name) -> dict[str, tuple[float, float]]:
+def _parameters(model: FittedModel, name: Name) -> dict[str, tuple[float, float]]:
     """Estimates and standard errors of what an effect brings; what it brings fixed has none."""
     result = model.result
     jacobian = np.concatenate([j.reshape(-1, j.shape[-1]) for j in result.jacobian])

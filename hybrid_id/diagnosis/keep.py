@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from hybrid_id.diagnosis.model import Model, Name
+from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.validation import Validation
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.files import write_whole
@@ -39,8 +39,12 @@ class Kept:
         return sum(1 for _ in self.folder.glob("*.npz"))
 
     def of(
-        self, made_from: object, effects: tuple[Name, ...], start: System, fit: Callable[[], Model | None]
-    ) -> Model | None:
+        self,
+        made_from: object,
+        effects: tuple[Name, ...],
+        start: System,
+        fit: Callable[[], FittedModel | None],
+    ) -> FittedModel | None:
         """A fit: read if it is kept, otherwise made and kept.
 
         Args:
@@ -64,7 +68,7 @@ class Kept:
             return _read(arrays, effects, start)
 
 
-def _written(model: Model | None) -> bytes:
+def _written(model: FittedModel | None) -> bytes:
     arrays: dict[str, np.ndarray] = {}
     if model is not None:
         result, seen = model.result, model.validation
@@ -72,7 +76,7 @@ def _written(model: Model | None) -> bytes:
             "names": result.names, "units": result.units, "status": result.status, "records": result.records,
             "cost": result.cost, "n_samples": result.n_samples, "iterations": result.iterations,
             "engine": asdict(result.engine), "history": result.history, "rows": len(result.residual),
-            "effective": seen.effective, "plain": seen.plain, "finished": model.finished,
+            "effective": seen.effective, "plain": seen.plain, "judged": model.judged,
         }  # fmt: skip
         arrays = {
             "about": np.array(json.dumps(about)), "values": result.values, "x0": result.x0,
@@ -86,7 +90,7 @@ def _written(model: Model | None) -> bytes:
     return file.getvalue()
 
 
-def _read(arrays: Mapping[str, np.ndarray], effects: tuple[Name, ...], start: System) -> Model | None:
+def _read(arrays: Mapping[str, np.ndarray], effects: tuple[Name, ...], start: System) -> FittedModel | None:
     if "about" not in arrays:
         return None
     about = json.loads(str(arrays["about"]))
@@ -111,7 +115,7 @@ def _read(arrays: Mapping[str, np.ndarray], effects: tuple[Name, ...], start: Sy
     seen = Validation(
         arrays["blocks"], arrays["sizes"], arrays["row"], about["effective"], arrays["record"], about["plain"]
     )
-    return Model(effects, result, seen, about["finished"])
+    return FittedModel(effects, result, seen, about["judged"])
 
 
 def _with_values(start: System, result: FitResult) -> System:

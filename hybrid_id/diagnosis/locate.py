@@ -15,8 +15,9 @@ import torch
 from scipy.signal import bilinear, lfilter
 from torch import Tensor
 
+from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.response import Response, bumps, respond
 
 SPEEDS, ANGLES, COMMANDS = 9, 10, 9
@@ -30,8 +31,6 @@ TURNS = (1, 2, 3, 4, 6)
 """Periods a turn of the rotor in which a motor may pass the command on unevenly."""
 KNOT = 0.05
 """Time [s] over which the torque is smooth."""
-SURE = 3.0
-"""Standard errors by which another place has to explain less."""
 
 IN_WORDS = {
     "angle, opposite to the velocity": "it brakes more at some angles than at others",
@@ -51,7 +50,7 @@ class Location:
 
     Attributes:
         joint: ``joint1`` ...
-        place: ``motor`` or ``load``: the side of the gear; ``joint`` where both move alike.
+        side: ``motor`` or ``load``: the side of the gear; ``joint`` where both move alike.
         signal: what it depends on, in words.
         share: part of the gap's mean square that it explains on records left out.
         grid: the signal's values, ``(k,)``; empty where the dependence has no single signal.
@@ -59,14 +58,14 @@ class Location:
     """
 
     joint: str
-    place: str
+    side: str
     signal: str
     share: float
     grid: np.ndarray
     torque: np.ndarray
 
 
-def locate(fits: Fits, model: Model) -> list[Location]:
+def locate(fits: Fits, model: FittedModel) -> list[Location]:
     """Torques that would explain what a fitted model leaves, best first.
 
     Args:
@@ -81,8 +80,8 @@ def locate(fits: Fits, model: Model) -> list[Location]:
             for signal, waves, axis in signals(opened):
                 share, coefficients = opened.explained(waves)
                 grid, torque = _profile(axis, coefficients)
-                place = "joint" if joint.rigid else side
-                found.append(Location(joint.name, place, signal, share, grid, torque))
+                where = "joint" if joint.rigid else side
+                found.append(Location(joint.name, where, signal, share, grid, torque))
     return sorted(found, key=lambda one: -one.share)
 
 
@@ -170,18 +169,18 @@ class Disturbance:
 
     Attributes:
         joint: ``joint1`` ...
-        place: ``motor`` or ``load``: the side of the gear; ``joint`` where both move alike, or one is not measured.
+        side: ``motor`` or ``load``: the side of the gear; ``joint`` where both move alike, or one is not measured.
         share: part of the mean square within a short window, averaged over these, less what chance would explain.
         behind: by how many standard errors it leaves more than the best place does; 0 for that.
     """
 
     joint: str
-    place: str
+    side: str
     share: float
     behind: float
 
 
-def disturbances(fits: Fits, model: Model) -> list[Disturbance]:
+def disturbances(fits: Fits, model: FittedModel) -> list[Disturbance]:
     """Every side of every joint, the best first.
 
     Args:
@@ -221,7 +220,9 @@ def acts_at(found: Sequence[Disturbance]) -> tuple[str | None, str | None]:
     if not found or found[0].share <= 0.0:
         return None, None
     best, others = found[0], found[1:]
-    if any(one.joint != best.joint and one.behind < SURE for one in others):
+    if any(one.joint != best.joint and one.behind < CRITERIA.place_z for one in others):
         return None, None
-    sure = best.place != "joint" and all(one.behind >= SURE for one in others if one.joint == best.joint)
-    return best.joint, best.place if sure else None
+    sure = best.side != "joint" and all(
+        one.behind >= CRITERIA.place_z for one in others if one.joint == best.joint
+    )
+    return best.joint, best.side if sure else None

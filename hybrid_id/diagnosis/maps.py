@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from hybrid_id.diagnosis.fits import Fits, engine
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.response import bumps, respond
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -68,7 +68,7 @@ class Reversals:
     error: np.ndarray
 
 
-def torque_map(fits: Fits, model: Model, joint: int, side: str) -> TorqueMap:
+def torque_map(fits: Fits, model: FittedModel, joint: int, side: str) -> TorqueMap:
     """The torque over angle and speed that would explain most of what a fitted model leaves of the train records.
 
     Args:
@@ -102,7 +102,7 @@ def torque_map(fits: Fits, model: Model, joint: int, side: str) -> TorqueMap:
     return TorqueMap(f"joint{joint}", side, share, angle, speed, torque)
 
 
-def after_reversals(fits: Fits, model: Model) -> list[Reversals]:
+def after_reversals(fits: Fits, model: FittedModel) -> list[Reversals]:
     """Mean errors after the reversals of every measured angle, over all records, train and test.
 
     Args:

@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import DRIVES, estimate_noise
 from hybrid_id.records.record import Record
@@ -83,7 +83,7 @@ def signals(amplitude: float, breakaway: float) -> dict[str, Signal]:
     }  # fmt: skip
 
 
-def next_experiment(dataset: Dataset, models: Sequence[Model]) -> list[Experiment]:
+def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Experiment]:
     """Experiments that distinguish models, the best first; empty with fewer than two models.
 
     The best parts most pairs of them, and these most clearly: a bias and friction uneven by direction, say, move alike
@@ -151,14 +151,14 @@ def _room(dataset: Dataset, name: str) -> tuple[float, float]:
     return float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
 
 
-def _names(models: Sequence[Model]) -> list[str]:
+def _names(models: Sequence[FittedModel]) -> list[str]:
     """What each model has and not all of them, as ``name@where``."""
     common = set.intersection(*(set(e.effects) for e in models))
     return [" and ".join("@".join(n) for n in e.effects if n not in common) for e in models]
 
 
 def _distances(
-    dataset: Dataset, records: Sequence[Record], models: Sequence[Model], noise: Mapping[str, float]
+    dataset: Dataset, records: Sequence[Record], models: Sequence[FittedModel], noise: Mapping[str, float]
 ) -> np.ndarray:
     """RMS difference between the outputs of every two models ``(pairs,)``, in units of the noise."""
     scale, runs = np.array(list(noise.values())), []

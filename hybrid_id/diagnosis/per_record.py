@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hybrid_id.diagnosis.candidates import at_nominal
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, released
-from hybrid_id.diagnosis.model import Model
-from hybrid_id.diagnosis.validation import coloured, mean_square
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, without_priors
+from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.starts import at_nominal
+from hybrid_id.diagnosis.validation import autocorrelation, mean_square
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
@@ -22,8 +22,6 @@ NAMED = 3
 """Parameters that are named."""
 BEYOND = 4.0
 """Variance of the sets along a direction, over that of their own errors, from which the records differ along it."""
-FAINT = 0.5
-"""RMS of coloured errors up to which they say nothing: encoders whose counts rest, ripple or miss leave as much."""
 LEAST_INFORMATION = 1e-6
 """Eigenvalue of the information on relative changes, over the greatest, below which records do not tell a direction."""
 
@@ -35,20 +33,20 @@ class PerRecord:
     Attributes:
         model: the model whose set stands for all records: as it was, or fitted again from that of one record, where it
             explains the train records together; otherwise with the set that predicts the others best.
-        coloured: share of what these sets leave that neighbouring samples have in common.
+        autocorrelation: share of what these sets leave that neighbouring samples have in common.
         varying: the parameters whose differences matter most, each with its standard deviation over the records, where
             the records' own sets leave next to nothing but white noise; none where they do not differ surely, or one
             set explains all records that no common one had explained.
         explained: whether nothing structural is left with these sets.
     """
 
-    model: Model
-    coloured: float
+    model: FittedModel
+    autocorrelation: float
     varying: tuple[str, ...] = ()
     explained: bool = False
 
 
-def per_record(fits: Fits, model: Model, nominal: System) -> PerRecord | None:
+def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | None:
     """Fit a model to every train record by itself.
 
     A drive's friction is another one on every day: its parameters scatter, and what one common set leaves is no effect
@@ -66,22 +64,22 @@ def per_record(fits: Fits, model: Model, nominal: System) -> PerRecord | None:
     if batch.rows < 2 or not fits.whole:
         return None
     options = Options(max_iterations=FULL, tolerance=0.05)
-    start = released(at_nominal(system, nominal) or system, nominal)
+    start = without_priors(at_nominal(system, nominal) or system, nominal)
     try:
         sets = fit(start, batch, pooled=False, engine=engine(), options=options)
     except RuntimeError:  # one of them breaks off
         return None
     if any(one.status == "diverged" for one in sets):
         return None
-    left = coloured([residual for one in sets for residual in one.residual])
-    if float(np.mean([_structural(one) for one in sets])) > FAINT**2:
+    left = autocorrelation([residual for one in sets for residual in one.residual])
+    if float(np.mean([_structural(one) for one in sets])) > CRITERIA.faint**2:
         return PerRecord(model, left)
-    if model.coloured <= CRITERIA.coloured:
+    if model.autocorrelation <= CRITERIA.coloured:
         return PerRecord(model, left, _scatter(sets), True)
     best = sets[select(cross_validate(sets, batch, pooled=False)).index]
     task, words = Task(model.effects, best.system), _scatter(sets)
     there, fitted = fits.run([task], 0)[0], fits.run([task], FULL)[0]
-    if fitted is not None and fitted.coloured <= CRITERIA.coloured:
+    if fitted is not None and fitted.autocorrelation <= CRITERIA.coloured:
         return PerRecord(fitted, left, explained=True)
     if there is None or not words:
         return PerRecord(model, left)
@@ -90,7 +88,7 @@ def per_record(fits: Fits, model: Model, nominal: System) -> PerRecord | None:
 
 def _structural(one: FitResult) -> float:
     """Mean square of what a record's own values leave that is no white noise, in units of the noise."""
-    found = coloured(one.residual)
+    found = autocorrelation(one.residual)
     return found * mean_square(one.residual) if found > CRITERIA.white else 0.0
 
 

@@ -1,6 +1,6 @@
 """Where fits of effects over an angle begin: torques that would explain most of what a fit leaves.
 
-A sine that starts with the wrong period, or a spot at the wrong angle, is in another valley than the right one.
+A sine that starts with the wrong period, or a spot at the wrong angle, is in another basin than the right one.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ WIDTHS = (0.03, 0.07, 0.15)
 
 
 @dataclass(frozen=True, eq=False)
-class Left:
+class Residual:
     """What a fit leaves, opened for torques at the sides of its joints, each once for all who look there.
 
     Attributes:
@@ -57,7 +57,7 @@ class Left:
         return self._responses[joint, side]
 
 
-def rotor_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
+def rotor_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...]]:
     """Torques ``T_c cos(n q) + T_s sin(n q)`` over the rotor's angle, best first: (n, T_c, T_s).
 
     The phase is that of the measured angle: a simulation that is off by a fraction of a period has lost it.
@@ -91,7 +91,7 @@ def _peaks(found: Sequence[tuple[int, tuple[float, ...]]]) -> list[tuple[int, tu
     return kept
 
 
-def friction_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
+def friction_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...]]:
     """Dry friction ``A_c cos(n q) + A_s sin(n q)`` over the joint's angle, best first: (n, A_c, A_s).
 
     Args:
@@ -107,7 +107,7 @@ def friction_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]
     return [(float(steps[i]), *size) for i, size in _peaks(found)[:2]]
 
 
-def friction_spots(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
+def friction_spots(left: Residual, joint: int, place: str) -> list[tuple[float, ...]]:
     """Dry friction ``A exp(-((q - q_0) / w)^2)`` over the joint's angle, best first: (q_0, w, A).
 
     Args:
@@ -122,7 +122,7 @@ def friction_spots(left: Left, joint: int, place: str) -> list[tuple[float, ...]
     return [(*spots[i], *size) for i, size in found[:2]]
 
 
-def gear_waves(left: Left, joint: int, place: str) -> list[tuple[float, ...]]:
+def gear_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...]]:
     """Errors ``e(q) = E_c cos(n q) + E_s sin(n q)`` of a gear over the rotor's angle, best first: (n, E_c, E_s).
 
     To first order, a link of inertia J behind a rigid ``q / r + e(q)`` pulls at the rotor by
@@ -167,7 +167,7 @@ def _stiffness(part: Joint, x: Tensor, views: Views) -> tuple[Tensor, Tensor]:
     return -found[0], -found[1]
 
 
-def _rubbing(left: Left, joint: int, place: str) -> tuple[Response, Tensor, Tensor]:
+def _rubbing(left: Residual, joint: int, place: str) -> tuple[Response, Tensor, Tensor]:
     """A probe where friction acts, the joint's angle there, and the direction against the motion."""
     side = "load" if place == "link_friction" else "motor"
     opened, x = left.opened(joint, side), left.batch.x

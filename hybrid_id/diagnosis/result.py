@@ -6,10 +6,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hybrid_id.diagnosis.details import Details
-from hybrid_id.diagnosis.grade import Candidate, Interval
-from hybrid_id.diagnosis.held_out import Errors, Shrink
+from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
+from hybrid_id.diagnosis.grade import Interval, RatedEffect
 from hybrid_id.diagnosis.locate import Disturbance, Location, acts_at
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
@@ -71,7 +71,7 @@ class Diagnosis:
 
     case: str
     verdict: str
-    effects: tuple[Candidate, ...]
+    effects: tuple[RatedEffect, ...]
     ties: tuple[tuple[str, ...], ...]
     unknown: bool
     remainder: float
@@ -106,7 +106,7 @@ class Diagnosis:
         return self.search.interrupted
 
     @property
-    def selected(self) -> tuple[Candidate, ...]:
+    def selected(self) -> tuple[RatedEffect, ...]:
         """The effects that the diagnosis asserts."""
         return tuple(s for s in self.effects if s.selected)
 
@@ -116,7 +116,7 @@ class Diagnosis:
         return self.search.chosen.system
 
     @property
-    def fitted(self) -> dict[str, Model]:
+    def fitted(self) -> dict[str, FittedModel]:
         """The models that were fitted: ``re-fitted``, and ``corrected`` where that is another one."""
         return self.search.fitted
 
@@ -186,8 +186,11 @@ class Diagnosis:
                 for one in self.location[:6]
             ],
             "residual_after": [_location(one) for one in self.residual_after[:3]],
-            "unknown_location": unknown_at and dict(zip(("joint", "place"), unknown_at, strict=True)),
-            "disturbance_location": [vars(one) for one in self.disturbances],
+            "unknown_location": unknown_at and _sided(*unknown_at),
+            "disturbance_location": [
+                _sided(one.joint, one.side) | {"share": one.share, "behind": one.behind}
+                for one in self.disturbances
+            ],
             "changes": self.changes,
             "implausible_parameters": list(self.implausible),
             "rejected": list(self.rejected),
@@ -210,7 +213,7 @@ class Diagnosis:
         }  # fmt: skip
 
 
-def _effect(one: Candidate) -> dict[str, Any]:
+def _effect(one: RatedEffect) -> dict[str, Any]:
     return {
         "name": one.name,
         "where": one.where,
@@ -225,4 +228,9 @@ def _effect(one: Candidate) -> dict[str, Any]:
 
 
 def _location(one: Location) -> dict[str, Any]:
-    return {"joint": one.joint, "place": one.place, "signal": one.signal, "share": max(one.share, 0.0)}
+    return _sided(one.joint, one.side) | {"signal": one.signal, "share": max(one.share, 0.0)}
+
+
+def _sided(joint: str | None, side: str | None) -> dict[str, Any]:
+    """A joint and a side of its gear; ``place`` is the side's former key."""
+    return {"joint": joint, "place": side, "side": side}

@@ -9,11 +9,11 @@ from typing import Any
 
 from scipy.stats import norm
 
-from hybrid_id.diagnosis.candidates import from_nominal, special_cases, tasks
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task, released
-from hybrid_id.diagnosis.model import Model, Name
+from hybrid_id.diagnosis.fits import COARSE, FINER, FULL, WINDOW, Fits, Task, without_priors
+from hybrid_id.diagnosis.model import FittedModel, Name
+from hybrid_id.diagnosis.starts import from_nominal, special_cases, tasks
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.windows import hidden_links
 from hybrid_id.systems.chain import System
@@ -23,13 +23,13 @@ PROMISING, STARTS, FINALISTS = 12, 4, 4
 HOPELESS = 2.5
 """Mean square error beyond the best's from which a candidate is not fitted further."""
 SAME = 2e-3
-"""Costs that differ by less than this share are of one valley."""
+"""Costs that differ by less than this share are of one basin."""
 
 Progress = Callable[[str, int, int], object]
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class SelectionStep:
     """One selection step: what was there before, and every candidate that was added to it, best first.
 
     Attributes:
@@ -38,28 +38,30 @@ class Step:
         swap: whether an effect and its rivals are compared once more, beside those that were found after it.
     """
 
-    before: Model
-    candidates: tuple[Model, ...]
+    before: FittedModel
+    candidates: tuple[FittedModel, ...]
     swap: bool = False
 
     @property
-    def best(self) -> Model | None:
+    def best(self) -> FittedModel | None:
         """The candidate that predicts best, None where there is none."""
         return self.candidates[0] if self.candidates else None
 
 
 def screen(
     fits: Fits,
-    before: Model,
+    before: FittedModel,
     nominal: System,
     *,
     among: frozenset[Name] | None = None,
     progress: Progress | None = None,
-) -> Step:
+) -> SelectionStep:
     """Every effect of the catalogue, or some of them, added to a model, one at a time.
 
     All are fitted coarsely, the promising ones finer, and the best of these to the end: only then are they judged, by
-    re-fits without the records that judge them.
+    re-fits without the records that judge them. Where the nominal model is held, the priors travel in its ``System`` to
+    every candidate, and from there to the chosen model; ``_unheld_if_enough`` takes them out of what leaves no
+    structure, ``diagnose._unheld`` of the answer.
 
     Args:
         fits: fits models to the train records.
@@ -82,36 +84,41 @@ def screen(
     if fits.whole and not (ranked and ranked[0].white):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
+    # a first round for all finalists; each later one fits to the end who leads now, where that is another one
     for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
         chosen = best_of_each(ranked, key=effects_of)[:keep]
         ranked = _further(
-            fits, nominal, before, [one for one in chosen if not one.finished], ranked, FULL, tick
+            fits, nominal, before, [one for one in chosen if not one.judged], ranked, FULL, tick
         )
     if ranked and promising(ranked[0], before):
         ranked = _polished(fits, nominal, before, ranked, tick)
-    ends = best_of_each(ranked, key=effects_of, order=judged)
-    return Step(before, tuple(simplest_first(ends, before)))
+    ends = best_of_each(ranked, key=effects_of, order=by_prediction)
+    return SelectionStep(before, tuple(simplest_first(ends, before)))
 
 
-def promising(one: Model, before: Model) -> bool:
+def promising(one: FittedModel, before: FittedModel) -> bool:
     """Whether a candidate may yet be accepted, as far as it has been fitted: by half of the least fall."""
     least = needed_fall(one, before) if before.effects else CRITERIA.least_fall
     return one.fall(before) > 0.5 * least
 
 
-def needed_fall(richer: Model, simpler: Model) -> float:
+def needed_fall(richer: FittedModel, simpler: FittedModel) -> float:
     """Relative fall of the mean square from which an effect is named."""
     if not simpler.effects:
         # what takes next to nothing, and leaves the colour of the rest as it was, has fitted the records' differences
-        bleached = richer.coloured <= CRITERIA.much * simpler.coloured
+        bleached = richer.autocorrelation <= CRITERIA.much * simpler.autocorrelation
         return CRITERIA.least_fall if bleached else CRITERIA.completing_fall
-    completes = richer.white or (richer.right and not simpler.right)
+    completes = richer.white or (richer.no_structure and not simpler.no_structure)
     return CRITERIA.completing_fall if completes else CRITERIA.next_fall
 
 
 def _finer(
-    fits: Fits, nominal: System, before: Model, coarse: Sequence[Model], tick: Callable[[], object]
-) -> list[Model]:
+    fits: Fits,
+    nominal: System,
+    before: FittedModel,
+    coarse: Sequence[FittedModel],
+    tick: Callable[[], object],
+) -> list[FittedModel]:
     """The most promising effects fitted finer, and some more initial values of the best; beside two effects fewer."""
     firsts = best_of_each(coarse, key=effects_of)
     many, starts = (FINALISTS, 0) if len(before.effects) > 1 else (PROMISING, STARTS)
@@ -120,8 +127,8 @@ def _finer(
 
 
 def _from_afar(
-    fits: Fits, ranked: Sequence[Model], far: Sequence[Task], tick: Callable[[], object]
-) -> list[Model]:
+    fits: Fits, ranked: Sequence[FittedModel], far: Sequence[Task], tick: Callable[[], object]
+) -> list[FittedModel]:
     """Fits from values that are far: first over windows from measured states, over which any model is nearly linear.
 
     Where the link is hidden behind play no window knows its state: where nothing else explains the records, coarse fits
@@ -132,11 +139,11 @@ def _from_afar(
     batch = fits.records(far[0].system)  # which links are measured is the same for every model
     hidden = [hidden_links(task.system, batch) for task in far]
 
-    def coarse(among: Fits, behind: bool) -> list[Model]:
+    def coarse(among: Fits, behind: bool) -> list[FittedModel]:
         some = [task for task, one in zip(far, hidden, strict=True) if one == behind]
         return best_of_each([e for e in among.run(some, COARSE, tick) if e is not None], STARTS)
 
-    def further(seen: Sequence[Model], least: float, most: int) -> list[Model]:
+    def further(seen: Sequence[FittedModel], least: float, most: int) -> list[FittedModel]:
         best = [e for e in seen if e.trained < HOPELESS * least][:most]
         more = fits.run([Task(e.effects, e.system) for e in best], FINER, tick)
         return [e for e in more if e is not None]
@@ -152,36 +159,36 @@ def _from_afar(
 def _further(
     fits: Fits,
     nominal: System,
-    before: Model,
-    some: Sequence[Model],
-    everyone: Sequence[Model],
+    before: FittedModel,
+    some: Sequence[FittedModel],
+    everyone: Sequence[FittedModel],
     iterations: int,
     tick: Callable[[], object],
-) -> list[Model]:
+) -> list[FittedModel]:
     """Some of the candidates fitted further, as far as they are not hopeless, among everyone again, best first.
 
-    To the end, what is right without its parameters held is fitted without.
+    To the end, what leaves no structure without its parameters held is fitted without.
     """
     if not some:
         return list(everyone)
     best = min((*some, *everyone), key=lambda e: e.trained)
     limit = math.inf
     if iterations == FULL or before.effects or best.white:
-        open_ = CRITERIA.left_open if best.right else 1.0 - CRITERIA.much
+        open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.much
         closed = best.trained + open_ * max(before.trained - best.trained, 0.0)
         limit = max(HOPELESS * best.trained, closed)
     rivals = [e for e in some if e.trained < limit]
     leads = best.trained / (1.0 - CRITERIA.distinct_fall)
     starts = [e.system for e in rivals]
     if iterations == FULL:
-        starts = [_released(fits, nominal, e) for e in rivals]
+        starts = [_unheld_if_enough(fits, nominal, e) for e in rivals]
     todo = [
         Task(
             e.effects,
             start,
             cost=e.result.cost,
             x0=e.result.x0,
-            shake=promising(e, before) and e.trained < leads,
+            perturb=promising(e, before) and e.trained < leads,
         )
         for e, start in zip(rivals, starts, strict=True)
     ]
@@ -191,21 +198,21 @@ def _further(
     return best_of_each([*(e for e in more if e is not None), *kept], 2)
 
 
-def _released(fits: Fits, nominal: System, one: Model) -> System:
+def _unheld_if_enough(fits: Fits, nominal: System, one: FittedModel) -> System:
     """Where a candidate's last fit starts: held no longer, if it then leaves no structure."""
-    start = released(one.system, nominal)
+    start = without_priors(one.system, nominal)
     if start.table == one.system.table:
         return one.system
     free = fits.run([Task(one.effects, start, x0=one.result.x0)], FINER)[0]
-    return free.system if free is not None and free.right else one.system
+    return free.system if free is not None and free.no_structure else one.system
 
 
 def _polished(
-    fits: Fits, nominal: System, before: Model, ranked: list[Model], tick: Callable[[], object]
-) -> list[Model]:
+    fits: Fits, nominal: System, before: FittedModel, ranked: list[FittedModel], tick: Callable[[], object]
+) -> list[FittedModel]:
     """The leading effect from its other initial values, its special cases, and simpler candidates, all to the end."""
     if not ranked[0].white:
-        own = [one for one in ranked if one.effects == ranked[0].effects and not one.finished]
+        own = [one for one in ranked if one.effects == ranked[0].effects and not one.judged]
         ranked = _further(fits, nominal, before, own[:FINALISTS], ranked, FULL, tick)
         # along the ripples of a torque over the angle each further fit comes a little further
         for _ in range(FINALISTS):
@@ -220,19 +227,19 @@ def _polished(
     simpler = [
         e
         for e in ranked
-        if not e.finished
+        if not e.judged
         and e.trained < ranked[0].trained / (1.0 - CRITERIA.distinct_fall)
         and len(e.result.names) < len(ranked[0].result.names)
     ]
     return _further(fits, nominal, before, simpler[:FINALISTS], ranked, FULL, tick)
 
 
-def effects_of(one: Model) -> tuple[Name, ...]:
+def effects_of(one: FittedModel) -> tuple[Name, ...]:
     """A candidate's effects, whatever their shape."""
     return one.effects
 
 
-def shape_of(one: Model) -> tuple[object, ...]:
+def shape_of(one: FittedModel) -> tuple[object, ...]:
     """A candidate's effects with their fixed shape: waves of different periods are different models."""
     laws = [(CATALOGUE[name], where) for name, where in one.effects if name in CATALOGUE]
     fixed = {f"{where}/{kind}": law.shape for law, where in laws if law.shape for kind in law.kinds}
@@ -240,22 +247,22 @@ def shape_of(one: Model) -> tuple[object, ...]:
     return one.effects, tuple(i.spec.value for i in shape)
 
 
-def trained(one: Model) -> float:
+def trained(one: FittedModel) -> float:
     """By the errors of the fit itself, as long as fits of different stages are compared."""
     return one.trained
 
 
-def judged(one: Model) -> tuple[bool, float]:
+def by_prediction(one: FittedModel) -> tuple[bool, float]:
     """By the errors on records left out; what has not been fitted to the end comes after."""
-    return not one.finished, one.error
+    return not one.judged, one.error
 
 
 def best_of_each(
-    found: Sequence[Model],
+    found: Sequence[FittedModel],
     each: int = 1,
-    key: Callable[[Model], object] = shape_of,
-    order: Callable[[Model], Any] = trained,
-) -> list[Model]:
+    key: Callable[[FittedModel], object] = shape_of,
+    order: Callable[[FittedModel], Any] = trained,
+) -> list[FittedModel]:
     """The best fits of each set of effects, best first; of those that have come to the same end only one, fitted to it.
 
     Args:
@@ -265,43 +272,43 @@ def best_of_each(
         order: by which they are ranked.
     """
     ends: dict[object, list[int]] = {}
-    best: list[Model] = []
+    best: list[FittedModel] = []
     for one in sorted(found, key=order):
         known = ends.setdefault(key(one), [])
         same = (k for k in known if abs(one.result.cost - best[k].result.cost) <= SAME * best[k].result.cost)
         twin = next(same, None)
         if twin is not None:
-            best[twin] = one if one.finished and not best[twin].finished else best[twin]
+            best[twin] = one if one.judged and not best[twin].judged else best[twin]
         elif len(known) < each:
             known.append(len(best))
             best.append(one)
     return best
 
 
-def log_odds(best: Model, one: Model, before: Model) -> float:
+def log_odds(best: FittedModel, one: FittedModel, before: FittedModel) -> float:
     """Of a candidate against the leading one: that it predicts better, and half a logarithm of the sample a parameter.
 
     The second is what a needless parameter costs a marginal likelihood (G. Schwarz, Annals of Statistics 6, 1978).
     Only of what explains the greater part of what the best does: of the rest, parameters are not needless. Where the
-    best is right, it leads by what is more than chance already. What errs more in all is no better for being so on
-    most records.
+    best leaves no structure, it leads by what is more than chance already. What errs more in all is no better for being
+    so on most records.
     """
     surplus = best.ahead_of(one)
-    if best.right or one.error > best.error:
+    if best.no_structure or one.error > best.error:
         surplus = max(surplus, 0.0)
-    if best.right:
-        return odds_at(surplus)
+    if best.no_structure:
+        return log_odds_at(surplus)
     further = len(one.result.names) - len(best.result.names)
     cost = 0.5 * further * math.log(max(best.validation.effective, 1.0))
-    return odds_at(surplus) - (cost if _does_much(best, one, before) else max(cost, 0.0))
+    return log_odds_at(surplus) - (cost if _does_much(best, one, before) else max(cost, 0.0))
 
 
-def odds_at(surplus: float) -> float:
+def log_odds_at(surplus: float) -> float:
     """Logarithm of the odds that a difference which is seen so many standard errors above zero is below it."""
     return float(norm.logsf(surplus) - norm.logcdf(surplus))
 
 
-def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
+def simplest_first(ranked: list[FittedModel], before: FittedModel) -> list[FittedModel]:
     """Of the finished candidates that predict as well as the best, the one with fewest parameters leads (parsimony).
 
     Where the best leaves structure, the most probable one does, which has fewer parameters or the best predictions.
@@ -309,9 +316,9 @@ def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
     """
     if not ranked:
         return []
-    best = next((e for e in ranked if e.finished), ranked[0])
-    equals = [e for e in ranked if e.finished and _equals(best, e, before)]
-    if best.right:
+    best = next((e for e in ranked if e.judged), ranked[0])
+    equals = [e for e in ranked if e.judged and _equals(best, e, before)]
+    if best.no_structure:
         first = min(equals, key=lambda e: len(e.result.names), default=best)
     else:
         first = max(equals, key=lambda e: log_odds(best, e, before), default=best)
@@ -320,29 +327,29 @@ def simplest_first(ranked: list[Model], before: Model) -> list[Model]:
     return [first, *(e for e in ranked if e is not first)]
 
 
-def _equals(best: Model, one: Model, before: Model) -> bool:
+def _equals(best: FittedModel, one: FittedModel, before: FittedModel) -> bool:
     """Whether a candidate predicts as well as the best.
 
-    Where the best is right, next to as well; where it leaves structure, whatever these records do not surely tell from
-    it, and what does the greater part of what it does: a flexible law takes some of what others leave.
+    Where the best leaves no structure, next to as well; where it leaves some, whatever these records do not surely tell
+    from it, and what does the greater part of what it does: a flexible law takes some of what others leave.
     """
-    if best.right:
+    if best.no_structure:
         closed = best.error + CRITERIA.left_open * max(before.error - best.error, 0.0)
         near = one.error < best.error / (1.0 - CRITERIA.least_fall)
         return near and (one.error <= closed or best.ahead_of(one) < CRITERIA.distinct_z)
     return _does_much(best, one, before) and best.ahead_of(one) < CRITERIA.distinct_z
 
 
-def _does_much(best: Model, one: Model, before: Model) -> bool:
+def _does_much(best: FittedModel, one: FittedModel, before: FittedModel) -> bool:
     """Whether a candidate explains the greater part of what the best does."""
     return before.error - one.error >= CRITERIA.much * (before.error - best.error)
 
 
-def _joints(one: Model) -> list[tuple[str, str]]:
+def _joints(one: FittedModel) -> list[tuple[str, str]]:
     """A candidate's effects by name and joint, wherever in the joint they act."""
     return sorted((name, where.split("/")[0]) for name, where in one.effects)
 
 
-def _unusual(one: Model) -> int:
+def _unusual(one: FittedModel) -> int:
     """How far a candidate's places are from those where its effects usually act."""
     return sum(CATALOGUE[name].places.index(where.split("/")[1]) for name, where in one.effects)

@@ -11,23 +11,23 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
-from hybrid_id.diagnosis.candidates import swapped, without
 from hybrid_id.diagnosis.catalogue import CATALOGUE, over_angle, with_further
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FINER, FULL, Fits, Task
-from hybrid_id.diagnosis.model import Model, Name, added_effect
+from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.per_record import PerRecord
-from hybrid_id.diagnosis.periodic import Left
+from hybrid_id.diagnosis.periodic import Residual
 from hybrid_id.diagnosis.screen import (
     FINALISTS,
     HOPELESS,
     Progress,
-    Step,
+    SelectionStep,
     needed_fall,
     promising,
     screen,
     simplest_first,
 )
+from hybrid_id.diagnosis.starts import swapped, without
 from hybrid_id.diagnosis.validation import mean_square, p_values
 from hybrid_id.systems.chain import System
 
@@ -49,25 +49,25 @@ class Selection:
         own: each record's own values of the nominal model, where they explain all that any effect does, and more.
     """
 
-    base: Model
-    steps: tuple[Step, ...]
-    chosen: Model
+    base: FittedModel
+    steps: tuple[SelectionStep, ...]
+    chosen: FittedModel
     interrupted: bool = False
     own: PerRecord | None = None
 
     @property
-    def fitted(self) -> dict[str, Model]:
+    def fitted(self) -> dict[str, FittedModel]:
         """The models that the search stands by: ``re-fitted``, and ``corrected`` where that is another one."""
         return {"re-fitted": self.base} | ({} if self.chosen is self.base else {"corrected": self.chosen})
 
 
 def select(
     fits: Fits,
-    base: Model,
+    base: FittedModel,
     nominal: System,
     *,
-    first: Step | None = None,
-    steps: list[Step] | None = None,
+    first: SelectionStep | None = None,
+    steps: list[SelectionStep] | None = None,
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> Selection:
@@ -92,17 +92,13 @@ def select(
         first = None
         step = _accepted_first(step)
         steps.append(step)
-        best, swaps = step.best, list[Step]()
+        best, swaps = step.best, list[SelectionStep]()
         if best is not None and model.effects and promising(best, model):
             swaps = _swaps(fits, base, best, steps)
             best = min((s.best for s in swaps if s.best is not None), key=lambda e: e.error, default=best)
         if best is None or not accepted(best, model, step.candidates):
             break
-        before = model
-        if set(model.effects) < set(best.effects):
-            # the new effect may only have freed the fit of the others
-            again = refitted_without(fits, base, best, added_effect(best, model))
-            before = again if again is not None and again.error < model.error else model
+        before = _refit_before(fits, base, best, model)
         base = base if before.effects else before
         steps[-1] = replace(step, before=before)
         if not accepted(best, before, step.candidates):
@@ -121,7 +117,19 @@ def select(
     return Selection(base if model.effects else model, tuple(steps), model)
 
 
-def interrupted(base: Model, steps: Sequence[Step]) -> Selection:
+def _refit_before(fits: Fits, base: FittedModel, best: FittedModel, model: FittedModel) -> FittedModel:
+    """The model that a step has begun with, fitted again from where the best with one more effect has ended.
+
+    As it was where that predicts no better, or the best has other effects: a new effect may only have freed the fit of
+    the others, and would be accepted for it.
+    """
+    if not set(model.effects) < set(best.effects):
+        return model
+    again = refitted_without(fits, base, best, added_effect(best, model))
+    return again if again is not None and again.error < model.error else model
+
+
+def interrupted(base: FittedModel, steps: Sequence[SelectionStep]) -> Selection:
     """The result of a search that was stopped after so many steps: what they have found."""
     last = steps[-1]
     sure = last.best is not None and accepted(last.best, last.before, last.candidates)
@@ -130,7 +138,7 @@ def interrupted(base: Model, steps: Sequence[Step]) -> Selection:
     return Selection(base, tuple(steps), chosen, interrupted=True)
 
 
-def _accepted_first(step: Step) -> Step:
+def _accepted_first(step: SelectionStep) -> SelectionStep:
     """The step led by the best candidate that is accepted; as it was where none is."""
     passing = accepted_ones(step)
     if not passing or passing[0] is step.candidates[0]:
@@ -138,7 +146,7 @@ def _accepted_first(step: Step) -> Step:
     return replace(step, candidates=(passing[0], *(e for e in step.candidates if e is not passing[0])))
 
 
-def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> bool:
+def accepted(richer: FittedModel, simpler: FittedModel, rivals: Collection[FittedModel] = ()) -> bool:
     """Whether a richer model predicts records left out clearly better: by enough, and more than by chance.
 
     Args:
@@ -147,37 +155,37 @@ def accepted(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> b
         rivals: all candidates among which the richer one has been found.
     """
     # what has not been fitted to the end has seen the records that would judge it
-    return richer.finished and _passes(richer, simpler, chance(richer, simpler, rivals))
+    return richer.judged and _passes(richer, simpler, chance(richer, simpler, rivals))
 
 
-def _passes(richer: Model, simpler: Model, p: float) -> bool:
+def _passes(richer: FittedModel, simpler: FittedModel, p: float) -> bool:
     """Whether a fall of the error on records left out is large enough and no chance's.
 
     Where the simpler model leaves structure, that something is missing is plain, and the question is what.
     """
-    level = CRITERIA.false_alarms if simpler.right else CRITERIA.wrong_names
+    level = CRITERIA.false_alarms if simpler.no_structure else CRITERIA.wrong_names
     return p <= level and richer.validation.fall(simpler.validation) >= needed_fall(richer, simpler)
 
 
-def accepted_ones(step: Step) -> list[Model]:
+def accepted_ones(step: SelectionStep) -> list[FittedModel]:
     """The candidates of a step that are accepted, in its order: one draw of chance serves them all."""
     return [e for e, p in chances(step).items() if _passes(e, step.before, p)]
 
 
-def chances(step: Step) -> dict[Model, float]:
+def chances(step: SelectionStep) -> dict[FittedModel, float]:
     """Of each finished candidate, the probability that the best of all would predict so much better by chance."""
-    ends = [e for e in step.candidates if e.finished]
+    ends = [e for e in step.candidates if e.judged]
     found = p_values([e.validation for e in ends], step.before.validation)
     return dict(zip(ends, found.tolist(), strict=True))
 
 
-def chance(richer: Model, simpler: Model, rivals: Collection[Model] = ()) -> float:
+def chance(richer: FittedModel, simpler: FittedModel, rivals: Collection[FittedModel] = ()) -> float:
     """Probability that the best of all candidates would predict so much better by chance."""
-    others = [e for e in rivals if e is not richer and e.finished]
+    others = [e for e in rivals if e is not richer and e.judged]
     return float(p_values([e.validation for e in (richer, *others)], simpler.validation)[0])
 
 
-def refitted_without(fits: Fits, base: Model, richer: Model, name: Name) -> Model | None:
+def refitted_without(fits: Fits, base: FittedModel, richer: FittedModel, name: Name) -> FittedModel | None:
     """A model less one of its effects, fitted from where it stands; None where that cannot be fitted."""
     start = without(richer.system, base.system, name)
     rest = tuple(effect for effect in richer.effects if effect != name)
@@ -187,7 +195,9 @@ def refitted_without(fits: Fits, base: Model, richer: Model, name: Name) -> Mode
     return fits.run([Task(rest, found.system)], FULL)[0]
 
 
-def _swaps(fits: Fits, base: Model, chosen: Model, steps: Sequence[Step]) -> list[Step]:
+def _swaps(
+    fits: Fits, base: FittedModel, chosen: FittedModel, steps: Sequence[SelectionStep]
+) -> list[SelectionStep]:
     """Each earlier effect against those that explained as much as it did when it stood alone, now beside the others."""
     found = []
     for one in steps:
@@ -198,30 +208,30 @@ def _swaps(fits: Fits, base: Model, chosen: Model, steps: Sequence[Step]) -> lis
         if rest is None:
             continue
         near = one.best.error / (1.0 - CRITERIA.distinct_fall)
-        rivals = [e for e in one.candidates[1:] if e.finished and e.error < near][:FINALISTS]
+        rivals = [e for e in one.candidates[1:] if e.judged and e.error < near][:FINALISTS]
         tasks = swapped(rest, tuple(e for e in chosen.effects if e != name), rivals, one.before)
         ends = sorted((e for e in fits.run(tasks, FULL) if e is not None), key=lambda e: e.error)
         alone = refitted_without(fits, base, chosen, name) if ends else None
         if alone is not None:
             ranked = sorted((*ends, chosen), key=lambda e: e.error)
-            if ranked[0].right:
+            if ranked[0].no_structure:
                 # of equals the one that was found first leads
                 better = ranked[0].validation.fall(chosen.validation) > CRITERIA.least_fall
                 first = ranked[0] if better else chosen
             else:
                 first = simplest_first(ranked, alone)[0]
-            found.append(Step(alone, (first, *(e for e in ranked if e is not first)), swap=True))
+            found.append(SelectionStep(alone, (first, *(e for e in ranked if e is not first)), swap=True))
     return found
 
 
-def _freed(fits: Fits, chosen: Model) -> Model:
+def _freed(fits: Fits, chosen: FittedModel) -> FittedModel:
     """The model with what an effect's law leaves open freed too, where that predicts clearly better.
 
     Before another effect may explain what the first one's simplest form has left.
     """
     if not over_angle(chosen.effects):  # only their laws leave anything open, further waves
         return chosen
-    left = Left(chosen.result, fits.records(chosen.system))
+    left = Residual(chosen.result, fits.records(chosen.system))
     starts = [
         start
         for name, where in chosen.effects
@@ -234,7 +244,7 @@ def _freed(fits: Fits, chosen: Model) -> Model:
     return chosen
 
 
-def _with_whole_numbers(fits: Fits, chosen: Model) -> Model:
+def _with_whole_numbers(fits: Fits, chosen: FittedModel) -> FittedModel:
     """The model with periods per turn of a motor held at whole numbers, where it predicts as well (parsimony)."""
     whole = {
         (f"{where}/{kind}", symbol)
@@ -255,19 +265,19 @@ def _with_whole_numbers(fits: Fits, chosen: Model) -> Model:
     )
 
 
-def _better_set(model: Model, before: Model) -> bool:
+def _better_set(model: FittedModel, before: FittedModel) -> bool:
     """Whether other effects than before predict better than those did."""
     return model.error < before.error and bool(model.effects) and model.effects != before.effects
 
 
-def _leaves_something(model: Model) -> bool:
+def _leaves_something(model: FittedModel) -> bool:
     """Whether another effect could be accepted at all: none explains white noise, or errors far below the noise."""
     if mean_square(model.result.residual) < CRITERIA.negligible**2:
         return False
-    return not model.effects or model.coloured >= CRITERIA.completing_fall
+    return not model.effects or model.autocorrelation >= CRITERIA.completing_fall
 
 
-def _alive(steps: Sequence[Step], model: Model) -> frozenset[Name] | None:
+def _alive(steps: Sequence[SelectionStep], model: FittedModel) -> frozenset[Name] | None:
     """Effects that are worth a fit beside two others: those that have brought anything beside one of them.
 
     None for all of the catalogue.
@@ -275,16 +285,18 @@ def _alive(steps: Sequence[Step], model: Model) -> frozenset[Name] | None:
     last = next((one for one in reversed(steps) if one.before.effects and not one.swap), None)
     if last is None or len(model.effects) <= len(last.before.effects):
         return None
-    alive = (e for e in last.candidates if e.result.cost < 0.99 * last.before.result.cost)
+    alive = (e for e in last.candidates if e.result.cost < CRITERIA.again * last.before.result.cost)
     return frozenset(added_effect(e, last.before) for e in alive)
 
 
-def _necessary(fits: Fits, base: Model, chosen: Model, steps: Sequence[Step]) -> Model:
+def _necessary(
+    fits: Fits, base: FittedModel, chosen: FittedModel, steps: Sequence[SelectionStep]
+) -> FittedModel:
     """Drop what the others have made needless."""
     for name in chosen.effects:
         rest = tuple(e for e in chosen.effects if e != name)
         # the others have ended elsewhere than before they had each other: the rest may do better from there
-        known = [e for s in steps for e in (s.before, *s.candidates) if e.effects == rest and e.finished]
+        known = [e for s in steps for e in (s.before, *s.candidates) if e.effects == rest and e.judged]
         again = refitted_without(fits, base, chosen, name)
         simpler = min((e for e in (*known, again) if e is not None), key=lambda e: e.error, default=None)
         if simpler is not None and not accepted(chosen, simpler):

@@ -1,11 +1,11 @@
-"""Errors on train records that an estimate has not seen, and what they say of one model against another.
+"""Errors on records that an estimate has not seen, and what they say of one model against another.
 
-Every record is left out in turn: the model is fitted again without it, and predicts it. The squared errors of two
-models are compared block by block. Where the richer model predicts no better, the sign of each block's difference is a
-coin's: thousands of draws of these signs, the same for all candidates, give the distribution of the largest statistic
-of a whole search (R. A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young,
-Resampling-Based Multiple Testing, 1993, for the maximum). It is conservative, for a needless parameter makes
-predictions worse.
+These are the validation records where there are some. Elsewhere train records are left out whole, in turn, in at most
+six folds: the model is fitted again without them, and predicts them. The squared errors of two models are compared
+block by block. Where the richer model predicts no better, the sign of each block's difference is a coin's: thousands of
+draws of these signs, the same for all candidates, give the distribution of the largest statistic of a whole search (R.
+A. Fisher, The Design of Experiments, 1935, section 21; P. H. Westfall and S. S. Young, Resampling-Based Multiple
+Testing, 1993, for the maximum). It is conservative, for a needless parameter makes predictions worse.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ DRAWS = 2000
 
 @dataclass(frozen=True)
 class Validation:
-    """Squared errors of prediction, in units of the measurements' weights.
+    """Squared errors of prediction, in units of the measurements' weights: noise variances.
 
     Attributes:
         blocks: sums over short blocks, ``(n,)``.
@@ -60,7 +60,7 @@ class Validation:
 
     @property
     def error(self) -> float:
-        """Mean square of the weighted errors of prediction."""
+        """Mean square of the weighted errors of prediction, in noise variances."""
         return float(self.blocks.sum() / self.sizes.sum())
 
     @property
@@ -178,7 +178,7 @@ def _correlation_length(series: np.ndarray, row: np.ndarray) -> float:
     return length * (1.0 + 2.0 * length / max(shortest, 2))
 
 
-def coloured(residuals: Sequence[np.ndarray]) -> float:
+def autocorrelation(residuals: Sequence[np.ndarray]) -> float:
     """Share of the mean square that neighbouring samples have in common: 0 for white noise, 1 for what is smooth.
 
     One less von Neumann's ratio, ``1 - <(r_t - r_{t-1})^2> / (2 <r_t^2>)`` (J. von Neumann, Ann. Math. Stat. 12, 1941):

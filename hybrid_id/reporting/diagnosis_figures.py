@@ -147,7 +147,7 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
             xlabel=_axis(dataset, one),
             ylabel=f"missing torque {scaled_unit(units_of(dataset, one.joint)[1], exponent)}",
         )
-        axes.set_title(f"{side_words(one.joint, one.place)}: {100 * max(one.share, 0.0):.0f} %", loc="left")
+        axes.set_title(f"{side_words(one.joint, one.side)}: {100 * max(one.share, 0.0):.0f} %", loc="left")
         axes.set_xlim(one.grid[0], one.grid[-1])
     legend_above(figure, panels[0])
     return figure
@@ -168,7 +168,7 @@ def location_figure(diagnosis: Diagnosis) -> Figure:
         axes.barh(rows + 0.18, left, 0.34, color=MODELS["corrected"], label="corrected model")
     else:
         axes.barh(rows, before, 0.6, color=MODELS["re-fitted"], label="re-fitted model")
-    axes.set_yticks(rows, [f"{side_words(o.joint, o.place)}: {o.signal}" for o in shown])
+    axes.set_yticks(rows, [f"{side_words(o.joint, o.side)}: {o.signal}" for o in shown])
     axes.set(xlim=(0, 100), xlabel="explained part of the residual [% of the mean square]")
     axes.invert_yaxis()
     axes.legend(loc="lower right")
@@ -194,7 +194,7 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
         colour = MODELS["corrected"] if one.selected else GREY
         ratio = max(1.0 - candidate.fall(first.before), 0.0) ** 0.5
         left.plot([min(ratio, 1.0), 1.0], [row, row], color=GREY, lw=0.8, zorder=0)
-        face = colour if candidate.finished else "white"
+        face = colour if candidate.judged else "white"
         left.plot(ratio, row, "o", ms=4.5, color=colour, markerfacecolor=face)
         right.barh(row, one.probability, 0.6, color=colour)
     left.axvline(1.0, color="black", lw=0.6)
@@ -270,12 +270,12 @@ def units_of(dataset: Dataset, joint: str) -> tuple[str, str]:
 
 
 def _key(one: Location) -> tuple[str, str, str]:
-    return one.joint, one.place, one.signal
+    return one.joint, one.side, one.signal
 
 
 def _axis(dataset: Dataset, one: Location) -> str:
     """Axis label of the signal that a missing torque depends on."""
-    side = "link" if one.place == "load" else "motor"
+    side = "link" if one.side == "load" else "motor"
     if one.signal != "command":
         return f"{side} {one.signal} [{units_of(dataset, one.joint)[0]}{'/s' * (one.signal == 'speed')}]"
     drives = [f"{stem}{one.joint.removeprefix('joint')}" for stem in ("u", "duty", "tau", "i")]

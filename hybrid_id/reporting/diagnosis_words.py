@@ -7,8 +7,8 @@ from itertools import combinations
 
 from hybrid_id.diagnosis.catalogue import effect, separation
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.grade import Candidate, Interval, together
-from hybrid_id.diagnosis.held_out import Errors
+from hybrid_id.diagnosis.errors_on_test import Errors
+from hybrid_id.diagnosis.grade import Interval, RatedEffect, together
 from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
@@ -60,13 +60,14 @@ def _effects(diagnosis: Diagnosis) -> str:
     return sentence
 
 
-def _sure(diagnosis: Diagnosis, one: Candidate) -> str:
+def _sure(diagnosis: Diagnosis, one: RatedEffect) -> str:
+    """The share's interval, and the probability of an effect or of one that it is indistinguishable from."""
     share = "" if one.share_interval is None else f"{range_percent(one.share_interval)}; "
-    probability = together(one, diagnosis.effects)
-    return f"{share}probability {'above 0.99' if probability > 0.99 else f'{probability:.2f}'}"
+    probability, of = together(one, diagnosis.effects), " of one of them" if one.tied_with else ""
+    return f"{share}probability{of} {'above 0.99' if probability > 0.99 else f'{probability:.2f}'}"
 
 
-def _named(diagnosis: Diagnosis, one: Candidate) -> str:
+def _named(diagnosis: Diagnosis, one: RatedEffect) -> str:
     """An effect with those that it is indistinguishable from, and its joint where several joints leave no doubt."""
     members = [(one.name, one.where), *(_member(tie) for tie in one.tied_with)]
     names = list(dict.fromkeys(words_of(name) for name, _ in members))
@@ -104,7 +105,7 @@ def _signal(diagnosis: Diagnosis, joint: str, side: str | None) -> Location | No
         (
             one
             for one in diagnosis.residual_after
-            if one.joint == joint and side in (None, one.place) and one.share > CRITERIA.left_open
+            if one.joint == joint and side in (None, one.side) and one.share > CRITERIA.left_open
         ),
         None,
     )
@@ -157,7 +158,7 @@ def where_line(diagnosis: Diagnosis) -> str:
     """Sides of joints and signals that explain most of the residual of the re-fitted model; empty where none does."""
     sides: dict[str, list[str]] = {}
     for one in [one for one in diagnosis.location if one.share > LEAST_SHARE][:3]:
-        side = side_words(one.joint, one.place)
+        side = side_words(one.joint, one.side)
         sides.setdefault(side, []).append(f"{one.signal} ({percent(one.share)})")
     if not sides:
         return ""
@@ -338,7 +339,7 @@ def value_lines(diagnosis: Diagnosis) -> list[str]:
     ]
 
 
-def values_of(diagnosis: Diagnosis, one: Candidate) -> list[str]:
+def values_of(diagnosis: Diagnosis, one: RatedEffect) -> list[str]:
     """Parameters of a selected effect as ``total play gap 0.012 (0.0116 to 0.0124) rad``.
 
     The interval is that of ``identify``, as in the table of parameters.
@@ -351,7 +352,7 @@ def values_of(diagnosis: Diagnosis, one: Candidate) -> list[str]:
     return found
 
 
-def _infos(diagnosis: Diagnosis, one: Candidate) -> dict[str, ParameterInfo]:
+def _infos(diagnosis: Diagnosis, one: RatedEffect) -> dict[str, ParameterInfo]:
     """Meaning and unit of the parameters that a selected effect brings, by symbol."""
     keys = {f"{one.where}/{kind}" for kind in effect(one.name).kinds}
     return {i.symbol: i for i in diagnosis.model.table if i.component in keys}

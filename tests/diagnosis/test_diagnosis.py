@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 from gapcase import RATIO, small_case
 
-import hybrid_id.diagnosis.candidates as candidates
 import hybrid_id.diagnosis.diagnose as module
 from hybrid_id.components import Spring
+from hybrid_id.diagnosis import starts
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.errors import InputError
@@ -124,9 +124,7 @@ def test_the_graded_answer_adds_up(diagnosed) -> None:
 
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Only what is missing and a rival are tried."""
-    monkeypatch.setattr(
-        candidates, "CATALOGUE", {n: CATALOGUE[n] for n in ("spring_load", "constant_torque")}
-    )
+    monkeypatch.setattr(starts, "CATALOGUE", {n: CATALOGUE[n] for n in ("spring_load", "constant_torque")})
 
 
 def test_wrong_values_are_said_without_a_test_record_too(sound, monkeypatch: pytest.MonkeyPatch) -> None:

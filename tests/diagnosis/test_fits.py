@@ -17,8 +17,8 @@ import hybrid_id.diagnosis.fits as module
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.fits import FULL, Fits, Task, bounded, engine, predicted, released
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, bounded, engine, predicted, without_priors
+from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.errors import InputError
 from hybrid_id.identification.finite_differences import Rollouts, finite_difference_fit
 from hybrid_id.identification.fit import fit
@@ -135,21 +135,21 @@ def test_what_lacks_something_is_held_as_a_data_sheet_holds_it() -> None:
     free, base = fits.base(nominal, free=True), fits.base(nominal)
     assert free.system.parameter("J").spec.prior_std is None
 
-    def moved(one: Model) -> float:
+    def moved(one: FittedModel) -> float:
         return abs(np.log(one.system.parameter("J").spec.value / nominal.parameter("J").spec.value))
 
-    assert not base.right and 2.0 * moved(base) < moved(free)
+    assert not base.no_structure and 2.0 * moved(base) < moved(free)
     specs = {info.symbol: info.spec for info in base.system.table}
     assert specs["P_m1"].prior_std == 0.001  # its own
     assert specs["F_c"].prior_std is None  # friction is on no data sheet
-    again = {info.symbol: info.spec for info in released(base.system, nominal).table}
+    again = {info.symbol: info.spec for info in without_priors(base.system, nominal).table}
     assert again["J"].prior_std is None and again["P_m1"].prior_std == 0.001
 
 
 def test_a_right_model_is_held_by_nothing() -> None:
     dataset, nominal = small_case()
     base = Fits(dataset).base(nominal)
-    assert base.right and all(info.spec.prior_std is None for info in base.system.table)
+    assert base.no_structure and all(info.spec.prior_std is None for info in base.system.table)
 
 
 def test_validation_records_are_judged_by_and_not_fitted() -> None:

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.grade import (
-    Candidate,
     Grade,
+    RatedEffect,
     behind_play,
     doubtful,
     grade,
@@ -22,8 +22,8 @@ from hybrid_id.diagnosis.grade import (
     tied_models,
     tied_sets,
 )
-from hybrid_id.diagnosis.model import Model, Name
-from hybrid_id.diagnosis.screen import Step
+from hybrid_id.diagnosis.model import FittedModel, Name
+from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.diagnosis.validation import Validation
 
@@ -41,17 +41,17 @@ class Fitted:
     validation: Validation
     result: Any
     system: Any
-    finished: bool = True
+    judged: bool = True
     white: bool = False
-    coloured: float = 0.2
+    autocorrelation: float = 0.2
 
     @property
     def error(self) -> float:
         return self.validation.error
 
     trained = error
-    right = property(lambda self: self.coloured <= CRITERIA.coloured)
-    fall, ahead_of = Model.fall, Model.ahead_of
+    no_structure = property(lambda self: self.autocorrelation <= CRITERIA.coloured)
+    fall, ahead_of = FittedModel.fall, FittedModel.ahead_of
 
 
 def model(error: float, *effects: Name, seed: int = 0, scatter: float = 0.2, white: bool = False) -> Any:
@@ -70,12 +70,12 @@ def model(error: float, *effects: Name, seed: int = 0, scatter: float = 0.2, whi
 
 def search(*steps: Sequence[Any], chosen: Any = None) -> Selection:
     """A search whose steps hold the model before, then the candidates."""
-    found = tuple(Step(before, tuple(candidates)) for before, *candidates in steps)
+    found = tuple(SelectionStep(before, tuple(candidates)) for before, *candidates in steps)
     return Selection(found[0].before, found, chosen or found[-1].candidates[0])
 
 
-def share_of(found: Grade, name: Name) -> Candidate:
-    return next(c for c in found.candidates if (c.name, c.where) == name)
+def share_of(found: Grade, name: Name) -> RatedEffect:
+    return next(c for c in found.effects if (c.name, c.where) == name)
 
 
 @settings(max_examples=20)
@@ -97,7 +97,7 @@ def test_shares_and_the_remainder_add_up_to_the_gap(falls: list[float], structur
         assert one.selected and one.share == pytest.approx((a.error - b.error) / found.gap)
         low, high = one.share_interval
         assert low <= one.share + 0.02 and one.share - 0.02 <= high
-    shares = [c.share for c in found.candidates if c.selected]
+    shares = [c.share for c in found.effects if c.selected]
     assert shares == sorted(shares, reverse=True)
 
 
@@ -105,7 +105,7 @@ def test_the_effect_that_explains_more_alone_has_the_larger_share_in_whatever_or
     base, play, friction = model(100.0), model(40.0, SPRING), model(25.0, DRAG)
     both = model(5.0, SPRING, DRAG)
     found = grade(NONE, search((base, play, friction), (play, both)), 0.0)
-    assert [(c.name, c.where) for c in found.candidates if c.selected] == [DRAG, SPRING]
+    assert [(c.name, c.where) for c in found.effects if c.selected] == [DRAG, SPRING]
     assert share_of(found, DRAG).share == pytest.approx(75.0 / 95.0)
     assert share_of(found, SPRING).share == pytest.approx(20.0 / 95.0)
 
@@ -122,7 +122,7 @@ def test_a_sure_effect_is_probable_and_its_rivals_are_not() -> None:
     found = grade(NONE, search((model(100.0), model(1.0, SPRING), model(50.0, BIAS))), 0.0)
     assert share_of(found, SPRING).probability > 0.9
     assert share_of(found, BIAS).probability < 0.05
-    assert not doubtful(found) and not tied_sets(found.candidates)
+    assert not doubtful(found) and not tied_sets(found.effects)
 
 
 def test_two_that_explain_alike_are_asserted_as_one_of_both() -> None:
@@ -132,7 +132,7 @@ def test_two_that_explain_alike_are_asserted_as_one_of_both() -> None:
     one, other = share_of(found, SPRING), share_of(found, WEIGHT)
     assert 0.4 < one.probability < 0.6 and one.tied_with == ("gravity_load@joint1/load",)
     assert one.probability + other.probability > 0.9
-    assert tied_sets(found.candidates) == [("spring_load@joint1/load", "gravity_load@joint1/load")]
+    assert tied_sets(found.effects) == [("spring_load@joint1/load", "gravity_load@joint1/load")]
     assert tied_models(told) == [spring, weight]
     three = grade(NONE, search((base, spring, weight, model(1.005, BIAS, seed=3))), 0.0)
     assert share_of(three, SPRING).probability < CRITERIA.least_probability
@@ -146,9 +146,9 @@ def test_where_structure_is_left_what_is_not_much_less_probable_is_indistinguish
     def leaving(error: float, ratios: Sequence[float], name: Name) -> Any:
         one = model(error, name)
         blocks = one.validation.blocks * np.repeat(ratios, 40) * rng.uniform(0.95, 1.05, BLOCKS)
-        return replace(one, validation=replace(one.validation, blocks=blocks), coloured=0.9)
+        return replace(one, validation=replace(one.validation, blocks=blocks), autocorrelation=0.9)
 
-    base = replace(model(100.0), coloured=0.9)
+    base = replace(model(100.0), autocorrelation=0.9)
     spring, weight = leaving(20.0, [1, 2, 1, 2, 1, 2], SPRING), leaving(26.0, [2, 1, 2, 1, 2, 1], WEIGHT)
     poor = leaving(70.0, [1] * 6, BIAS)
     told = search((base, spring, weight, poor))
@@ -162,11 +162,11 @@ def test_where_structure_is_left_what_is_not_much_less_probable_is_indistinguish
 
 def candidate(
     name: Name, probability: float, low: float = 0.2, ties: tuple[str, ...] = (), **more
-) -> Candidate:
-    return Candidate(*name, probability, True, ties, {}, 0.3, (low, 0.4), **more)
+) -> RatedEffect:
+    return RatedEffect(*name, probability, True, ties, {}, 0.3, (low, 0.4), **more)
 
 
-def graded(*candidates: Candidate) -> Grade:
+def graded(*candidates: RatedEffect) -> Grade:
     return Grade(candidates, 0.0, (0.0, 0.0), False, 1.0)
 
 
@@ -187,7 +187,7 @@ def test_an_effect_that_helps_by_chance_has_an_interval_that_holds_zero() -> Non
     for seed in range(1, 21):
         base, spring = model(1.0, scatter=0.9), model(1.0, SPRING, seed=seed, scatter=0.9)
         found = grade(NONE, search((base, spring)), 0.5)
-        interval = found.candidates[0].share_interval
+        interval = found.effects[0].share_interval
         assert interval is not None
         if interval[0] < 0.0:
             held += 1
@@ -213,8 +213,8 @@ def test_without_an_effect_all_of_the_gap_is_unknown_or_noise() -> None:
     unknown, noise = grade(NONE, nothing, 0.8), grade(NONE, nothing, 0.1)
     assert unknown.unknown and unknown.remainder == pytest.approx(1.0)
     assert not noise.unknown and unknown.explained == noise.explained == 0.0
-    assert not any(c.selected for c in unknown.candidates)
-    assert max(c.probability for c in unknown.candidates) < 0.5
+    assert not any(c.selected for c in unknown.effects)
+    assert max(c.probability for c in unknown.effects) < 0.5
 
 
 def test_same_seed_same_grade() -> None:
@@ -239,7 +239,7 @@ def test_a_law_that_contains_another_is_no_rival_of_it() -> None:
 def leaving(residual: np.ndarray, share: float, **components: None) -> Any:
     return SimpleNamespace(
         result=SimpleNamespace(residual=[residual]),
-        coloured=share,
+        autocorrelation=share,
         system=SimpleNamespace(components=components),
     )
 

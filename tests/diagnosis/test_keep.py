@@ -16,11 +16,11 @@ HALF = Horizon("windows", 0.5)
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Kept:
+def stopped(tmp_path_factory: pytest.TempPathFactory) -> Kept:
     return Kept(tmp_path_factory.mktemp("fits"), "this program")
 
 
-def test_a_stopped_search_goes_on_to_the_same_answer(diagnosed, kept: Kept) -> None:
+def test_a_stopped_search_goes_on_to_the_same_answer(diagnosed, stopped: Kept) -> None:
     dataset, nominal, whole = diagnosed
 
     def stop(stage: str, done: int, total: int) -> None:
@@ -28,23 +28,23 @@ def test_a_stopped_search_goes_on_to_the_same_answer(diagnosed, kept: Kept) -> N
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        diagnose(dataset, nominal, max_effects=1, kept=kept, progress=stop)
-    assert 20 <= kept.count < 30
-    again = diagnose(dataset, nominal, max_effects=1, kept=kept)
+        diagnose(dataset, nominal, max_effects=1, kept=stopped, progress=stop)
+    assert 20 <= stopped.count < 30
+    again = diagnose(dataset, nominal, max_effects=1, kept=stopped)
     assert json.dumps(again.as_dict()) == json.dumps(whole.as_dict())
-    count = kept.count
-    once_more = diagnose(dataset, nominal, max_effects=1, kept=kept)
-    assert json.dumps(once_more.as_dict()) == json.dumps(whole.as_dict()) and kept.count == count
+    count = stopped.count
+    once_more = diagnose(dataset, nominal, max_effects=1, kept=stopped)
+    assert json.dumps(once_more.as_dict()) == json.dumps(whole.as_dict()) and stopped.count == count
 
 
-def test_what_a_search_has_found_is_told_when_it_is_stopped(diagnosed, kept: Kept, monkeypatch) -> None:
+def test_what_a_search_has_found_is_told_when_it_is_stopped(diagnosed, stopped: Kept, monkeypatch) -> None:
     dataset, nominal, whole = diagnosed
 
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(selection, "_freed", stop)
-    cut = diagnose(dataset, nominal, max_effects=1, kept=kept)
+    cut = diagnose(dataset, nominal, max_effects=1, kept=stopped)
     assert cut.interrupted and cut.verdict == "effects"
     assert [one.name for one in cut.selected] == [one.name for one in whole.selected]
 

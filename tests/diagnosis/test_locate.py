@@ -62,7 +62,7 @@ def test_two_encoders_tell_the_side_of_a_compliant_gear(place: str, size: float)
 
 def test_one_encoder_tells_no_side() -> None:
     found = seen(flexible_drive(), ("q_m1",), "joint1/load", 0.3)
-    assert [(one.joint, one.place) for one in found] == [("joint1", "joint")]
+    assert [(one.joint, one.side) for one in found] == [("joint1", "joint")]
     assert acts_at(found) == ("joint1", None)
 
 

@@ -11,12 +11,12 @@ from gapcase import NOISE, RATIO, SAMPLES, STEP, small_case
 
 import hybrid_id.diagnosis.diagnose as module
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis import candidates, catalogue
+from hybrid_id.diagnosis import catalogue, starts
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
-from hybrid_id.diagnosis.model import Model
-from hybrid_id.diagnosis.per_record import FAINT, _scatter, _structural, per_record
+from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.per_record import _scatter, _structural, per_record
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
@@ -73,14 +73,14 @@ def test_what_is_missing_within_a_record_is_no_drift() -> None:
     base = fits.base(nominal)
     own = per_record(fits, base, nominal)
     assert own is not None and not own.explained and not own.varying
-    assert own.coloured > CRITERIA.coloured
+    assert own.autocorrelation > CRITERIA.coloured
     one = Fits(replace(dataset, records=dataset.records[:1]))
     assert per_record(one, base, nominal) is None  # a record alone says nothing of others
     assert per_record(fits.over(Horizon("windows", 0.3)), base, nominal) is None
 
 
 def test_diagnosis_names_no_effect_but_the_drift(drift, monkeypatch) -> None:
-    def nothing(fits: Fits, base: Model, *_: object, **__: object) -> Selection:
+    def nothing(fits: Fits, base: FittedModel, *_: object, **__: object) -> Selection:
         return Selection(base, (), base)
 
     monkeypatch.setattr(module, "select", nothing)
@@ -95,7 +95,7 @@ def test_diagnosis_names_no_effect_but_the_drift(drift, monkeypatch) -> None:
 def test_no_effect_is_named_where_the_search_finds_one_in_the_drift(drift, monkeypatch) -> None:
     """A wave of any period finds a part of what differs from record to record, and leaves structure."""
     few = {name: CATALOGUE[name] for name in ("cogging", "kinematic_error", "position_dependent_friction")}
-    for place in (candidates, catalogue):
+    for place in (starts, catalogue):
         monkeypatch.setattr(place, "CATALOGUE", few)
     found = module.diagnose(*drift)
     assert found.verdict == "parameters_only" and found.varying
@@ -122,8 +122,8 @@ def test_a_record_that_does_not_see_a_parameter_says_nothing_of_it() -> None:
 def test_what_an_encoder_rounds_is_no_sign_of_something_missing_within_a_record() -> None:
     """Small errors that dwell where the drive rests have a colour, and mean nothing."""
     slow = np.repeat([[0.3], [-0.3]], 50, axis=0)
-    assert _structural(SimpleNamespace(residual=[slow])) < FAINT**2  # type: ignore[arg-type]
-    assert _structural(SimpleNamespace(residual=[3.0 * slow])) > FAINT**2  # type: ignore[arg-type]
+    assert _structural(SimpleNamespace(residual=[slow])) < CRITERIA.faint**2  # type: ignore[arg-type]
+    assert _structural(SimpleNamespace(residual=[3.0 * slow])) > CRITERIA.faint**2  # type: ignore[arg-type]
 
 
 def test_an_encoder_that_ripples_hides_no_drift(drift) -> None:
@@ -136,5 +136,5 @@ def test_an_encoder_that_ripples_hides_no_drift(drift) -> None:
 
     fits = Fits(replace(dataset, records=tuple(map(rippled, dataset.records))))
     own = per_record(fits, fits.base(nominal), nominal)
-    assert own is not None and own.coloured > CRITERIA.white
+    assert own is not None and own.autocorrelation > CRITERIA.white
     assert own.explained and own.varying[0].startswith("F_c by ")

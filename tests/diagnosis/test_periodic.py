@@ -17,9 +17,9 @@ from hybrid_id.components.transmission.kinematic_error import WAVES
 from hybrid_id.diagnosis.catalogue import CATALOGUE, effect, with_effect, with_further
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import _parameters
-from hybrid_id.diagnosis.model import Model
+from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.periodic import (
-    Left,
+    Residual,
     _peaks,
     friction_spots,
     friction_waves,
@@ -37,12 +37,12 @@ NEAR = 0.1
 
 
 @cache
-def left_by(law: type[Component], **values: float) -> Left:
+def left_by(law: type[Component], **values: float) -> Residual:
     """Today's model fitted to records of a drive with something beside its motor."""
     places = {Cogging: "motor", KinematicError: "transmission"}
     dataset, today = small_case(law(**values), f"joint1/{places.get(law, 'motor_friction')}")
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
-    return Left(finite_difference_fit(today, batch, engine=engine(), iterations=8), batch)
+    return Residual(finite_difference_fit(today, batch, engine=engine(), iterations=8), batch)
 
 
 def test_periods_of_cogging() -> None:
@@ -91,13 +91,13 @@ def test_errors_of_a_compliant_gear_and_their_overtone() -> None:
     dataset = Dataset("wavy gear", *channels, tuple(records), 0.005)
     batch = batch_of(dataset, today, dataset.train, 0.1, "cpu")
     n, *size = gear_waves(
-        Left(finite_difference_fit(today, batch, engine=engine(), iterations=4), batch), 1, ""
+        Residual(finite_difference_fit(today, batch, engine=engine(), iterations=4), batch), 1, ""
     )[0]
     assert n == pytest.approx(1.0, abs=NEAR)
     assert np.linalg.norm(np.subtract(size, (1e-3, -5e-4))) < 0.4 * np.linalg.norm((1e-3, -5e-4))
     known = today.with_component("joint1/transmission", KinematicError(E_c=1e-3, E_s=-5e-4, n=1.0))
     others = gear_waves(
-        Left(finite_difference_fit(known, batch, engine=engine(), iterations=4), batch), 1, ""
+        Residual(finite_difference_fit(known, batch, engine=engine(), iterations=4), batch), 1, ""
     )
     n, *size = next(one for one in others if abs(one[0] - 1.0) > NEAR)
     assert n == pytest.approx(2.0, abs=NEAR)
@@ -157,7 +157,7 @@ def test_periods_that_are_fixed_are_told() -> None:
     system = left.result.system.with_component("joint1/motor", Cogging(T_c=0.003, T_s=-0.002, n=1.0))
     fit = finite_difference_fit(system, left.batch, engine=left.result.engine, iterations=8)
     name = ("cogging", "joint1/motor")
-    told = _parameters(Model((name,), fit, validation(fit.residual, 0.005, fit.records)), name)
+    told = _parameters(FittedModel((name,), fit, validation(fit.residual, 0.005, fit.records)), name)
     assert set(told) == {"T_c", "T_s", "n"}
     assert told["n"] == (1.0, 0.0)
     assert told["T_c"][1] > 0.0

@@ -18,9 +18,9 @@ class Fitted:
     error: float
     parameters: int = 1
     z: float = 0.0
-    right: bool = True
+    no_structure: bool = True
     white: bool = False
-    finished: bool = True
+    judged: bool = True
     system: Any = None
     result: Any = field(init=False)
 
@@ -47,9 +47,9 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
     small, large = fitted("", 1.1, 5), fitted("", 2.0, 5)
     assert simplest_first(ranked, small) == [bias, spring, weight]  # the weight predicts worse
     # what was not fitted to the end does not lead
-    bias.finished = weight.finished = False
+    bias.judged = weight.judged = False
     assert simplest_first(ranked, small) == ranked
-    bias.finished = weight.finished = True
+    bias.judged = weight.judged = True
     assert simplest_first([], small) == []
     # of a small gap the bias leaves a fifth open, and the records tell; of a large one next to nothing
     sure = [fitted("spring_load", 1.0, 7, z=4.0), bias, weight]
@@ -61,7 +61,7 @@ def test_where_structure_is_left_a_simple_law_leads_that_does_most_of_it() -> No
     """A flexible law takes some of whatever else is missing: that it predicts better says little for it."""
 
     def fitted(name: str, error: float, parameters: int, z: float = 2.0) -> Any:
-        return Fitted(((name, "joint1/motor_friction"),), error, parameters, z, right=False)
+        return Fitted(((name, "joint1/motor_friction"),), error, parameters, z, no_structure=False)
 
     before: Any = Fitted((), 10.0)
     waves, loaded = fitted("position_dependent_friction", 2.0, 9), fitted("load_dependent_friction", 4.0, 6)
@@ -100,7 +100,7 @@ def test_waves_of_different_periods_are_different_models() -> None:
 def test_of_fits_with_one_end_the_finished_one_is_kept() -> None:
     """What was fitted to the end may end a little above where it began: only then it has been judged."""
     coarse, done, other = (Fitted((("cogging", "joint1/motor"),), error) for error in (1.0, 1.001, 2.0))
-    coarse.finished = other.finished = False
+    coarse.judged = other.judged = False
     found: Any = [coarse, done, other]
     assert best_of_each(found, 2, key=effects_of) == [done, other]
     assert best_of_each(found, 1, key=effects_of) == [done]
@@ -108,7 +108,7 @@ def test_of_fits_with_one_end_the_finished_one_is_kept() -> None:
 
 def test_beside_an_effect_nothing_is_fitted_to_the_end_that_cannot_be_accepted() -> None:
     def one(error: float, *names: str) -> Any:
-        return Fitted(tuple(names), error, right=False)
+        return Fitted(tuple(names), error, no_structure=False)
 
     weight = one(1.0, "gravity_load")
     assert promising(one(0.87, "gravity_load", "spring_load"), weight)
@@ -116,5 +116,5 @@ def test_beside_an_effect_nothing_is_fitted_to_the_end_that_cannot_be_accepted()
     assert promising(one(0.98, "spring_load"), one(1.0))
     # what completes the answer needs less
     small, done = one(0.94, "gravity_load", "spring_load"), one(0.94, "gravity_load", "spring_load")
-    done.right = True
+    done.no_structure = True
     assert promising(done, weight) and not promising(small, weight)

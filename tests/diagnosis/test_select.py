@@ -10,8 +10,8 @@ from gapcase import small_case
 
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.fits import FULL, Fits, Task
-from hybrid_id.diagnosis.model import Model
-from hybrid_id.diagnosis.screen import Step
+from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.select import (
     _alive,
     _leaves_something,
@@ -28,10 +28,10 @@ RNG = np.random.default_rng(0)
 NOISE, WAVE = RNG.standard_normal((8000, 1)), np.sin(0.01 * np.arange(8000))[:, None]
 
 
-def model(residual: np.ndarray, *effects: tuple[str, str]) -> Model:
+def model(residual: np.ndarray, *effects: tuple[str, str]) -> FittedModel:
     """A model that leaves these weighted errors, seen or not."""
     result: Any = SimpleNamespace(residual=[residual], cost=1.0)
-    return Model(effects, result, validation([residual], 0.002, ("run",)))
+    return FittedModel(effects, result, validation([residual], 0.002, ("run",)))
 
 
 def test_a_first_effect_is_accepted_where_it_is_sure_and_no_formula_explains_it() -> None:
@@ -41,7 +41,7 @@ def test_a_first_effect_is_accepted_where_it_is_sure_and_no_formula_explains_it(
     other = np.random.default_rng(1).standard_normal((8000, 1))
     assert not accepted(model(other, PLAY), model(NOISE))
     assert chance(base, base) == 1.0
-    begun = Model((PLAY,), model(NOISE).result, model(NOISE).validation, finished=False)
+    begun = FittedModel((PLAY,), model(NOISE).result, model(NOISE).validation, judged=False)
     assert not accepted(begun, base)  # it has seen the records that would judge it
 
 
@@ -80,7 +80,7 @@ def test_beside_two_effects_only_what_has_brought_anything_beside_one_is_tried()
     base, weight, both = fitted(9.0), fitted(8.0, "gravity_load"), fitted(4.0, "gravity_load", "spring_load")
     idle = fitted(7.99, "gravity_load", "joint_coupling")
     drag = fitted(7.0, "gravity_load", "quadratic_drag")
-    first, second = Step(base, (weight,)), Step(weight, (both, drag, idle))
+    first, second = SelectionStep(base, (weight,)), SelectionStep(weight, (both, drag, idle))
     assert _alive([first], weight) is None
     names = _alive([first, second], both)
     assert names == {("spring_load", "joint1/load"), ("quadratic_drag", "joint1/load")}

@@ -15,7 +15,7 @@ from hybrid_id.diagnosis.validation import (
     BLOCK,
     FEWEST,
     Validation,
-    coloured,
+    autocorrelation,
     effective_samples,
     mean_square,
     p_values,
@@ -217,11 +217,11 @@ def test_independent_samples_of_an_autoregression(rng: np.random.Generator, memo
 def test_white_noise_has_no_colour_and_what_is_smooth_is_all_colour(rng: np.random.Generator) -> None:
     long = [rng.standard_normal((20_000, 1)) for _ in range(3)]
     smooth = [np.sin(np.linspace(0.0, 20.0, 20_000))[:, None]]
-    assert coloured(long) < 0.02
-    assert coloured(smooth) > 0.99
-    assert coloured([a + 1.0 * np.sqrt(2.0) * smooth[0] for a in long]) == pytest.approx(0.5, abs=0.03)
-    assert coloured([np.zeros((10, 1))]) == 0.0
+    assert autocorrelation(long) < 0.02
+    assert autocorrelation(smooth) > 0.99
+    assert autocorrelation([a + 1.0 * np.sqrt(2.0) * smooth[0] for a in long]) == pytest.approx(0.5, abs=0.03)
+    assert autocorrelation([np.zeros((10, 1))]) == 0.0
 
 
 def test_a_run_that_diverged_is_no_noise() -> None:
-    assert coloured([np.array([[0.1], [np.nan], [0.2]])]) == 1.0
+    assert autocorrelation([np.array([[0.1], [np.nan], [0.2]])]) == 1.0

@@ -4,9 +4,9 @@ import pytest
 import torch
 from gapcase import small_case
 
-import hybrid_id.diagnosis.candidates as candidates
 import hybrid_id.diagnosis.diagnose as module
 from hybrid_id.components import REGISTRY
+from hybrid_id.diagnosis import starts
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.fits import Fits, engine
 from hybrid_id.identification.horizons import Horizon, windows
@@ -63,7 +63,7 @@ def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
     monkeypatch.setattr(Fits, "astray", lambda *_: 1.0)
     monkeypatch.setattr(module, "choose_horizon", lambda *_, **__: Horizon("windows", 0.3))
     few = ("spring_load", "thermal_derating", "stribeck_friction")
-    monkeypatch.setattr(candidates, "CATALOGUE", {name: CATALOGUE[name] for name in few})
+    monkeypatch.setattr(starts, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     fits, found = module.search(Fits(dataset), nominal, max_effects=1)
     assert fits.horizon == Horizon("windows", 0.3)
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
@@ -73,6 +73,6 @@ def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
 
 def test_the_horizon_of_the_user_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     dataset, nominal = small_case()
-    monkeypatch.setattr(candidates, "CATALOGUE", {"spring_load": CATALOGUE["spring_load"]})
+    monkeypatch.setattr(starts, "CATALOGUE", {"spring_load": CATALOGUE["spring_load"]})
     fits, _ = module.search(Fits(dataset), nominal, horizon=Horizon("windows", 0.3), max_effects=1)
     assert fits.horizon == Horizon("windows", 0.3)

@@ -123,6 +123,7 @@ def test_indistinguishable_effects_share_a_headline(diagnosed) -> None:
     assert sentence.startswith(
         "Spring load, gravity load or load-dependent friction (indistinguishable on these records) explains 43 %"
     )
+    assert "probability of one of them" in sentence and "of one of them" not in headline(found)
 
 
 def test_an_interrupted_search_says_so(diagnosed, sound) -> None:
@@ -218,7 +219,7 @@ def test_without_test_records_no_error_is_claimed(diagnosed, sound) -> None:
 def test_former_keys_say_what_the_new_ones_say(diagnosed) -> None:
     content = half_explained(diagnosed[2]).as_dict()
     assert all(content[old] == content[new] for old, new in FORMER_KEYS.items())
-    assert content["unknown_at"] == {"joint": "joint2", "place": "load"}
+    assert content["unknown_at"] == {"joint": "joint2", "place": "load", "side": "load"}
     assert content["outvoted"] == [] and content["window"] is None and content["halted_elsewhere"] is False
     assert content["gap"]["by_output"]["q_m1"]["refit"] == content["gap"]["refit"]
 

@@ -12,9 +12,11 @@ class LoadDependent(Friction):
     | --- | --- | --- |
     | mu | 1 | friction per transmitted torque |
 
-    The chain solves the loop (friction changes the acceleration, which changes tau_t) in closed form. Source: Rhoban
-    BAM, models M3-M6 (Duclusaud et al., ICRA 2025, arXiv 2410.08650); there the load is |tau_m - tau_external|, which
-    is twice the transmitted torque of a joint whose inertia is shared equally between rotor and link.
+    ``systems/joint.py: balances`` has the loop (friction changes the acceleration, which changes tau_t) in closed
+    form. tau_t depends on how the inertia is shared between rotor and link, so ``splits_inertia`` frees the rotor's
+    share. The effect has a second law, ``efficiency_loss``, which takes the motor's torque and needs no share. Source:
+    Rhoban BAM, models M3-M6 (Duclusaud et al., ICRA 2025, arXiv 2410.08650); there the load is |tau_m - tau_external|,
+    which is twice the transmitted torque of a joint whose inertia is shared equally between rotor and link.
     """
 
     kind = "load_dependent_friction"

@@ -7,10 +7,10 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import AsymmetricFriction, PositionDependent
-from hybrid_id.diagnosis.candidates import at_nominal, special_cases, without
 from hybrid_id.diagnosis.catalogue import CATALOGUE, with_effect
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.scales import Scales, scales
+from hybrid_id.diagnosis.starts import at_nominal, special_cases, without
 from hybrid_id.systems import System
 
 PLACE = "joint1/motor_friction"

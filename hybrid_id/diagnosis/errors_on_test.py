@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid_id.diagnosis.fits import runs
-from hybrid_id.diagnosis.validation import BLOCK, coloured
+from hybrid_id.diagnosis.validation import BLOCK, autocorrelation
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import less_half_a_count
@@ -37,8 +37,8 @@ class Errors:
         by_output: of each output, records averaged.
         blocks: for each record and output the mean squares of short blocks, each over the signal's variance.
         noise: normalised RMSE that the encoders' noise alone would leave.
-        coloured: share of the errors' mean square, in units of the measurements' weights, that is no white noise; an
-            offset of half a count is none, whether an encoder rounds or counts edges.
+        autocorrelation: share of the errors' mean square, in units of the measurements' weights, that neighbouring
+            samples have in common; an offset of half a count is none, whether an encoder rounds or counts edges.
         over_noise: RMS of all errors in those units.
     """
 
@@ -47,7 +47,7 @@ class Errors:
     by_output: dict[str, float]
     blocks: tuple[tuple[np.ndarray, ...], ...]
     noise: float
-    coloured: float = 0.0
+    autocorrelation: float = 0.0
     over_noise: float = 0.0
 
     def resampled(self, draw: list[list[np.ndarray]]) -> float:
@@ -118,7 +118,7 @@ def errors(
         {output: float(np.mean(values)) for output, values in by_output.items()},
         tuple(blocks),
         float(np.mean(noise)),
-        coloured(weighted),
+        autocorrelation(weighted),
         float(np.sqrt(np.square(np.concatenate(weighted)).mean())),
     )
 

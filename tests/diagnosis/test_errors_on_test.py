@@ -7,9 +7,9 @@ import pytest
 from drives import flexible_drive, make_records, multisine
 from gapcase import small_case
 
-import hybrid_id.diagnosis.held_out as module
+import hybrid_id.diagnosis.errors_on_test as module
+from hybrid_id.diagnosis.errors_on_test import Errors, repeatability, shrink
 from hybrid_id.diagnosis.fits import engine
-from hybrid_id.diagnosis.held_out import Errors, repeatability, shrink
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
@@ -118,7 +118,7 @@ def test_errors_leave_out_where_in_a_count_an_encoder_began(sound) -> None:
             for r in dataset.records
         )
         seen.append(module.errors(replace(dataset, records=read), found.search.base.system, engine()))
-    assert all(one is not None and one.coloured < 0.1 for one in seen)
+    assert all(one is not None and one.autocorrelation < 0.1 for one in seen)
     sizes = [one.over_noise for one in seen if one is not None]
     assert max(sizes) < 1.1 * min(sizes)
 

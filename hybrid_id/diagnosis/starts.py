@@ -8,8 +8,8 @@ from contextlib import suppress
 from hybrid_id.components.base import Component
 from hybrid_id.diagnosis.catalogue import CATALOGUE, part_of, rotor_share, with_effect
 from hybrid_id.diagnosis.fits import Fits, Task
-from hybrid_id.diagnosis.model import Model, Name, added_effect
-from hybrid_id.diagnosis.periodic import Left
+from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
+from hybrid_id.diagnosis.periodic import Residual
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.scales import scales
 from hybrid_id.errors import InputError
@@ -17,7 +17,7 @@ from hybrid_id.identification.windows import hidden_links
 from hybrid_id.systems.chain import System
 
 
-def tasks(fits: Fits, before: Model, among: frozenset[Name] | None = None) -> list[Task]:
+def tasks(fits: Fits, before: FittedModel, among: frozenset[Name] | None = None) -> list[Task]:
     """A fit to start for every effect, place and initial value, or for those of some effects, from a model's values.
 
     Args:
@@ -26,7 +26,7 @@ def tasks(fits: Fits, before: Model, among: frozenset[Name] | None = None) -> li
         among: the effects; None for the whole catalogue.
     """
     batch = fits.records(before.system)
-    left, near = Left(before.result, batch), fits.slopes(before.system, before.result.cost)
+    left, near = Residual(before.result, batch), fits.slopes(before.system, before.result.cost)
     found = []
     for size in scales(before.system, batch):
         for effect in CATALOGUE.values():
@@ -38,7 +38,9 @@ def tasks(fits: Fits, before: Model, among: frozenset[Name] | None = None) -> li
     return found
 
 
-def from_nominal(fits: Fits, before: Model, nominal: System, fitted: Sequence[Model]) -> list[Task]:
+def from_nominal(
+    fits: Fits, before: FittedModel, nominal: System, fitted: Sequence[FittedModel]
+) -> list[Task]:
     """The same from the nominal values, with each effect as a coarse fit has found it.
 
     Only where the model before has moved its parameters beyond what data sheets get wrong, to make up for
@@ -63,7 +65,7 @@ def at_nominal(system: System, nominal: System) -> System | None:
     return None
 
 
-def special_cases(fits: Fits, before: Model, richer: Model) -> list[Task]:
+def special_cases(fits: Fits, before: FittedModel, richer: FittedModel) -> list[Task]:
     """Fits of what an effect has as its special cases, each in its place and from where the fit with it has ended.
 
     From the model before, which lacks both, the richer law may have found a way that the special case has not.
@@ -81,7 +83,9 @@ def special_cases(fits: Fits, before: Model, richer: Model) -> list[Task]:
     ]
 
 
-def swapped(rest: System, effects: tuple[Name, ...], rivals: Sequence[Model], before: Model) -> list[Task]:
+def swapped(
+    rest: System, effects: tuple[Name, ...], rivals: Sequence[FittedModel], before: FittedModel
+) -> list[Task]:
     """Rivals of an effect put beside the other effects that a model has, from the values that each had alone.
 
     Args:
