@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from hybrid_id.cli.console import show
-from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.folder import picture_file, result_file
 from hybrid_id.cli.options import JsonOption
 from hybrid_id.errors import InputError
 
@@ -102,8 +102,6 @@ def excite(
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
     if file.with_suffix(".json") == file:
         raise InputError(f"{file} would also be the name of the description beside it; take another ending")
-    if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
-        raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
     asked = {
         "sample_time": sample_time, "duration": duration, "tones": tones, "rest": rest, "seed": seed, "plot": plot,
         "force": force, "as_json": as_json,
@@ -144,7 +142,7 @@ def _excite_drive(
     with ExitStack() as files:
         table = files.enter_context(result_file(file, force=force))
         words = files.enter_context(result_file(file.with_suffix(".json"), force=force))
-        picture = files.enter_context(result_file(plot, force=force)) if plot else None
+        picture = files.enter_context(picture_file(plot, file, force=force)) if plot else None
         parts = []
         if gear is not None and model is not None:
             from hybrid_id.study.excitation import bands_by_gear

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hybrid_id.cli.console import show
-from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.folder import picture_file, result_file
 from hybrid_id.errors import InputError, close_match
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def excite_robot(
     with ExitStack() as files:
         table = files.enter_context(result_file(file, force=force))
         words = files.enter_context(result_file(file.with_suffix(".json"), force=force))
-        picture = files.enter_context(result_file(plot, force=force)) if plot else None
+        picture = files.enter_context(picture_file(plot, file, force=force)) if plot else None
         design = design_arm_motion(
             system, tuple(one.within(share) for one in limits), band, sample_time=sample_time, duration=duration,
             tones=tones, rest=rest, starts=starts, seed=seed,

@@ -58,9 +58,9 @@ HOLDS = (NUISANCE, NUISANCE / 3, NUISANCE / 10, NUISANCE / 30)
 """How closely parameters are held where the model leaves structure; each is tried while it predicts better."""
 TRIES = 2
 """Rounds of perturbed restarts of a gear whose link nobody measures."""
-FINEST = 2.5e-4
-"""Sub-steps [s] that a candidate needs at most: they follow what swings at 300 Hz. Shorter ones where the nominal model
-takes any: twice as many as it does."""
+SUBSTEP_RATE = 4000.0
+"""Sub-steps that a candidate needs at most [1/s]: they follow what swings at 300 Hz. More where the nominal model
+takes more than half as many: twice its own."""
 NARROWEST = 1e-6
 """Relative standard deviation of the narrowest prior that a fit can still move against."""
 PARALLEL_FROM = 2_000_000
@@ -161,7 +161,7 @@ class Fits:
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
         near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
-        most = max(round(batch.sample_time / FINEST), 2 * near.engine.substeps, 1)
+        most = max(round(SUBSTEP_RATE * batch.sample_time), 2 * near.engine.substeps, 1)
         self.engine = replace(engine(), most_substeps=min(most, MAX_SUBSTEPS))
         best = self._best([system, near.system])
         if best is None:

@@ -59,7 +59,9 @@ def test_compare_says_which_record_is_lost(dataset: Dataset, monkeypatch: pytest
 
 def test_identify_says_why_every_fit_diverged(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     sound = fit(rigid_drive(), make_batch(rigid_drive(), dataset.records), options=Options(max_iterations=1))
-    monkeypatch.setattr("hybrid_id.study.run.fit", lambda *_, **__: [replace(sound[0], status="diverged")])
+    monkeypatch.setattr(
+        "hybrid_id.study.run.fit_records", lambda *_, **__: [replace(sound[0], status="diverged")]
+    )
     monkeypatch.setattr("hybrid_id.study.run.cause_of_divergence", lambda *_: "record 'run' is lost")
     with pytest.raises(InputError, match=r"diverged; check .* \(record 'run' is lost\)"):
         identify(dataset, rigid_drive(), horizon=WHOLE)
