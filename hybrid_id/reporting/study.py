@@ -38,24 +38,35 @@ _STYLE = {"good": "green", "doubtful": "yellow", "not on its own": "red"}
 def study_table(study: Study, *, full: bool = False) -> RenderableType:
     """Parameters of the selected set with intervals, their variation and reliability, and what follows.
 
-    With ``full`` also what the fit started from (nominal value, prior, bounds) and the reasons of the reliability, for
-    which a terminal has no room.
+    With ``full`` also the reasons of the reliability and, in a table of its own, what the fit started from (nominal
+    value, prior, bounds), for which a terminal has no room.
     """
     intervals, spread = study.intervals(), study.variation
     heads = ["parameter", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
-    heads += [f"{100 * study.level:g} % interval>", "unit", *(["nominal>", "prior std>"] if full else [])]
+    heads += [f"{100 * study.level:g} % interval>", "unit"]
     heads += [] if spread is None else ["mean of sets>", "std/mean>"]
     rows = []
     for k, name in enumerate(study.names):
         value = study.selected.values[k]
         row = [name, f"{value:.5g}", interval_words(*intervals[k]), study.selected.units[k]]
-        row += start_cells(study.system, name) if full else []
         if spread is not None:
             colour = "" if spread.acceptable[k] or spread.held[k] else "red"
             row += [f"{spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
-        rows.append([*row, *reliability_cells(study, name)[: None if full else 1]])
-    found = table([*heads, *JUDGED[: None if full else 1]], rows)
-    return Group(found, *combinations_table(study), *(Text(line) for line in _remarks(study)))
+        word, *_, why = reliability_cells(study, name)
+        rows.append([*row, word, why] if full else [*row, word])
+    found = table([*heads, "reliability", "why"] if full else [*heads, "reliability"], rows)
+    starts = [start_table(study)] if full else []
+    return Group(found, *combinations_table(study), *starts, *(Text(line) for line in _remarks(study)))
+
+
+def start_table(study: Study) -> Table:
+    """What the fit started from: nominal value, prior and bounds of each parameter."""
+    heads = ("parameter", "nominal>", "prior std>", "lower bound>", "upper bound>", "unit")
+    rows = (
+        [name, *start_cells(study.system, name), *bound_cells(study.selected_model, name), unit]
+        for name, unit in zip(study.names, study.selected.units, strict=True)
+    )
+    return table(heads, rows)
 
 
 def start_cells(system: System, name: str) -> list[str]:
