@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -216,7 +216,7 @@ def fit(
     for loss in options.loss.stages:
         setting = replace(options, loss=loss)
         problem = LeastSquares(system, engine, many, many_sets, free, bounds)
-        problem, outcome, setting = _refined(problem, theta, setting, report("records"), nodes)
+        problem, outcome = _refined(problem, theta, setting, report("records"), nodes)
         engine = problem.engine
         cost = outcome.cost.where(torch.isfinite(outcome.cost), torch.full_like(outcome.cost, math.inf))
         order = cost.reshape(alive, count).argsort(0)
@@ -231,18 +231,13 @@ def fit(
     return [make_result(replace(problem, batch=batch), outcome, int(g), setting) for g in best]
 
 
-class _Refined(NamedTuple):
-    """The end of a fit; the problem has the engine that it was found with, the options the iterations left to it."""
-
-    problem: LeastSquares
-    outcome: Outcome
-    options: Options
-
-
 def _refined(
     problem: LeastSquares, theta: Tensor, options: Options, report: Report, nodes: Tensor | None
-) -> _Refined:
-    """A fit that goes on with finer sub-steps, twice at most, where its end needs them; arguments as of `minimise`."""
+) -> tuple[LeastSquares, Outcome]:
+    """A fit that goes on with finer sub-steps, twice at most, where its end needs them; arguments as of `minimise`.
+
+    The problem that it returns has the engine that the end was found with.
+    """
     system, batch, sets = problem.system, problem.batch, problem.sets
     for refinements_left in (2, 1, 0):
         outcome = minimise(problem, theta, options, report, nodes)
@@ -254,7 +249,7 @@ def _refined(
         # where none are left, the end is only simulated with the finer sub-steps
         left = options.max_iterations - int(outcome.iterations.max())
         options = replace(options, max_iterations=left)
-    return _Refined(problem, outcome, options)
+    return problem, outcome
 
 
 def _survivors(

@@ -110,7 +110,7 @@ def _variation_result(study: Study) -> dict[str, Any] | None:
 
 
 def _reliability_result(study: Study) -> dict[str, Any]:
-    """Reliability of each parameter; its standard error is the mean of the sets', not the selected set's."""
+    """Reliability of each parameter; its standard error is that of the mean of the sets, not the selected set's."""
     return {
         one.name: {
             "grade": one.grade,
