@@ -1,16 +1,22 @@
 """`excite`: an excitation that moves a drive, or all joints of a robot, as much as their limits allow."""
 
 import math
+from contextlib import ExitStack
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hybrid_id.cli.console import show
-from hybrid_id.cli.folder import picture_file, result_file
+from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import JsonOption
 from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from hybrid_id.cli.excite_robot import Designed
 
 MAX_SAMPLES = 1_000_000
 
@@ -102,20 +108,40 @@ def excite(
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
     if file.with_suffix(".json") == file:
         raise InputError(f"{file} would also be the name of the description beside it; take another ending")
+    from hybrid_id.reporting.results import as_json as as_json_text
+
+    starts = starts or (150 if system is None else 20)
     asked = {
-        "sample_time": sample_time, "duration": duration, "tones": tones, "rest": rest, "seed": seed, "plot": plot,
-        "force": force, "as_json": as_json,
+        "sample_time": sample_time, "duration": duration, "tones": tones, "starts": starts, "seed": seed,
     }  # fmt: skip
-    if system is not None:
-        return excite_robot(
-            file, system, band, speeds=speed or [], torques=torque or [], share=0.9 if share is None else share,
-            starts=starts or 20, model=model, **asked,
-        )  # fmt: skip
-    _excite_drive(file, band, amplitude=amplitude, gear=gear, model=model, starts=starts or 150, **asked)
+    with ExitStack() as files:
+        table = files.enter_context(result_file(file, force=force))
+        words = files.enter_context(result_file(file.with_suffix(".json"), force=force))
+        picture = files.enter_context(result_file(plot, force=force)) if plot else None
+        if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
+            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
+        if system is None:
+            found = _excite_drive(band, amplitude=amplitude, gear=gear, model=model, rest=rest, **asked)
+        else:
+            found = excite_robot(
+                system, band, speeds=speed or [], torques=torque or [], share=0.9 if share is None else share,
+                rest=rest, **asked,
+            )  # fmt: skip
+        table.write_text(found.table, encoding="utf-8")
+        if picture:
+            from hybrid_id.reporting.style import save
+
+            save(found.figure(), picture)
+        named = {"file": str(file), "plot": plot and str(plot), "model": model and str(model)}
+        text = as_json_text("excite", found.described | asked | named)
+        words.write_text(text + "\n", encoding="utf-8")
+    if as_json:
+        return show(text)
+    *lines, size = found.lines
+    show(*lines, f"{size}, in {file}" + (f"; picture in {plot}" if plot else ""))
 
 
 def _excite_drive(
-    file: Path,
     band: tuple[float, float],
     *,
     sample_time: float,
@@ -127,72 +153,57 @@ def _excite_drive(
     rest: float,
     starts: int,
     seed: int,
-    plot: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
-    """Write the multisine of one drive."""
-    from contextlib import ExitStack
-
+) -> "Designed":
+    """Design the multisine of one drive."""
     import numpy as np
 
+    from hybrid_id.cli.excite_robot import Designed
     from hybrid_id.records.excitation import design_multisine, usual_crest_factors
-    from hybrid_id.reporting.results import as_json as as_json_text
 
-    with ExitStack() as files:
-        table = files.enter_context(result_file(file, force=force))
-        words = files.enter_context(result_file(file.with_suffix(".json"), force=force))
-        picture = files.enter_context(picture_file(plot, file, force=force)) if plot else None
-        parts = []
-        if gear is not None and model is not None:
-            from hybrid_id.study.excitation import bands_by_gear
-            from hybrid_id.systems.model_file import load_model
+    parts, lines = [], list[str]()
+    if gear is not None and model is not None:
+        from hybrid_id.study.excitation import bands_by_gear
+        from hybrid_id.systems.model_file import load_model
 
-            parts = bands_by_gear(
-                load_model(model), band, gear.value, sample_time=sample_time, duration=duration, amplitude=amplitude,
-                tones=tones,
-            )  # fmt: skip
-            band = parts[0].band
-        design = design_multisine(
-            band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones,
-            starts=starts, seed=seed,
+        parts = bands_by_gear(
+            load_model(model), band, gear.value, sample_time=sample_time, duration=duration, amplitude=amplitude,
+            tones=tones,
         )  # fmt: skip
-        quiet = round(rest / sample_time)
-        signal = np.concatenate([np.zeros(quiet), design.signal])
-        rows = zip(sample_time * np.arange(len(signal)), signal, strict=True)
-        table.write_text("t,u1\n" + "".join(f"{t:.9g},{u:.9g}\n" for t, u in rows), encoding="utf-8")
-        if picture:
-            from hybrid_id.reporting.study_figures import excitation_figure
-            from hybrid_id.reporting.style import save
-
-            save(excitation_figure(design), picture)
-        usual = usual_crest_factors(design, seed)
-        described = {
-            "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
-            "sample_time": sample_time, "rest": sample_time * quiet, "band": band, "duration": duration,
-            "amplitude": amplitude, "tones": tones, "starts": starts, "seed": seed, "file": str(file),
-            "plot": plot and str(plot), "gear": gear, "model": model and str(model),
-            "gear_shares": [{"band": one.band, "share": one.share, "motion": one.motion} for one in parts],
-        }  # fmt: skip
-        text = as_json_text("excite", described)
-        words.write_text(text + "\n", encoding="utf-8")
-    if as_json:
-        return show(text)
-    gain = usual["random"] / design.crest_factor
-    if parts:
+        band = parts[0].band
         (low, high), (least, most) = band, sorted((parts[0].share, parts[-1].share))
-        show(
+        lines = [
             f"Between {low:.3g} and {high:.3g} Hz the gear's deflection is {100 * parts[0].share:.2g} % of the motor's "
             f"motion, the {'largest' if gear is Act.MOST else 'smallest'} of {len(parts)} parts of the band "
             f"({100 * least:.2g} to {100 * most:.2g} %)."
-        )
-    show(
+        ]
+    design = design_multisine(
+        band, sample_time=sample_time, duration=duration, amplitude_limits=amplitude, tones=tones, starts=starts,
+        seed=seed,
+    )  # fmt: skip
+    quiet = round(rest / sample_time)
+    signal = np.concatenate([np.zeros(quiet), design.signal])
+    rows = zip(sample_time * np.arange(len(signal)), signal, strict=True)
+    usual = usual_crest_factors(design, seed)
+    described = {
+        "crest_factor": design.crest_factor, "usual_crest_factors": usual, "samples": len(signal),
+        "rest": sample_time * quiet, "band": band, "amplitude": amplitude, "gear": gear,
+        "gear_shares": [{"band": one.band, "share": one.share, "motion": one.motion} for one in parts],
+    }  # fmt: skip
+    lines += [
         f"{design.message}.",
         f"Schroeder's phases would give {usual['Schroeder']:.3f}, random phases {usual['random']:.3f} "
-        f"(median), so this signal moves the drive {gain:.2f} times as much within the same limits.",
-        f"{len(signal)} samples, {sample_time * len(signal):.6g} s with {sample_time * quiet:.3g} s of rest, in {file}"
-        + (f"; picture in {plot}" if plot else ""),
-    )
+        f"(median), so this signal moves the drive {usual['random'] / design.crest_factor:.2f} times as much within "
+        "the same limits.",
+        f"{len(signal)} samples, {sample_time * len(signal):.6g} s with {sample_time * quiet:.3g} s of rest",
+    ]
+    table = "t,u1\n" + "".join(f"{t:.9g},{u:.9g}\n" for t, u in rows)
+
+    def figure() -> "Figure":
+        from hybrid_id.reporting.study_figures import excitation_figure
+
+        return excitation_figure(design)
+
+    return Designed(table, described, lines, figure)
 
 
 def _refuse(

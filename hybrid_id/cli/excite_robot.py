@@ -1,19 +1,35 @@
 """`excite` with the model of a robot: goals for all of its joints, within their limits."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hybrid_id.cli.console import show
-from hybrid_id.cli.folder import picture_file, result_file
 from hybrid_id.errors import InputError, close_match
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from hybrid_id.study.arm_excitation import ArmExcitation
     from hybrid_id.systems.chain import System
 
 EVERY = ""
 """Name of a limit that holds for all joints that have none of their own."""
+
+
+class Designed(NamedTuple):
+    """What `excite` writes of a design, a robot's or one drive's.
+
+    Attributes:
+        table: the CSV.
+        described: for the JSON, beside what the command was asked for.
+        lines: for the screen; the last one goes on with the file's name.
+        figure: draws the picture.
+    """
+
+    table: str
+    described: dict[str, Any]
+    lines: list[str]
+    figure: "Callable[[], Figure]"
 
 
 def robot_of(model: Path) -> "System | None":
@@ -25,11 +41,9 @@ def robot_of(model: Path) -> "System | None":
 
 
 def excite_robot(
-    file: Path,
     system: "System",
     band: tuple[float, float],
     *,
-    model: Path | None,
     speeds: Sequence[str],
     torques: Sequence[str],
     share: float,
@@ -39,47 +53,31 @@ def excite_robot(
     rest: float,
     starts: int,
     seed: int,
-    plot: Path | None,
-    force: bool,
-    as_json: bool,
-) -> None:
-    """Design the motion, write it and say what it is."""
-    from contextlib import ExitStack
-
-    from hybrid_id.reporting.results import as_json as as_json_text
+) -> Designed:
+    """Design the motion of a robot's joints."""
     from hybrid_id.study.arm_excitation import design_arm_motion, joint_limits
 
     if not 0.0 < share <= 1.0:
         raise InputError(f"--share is {share:g}; give a number above 0, 1 at most")
     names = system.tree.names if system.tree is not None else ()
     limits = joint_limits(system, _by_joint(speeds, names, "--speed"), _by_joint(torques, names, "--torque"))
-    with ExitStack() as files:
-        table = files.enter_context(result_file(file, force=force))
-        words = files.enter_context(result_file(file.with_suffix(".json"), force=force))
-        picture = files.enter_context(picture_file(plot, file, force=force)) if plot else None
-        design = design_arm_motion(
-            system, tuple(one.within(share) for one in limits), band, sample_time=sample_time, duration=duration,
-            tones=tones, rest=rest, starts=starts, seed=seed,
-        )  # fmt: skip
-        _write_table(table, design)
-        if picture:
-            from hybrid_id.reporting.study_figures import arm_excitation_figure
-            from hybrid_id.reporting.style import save
+    design = design_arm_motion(
+        system, tuple(one.within(share) for one in limits), band, sample_time=sample_time, duration=duration,
+        tones=tones, rest=rest, starts=starts, seed=seed,
+    )  # fmt: skip
+    described = {
+        "samples": len(design.time), "rest": rest, "band": band, "share": share, "joints": _described(design),
+        "scale": design.scale, "condition_number": design.condition_number, "std_ratio": design.std_ratio,
+    }  # fmt: skip
+    size = f"{len(design.time)} samples, {design.time[-1]:.6g} s"
+    lines = [*_summary(design, band, tones), size]
 
-            save(arm_excitation_figure(design), picture)
-        described = {
-            "samples": len(design.time), "sample_time": sample_time, "rest": rest, "band": band,
-            "duration": duration, "tones": tones, "starts": starts, "seed": seed, "share": share,
-            "file": str(file), "plot": plot and str(plot), "model": str(model), "joints": _described(design),
-            "scale": design.scale, "condition_number": design.condition_number,
-            "std_ratio": design.std_ratio,
-        }  # fmt: skip
-        text = as_json_text("excite", described)
-        words.write_text(text + "\n", encoding="utf-8")
-    if as_json:
-        return show(text)
-    show(*_told(design, band, tones), f"{len(design.time)} samples, {design.time[-1]:.6g} s, in {file}"
-         + (f"; picture in {plot}" if plot else ""))  # fmt: skip
+    def figure() -> "Figure":
+        from hybrid_id.reporting.study_figures import arm_excitation_figure
+
+        return arm_excitation_figure(design)
+
+    return Designed(_table(design), described, lines, figure)
 
 
 def _by_joint(given: Sequence[str], names: Sequence[str], option: str) -> dict[str, float]:
@@ -101,11 +99,11 @@ def _by_joint(given: Sequence[str], names: Sequence[str], option: str) -> dict[s
     return dict.fromkeys(names, found[EVERY]) | found if EVERY in found else found
 
 
-def _write_table(table: Path, design: "ArmExcitation") -> None:
+def _table(design: "ArmExcitation") -> str:
     head = ",".join(["t", *(f"goal{k}" for k in range(1, design.position.shape[1] + 1))])
     rows = zip(design.time, design.position, strict=True)
     lines = (",".join(f"{value:.9g}" for value in (t, *row)) for t, row in rows)
-    table.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+    return "\n".join([head, *lines]) + "\n"
 
 
 def _described(design: "ArmExcitation") -> list[dict[str, object]]:
@@ -123,7 +121,7 @@ def _described(design: "ArmExcitation") -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def _told(design: "ArmExcitation", band: tuple[float, float], tones: int) -> list[str]:
+def _summary(design: "ArmExcitation", band: tuple[float, float], tones: int) -> list[str]:
     """What the screen says of a design."""
     words = [f"{tones} tones from {band[0]:.4g} to {band[1]:.4g} Hz at each joint, positions at the joint:"]
     speeds, torques = abs(design.speed).max(0), abs(design.torque).max(0)

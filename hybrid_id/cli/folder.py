@@ -201,19 +201,6 @@ def result_file(path: Path, *, force: bool) -> Iterator[Path]:
         Path(temporary).unlink(missing_ok=True)
 
 
-@contextmanager
-def picture_file(path: Path, signal: Path, *, force: bool) -> Iterator[Path]:
-    """As :func:`result_file`, for a PNG that is not the signal's own file.
-
-    Raises:
-        InputError: another file is there, or the name is no PNG's.
-    """
-    with result_file(path, force=force) as picture:
-        if path.suffix.lower() != ".png" or path.resolve() == signal.resolve():
-            raise InputError(f"--plot {path} must be a PNG of its own; give it a name that ends in .png")
-        yield picture
-
-
 def refuse_file(path: Path, *, force: bool) -> None:
     """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays."""
     if path.is_dir() or (path.exists() and not force):
