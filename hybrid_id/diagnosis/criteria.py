@@ -39,13 +39,11 @@ class Criteria:
             encoders alone leave less.
         negligible: RMS of weighted errors below which nothing is looked for; 1 is the noise and what any good model
             misses.
-        lost: normalised RMSE of the best effect's free runs from which these have lost the records, so that a shorter
-            horizon is taken, and
+        lost: normalised RMSE of the best effect's free runs from which these have lost the records, so that shorter
+            ones are tried, and
         lost_refit: that of the re-fitted nominal model.
         followed: RMS of the best effect's errors, in noises, up to which free runs follow the records whatever they
             leave: nothing has added up along them.
-        by_chance: ratio of the mean square on records left out to that of the fit itself, for the best effect, from
-            which free runs over whole records have followed them by chance, so that shorter ones are taken.
         wrong_values: ratio of nominal to re-fitted RMS error from which the parameter values were wrong.
         vague: smallest relative standard error of any combination of parameters from which the records are too short to
             identify an effect.
@@ -79,7 +77,6 @@ class Criteria:
     lost: float = 0.1
     lost_refit: float = 0.5
     followed: float = 3.0
-    by_chance: float = 4.0
     wrong_values: float = 1.1
     vague: float = 0.1
     least_probability: float = 0.5

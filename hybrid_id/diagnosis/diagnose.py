@@ -6,6 +6,7 @@ The test records are opened once, after the answer is frozen: they measure the g
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -15,7 +16,7 @@ from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, repeatability, shrink
-from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, with_priors, without_priors
+from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, without_priors
 from hybrid_id.diagnosis.grade import (
     Grade,
     behind_play,
@@ -30,7 +31,7 @@ from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
-from hybrid_id.diagnosis.plausibility import NUISANCE, implausible_parameters
+from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.diagnosis.screen import Progress, SelectionStep, screen
 from hybrid_id.diagnosis.select import (
@@ -45,7 +46,7 @@ from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import make_bounds
-from hybrid_id.identification.horizons import Horizon, choose_horizon, window_errors
+from hybrid_id.identification.horizons import Horizon, window_errors
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import beyond, confounded_signals
 from hybrid_id.records.skew import Skew, find_skews
@@ -53,6 +54,9 @@ from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.checks import check_identifiability
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
+
+LENGTHS = (WINDOW, 2.0 * WINDOW, 4.0 * WINDOW)
+"""Lengths [s] of the windows over which structure is looked for where whole runs do not follow the records."""
 
 
 def diagnose(
@@ -163,8 +167,9 @@ def search(
     """Stage search: the re-fitted model and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
-    leave no structure. Otherwise the records choose the horizon, and all is done over that. Where the best effect still
-    leaves some and each record's own values of the nominal model leave none, records differ and no effect is missing.
+    leave no structure. Otherwise it is done over windows, where these say more of what is missing. Where the best
+    effect still leaves some and each record's own values of the nominal model leave none, records differ and no effect
+    is missing.
 
     Args:
         fits: holds the records.
@@ -184,19 +189,13 @@ def search(
                 if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own)
             if _adds_up(fits, base, best, system):
-                batch, how = fits.records(best.system), best.result.engine
-                # not held so closely that any horizon says as much
-                loose = with_priors(best.system, system, best, NUISANCE)
-                chance = best.validation.plain > CRITERIA.by_chance * best.trained
-                chosen = choose_horizon(loose, how, batch, [best.result], followed=0.0, pieces=chance)
-                if chosen.kind != "whole":
-                    few = None if first is None else _helping(first)
-                    pieces = fits.over(chosen)
-                    start = pieces.base(system)
-                    step = screen(pieces, start, system, among=few, progress=progress)
+                few = None if first is None else _helping(first)
+                short = _short_runs(fits, system)
+                if short is not None:
+                    step = screen(*short, system, among=few, progress=progress)
                     # over short runs a slow effect may not show
-                    if first is None or accepted_ones(step) or not accepted_ones(first):
-                        fits, base, first = pieces, start, step
+                    if first is None or _evidence(step) >= _evidence(first):
+                        (fits, base), first = short, step
         return fits, select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
         )
@@ -216,6 +215,30 @@ def _adds_up(fits: Fits, base: FittedModel, best: FittedModel, system: System) -
     if fits.astray(best) > CRITERIA.lost:
         return True
     return not (best.no_structure or (best is not base and _own_values(fits, best, system) is not None))
+
+
+def _short_runs(fits: Fits, system: System) -> tuple[Fits, FittedModel] | None:
+    """The shortest free runs over which the re-fitted nominal model leaves structure, and that model; None without any.
+
+    There are most of them, and each is a witness of its own of what is missing: along a run what a model lacks adds up
+    to few errors that go together, in which unlike explanations look alike.
+    """
+    for seconds in LENGTHS:
+        pieces = fits.over(Horizon("windows", seconds, "what is missing adds up along whole ones"))
+        start = pieces.base(system)
+        if not start.no_structure and mean_square(start.result.residual) >= CRITERIA.negligible**2:
+            return pieces, start
+    return None
+
+
+def _evidence(step: SelectionStep) -> float:
+    """By how much the best accepted effect makes the records left out likelier [nats]; 0 where none is accepted.
+
+    Of Gaussian errors whose variance is their mean square, as many of them independent as the nominal model leaves.
+    """
+    ends = accepted_ones(step)
+    best = min((e.error for e in ends), default=step.before.error)
+    return 0.5 * step.before.validation.effective * math.log(step.before.error / best)
 
 
 def _own_values(fits: Fits, model: FittedModel, system: System) -> PerRecord | None:

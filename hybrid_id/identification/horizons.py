@@ -242,8 +242,6 @@ def choose_horizon(
     batch: Batch,
     whole: Sequence[FitResult] = (),
     *,
-    followed: float = FOLLOWED,
-    pieces: bool = False,
     options: Options | None = None,
 ) -> Horizon:
     """The longest of whole records, strokes and windows beyond which error grows faster than information.
@@ -259,20 +257,18 @@ def choose_horizon(
         engine: how it is simulated.
         batch: whole records, prepared for it.
         whole: fits of the records as a whole, one or one a record; fitted here where there is none.
-        followed: normalised RMSE beyond noise up to which they do; 0 to compare horizons in any case.
-        pieces: whether whole records are not to be taken while any shorter horizon is followed.
         options: settings of these fits.
     """
     options = options or Options()
     if not system.estimated:
         return WHOLE
     whole = whole or fit(system, batch, pooled=True, engine=engine, options=options)
-    if astray(whole, batch) <= followed:
+    if astray(whole, batch) <= FOLLOWED:
         return Horizon(reason="they follow the records")
     brief, found = replace(options, max_iterations=BRIEF), []
     for horizon in (*(Horizon("windows", s) for s in SECONDS), Horizon("strokes"), WHOLE):
         part = horizon.cut(system, engine, batch)
-        if (pieces or horizon.kind != "whole") and part.rows == batch.rows:
+        if horizon.kind != "whole" and part.rows == batch.rows:
             continue
         with suppress(RuntimeError, InputError):  # it diverges over so long a time
             one = fit(system, part, pooled=True, engine=engine, options=brief, warm=False)[0]

@@ -70,8 +70,8 @@ def ground_truth(
 def messy_ground_truth(messy: Messy, family: str, source: tuple[int, int]) -> dict[str, Any]:
     """The ground truth of a messy machine: that of a clean one, its effects in the order in which they are added.
 
-    Each effect has, too, its `role` (dominant or small), its `share` of the gap in that order, what it `closes`
-    alone, on the test and on the train records, and by how much a small one alone lifts the re-fit over the floor;
+    Each effect has, too, its `role` (dominant or small), its `share` of the gap in that order and what it `closes`
+    alone, both on the test and on the train records, and by how much a small one alone lifts the re-fit over the floor;
     `messy` sums them up.
 
     Args:
@@ -85,7 +85,7 @@ def messy_ground_truth(messy: Messy, family: str, source: tuple[int, int]) -> di
     found["level"] = messy.graded.level
     for effect, part in zip(found["effects"], messy.parts, strict=True):
         effect |= {"role": part.role, "share": round(part.share, 4), "closes": round(part.closes, 4)}
-        effect["closes_train"] = round(part.closes_train, 4)
+        effect |= {"closes_train": round(part.closes_train, 4), "share_train": round(part.share_train, 4)}
         if part.lift is not None:
             effect["lift"] = round(part.lift, 3)
     encoders = messy.graded.case.campaign.encoders

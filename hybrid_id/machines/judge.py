@@ -195,18 +195,20 @@ def _in_a_word(leading: Sequence[Truth], chosen: Sequence[Said], unknown: bool) 
 def _shares(chosen: Sequence[Said], truth: Sequence[Truth]) -> tuple[tuple[float, ...], bool | None]:
     """Errors [points] of the claimed shares of the effects rightly named, and whether the first interval holds its own.
 
-    The true share is what an effect closes after those that are named before it. The answers know it alone, and after
-    all larger ones; of two dominant effects either may lead.
+    The true share is what an effect closes after those that are named before it, of the gap on the train records, as
+    the claimed one is. The answers know it alone, and after all larger ones; of two dominant effects either may lead.
     """
+    if not all("share_train" in one for one in truth):
+        return (), None  # answers of an earlier generator
     matched = [next((t for t in truth if _right(e, t)), None) for e in chosen]
     errors, covered = [], None
     for k, (said, own) in enumerate(zip(chosen, matched, strict=True)):
         if own is None or own in matched[:k] or said.get("share") is None:
             continue
         before = matched[0]
-        true = own["closes"] if k == 0 else own["share"]
+        true = own["closes_train"] if k == 0 else own["share_train"]
         if k and before is not None and own["role"] == "dominant" and own is truth[0]:
-            true = own["share"] + before["share"] - before["closes"]
+            true = own["share_train"] + before["share_train"] - before["closes_train"]
         errors.append(100 * (float(said["share"]) - true))
         interval = said.get("share_interval")
         if k == 0 and interval and None not in interval:

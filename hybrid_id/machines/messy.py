@@ -90,6 +90,7 @@ class Part:
         closes: share of the gap on the test records that adding it alone closes.
         closes_train: the same on the train records, which are all that a diagnosis is chosen by.
         share: fall of the test mean square when it is added after all larger ones, over the gap.
+        share_train: the same of the train mean square.
         lift: rise of the re-fit's error by it alone, relative to the noise floor; None of a dominant one.
         rivals: other effects in its place; none of a small one.
     """
@@ -99,6 +100,7 @@ class Part:
     closes: float
     closes_train: float
     share: float
+    share_train: float
     lift: float | None
     rivals: tuple[Rival, ...]
 
@@ -529,6 +531,8 @@ def _parts(
     fits = mixtures.fit([*nested, *single], [found.made], rounds=4)
     errors = [base.test, found.alone[order[0]].test, *(fit.test for fit in fits[: len(nested)]), floor]
     shares = dict(zip(order, -np.diff(np.square(errors)) / gap, strict=True))
+    squares = [base.train, found.alone[order[0]].train, *(fit.train for fit in fits[: len(nested)]), 1.0]
+    shares_train = dict(zip(order, -np.diff(squares) / (base.train - 1), strict=True))
     alone = (*found.alone, *fits[len(nested) :])
     closes = [(base.test**2 - one.test**2) / gap for one in alone]
     trained = [(base.train - one.train) / (base.train - 1) for one in alone]
@@ -545,7 +549,7 @@ def _parts(
             if one.name == UNKNOWN and (imitated > IMITATED or any(rival.counts for rival in rivals)):
                 return ()
         role = "dominant" if i < leaders else "small"
-        closed = float(closes[i]), float(trained[i]), float(shares[i])
+        closed = float(closes[i]), float(trained[i]), float(shares[i]), float(shares_train[i])
         parts.append(Part(one, role, *closed, lifts[i], tuple(rivals)))
     return tuple(parts)
 

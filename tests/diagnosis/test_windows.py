@@ -61,11 +61,11 @@ def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
 ) -> None:
     dataset, nominal = small_case(REGISTRY["spring_load"](k_s=0.6, q_s=0.3))
     monkeypatch.setattr(Fits, "astray", lambda *_: 1.0)
-    monkeypatch.setattr(module, "choose_horizon", lambda *_, **__: Horizon("windows", 0.3))
+    monkeypatch.setattr(module, "LENGTHS", (0.3,))
     few = ("spring_load", "thermal_derating", "stribeck_friction")
     monkeypatch.setattr(starts, "CATALOGUE", {name: CATALOGUE[name] for name in few})
     fits, found = module.search(Fits(dataset), nominal, max_effects=1)
-    assert fits.horizon == Horizon("windows", 0.3)
+    assert (fits.horizon.kind, fits.horizon.seconds) == ("windows", 0.3)
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
     assert all(len(e.result.residual) > len(dataset.train) for e in (found.base, found.chosen))
     assert found.chosen.error < 0.2 * found.base.error

@@ -289,7 +289,8 @@ def test_a_tie_of_two_names_for_one_thing_is_resolved_and_so_is_one_of_what_has_
 
 
 def part(name: str, role: str, share: float, closes: float, where: str = FRICTION) -> dict[str, Any]:
-    return truth(name, where) | {"role": role, "share": share, "closes": closes}
+    on_train = {"share_train": share, "closes_train": closes}
+    return truth(name, where) | {"role": role, "share": 0.9 * share, "closes": 0.9 * closes} | on_train
 
 
 LEAD, NEXT = (
@@ -315,7 +316,8 @@ def test_either_dominant_effect_of_a_messy_machine_may_lead() -> None:
 def test_what_shows_in_test_records_alone_is_counted() -> None:
     """A small effect that explains more of the train records leads there, whatever the test records say."""
     told = said(effect("stribeck_friction", selected=True))
-    assert judge("c1", MESSY, told).leads_train is None  # answers of an earlier generator
+    earlier = [{k: v for k, v in e.items() if k != "closes_train"} for e in MESSY["effects"]]
+    assert judge("c1", MESSY | {"effects": earlier}, told).leads_train is None  # of an earlier generator
 
     def trained(*shares: float) -> dict[str, Any]:
         effects = [e | {"closes_train": s} for e, s in zip(MESSY["effects"], shares, strict=True)]
@@ -337,6 +339,8 @@ def test_claimed_shares_are_compared_in_the_order_in_which_they_are_claimed() ->
     swapped = effect("delay", "joint1/input", share=0.45), effect("stribeck_friction", share=0.30)
     assert claims(*swapped) == pytest.approx((0.0, -5.0))
     assert claims(effect("stribeck_friction")) == ()  # a method that tells no shares
+    earlier = [{k: v for k, v in e.items() if k != "share_train"} for e in MESSY["effects"]]
+    assert judge("c1", MESSY | {"effects": earlier}, said(first | {"selected": True})).share_errors == ()
     held = effect("stribeck_friction", selected=True, share=0.55, share_interval=[0.48, 0.6])
     assert judge("c1", MESSY, said(held)).share_covered
     assert judge("c1", MESSY, said(held | {"share_interval": [None, 0.6]})).share_covered is None
