@@ -8,6 +8,7 @@ with it has ended.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
@@ -254,11 +255,14 @@ def _with_whole_numbers(fits: Fits, chosen: FittedModel) -> FittedModel:
     }
     if not whole:
         return chosen
-    near = {
-        info.name: replace(info.spec, value=float(max(round(info.spec.value), 1)), estimate=False)
-        for info in chosen.system.table
-        if info.spec.estimate and (info.component, info.symbol) in whole
-    }
+    near = {}
+    for info in chosen.system.table:
+        if info.spec.estimate and (info.component, info.symbol) in whole:
+            # a start is bounded to its own ripple, whose whole number may be the next one
+            number = min(max(round(info.spec.value), math.ceil(info.spec.lower), 1), info.spec.upper)
+            near[info.name] = replace(info.spec, value=float(number), estimate=False)
+    if any(not spec.value.is_integer() for spec in near.values()):
+        return chosen
     one = fits.run([Task(chosen.effects, chosen.system.with_specs(near))], FULL)[0]
     return (
         one if one is not None and one.validation.fall(chosen.validation) > -CRITERIA.least_fall else chosen

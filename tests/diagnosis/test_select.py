@@ -92,15 +92,16 @@ def test_periods_per_turn_are_whole_where_that_predicts_as_well() -> None:
     """A motor has whole ones; where the gear ratio in the model file is wrong, no whole number predicts as well."""
     name = "cogging", "joint1/motor"
 
-    def chosen(periods: float) -> float:
+    def chosen(periods: float, lower: float = 1.0) -> float:
         dataset, nominal = small_case(REGISTRY["cogging"](T_c=0.0, T_s=0.002, n=periods), name[1])
         fits = Fits(dataset)
         start = nominal.with_component(name[1], REGISTRY["cogging"](T_c=0.0, T_s=0.002, n=periods))
         table = {info.symbol: info for info in start.table}
-        free = start.with_specs({table["n"].name: replace(table["n"].spec, estimate=True)})
+        free = start.with_specs({table["n"].name: replace(table["n"].spec, estimate=True, lower=lower)})
         (one,) = fits.run([Task((name,), free)], FULL)
         assert one is not None
         return _with_whole_numbers(fits, one).system.parameter(table["n"].name).spec.value
 
     assert chosen(4.0) == 4.0
     assert abs(chosen(3.4) - 3.4) < 0.05
+    assert abs(chosen(3.4, lower=3.35) - 3.4) < 0.05  # the nearest whole number lies outside the bounds
