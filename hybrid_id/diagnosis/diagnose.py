@@ -33,7 +33,7 @@ from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.diagnosis.screen import Progress, SelectionStep, screen
+from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds, named_alike, screen
 from hybrid_id.diagnosis.select import (
     MAX_EFFECTS,
     Selection,
@@ -167,9 +167,9 @@ def search(
     """Stage search: the re-fitted model and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
-    leave no structure. Otherwise it is done over windows, where these say more of what is missing. Where the best
-    effect still leaves some and each record's own values of the nominal model leave none, records differ and no effect
-    is missing.
+    leave no structure. Otherwise it is done over windows, where these tell the best effect from the others more surely.
+    Where the best effect still leaves some and each record's own values of the nominal model leave none, records differ
+    and no effect is missing.
 
     Args:
         fits: holds the records.
@@ -194,7 +194,7 @@ def search(
                 if short is not None:
                     step = screen(*short, system, among=few, progress=progress)
                     # over short runs a slow effect may not show
-                    if first is None or _evidence(step) >= _evidence(first):
+                    if first is None or _rivalry(step) <= _rivalry(first):
                         (fits, base), first = short, step
         return fits, select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
@@ -231,14 +231,16 @@ def _short_runs(fits: Fits, system: System) -> tuple[Fits, FittedModel] | None:
     return None
 
 
-def _evidence(step: SelectionStep) -> float:
-    """By how much the best accepted effect makes the records left out likelier [nats]; 0 where none is accepted.
+def _rivalry(step: SelectionStep) -> float:
+    """Log-odds of the strongest rival of the effect that leads a step, at whatever place; of none without any.
 
-    Of Gaussian errors whose variance is their mean square, as many of them independent as the nominal model leaves.
+    Infinite where no effect is accepted.
     """
-    ends = accepted_ones(step)
-    best = min((e.error for e in ends), default=step.before.error)
-    return 0.5 * step.before.validation.effective * math.log(step.before.error / best)
+    best = next(iter(accepted_ones(step)), None)
+    if best is None:
+        return math.inf
+    rivals = (e for e in step.candidates if e.judged and named_alike(e) != named_alike(best))
+    return max((log_odds(best, e, step.before) for e in rivals), default=-math.inf)
 
 
 def _own_values(fits: Fits, model: FittedModel, system: System) -> PerRecord | None:

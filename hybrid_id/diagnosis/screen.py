@@ -322,7 +322,9 @@ def simplest_first(ranked: list[FittedModel], before: FittedModel) -> list[Fitte
         first = min(equals, key=lambda e: len(e.result.names), default=best)
     else:
         first = max(equals, key=lambda e: log_odds(best, e, before), default=best)
-    twins = [e for e in equals if _joints(e) == _joints(first) and first.ahead_of(e) < CRITERIA.distinct_z]
+    twins = [
+        e for e in equals if named_alike(e) == named_alike(first) and first.ahead_of(e) < CRITERIA.distinct_z
+    ]
     first = min(twins, key=_unusual, default=first)
     return [first, *(e for e in ranked if e is not first)]
 
@@ -345,7 +347,7 @@ def _does_much(best: FittedModel, one: FittedModel, before: FittedModel) -> bool
     return before.error - one.error >= CRITERIA.much * (before.error - best.error)
 
 
-def _joints(one: FittedModel) -> list[tuple[str, str]]:
+def named_alike(one: FittedModel) -> list[tuple[str, str]]:
     """A candidate's effects by name and joint, wherever in the joint they act."""
     return sorted((name, where.split("/")[0]) for name, where in one.effects)
 
