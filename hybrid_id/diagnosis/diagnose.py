@@ -42,6 +42,7 @@ from hybrid_id.diagnosis.select import (
     refitted_without,
     select,
 )
+from hybrid_id.diagnosis.thinning import thinned
 from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
@@ -98,7 +99,7 @@ def diagnose(
     say = progress or (lambda *_: None)
     skews = find_skews(dataset)
     dataset = dataset.without_skew({one.channel: one.late for one in skews})
-    fits = Fits(dataset, jobs=jobs, signal_share=signal_share, kept=kept)
+    fits = Fits(thinned(dataset, system, signal_share), jobs=jobs, signal_share=signal_share, kept=kept)
     say("nominal model", 0, 1)
     fits, found = search(fits, system, horizon=horizon, max_effects=max_effects, progress=progress)
     say("location", 0, 1)
@@ -450,6 +451,7 @@ def report(
         remainder=graded.remainder,
         remainder_interval=graded.remainder_interval,
         horizon=fits.horizon,
+        sample_time=fits.dataset.sample_time,
         nominal=tested.nominal,
         refit=tested.refit,
         with_effect=tested.with_effect,

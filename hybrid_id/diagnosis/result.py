@@ -42,6 +42,7 @@ class Diagnosis:
         remainder: structural share of the gap that stays unexplained, on records left out.
         remainder_interval: 95 % interval.
         horizon: how long the free runs are over which models were fitted and compared, here and on the test records.
+        sample_time: of the records as they were fitted, thinned where that loses nothing [s]; None if they share none.
         nominal, refit, with_effect: errors on the test records of the nominal, the re-fitted and the corrected model;
             None without test records.
         shrink: how far the gap shrinks; None without test records.
@@ -77,6 +78,7 @@ class Diagnosis:
     remainder: float
     remainder_interval: Interval
     horizon: Horizon
+    sample_time: float | None
     nominal: Errors | None
     refit: Errors | None
     with_effect: Errors | None
@@ -165,6 +167,7 @@ class Diagnosis:
             "ties": [list(group) for group in self.ties],
             "remainder": {"share": self.remainder, "interval": list(self.remainder_interval)},
             "horizon": {"kind": self.horizon.kind, "seconds": self.horizon.seconds, "words": str(self.horizon)},
+            "sample_time": self.sample_time,
             "gap": {
                 "nominal": None if self.nominal is None else self.nominal.nrmse,
                 "refit": None if gap is None else gap.refit,

@@ -1,0 +1,85 @@
+"""Records thinned where that loses nothing: the cost of a search grows with their samples."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hybrid_id.diagnosis.fits import engine
+from hybrid_id.identification.windows import SHORTEST
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.resample import resample_record
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.chain import System
+
+LONGEST = 5e-3
+"""Longest sample time [s] to which records are thinned: what swings at 50 Hz still has four samples a period."""
+FEWEST = 8 * SHORTEST
+"""Samples that the shortest train record keeps at least: two windows of each of the four that it is cut into."""
+CARRIED = 2.0
+"""RMS, in noises, of what is left of an output between the samples that stay; its noise alone leaves 1.2."""
+MOVED = 0.1
+"""RMS difference, in noises, of the nominal model's free runs."""
+
+
+def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE) -> Dataset:
+    """A dataset of as few samples as lose nothing, at most 5 ms apart; inputs are averaged over the longer steps.
+
+    Nothing is lost where the train records' outputs are had back from the samples that stay, within their noise, and
+    where the nominal model's free runs, at its nominal values, are the same. What looks at another value than the
+    nominal one or has more structure is judged on the thinned records alone, the same for every effect.
+
+    Args:
+        dataset: records; those that do not share one sample time stay as they are.
+        system: the nominal model.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    """
+    step = dataset.sample_time
+    if step is None:
+        return dataset
+    least = min(record.n_samples for record in dataset.train)
+    most = min(int(LONGEST / step + 1e-6), least // FEWEST)
+    if most < 2:
+        return dataset
+    whole = batch_of(dataset, system, dataset.train, signal_share)
+    run = _run(system, whole)
+    for factor in range(most, 1, -1):
+        found = [resample_record(record, factor * step) for record in dataset.records]
+        one = replace(dataset, records=tuple(record for record, _ in found), sample_time=factor * step)
+        left = [
+            report.lost for (_, report), record in zip(found, dataset, strict=True) if record.role == "train"
+        ]
+        if _carried(whole, left) and _moved(system, one, whole, run, factor, signal_share) <= MOVED:
+            return one
+    return dataset
+
+
+def _run(system: System, batch: Batch) -> np.ndarray:
+    """Outputs of the free runs of whole records, ``(R, T, n_y)``."""
+    return simulate(system, with_substeps(system, engine(), batch), batch).y.numpy()
+
+
+def _carried(whole: Batch, left: list) -> bool:
+    """Whether what the longer steps do not carry of each output is within its noise."""
+    weight = whole.weight.amax(1).numpy()
+    lost = np.array([[one.get(name, 0.0) for name in whole.outputs] for one in left])
+    return bool((lost * weight <= CARRIED).all())
+
+
+def _moved(
+    system: System, one: Dataset, whole: Batch, run: np.ndarray, factor: int, signal_share: float
+) -> float:
+    """RMS difference, in noises, of the nominal model's free runs at longer steps from the same first states."""
+    short = batch_of(one, system, one.train, signal_share)
+    x = short.x.clone()
+    x[:, 0] = whole.x[:, 0]
+    other = _run(system, replace(short, x=x))
+    samples = min(other.shape[1], run[:, ::factor].shape[1])
+    weight = (whole.weight.numpy()[:, ::factor][:, :samples]) * (short.weight.numpy()[:, :samples] > 0)
+    miss = (other[:, :samples] - run[:, ::factor][:, :samples]) * weight
+    return float(np.sqrt(np.square(miss).sum() / max((weight > 0).sum(), 1)))
