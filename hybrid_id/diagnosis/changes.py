@@ -32,8 +32,8 @@ NOMINAL = 0.02
 """Standard deviation of a relative change that counts as none: no nominal value is known better."""
 LEFT = 0.02
 """Probability of a chi-square, were nothing else changed, below which something sure is left."""
-SURE = 1.96
-"""Standard errors of a 95 % interval."""
+HALF_WIDTH = 1.96
+"""Standard errors from the middle of a 95 % interval to its ends."""
 VAGUE = 1.0
 """Relative standard error from which a direction counts as not identified."""
 
@@ -163,7 +163,7 @@ def _single(
         name=one.name,
         joint=one.joint,
         size=float(np.expm1(size)),
-        interval=(float(np.expm1(size - SURE * error)), float(np.expm1(size + SURE * error))),
+        interval=(float(np.expm1(size - HALF_WIDTH * error)), float(np.expm1(size + HALF_WIDTH * error))),
         parameters=tuple(name for name, row in zip(names, one.columns, strict=True) if np.any(row)),
         explained=1.0 - chosen.left / total,
         words=words,
@@ -308,13 +308,13 @@ def _as_one(
 
 def _coherent(solution: _Solution) -> bool:
     """Whether more than one parameter has surely moved as the change says: one alone may have any cause."""
-    sure = np.abs(solution.sizes) > SURE * solution.errors
+    sure = np.abs(solution.sizes) > HALF_WIDTH * solution.errors
     return int(solution.hypothesis.columns[:, sure].any(1).sum()) > 1
 
 
 def _makes_sense(solution: _Solution) -> bool:
     """Whether the leading size is surely not zero, and what must move together does not surely move apart."""
-    sizes, errors = solution.sizes, SURE * solution.errors
+    sizes, errors = solution.sizes, HALF_WIDTH * solution.errors
     lead = solution.hypothesis.lead
     if not abs(sizes[lead]) > errors[lead]:
         return False
@@ -430,7 +430,8 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
     one, lead = solution.hypothesis, solution.hypothesis.lead
     text, more, less = _WORDS[one.name]
     ends = [
-        abs(100 * np.expm1(solution.sizes[lead] + way * SURE * solution.errors[lead])) for way in (-1.0, 1.0)
+        abs(100 * np.expm1(solution.sizes[lead] + way * HALF_WIDTH * solution.errors[lead]))
+        for way in (-1.0, 1.0)
     ]
     size = 100 * np.expm1(solution.sizes[lead])
     moved = [name for name, row in zip(names, one.columns, strict=True) if np.any(row)]
@@ -479,5 +480,5 @@ def _moved_alone(
     return {
         k: float(change[k])
         for k in range(len(infos))
-        if seen[k, k] > 0.98 and abs(change[k]) > SURE * error[k]
+        if seen[k, k] > 0.98 and abs(change[k]) > HALF_WIDTH * error[k]
     }

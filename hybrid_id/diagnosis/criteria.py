@@ -27,12 +27,12 @@ class Criteria:
         distinct_fall: relative difference of the mean squares of two candidates below which these are
             indistinguishable, and
         distinct_z: standard errors of their difference below which they are, too.
-        much: in two unrelated uses: share of what the best explains that a simpler candidate has to explain to lead in
-            its place, where both leave structure that the records do not surely tell apart; and, in
-            ``screen.needed_fall``, the share of the autocorrelation that a small first effect may leave.
-        left_open: in two unrelated uses: share of the gap that a candidate may leave open, which another closes, and
-            still be its rival; and the least share of the gap that a remainder has where something outside the
-            catalogue is claimed, and that a torque has to explain of what remains to be named in the headline.
+        much: share of what the best explains that a simpler candidate has to explain to lead in its place, where both
+            leave structure that the records do not surely tell apart.
+        bleached: share of the autocorrelation that a small first effect may leave.
+        left_open: share of the gap that a candidate may leave open, which another closes, and still be its rival.
+        substantial: least share of the gap that a remainder has where something outside the catalogue is claimed, and
+            that a torque has to explain of what remains to be named in the headline.
         white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
             residuals are white noise.
         autocorrelation: the same from which something structural is missing; small random torques and the rounding of
@@ -70,7 +70,9 @@ class Criteria:
     distinct_fall: float = 0.11
     distinct_z: float = 2.5
     much: float = 0.5
+    bleached: float = 0.5
     left_open: float = 0.1
+    substantial: float = 0.1
     white: float = 0.1
     coloured: float = 0.3
     negligible: float = 0.1

@@ -437,7 +437,7 @@ def report(
 ) -> Diagnosis:
     """Stage report: all that a diagnosis shows and writes, in one object."""
     found, graded, fits = answer.found, answer.grade, answer.fits
-    left_open = graded.unknown or graded.remainder >= CRITERIA.left_open
+    substantial = graded.unknown or graded.remainder >= CRITERIA.substantial
     named_joint = bool(found.chosen.effects) and len(system.joints) > 1
     told = (
         check_identifiability(dataset, system) if implausible_parameters(system, found.base.system) else None
@@ -467,7 +467,7 @@ def report(
         not_identifiable=not_identifiable(dataset, found.chosen.system),
         confounded=tuple(confounded_signals(dataset.records)),
         extrapolation=tuple(beyond(dataset)),
-        disturbances=tuple(disturbances(fits, found.chosen)) if left_open else (),
+        disturbances=tuple(disturbances(fits, found.chosen)) if substantial else (),
         disturbances_before=tuple(disturbances(fits, found.base)) if named_joint else (),
         vague=answer.vague,
         changes=_changes(answer, system),

@@ -125,7 +125,7 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     rated.sort(key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability))
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
-    unknown = structural > CRITERIA.coloured and remainder >= CRITERIA.left_open and remainder >= explained
+    unknown = structural > CRITERIA.coloured and remainder >= CRITERIA.substantial and remainder >= explained
     return Grade(tuple(rated), remainder, _interval(draws[:, -1]), unknown, gap)
 
 

@@ -106,7 +106,7 @@ def needed_fall(richer: FittedModel, simpler: FittedModel) -> float:
     """Relative fall of the mean square from which an effect is named."""
     if not simpler.effects:
         # what takes next to nothing, and leaves the colour of the rest as it was, has fitted the records' differences
-        bleached = richer.autocorrelation <= CRITERIA.much * simpler.autocorrelation
+        bleached = richer.autocorrelation <= CRITERIA.bleached * simpler.autocorrelation
         return CRITERIA.least_fall if bleached else CRITERIA.completing_fall
     completes = richer.white or (richer.no_structure and not simpler.no_structure)
     return CRITERIA.completing_fall if completes else CRITERIA.next_fall

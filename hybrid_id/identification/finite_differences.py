@@ -2,7 +2,7 @@
 
 Behind play, and where a link sticks and slips on a spring, the tangent of a trajectory grows with every event while the
 trajectory itself does not: exact sensitivities tell the wrong way, and Newton's method over all samples leaves the
-valley. Differences over a hundredth of a parameter see through the events. Every difference is a lane of one compiled
+minimum. Differences over a hundredth of a parameter see through the events. Every difference is a lane of one compiled
 rollout, and so is every trial step: the LM step of :mod:`.least_squares` for many dampings at once.
 """
 

@@ -95,7 +95,7 @@ def grow(problem: LeastSquares, theta: Tensor, options: Options, report: Report 
     """Parameters of each set after fits of the first 0.5, 1, 2 and 4 s of the records, ``(n_p, G)``.
 
     Windows cannot begin in mid-motion where nobody knows the state; from rest everybody does. Over the shortest
-    horizon all rows share their parameters, so that every start point ends in the same valley; then each set goes its
+    horizon all rows share their parameters, so that every start point ends in the same minimum; then each set goes its
     own way, and starts at the last horizon once more from the values of the set that fits best.
 
     Args:

@@ -105,7 +105,7 @@ def _signal(diagnosis: Diagnosis, joint: str, side: str | None) -> Location | No
         (
             one
             for one in diagnosis.residual_after
-            if one.joint == joint and side in (None, one.side) and one.share > CRITERIA.left_open
+            if one.joint == joint and side in (None, one.side) and one.share > CRITERIA.substantial
         ),
         None,
     )

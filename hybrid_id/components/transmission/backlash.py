@@ -10,7 +10,7 @@ from hybrid_id.components.transmission.flexibility import damping, stiffness
 from hybrid_id.parameters import Parameter
 
 GAPS = (0.0007, 0.0015, 0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
-"""Play as a share of the link's range: every size has a valley of its own."""
+"""Play as a share of the link's range: a fit has a local minimum near each."""
 
 
 class Backlash(Transmission):
@@ -27,7 +27,7 @@ class Backlash(Transmission):
 
     The damper never exceeds the spring: the teeth do not pull as they part, and they do not meet with a jump of torque,
     over which no step would be accurate nor a sensitivity exact. gap = c = 0 is the rigid gear, gap = 0 a flexible one,
-    from which fits of richer models start; a wide gap has valleys of its own, so start at several.
+    from which fits of richer models start; a wide gap has local minima, so start at several.
 
     Source: the classical dead zone, [15] of the paper.
     """

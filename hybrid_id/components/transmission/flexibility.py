@@ -49,7 +49,7 @@ class JointFlexibility(Transmission):
 
     Source: M. W. Spong, Modeling and control of elastic joint robots, J. Dyn. Syst. Meas. Control 109, 1987.
 
-    Along c a fit meets several valleys: start it, too, where rotor and link swing within the band of the records.
+    Along c a fit has several local minima: start it, too, where rotor and link swing within the band of the records.
     """
 
     kind = "joint_flexibility"
