@@ -9,6 +9,7 @@ sizes that leaves nothing sure is named; where none does, several parameters hav
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -177,7 +178,7 @@ def _several(
     """Changes that act at once, and the parameters that moved beside them."""
     within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
     beside = ", ".join(
-        f"{named(nominal.parameter(names[k]))} {100 * np.expm1(own):+.0f} %"
+        f"{named(nominal.parameter(names[k]))} {_change_words(own)}"
         for k, own in alone.items()
         if k not in within
     )
@@ -425,6 +426,13 @@ _WORDS = {
 }
 
 
+def _change_words(size: float) -> str:
+    """A relative change, given as its logarithm: beyond a factor of ten its linearisation says no figure."""
+    if abs(size) > math.log(10.0):
+        return "more than tenfold" if size > 0 else "to less than a tenth"
+    return f"{100 * np.expm1(size):+.0f} %"
+
+
 def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
     """A change as a clause, with what each parameter did where they did not move as one."""
     one, lead = solution.hypothesis, solution.hypothesis.lead
@@ -450,7 +458,7 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
     if one.name == "friction" and np.ptp(np.sign(solution.sizes)):
         words = f"friction{joint} has changed (temperature, grease or wear)"
     if one.columns.shape[1] > 1:
-        changes = [f"{name} {100 * np.expm1(s):+.0f} %" for name, s in zip(each, solution.sizes, strict=True)]
+        changes = [f"{name} {_change_words(s)}" for name, s in zip(each, solution.sizes, strict=True)]
         return f"{words}: {', '.join(changes)}"
     if len(moved) > 1 and one.name == "friction":
         return f"{words}: {', '.join(each)} {'rose' if size > 0 else 'fell'} together"

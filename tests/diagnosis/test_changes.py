@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from drives import make_records, multisine, rigid_drive
 
-from hybrid_id.diagnosis.changes import find_change
+from hybrid_id.diagnosis.changes import _change_words, find_change
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.prepare import make_batch
@@ -213,6 +213,11 @@ def test_friction_that_rises_dry_and_falls_viscous_has_changed() -> None:
     found = find_change(TILTED, pretended(TILTED, changed(TILTED, F_c=1.4, F_v=0.7)))
     assert found.name == "friction" and found.words.startswith("Friction has changed (")
     assert "Coulomb level F_c +4" in found.words or "Coulomb level F_c +3" in found.words
+
+
+def test_a_parameter_that_was_driven_to_its_bound_gets_no_absurd_figure() -> None:
+    assert [_change_words(size) for size in (250.0, -250.0)] == ["more than tenfold", "to less than a tenth"]
+    assert _change_words(np.log(1.3)) == "+30 %"
 
 
 def test_what_vague_records_leave_open_is_said() -> None:
