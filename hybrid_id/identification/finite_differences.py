@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -67,28 +67,25 @@ class Rollouts:
 
     def residuals(self, points: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
         """Residuals ``(P, R, T, n_y)`` at the points ``(P, n_f)``, from first states ``(P, R, n_x)`` or the batch's."""
-        rows, count = self.batch.rows, len(points)
+        batch, rows, count = self.batch, self.batch.rows, len(points)
         theta = self.theta[:, None].repeat(1, count)
         theta[self.free] = torch.tensor(points.T)
         theta = theta.repeat_interleave(rows, 1)
-        part = self.batch.take(torch.arange(rows).repeat(count))
+        x = batch.x.repeat(count, 1, 1)
         if first is not None:
-            # a batch that is taken whole is the caller's own: its first states stay as measured
-            part = replace(part, x=part.x.clone()) if part is self.batch else part
-            part.x[:, 0] = torch.as_tensor(first).flatten(0, 1)
+            x[:, 0] = torch.as_tensor(first).flatten(0, 1)
+        u = {name: channel.repeat(count, 1) for name, channel in batch.u.items()}
         with torch.no_grad():
-            samples = part.x.shape[1]
-            views = self.system.views(list(theta.repeat_interleave(samples, 1)))
-            channels = self.system.hold(
-                {name: channel.reshape(-1) for name, channel in part.u.items()}, views
-            )
-            arrived = {name: channels[name].view_as(part.dt) for name in self.plain.input_names}
-            arrived |= {name: channel for name, channel in part.u.items() if name.startswith("enable")}
-            x = shoot(self.plain, self.engine, part.x, arrived, part.dt, theta[self.rows], samples)
-            y = self.system.outputs(part.outputs, x.reshape(-1, x.shape[-1]).unbind(1), channels, views)
-        run = torch.stack(y, -1).reshape(*x.shape[:2], -1)
-        residual = ((part.y - run) * part.weight).nan_to_num(WORST, WORST, -WORST).clamp(-WORST, WORST)
-        return residual.reshape(count, rows, *residual.shape[1:]).numpy()
+            views = self.system.views(list(theta[:, :, None]))  # the same for all samples of a lane
+            channels = self.system.hold(u, views)
+            arrived = {name: channels[name].expand_as(x[..., 0]) for name in self.plain.input_names}
+            arrived |= {name: channel for name, channel in u.items() if name.startswith("enable")}
+            dt = batch.dt.repeat(count, 1)
+            x = shoot(self.plain, self.engine, x, arrived, dt, theta[self.rows], x.shape[1])
+            y = self.system.outputs(batch.outputs, x.unbind(-1), channels, views)
+        run = torch.stack([one.expand(x.shape[:2]) for one in y], -1).unflatten(0, (count, rows))
+        residual = ((batch.y - run) * batch.weight).nan_to_num(WORST, WORST, -WORST).clamp_(-WORST, WORST)
+        return residual.numpy()
 
 
 @dataclass(frozen=True, eq=False)
