@@ -23,8 +23,9 @@ FEWEST = 8 * SHORTEST
 """Samples that the shortest train record keeps at least: two windows of each of the four that it is cut into."""
 CARRIED = 2.0
 """RMS, in noises, of what is left of an output between the samples that stay; its noise alone leaves 1.2."""
-MOVED = 0.1
-"""RMS difference, in noises, of the nominal model's free runs."""
+MOVED = 0.03
+"""RMS difference, in noises, of the nominal model's free runs; an effect may move them three times as far, and still by
+less than anything is looked for."""
 
 
 def thinned(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE) -> Dataset:
