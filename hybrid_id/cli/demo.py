@@ -120,7 +120,8 @@ def _arm(
     dataset, truth = write_arm(folder, seed)
     show(
         f"1. {count(len(dataset.train), 'record')} of a simulated arm of six servos, and one to test with: goals in, "
-        f"joint angles out. Its description, {folder.name}/desk_arm.xml, has values that are up to 30 % off.",
+        f"joint angles out. Its description, {folder.name}/desk_arm.xml, has values that are up to 30 % off, and a "
+        "rigid elbow.",
         "",
         "2. One parameter set over all records (compiling the arm's equations takes some seconds):",
     )

@@ -108,9 +108,11 @@ def excite(
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
     if file.with_suffix(".json") == file:
         raise InputError(f"{file} would also be the name of the description beside it; take another ending")
+    from hybrid_id.records.excitation import STARTS
     from hybrid_id.reporting.results import as_json as as_json_text
+    from hybrid_id.study.arm_excitation import STARTS_A_JOINT
 
-    starts = starts or (150 if system is None else 20)
+    starts = starts or (STARTS if system is None else STARTS_A_JOINT)
     asked = {
         "sample_time": sample_time, "duration": duration, "tones": tones, "starts": starts, "seed": seed,
     }  # fmt: skip

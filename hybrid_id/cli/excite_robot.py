@@ -65,12 +65,13 @@ def excite_robot(
         system, tuple(one.within(share) for one in limits), band, sample_time=sample_time, duration=duration,
         tones=tones, rest=rest, starts=starts, seed=seed,
     )  # fmt: skip
+    joints = _described(design)
     described = {
-        "samples": len(design.time), "rest": rest, "band": band, "share": share, "joints": _described(design),
+        "samples": len(design.time), "rest": rest, "band": band, "share": share, "joints": joints,
         "scale": design.scale, "condition_number": design.condition_number, "std_ratio": design.std_ratio,
     }  # fmt: skip
     size = f"{len(design.time)} samples, {design.time[-1]:.6g} s"
-    lines = [*_summary(design, band, tones), size]
+    lines = [*_summary(design, joints, band, tones), size]
 
     def figure() -> "Figure":
         from hybrid_id.reporting.study_figures import arm_excitation_figure
@@ -106,8 +107,8 @@ def _table(design: "ArmExcitation") -> str:
     return "\n".join([head, *lines]) + "\n"
 
 
-def _described(design: "ArmExcitation") -> list[dict[str, object]]:
-    """Limits and peaks of each joint, for the JSON."""
+def _described(design: "ArmExcitation") -> list[dict[str, Any]]:
+    """Limits and peaks of each joint, for JSON and screen."""
     peaks = abs(design.speed).max(0), abs(design.torque).max(0)
     return [
         {
@@ -121,17 +122,18 @@ def _described(design: "ArmExcitation") -> list[dict[str, object]]:
     ]  # fmt: skip
 
 
-def _summary(design: "ArmExcitation", band: tuple[float, float], tones: int) -> list[str]:
+def _summary(
+    design: "ArmExcitation", joints: list[dict[str, Any]], band: tuple[float, float], tones: int
+) -> list[str]:
     """What the screen says of a design."""
     words = [f"{tones} tones from {band[0]:.4g} to {band[1]:.4g} Hz at each joint, positions at the joint:"]
-    speeds, torques = abs(design.speed).max(0), abs(design.torque).max(0)
-    width = max(len(one.name) for one in design.limits)
-    for k, one in enumerate(design.limits):
-        q = design.position[:, k]
+    width = max(len(one["joint"]) for one in joints)
+    for one in joints:
+        (low, high), (least, most) = one["position"], one["position_limits"]
         words.append(
-            f"  goal{k + 1} {one.name:{width}}  {q.min():8.3f} to {q.max():.3f} of {one.position[0]:.3f} to "
-            f"{one.position[1]:.3f}; speed {speeds[k]:.3g} of {one.speed:.3g}, torque {torques[k]:.3g} of "
-            f"{one.torque:.3g}"
+            f"  {one['column']} {one['joint']:{width}}  {low:8.3f} to {high:.3f} of {least:.3f} to {most:.3f}; "
+            f"speed {one['peak_speed']:.3g} of {one['speed_limit']:.3g}, torque {one['peak_torque']:.3g} of "
+            f"{one['torque_limit']:.3g}"
         )
     if design.scale < 1.0:
         words.append(

@@ -14,6 +14,8 @@ _SEARCH_POINTS = 16  # grid points per period of the highest tone while optimisi
 _PEAK_POINTS = 64  # and for the peak that is reported
 _SEARCH_POWERS = (4, 16, 64, 256)
 _REFINE_POWERS = (16, 32, 64, 128, 256, 512, 1024, 2048)
+STARTS = 150
+"""Phase sets that a search starts from, unless another number is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +73,7 @@ def design_multisine(
     tones: int = 20,
     spectrum: Literal["flat", "flat rate"] | Sequence[float] | np.ndarray = "flat",
     predicted: Sequence[tuple[Callable[[np.ndarray], np.ndarray], float]] = (),
-    starts: int = 150,
+    starts: int = STARTS,
     seed: int = 0,
 ) -> Multisine:
     """Designs a multisine of least crest factor that fills its amplitude limits.

@@ -120,6 +120,9 @@ def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
             raise InputError(
                 f"{path}: body '{joint.parent.name}' has a {kind}, which is not supported; {cure}."
             )
+    for tendon in spec.tendons:
+        if words := _gear(mujoco, tendon):
+            raise InputError(f"{path}: tendon '{tendon.name or 'without a name'}' {words}")
     for kind, elements in (("tendon", spec.tendons), ("equality constraint", spec.equalities)):
         if elements:
             name = elements[0].name or "without a name"
@@ -129,6 +132,19 @@ def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
     for body in spec.bodies:
         if body.gravcomp:
             raise InputError(f"{path}: body '{body.name}' has gravcomp, which no machine has; set it to 0.")
+
+
+def _gear(mujoco: Any, tendon: Any) -> str:
+    """What to do about a fixed tendon over several joints, as an exported coupled gear is; empty for any other one."""
+    parts = list(tendon.path)
+    if len(parts) < 2 or any(part.type != mujoco.mjtWrap.mjWRAP_JOINT for part in parts):
+        return ""
+    joints, row = ", ".join(part.target.name for part in parts), ", ".join(f"{part.coef:g}" for part in parts)
+    return (
+        f"couples the joints {joints} as a gear does, which is not read from here; take the file without it and write "
+        f"'couplings' in model.yaml (joints [{joints}], this motor's row of the matrix [{row}]), as the results' "
+        "model.yaml of an exported file has them."
+    )
 
 
 def without_missing_meshes(path: Path, mujoco: Any, spec: Any) -> None:

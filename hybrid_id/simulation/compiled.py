@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from ctypes import CDLL
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
 from string import Template
 from typing import cast
@@ -25,6 +25,7 @@ from torch import Tensor, nn
 
 from hybrid_id.components.base import Component
 from hybrid_id.simulation.c_code import call, compiler, library
+from hybrid_id.simulation.parts import NAMES, Body, alone, assigned, in_lanes, in_parts, lanes, lines
 from hybrid_id.simulation.step import Engine, update_internal_states
 from hybrid_id.simulation.tracing import DECLARED, record
 from hybrid_id.systems.balance import PIVOTS, Directions
@@ -44,10 +45,14 @@ PLAIN = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
 """Numbers that belong to a formula and not to a machine."""
 NUMBER = re.compile(r"(?<![\w.])(?:\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+)(?![\w.])")
 """A number in a recorded expression."""
-NAMES = re.compile(r"\b(?:[a-z]\d+|h)\b")
-"""Variables in a recorded expression."""
-ROWS = re.compile(r"\b([xupsdk]|fixed|side|margin|against)\[(\d+)\]")
-"""Arrays of which every lane has its own."""
+WHOLE, PART = 30000, 2000
+"""A function of more statements than the first is compiled in parts of the second, as compilers' time and memory grow
+faster than a function does. Six joints with ten parameters each stay whole: in parts their steps take 13 % longer."""
+ARRAYS = {
+    "rates": ("x", "u", "p", "fixed", "d", "k", "g"),
+    "margins": ("x", "u", "p", "fixed", "s", "d", "side", "margin", "against"),
+}
+"""What the recorded functions read and write, as engine.c.in calls it."""
 EVERY_MODULE = {*vars(nn.Module()), "specs"}
 """Attributes that tell no structure."""
 
@@ -259,15 +264,19 @@ def source(
         return [after[row] for row in kept]
 
     code = Statements(system, channels, free, late)
+    sides = [f"{name}[{i}]" for name in ("side", "margin", "against") for i in range(n)]
     bodies = {"rates": code.function(rates, {"d": n}, [f"k[{i}]" for i in range(n_x)], tangents=range(n_x))}
-    targets = [f"{name}[{i}]" for name in ("side", "margin", "against") for i in range(n)]
-    bodies["margins"] = code.function(margins, {"s": n, "d": n}, targets) if n else Body("", "", [])
-    bodies["internal"] = code.function(internal, {"h": 0}, [f"x[{i}]" for i in kept], tangents=kept)
-    if code.columns:
-        bodies["internal"].tangents.extend(f"TANGENTS x_t[{i}][c][l] = k_t[{i}][c][l];" for i in kept)
-    texts = {name: body.alone for name, body in bodies.items()}
-    texts |= {f"{name}_lanes": body.lanes for name, body in bodies.items()}
-    texts |= {f"{name}_tangents": lines(body.tangents) for name, body in bodies.items()}
+    bodies["margins"] = code.function(margins, {"s": n, "d": n}, sides) if n else Body([[]], 0, {})
+    texts: dict[str, str] = {}
+    for name, body in bodies.items():
+        texts[f"{name}_parts"], texts[name] = alone(name, ARRAYS[name], body)
+        texts[f"{name}_lanes_parts"], texts[f"{name}_lanes"] = lanes(name, ARRAYS[name], body)
+    texts["rates_tangents"] = lines(code.tangents(bodies["rates"]))
+    texts["rates_lanes_tangents"] = lines(code.tangents(bodies["rates"], lane="[l]"))
+    body = code.function(internal, {"h": 0}, [f"x[{i}]" for i in kept], tangents=kept, whole=True)
+    after = [f"TANGENTS x_t[{i}][c][l] = k_t[{i}][c][l];" for i in kept] if code.columns else []
+    texts["internal_lanes"] = in_lanes(lines(body.parts[0]))
+    texts["internal_tangents"] = lines([*code.tangents(body, lane="[l]"), *after])
     template = resources.files("hybrid_id.simulation").joinpath("engine.c.in").read_text(encoding="utf-8")
     written = Template(template).substitute(
         texts, functions=DECLARED, width=WIDTH, internal_states=int(bool(kept)), rollouts=int(free is None),
@@ -278,26 +287,6 @@ def source(
         rows=", ".join(str(system.speed_rows[k]) for k in dry) or "0",
     )  # fmt: skip
     return written, [float(text) for text in code.constants]
-
-
-def in_lanes(body: str) -> str:
-    """Statements of one lane as those of lane l."""
-    return ROWS.sub(r"\1[\2][l]", body)
-
-
-@dataclass(frozen=True)
-class Body:
-    """C statements of one function.
-
-    Attributes:
-        alone: for one lane, its tangents included.
-        lanes: for lane l of several.
-        tangents: what makes tangents of the gradients that lanes leave, after all lanes.
-    """
-
-    alone: str
-    lanes: str
-    tangents: list[str]
 
 
 class Statements:
@@ -338,6 +327,8 @@ class Statements:
         extra: Mapping[str, int],
         targets: Sequence[str],
         tangents: Sequence[int] = (),
+        *,
+        whole: bool = False,
     ) -> Body:
         """Body of a function of x, u, p and more.
 
@@ -346,23 +337,26 @@ class Statements:
             extra: names of its further arrays and their sizes; 0 for a number.
             targets: what is assigned its results.
             tangents: rows of ``k_t`` that hold the results' tangents.
+            whole: whether it stays one part, as one that writes what it reads has to.
         """
         flat, statements, results = self._recorded(function, extra, bool(tangents) and self.columns > 0)
         load = [f"const double {n} = {key}[{n[1:]}];" for key, n in flat if n != "h"]
         given = {key: [line for line in load if f" {key}" in line[:15]] for key in "pu"}
         fixed, moving = self._split(statements, results, given["p"], self.prepare)
         held, moving = self._split(moving, results, [*given["p"], *given["u"], *fixed], self.hold)
-        body = [*load, *fixed, *held, *moving]
-        body += [f"{target} = {result};" for target, result in zip(targets, results, strict=False)]
-        alone, lanes, chained = [*body], [in_lanes(line) for line in body], []
+        stores: dict[str, list[str]] = {}
+        for target, result in zip(targets, results, strict=False):
+            stores.setdefault(result, []).append(f"{target} = {result};")
+        gradients = {}
         for k, row in enumerate(tangents if self.columns else ()):
             first = len(targets) + k * self.columns
-            gradient = results[first : first + self.columns]
-            alone += self._chained(row, gradient)
-            left = [f"g[{row}][{c}][l]" if NAMES.search(g) else g for c, g in enumerate(gradient)]
-            lanes += [f"{name} = {g};" for name, g in zip(left, gradient, strict=True) if name != g]
-            chained += self._chained(row, left, "TANGENTS", "LANES", "[l]")
-        return Body(lines(alone), lines(lanes), chained)
+            found = results[first : first + self.columns]
+            gradients[row] = [f"g[{row}][{c}]" if NAMES.search(g) else g for c, g in enumerate(found)]
+            for place, g in zip(gradients[row], found, strict=True):
+                if place != g:
+                    stores.setdefault(g, []).append(f"{place} = {g};")
+        length = PART if len(moving) > WHOLE and not whole else len(moving) + 1
+        return Body(*in_parts([*load, *fixed, *held], moving, stores, length), gradients)
 
     def _recorded(
         self, function: Callable[..., list[Tensor]], extra: Mapping[str, int], differentiate: bool
@@ -432,12 +426,12 @@ class Statements:
             load: statements that read what is known early.
             earlier: gets the statements that depend on nothing else.
         """
-        given = {_assigned(line) for line in load}
+        given = {assigned(line) for line in load}
         known, moving, needed = {}, [], set(results)
         for line in statements:
             used = NAMES.findall(line.split(" = ", 1)[1])
             if all(name in known or name in given for name in used):
-                known[_assigned(line)] = line
+                known[assigned(line)] = line
             else:
                 moving.append(line)
                 needed.update(used)
@@ -449,24 +443,17 @@ class Statements:
         kinds = {name: known[name].split(" = ")[0] for name in kept}
         return [f"{kinds[name]} = {place};" for name, place in places.items()], moving
 
-    def _chained(
-        self, row: int, gradient: Sequence[str], all_columns: str = "COLUMNS", one: str = "", lane: str = ""
-    ) -> list[str]:
-        """Statements that fill a row of ``k_t`` by the chain rule from a gradient by states and free parameters."""
+    def tangents(self, body: Body, lane: str = "") -> list[str]:
+        """Statements that fill ``k_t`` by the chain rule from gradients by states and free parameters."""
         n_x = len(self.system.state_names)
-        terms = [f"{g} * x_t[{j}][c]{lane}" for j, g in enumerate(gradient[:n_x]) if g != "0.0"]
-        own = [(c, g) for c, g in enumerate(gradient) if c >= n_x and g != "0.0"]
-        return [
-            f"{all_columns} k_t[{row}][c]{lane} = {' + '.join(terms) or '0.0'};",
-            *(f"{one} k_t[{row}][{c}]{lane} += {g};" for c, g in own),
-        ]
-
-
-def lines(statements: Sequence[str]) -> str:
-    """Statements as the body of a function."""
-    return "\n".join(f"    {line}" for line in statements)
-
-
-def _assigned(statement: str) -> str:
-    """Name of the variable that a statement defines."""
-    return statement.split(" = ", 1)[0].split()[-1]
+        every, one = ("TANGENTS", "LANES ") if lane else ("COLUMNS", "")
+        found = []
+        for row, places in body.gradients.items():
+            gradient = [in_lanes(place) if lane else place for place in places]
+            terms = [f"{g} * x_t[{j}][c]{lane}" for j, g in enumerate(gradient[:n_x]) if g != "0.0"]
+            own = [(c, g) for c, g in enumerate(gradient) if c >= n_x and g != "0.0"]
+            found += [
+                f"{every} k_t[{row}][c]{lane} = {' + '.join(terms) or '0.0'};",
+                *(f"{one}k_t[{row}][{c}]{lane} += {g};" for c, g in own),
+            ]
+        return found

@@ -25,6 +25,8 @@ from hybrid_id.systems.chain import System
 
 FADE = 2.0
 """Time [s] in which the motion grows from rest and dies away again."""
+STARTS_A_JOINT = 20
+"""Phase sets that the search for a joint starts from, unless another number is given."""
 DRAWS = 40
 """Sets of shifts and signs from which the most informative is taken."""
 COARSE = 12
@@ -132,7 +134,7 @@ def design_arm_motion(
     duration: float,
     tones: int = 20,
     rest: float = 0.1,
-    starts: int = 150,
+    starts: int = STARTS_A_JOINT,
     seed: int = 0,
 ) -> ArmExcitation:
     """Design a motion that fills the limits and excites the robot's base parameters and friction.

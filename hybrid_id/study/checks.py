@@ -42,6 +42,8 @@ ALIKE, UNIT = 0.9, 5.0
 speed's in rpm, 57 an angle's in degrees."""
 INSTANTS, TURNED = 50, 0.5
 """Instants of a record between which motions are compared, and the negative correlation that casts doubt on a sign."""
+STILL = 1.2
+"""Standard deviation of a signal over that of its noise up to which it stands still."""
 FAR_OUT = 20.0
 """Error of a record over the median of all from which it contradicts the others."""
 FIRST_STEP = 0.1
@@ -100,11 +102,26 @@ def check_identifiability(
 
 
 def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
-    """Simulate the train records with the model's start values: warnings of what these do not explain."""
+    """Simulate the train records with the model's start values: warnings of what these do not explain.
+
+    Of a joint that stands still in all of them it is said that nothing of it can be identified.
+
+    Raises:
+        InputError: no joint of the model moves.
+    """
     names = [record.name for record in dataset.train or dataset.records]
+    still, joints = _still(dataset.select(names), system), len(system.joints)
+    words = (
+        f"{listed(still)} {'stands' if len(still) == 1 else 'stand'} still in all records to learn from, so that "
+        "nothing of a drive at rest can be identified; record motions of it"
+    )
+    if still and len(still) == joints:
+        raise InputError(f"{words}.")
+    moves = f"{words}, or hold it in the model: its parameters stay at their start values"
     runs = replay(dataset.select(names), system)
     words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs])
-    found = [words] if words else []
+    found = [moves] if still else []
+    found += [words] if words else []
     for output in runs[0].outputs:
         pairs = [(run.record.signal(output), run.outputs[output]) for run in runs if run.status == "ok"]
         if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
@@ -118,6 +135,23 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
                 "command is reversed, give its channel 'scale: -1' in dataset.yaml"
             )
     return [Finding("warning", "start_values", one) for one in found]
+
+
+def _still(dataset: Dataset, system: System) -> list[str]:
+    """Names of the joints whose angles and speeds are measured and leave their noise in no record."""
+    found = []
+    seats = system.seats or range(len(system.joints))
+    for seat, joint in zip(seats, system.joints, strict=True):
+        own = [
+            c
+            for c in dataset.outputs
+            if c.name in (f"{stem}{joint.number}" for stem in ("q_m", "q_a", "v_m", "v_a"))
+        ]
+        signals = [(record.signal(c.name), c.noise_std or 0.0) for record in dataset.records for c in own]
+        moved = [np.ptp(values) > 0.0 and np.std(values) > STILL * noise for values, noise in signals]
+        if own and not any(moved):
+            found.append(joint.name if system.tree is None else system.tree.names[seat])
+    return found
 
 
 def _times(pairs: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:

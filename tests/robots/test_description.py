@@ -36,6 +36,12 @@ def arm(joint=HINGE, inside=""):
             '<tendon><fixed name="cable"><joint joint="turn" coef="1"/></fixed></tendon>',
             "tendon 'cable'",
         ),
+        (
+            arm(inside=BODY.format(name="tip", joint='<joint name="bend"/>', inside="")),
+            '<tendon><fixed name="gear"><joint joint="turn" coef="0.5"/><joint joint="bend" coef="1"/></fixed>'
+            "</tendon>",
+            r"tendon 'gear' couples the joints turn, bend .*'couplings' in model.yaml .*row of the matrix \[0.5, 1\]",
+        ),
         (arm(), '<equality><joint name="mimic" joint1="turn"/></equality>', "equality constraint 'mimic'"),
         (arm().replace('name="link"', 'name="link" gravcomp="1"'), "", "'link' has gravcomp"),
         (arm(), '<option viscosity="1"/>', "fluid"),

@@ -26,6 +26,7 @@ from hybrid_id.components import (
     Stribeck,
 )
 from hybrid_id.errors import InputError
+from hybrid_id.simulation import compiled as compiled_engine
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import library
 from hybrid_id.simulation.compiled import source, structure, supports_compiled
@@ -233,6 +234,26 @@ def test_equal_structures_mean_equal_code() -> None:
     assert structure(arm()) != structure(two_link((156.0, 83.0)).with_values(ARM))
     light, heavy = (rigid_drive().with_component("joint1/load", Heavier(f, k_s=0.5)) for f in (1.0, 2.0))
     assert structure(light) != structure(heavy)
+
+
+@pytest.mark.parametrize("name", ["springs", "loaded arm"])
+def test_a_function_in_parts_computes_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    system, compiled = SYSTEMS[name], Engine(compiled=True)
+    batch, theta = moved(system)
+    free = list(range(len(system.table)))
+
+    def found() -> list[Tensor]:
+        x = rollout(system, compiled, batch, theta)
+        parts = linearise(system, compiled, x, batch.u, batch.dt, theta, free, batch.outputs)
+        return [x, parts.x_next, parts.a, parts.b]
+
+    whole = found()
+    monkeypatch.setattr(compiled_engine, "WHOLE", 100)
+    monkeypatch.setattr(compiled_engine, "PART", 60)
+    monkeypatch.setattr(compiled_engine, "_LIBRARIES", {})
+    assert "rates_lanes_2(" in source(system, ["u1", "u2"], free)[0]
+    for one, other in zip(found(), whole, strict=True):
+        assert_same(one, other)
 
 
 def test_lanes_do_not_depend_on_those_beside_them() -> None:

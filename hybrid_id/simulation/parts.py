@@ -1,0 +1,114 @@
+"""The recorded statements of a C function, and a long one as a row of shorter ones, which a compiler takes better."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+NAMES = re.compile(r"\b(?:[a-z]\d+|h)\b")
+"""Variables in a recorded expression."""
+ROWS = re.compile(r"\b([xupsdk]|fixed|side|margin|against|between|g\[\d+\])\[(\d+)\]")
+"""Arrays of which every lane has its own."""
+BETWEEN = re.compile(r"\bbetween\[(\d+)\]")
+WRITTEN = ("k", "side", "margin", "against", "between")
+"""Arrays that a function writes, beside its gradients g."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """C statements of one function, for one lane.
+
+    Attributes:
+        parts: statements of each part; a value that a later one needs goes through the array ``between``.
+        between: size of that array.
+        gradients: of each row that has tangents, what its gradient consists of: places of ``g``, or numbers.
+    """
+
+    parts: list[list[str]]
+    between: int
+    gradients: dict[int, list[str]]
+
+
+def in_parts(
+    load: Sequence[str], statements: Sequence[str], stores: Mapping[str, Sequence[str]], length: int
+) -> tuple[list[list[str]], int]:
+    """Statements in parts, each of which reads what it needs, and the size of the array between them.
+
+    Args:
+        load: statements that read arrays; any part may repeat them.
+        statements: the others, in their order, which stays.
+        stores: by the name of a value, or a number, the statements that write it into arrays.
+        length: statements of a part at most.
+    """
+    pieces = [list(statements[k : k + length]) for k in range(0, len(statements), length)] or [[]]
+    made = {assigned(line): k for k, piece in enumerate(pieces) for line in piece}
+    for value, lines in stores.items():
+        pieces[made.get(value, 0)] += lines
+    used = [{name for line in piece for name in NAMES.findall(line.partition(" = ")[2])} for piece in pieces]
+    last = {name: k for k, names in enumerate(used) for name in names}
+    kinds = {assigned(line): line.split(" = ")[0] for line in statements}
+    place: dict[str, str] = {}
+    idle: list[str] = []
+    parts = []
+    for k, piece in enumerate(pieces):
+        needed = [name for name in place if name in used[k]]
+        part = [line for line in load if assigned(line) in used[k]]
+        part += [f"{kinds[name]} = {place[name]};" for name in needed] + piece
+        idle += [place.pop(name) for name in list(place) if last[name] == k]
+        for name in (name for name, where in made.items() if where == k and last.get(name, k) > k):
+            place[name] = idle.pop() if idle else f"between[{len(place)}]"
+            part.append(f"{place[name]} = {name};")
+        parts.append(part)
+    return parts, 1 + max(
+        (int(n) for part in parts for line in part for n in BETWEEN.findall(line)), default=-1
+    )
+
+
+def alone(name: str, arrays: Sequence[str], body: Body) -> tuple[str, str]:
+    """Functions for the parts of a body, and the body that calls them, for one lane."""
+    return _written(name, arrays, body, [lines(part) for part in body.parts], "")
+
+
+def lanes(name: str, arrays: Sequence[str], body: Body) -> tuple[str, str]:
+    """As :func:`alone`, for the lanes side by side."""
+    loops = [f"    LANES {{\n{in_lanes(lines(part))}\n    }}" for part in body.parts]
+    return _written(f"{name}_lanes", arrays, body, loops, "[W]")
+
+
+def _written(
+    name: str, arrays: Sequence[str], body: Body, texts: Sequence[str], lane: str
+) -> tuple[str, str]:
+    if len(texts) == 1:
+        return "", texts[0]
+    given = [*arrays, "between"]
+    declared = ", ".join(_declared(array, lane) for array in given)
+    functions = [
+        f"static __attribute__((noinline)) void {name}_{k}({declared})\n{{\n{text}\n}}\n"
+        for k, text in enumerate(texts)
+    ]
+    calls = [f"{name}_{k}({', '.join(given)});" for k in range(len(texts))]
+    return "\n".join(functions), lines([f"double between[{body.between}]{lane} ALIGNED;", *calls])
+
+
+def _declared(array: str, lane: str) -> str:
+    """A parameter of a part, which is an array."""
+    if array == "g":
+        return f"double (*g)[MC]{lane}"
+    kind = "double" if array in WRITTEN else "const double"
+    return f"{kind} (*{array}){lane}" if lane else f"{kind} *{array}"
+
+
+def in_lanes(body: str) -> str:
+    """Statements of one lane as those of lane l."""
+    return ROWS.sub(r"\1[\2][l]", body)
+
+
+def lines(statements: Sequence[str]) -> str:
+    """Statements as the body of a function."""
+    return "\n".join(f"    {line}" for line in statements)
+
+
+def assigned(statement: str) -> str:
+    """Name of the variable that a statement defines."""
+    return statement.split(" = ", 1)[0].split()[-1]

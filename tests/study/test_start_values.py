@@ -1,0 +1,51 @@
+"""What is said of records before a fit: a joint that stands still in all of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hybrid_id import Channel, Dataset, InputError, Record, System, one_link, two_link
+from hybrid_id.study import check_start_values
+
+TIME = 0.01 * np.arange(100)
+NOISE = 1e-3
+
+
+def arm_records(joints: int, moving: int, runs: int = 2) -> Dataset:
+    """Runs of an arm of which the first joints move; the others' encoders give noise."""
+    rng = np.random.default_rng(0)
+    names = [f"q_m{k + 1}" for k in range(joints)]
+    records = [
+        Record(
+            f"run{r}",
+            TIME,
+            {f"u{k + 1}": np.sin((5 + r) * TIME) for k in range(joints)},
+            {
+                n: NOISE * rng.standard_normal(100) + (k < moving) * np.sin(9 * TIME)
+                for k, n in enumerate(names)
+            },
+        )
+        for r in range(runs)
+    ]
+    inputs = tuple(Channel(f"u{k + 1}", "V") for k in range(joints))
+    return Dataset("arm", inputs, tuple(Channel(n, "rad", NOISE) for n in names), tuple(records), 0.01)
+
+
+def said(dataset: Dataset, system: System) -> str:
+    return " ".join(finding.message for finding in check_start_values(dataset, system))
+
+
+def test_of_a_joint_that_stands_still_nothing_can_be_identified() -> None:
+    dataset, system = arm_records(2, moving=1), two_link()
+    assert "joint2 stands still in all records to learn from" in said(dataset, system)
+    assert "still" not in said(arm_records(2, moving=2), system)
+    one, other = dataset.records
+    turned = replace(one, outputs={**one.outputs, "q_m2": np.sin(TIME)})
+    assert "still" not in said(replace(dataset, records=(turned, other)), system)  # it moves in one of them
+
+
+@pytest.mark.parametrize(("system", "joints"), [(one_link(), 1), (two_link(), 2)])
+def test_records_in_which_nothing_moves_are_refused(system: System, joints: int) -> None:
+    with pytest.raises(InputError, match="nothing of a drive at rest can be identified"):
+        check_start_values(arm_records(joints, moving=0), system)
