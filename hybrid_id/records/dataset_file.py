@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.align import bring_to
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
 from hybrid_id.records.files import plain
 from hybrid_id.records.readers import Table, TimeRange, load_any, record_name
@@ -176,7 +177,22 @@ def _read_record(
         for channel, column in columns.items()
     }
     time = signals.pop("t")
-    if fault := find_fault(time, signals, str(path), table.place):
+    times = {
+        name: table.times[columns[name].column] for name in signals if columns[name].column in table.times
+    }
+    fault = find_fault(
+        time, {name: signals[name] for name in signals if name not in times}, str(path), table.place
+    )
+    if times and not fault:
+        max_gap = (spec.resample or ResampleEntry()).max_gap
+        held, options = (
+            {channel.name for channel in spec.inputs},
+            {"max_gap": max_gap, "between": entry.between},
+        )
+        kept, signals = bring_to(time, signals, times, held, source=str(path), **options)
+        first, time = kept.start, time[kept]
+        fault = find_fault(time, signals, str(path), lambda k: table.place(first + k))
+    if fault:
         raise InputError(fault)
     still = [channel.name for channel in spec.outputs if not np.ptp(signals[channel.name])]
     if len(still) == len(spec.outputs):

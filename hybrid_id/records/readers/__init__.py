@@ -4,6 +4,8 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.readers.bag import read_bag
+from hybrid_id.records.readers.bag_files import STORAGES
 from hybrid_id.records.readers.bam import read_bam
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.readers.mat import read_mat
@@ -16,9 +18,11 @@ READERS: dict[str, Callable[..., Table]] = {
     "parquet": read_parquet,
     "mat": read_mat,
     "bam": read_bam,
+    "bag": read_bag,
 }
 _IN_PIECES = ("csv", "parquet")
 _ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
+_ENDINGS |= {".bag": "bag", ".mcap": "bag", ".db3": "bag"}
 
 __all__ = ["READERS", "Table", "TimeRange", "load_any", "record_name"]
 
@@ -43,6 +47,8 @@ def load_any(
     """
     path = Path(path)
     ending = Path(path.name.removesuffix(".gz")).suffix.lower()
+    if path.is_dir() and any(STORAGES.search(file.name) for file in path.iterdir()):
+        file_format = file_format or "bag"
     file_format = file_format or _ENDINGS.get(ending)
     if file_format not in READERS:
         raise InputError(f"{path}: ending '{ending}' is unknown; give its 'format' ({', '.join(READERS)})")
