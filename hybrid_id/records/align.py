@@ -67,9 +67,10 @@ def bring_to(
         inside = (own[1:] > max(first, time[kept][0])) & (own[:-1] < min(last, time[kept][-1]))
         gaps = np.flatnonzero(inside & (steps > max_gap * np.median(steps)))
         if gaps.size:
+            count = f"{len(gaps)} gap{'s' * (len(gaps) > 1)} in all"
             raise InputError(
-                f"{source}: after {stamp(float(own[gaps[0]]))} s '{name}' has no sample for {1e3 * steps[gaps[0]]:.3g} ms "
-                f"({len(gaps)} gap{'s' * (len(gaps) > 1)} in all); cut the record there with 'between', or raise "
+                f"{source}: after {stamp(float(own[gaps[0]]))} s '{name}' has no sample for "
+                f"{1e3 * steps[gaps[0]]:.3g} ms ({count}); cut the record there with 'between', or raise "
                 "'resample: {max_gap: N}'"
             )
         found[name] = np.interp(time[kept], own, signals[name])

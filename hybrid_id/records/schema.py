@@ -29,7 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hybrid_id.records.resample import MAX_GAP
 
-Format = Literal["csv", "parquet", "mat", "bam", "bag"]
+Format = Literal["csv", "parquet", "mat", "bam", "bag", "npz"]
 
 
 class _Part(BaseModel):

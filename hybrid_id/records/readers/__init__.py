@@ -9,6 +9,8 @@ from hybrid_id.records.readers.bag_files import STORAGES
 from hybrid_id.records.readers.bam import read_bam
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.readers.mat import read_mat
+from hybrid_id.records.readers.mat_hdf5 import is_hdf5
+from hybrid_id.records.readers.npz import read_npz
 from hybrid_id.records.readers.parquet import read_parquet
 from hybrid_id.records.readers.table import Table, TimeRange, record_name
 from hybrid_id.records.readers.unpack import refuse_bomb
@@ -19,10 +21,11 @@ READERS: dict[str, Callable[..., Table]] = {
     "mat": read_mat,
     "bam": read_bam,
     "bag": read_bag,
+    "npz": read_npz,
 }
 _IN_PIECES = ("csv", "parquet")
 _ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
-_ENDINGS |= {".bag": "bag", ".mcap": "bag", ".db3": "bag"}
+_ENDINGS |= {".bag": "bag", ".mcap": "bag", ".db3": "bag", ".npz": "npz"}
 
 __all__ = ["READERS", "Table", "TimeRange", "load_any", "record_name"]
 
@@ -57,7 +60,7 @@ def load_any(
             f"{path} is a pipe or a device, which is read once only; write its contents to a file"
         )
     try:
-        if path.suffix == ".gz" or file_format == "mat":
+        if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
             refuse_bomb(path)
         if time_range is not None and file_format in _IN_PIECES:
             return READERS[file_format](path, wanted, time_range)
