@@ -203,7 +203,7 @@ def _read_record(
     meta = {**table.meta, **entry.meta}
     try:
         record = Record(
-            name=entry.name or record_name(path),
+            name=entry.name or record_name(path) + _suffix(entry),
             time=time,
             inputs={channel.name: signals[channel.name] for channel in spec.inputs},
             outputs={channel.name: signals[channel.name] for channel in spec.outputs},
@@ -216,6 +216,11 @@ def _read_record(
         raise InputError(f"{file}: {error}") from None
     record = shift_channels(record, {channel.name: channel.skew for channel in (*spec.inputs, *spec.outputs)})
     return record.between(*entry.between) if entry.between else record
+
+
+def _suffix(entry: RecordEntry) -> str:
+    """What tells the records of one file apart."""
+    return "" if entry.episode is None else f"_episode_{entry.episode}"
 
 
 def _read(
@@ -233,10 +238,13 @@ def _read(
             wanted,
             file_format=file_format,
             time_range=TimeRange(time.column, low - slack, high + slack),
+            episode=entry.episode,
         )
         if len(table.columns[time.column]) > 1:
             return table
-    return load_any(path, wanted, file_format=file_format)  # whole, to say what it has instead
+    return load_any(
+        path, wanted, file_format=file_format, episode=entry.episode
+    )  # whole, to say what it has instead
 
 
 def _to_channel(table: Table, column: ColumnEntry, unit: str, channel: str) -> np.ndarray:

@@ -29,7 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hybrid_id.records.resample import MAX_GAP
 
-Format = Literal["csv", "parquet", "mat", "bam", "bag", "npz"]
+Format = Literal["csv", "parquet", "mat", "bam", "bag", "npz", "lerobot"]
 
 
 class _Part(BaseModel):
@@ -80,6 +80,7 @@ class RecordEntry(_Part):
     note: str = ""
     format: Format | None = None
     columns: dict[str, ColumnEntry] = {}
+    episode: int | None = Field(default=None, ge=0)  # of a LeRobot dataset whose file holds several
     between: tuple[float, float] | None = None  # s; only the samples stamped between these two
     meta: dict[str, float | str] = {}
 

@@ -8,6 +8,7 @@ from hybrid_id.records.readers.bag import read_bag
 from hybrid_id.records.readers.bag_files import STORAGES
 from hybrid_id.records.readers.bam import read_bam
 from hybrid_id.records.readers.csv_text import read_csv
+from hybrid_id.records.readers.lerobot import read_lerobot
 from hybrid_id.records.readers.mat import read_mat
 from hybrid_id.records.readers.mat_hdf5 import is_hdf5
 from hybrid_id.records.readers.npz import read_npz
@@ -22,6 +23,7 @@ READERS: dict[str, Callable[..., Table]] = {
     "bam": read_bam,
     "bag": read_bag,
     "npz": read_npz,
+    "lerobot": read_lerobot,
 }
 _IN_PIECES = ("csv", "parquet")
 _ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
@@ -36,6 +38,7 @@ def load_any(
     *,
     file_format: str | None = None,
     time_range: TimeRange | None = None,
+    episode: int | None = None,
 ) -> Table:
     """Read the wanted columns of a file of any known format.
 
@@ -44,6 +47,7 @@ def load_any(
         wanted: Names of the columns, as the file has them.
         file_format: A key of `READERS`; None takes it from the file's ending.
         time_range: Rows to keep where the format can be read in pieces (CSV, Parquet); the others come whole.
+        episode: Number of the episode of a LeRobot dataset; None where its file holds one only.
 
     Raises:
         InputError: when the file is missing, its format unknown, or its contents are at fault.
@@ -59,11 +63,17 @@ def load_any(
         raise InputError(
             f"{path} is a pipe or a device, which is read once only; write its contents to a file"
         )
+    if episode is not None and file_format != "lerobot":
+        raise InputError(
+            f"{path}: 'episode' chooses a part of a LeRobot dataset; give 'format: lerobot' or remove it"
+        )
     try:
         if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
             refuse_bomb(path)
         if time_range is not None and file_format in _IN_PIECES:
             return READERS[file_format](path, wanted, time_range)
+        if episode is not None:
+            return READERS[file_format](path, wanted, episode)
         return READERS[file_format](path, wanted)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct 'file' or bring the file") from None

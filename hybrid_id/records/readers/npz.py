@@ -48,8 +48,8 @@ def _read(path: Path, archive: zipfile.ZipFile, wanted: Collection[str]) -> Tabl
     for item in items:
         name = item.filename.removesuffix(_ENDING)
         shape, dtype = _header(archive, item)
-        single = math.prod(shape) == 1
-        if dtype.kind not in "fiub" or len(shape) > 2 or (len(shape) == 2 and shape[1] > _MOST_COLUMNS):
+        single, width = math.prod(shape) == 1, shape[-1] if len(shape) == 2 else 1
+        if dtype.kind not in "fiub" or len(shape) > 2 or width > _MOST_COLUMNS:
             if name in needed:
                 found = "pickled objects" if dtype.hasobject else f"{dtype.name[:40]} of shape {shape}"
                 raise InputError(
@@ -57,8 +57,8 @@ def _read(path: Path, archive: zipfile.ZipFile, wanted: Collection[str]) -> Tabl
                 )
             continue
         if not single and len(shape) == 2:
-            available += [f"{name}/{k}" for k in range(shape[1])]
-        if not single and (len(shape) == 1 or shape[1] == 1):
+            available += [f"{name}/{k}" for k in range(width)]
+        if not single and width == 1:
             available.append(name)
         if not single and name not in needed:
             continue

@@ -66,5 +66,7 @@ def _pieces(
             ):
                 columns[name] = column.to_numpy(zero_copy_only=False).astype(np.float64)
             else:
-                raise InputError(f"{path}: column '{name}' is of type {column.type}; write it as numbers")
+                lists = pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type)
+                remedy = "give 'format: lerobot' if this is an episode" if lists else "write it as numbers"
+                raise InputError(f"{path}: column '{name}' is of type {column.type}; {remedy}")
         yield columns
