@@ -179,7 +179,8 @@ def _check_database(file: Path, bag: Path) -> None:
         finally:
             connection.close()
     except sqlite3.Error as error:
-        raise InputError(f"{bag} is not a readable bag ({error}); record or copy it again") from None
+        reason = " ".join(str(error).split())[:80]
+        raise InputError(f"{bag} is not a readable bag ({reason}); record or copy it again") from None
     for kind, text in rows:
         if kind not in ("table", "index") or re.search(r"\b(AS|VIRTUAL)\b", text or "", re.IGNORECASE):
             raise InputError(f"{bag}: its database holds a {kind} that no recorder writes; record it anew")

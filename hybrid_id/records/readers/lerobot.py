@@ -43,7 +43,6 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
     Raises:
         InputError: for a damaged file, an episode that it does not hold, or a missing column.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     info, source = _read_info(path)
@@ -57,10 +56,10 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
                 )
         columns = _fields(path, wanted, file.schema_arrow, info, source)
         found = _rows(path, file, sorted({_FRAME, *(field for field, _ in columns.values())}), episode)
-    except (pa.ArrowException, OSError) as error:
-        if isinstance(error, FileNotFoundError | IsADirectoryError | PermissionError):
-            raise
-        reason = str(error).splitlines()[0].rstrip(".")[:120]
+    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except Exception as error:  # a damaged file can make its parser stumble in any way
+        reason = " ".join(str(error).split()).rstrip(".")[:120]
         raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
     values = {"t": found[_FRAME][:, 0] / _fps(info, source)}
     for name, (field, element) in columns.items():
