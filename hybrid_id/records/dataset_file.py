@@ -9,7 +9,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.align import bring_to
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
 from hybrid_id.records.files import plain
-from hybrid_id.records.readers import Table, TimeRange, load_any, record_name
+from hybrid_id.records.readers import Table, TimeRange, is_bag_folder, load_any, record_name
 from hybrid_id.records.record import Record, find_fault
 from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
@@ -155,7 +155,9 @@ def _files(entry: RecordEntry, folder: Path, where: str) -> Iterator[Path]:
         yield exact
         return
     found = sorted(
-        path for path in folder.glob(entry.file) if path.is_file() and not path.name.startswith(".")
+        path
+        for path in folder.glob(entry.file)
+        if not path.name.startswith(".") and (path.is_file() or is_bag_folder(path))
     )
     if not found:
         raise InputError(f"{where}: no file fits the pattern '{entry.file}'; correct it or bring the files")

@@ -135,6 +135,16 @@ def test_bag_without_its_metadata(tmp_path: Path, kind: str, ending: str) -> Non
         np.testing.assert_array_equal(record.outputs["q_m1"], ANGLE)
 
 
+def test_a_pattern_finds_folders_of_bags(tmp_path: Path) -> None:
+    for name in ("run_1", "run_2"):
+        write_bag(tmp_path / name, list(uniform())[:20])
+    (tmp_path / "run_3").mkdir()
+    assert [record.name for record in Dataset.load(write_yaml(tmp_path, "run_*", COLUMNS)).records] == [
+        "run_1",
+        "run_2",
+    ]
+
+
 def test_topics_of_other_stamps_are_held_and_interpolated(tmp_path: Path) -> None:
     """Commands at a third of the rate are held; the link's angle, a straight line, is read off between samples."""
     messages: list[Message] = []

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.readers.bag import read_bag
-from hybrid_id.records.readers.bag_files import STORAGES
+from hybrid_id.records.readers.bag_files import is_bag_folder
 from hybrid_id.records.readers.bam import read_bam
 from hybrid_id.records.readers.csv_text import read_csv
 from hybrid_id.records.readers.lerobot import read_lerobot
@@ -29,7 +29,7 @@ _IN_PIECES = ("csv", "parquet")
 _ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
 _ENDINGS |= {".bag": "bag", ".mcap": "bag", ".db3": "bag", ".npz": "npz"}
 
-__all__ = ["READERS", "Table", "TimeRange", "load_any", "record_name"]
+__all__ = ["READERS", "Table", "TimeRange", "is_bag_folder", "load_any", "record_name"]
 
 
 def load_any(
@@ -54,9 +54,10 @@ def load_any(
     """
     path = Path(path)
     ending = Path(path.name.removesuffix(".gz")).suffix.lower()
-    if path.is_dir() and any(STORAGES.search(file.name) for file in path.iterdir()):
-        file_format = file_format or "bag"
-    file_format = file_format or _ENDINGS.get(ending)
+    try:
+        file_format = file_format or ("bag" if is_bag_folder(path) else _ENDINGS.get(ending))
+    except PermissionError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); give a readable folder") from None
     if file_format not in READERS:
         raise InputError(f"{path}: ending '{ending}' is unknown; give its 'format' ({', '.join(READERS)})")
     if path.exists() and not (path.is_file() or path.is_dir()):

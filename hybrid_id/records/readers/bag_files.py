@@ -22,6 +22,11 @@ _MCAP = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = 32  # bytes of a chunk record before the name of its compression
 
 
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder holds the files of a ROS 2 bag."""
+    return path.is_dir() and any(STORAGES.search(file.name) for file in path.iterdir())
+
+
 def check_storage(file: Path, bag: Path) -> None:
     """Raise InputError for a file that is cut short, unpacks beyond any record, or runs code of its own.
 
