@@ -24,7 +24,7 @@ NEEDED = (
     "tensorboard",
     "typer",
 )
-OPTIONAL = {"mujoco": "blind", "dask": "dask"}
+OPTIONAL = {"mujoco": "blind", "dask": "dask", "rosbags": "logs", "h5py": "logs"}
 """Packages beyond those, and the extra of hybrid-id that brings each."""
 
 

@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.align import bring_to
 from hybrid_id.records.dataset import Channel, Dataset, keeps_step
 from hybrid_id.records.files import plain
-from hybrid_id.records.readers import Table, TimeRange, load_any, record_name
+from hybrid_id.records.readers import Table, TimeRange, is_bag_folder, load_any, record_name
 from hybrid_id.records.record import Record, find_fault
 from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
@@ -154,7 +155,9 @@ def _files(entry: RecordEntry, folder: Path, where: str) -> Iterator[Path]:
         yield exact
         return
     found = sorted(
-        path for path in folder.glob(entry.file) if path.is_file() and not path.name.startswith(".")
+        path
+        for path in folder.glob(entry.file)
+        if not path.name.startswith(".") and (path.is_file() or is_bag_folder(path))
     )
     if not found:
         raise InputError(f"{where}: no file fits the pattern '{entry.file}'; correct it or bring the files")
@@ -176,7 +179,22 @@ def _read_record(
         for channel, column in columns.items()
     }
     time = signals.pop("t")
-    if fault := find_fault(time, signals, str(path), table.place):
+    times = {
+        name: table.times[columns[name].column] for name in signals if columns[name].column in table.times
+    }
+    fault = find_fault(
+        time, {name: signals[name] for name in signals if name not in times}, str(path), table.place
+    )
+    if times and not fault:
+        max_gap = (spec.resample or ResampleEntry()).max_gap
+        held, options = (
+            {channel.name for channel in spec.inputs},
+            {"max_gap": max_gap, "between": entry.between},
+        )
+        kept, signals = bring_to(time, signals, times, held, source=str(path), **options)
+        first, time = kept.start, time[kept]
+        fault = find_fault(time, signals, str(path), lambda k: table.place(first + k))
+    if fault:
         raise InputError(fault)
     still = [channel.name for channel in spec.outputs if not np.ptp(signals[channel.name])]
     if len(still) == len(spec.outputs):
@@ -187,7 +205,7 @@ def _read_record(
     meta = {**table.meta, **entry.meta}
     try:
         record = Record(
-            name=entry.name or record_name(path),
+            name=entry.name or record_name(path) + _suffix(entry),
             time=time,
             inputs={channel.name: signals[channel.name] for channel in spec.inputs},
             outputs={channel.name: signals[channel.name] for channel in spec.outputs},
@@ -200,6 +218,11 @@ def _read_record(
         raise InputError(f"{file}: {error}") from None
     record = shift_channels(record, {channel.name: channel.skew for channel in (*spec.inputs, *spec.outputs)})
     return record.between(*entry.between) if entry.between else record
+
+
+def _suffix(entry: RecordEntry) -> str:
+    """What tells the records of one file apart."""
+    return "" if entry.episode is None else f"_episode_{entry.episode}"
 
 
 def _read(
@@ -217,10 +240,13 @@ def _read(
             wanted,
             file_format=file_format,
             time_range=TimeRange(time.column, low - slack, high + slack),
+            episode=entry.episode,
         )
         if len(table.columns[time.column]) > 1:
             return table
-    return load_any(path, wanted, file_format=file_format)  # whole, to say what it has instead
+    return load_any(
+        path, wanted, file_format=file_format, episode=entry.episode
+    )  # whole, to say what it has instead
 
 
 def _to_channel(table: Table, column: ColumnEntry, unit: str, channel: str) -> np.ndarray:

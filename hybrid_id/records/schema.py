@@ -29,6 +29,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hybrid_id.records.resample import MAX_GAP
 
+Format = Literal["csv", "parquet", "mat", "bam", "bag", "npz", "lerobot"]
+
 
 class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, coerce_numbers_to_str=True)
@@ -76,8 +78,9 @@ class RecordEntry(_Part):
     name: str | None = None
     role: Literal["train", "validation", "test"] = "train"
     note: str = ""
-    format: Literal["csv", "parquet", "mat", "bam"] | None = None
+    format: Format | None = None
     columns: dict[str, ColumnEntry] = {}
+    episode: int | None = Field(default=None, ge=0)  # of a LeRobot dataset whose file holds several
     between: tuple[float, float] | None = None  # s; only the samples stamped between these two
     meta: dict[str, float | str] = {}
 
@@ -104,7 +107,7 @@ class DatasetFile(_Part):
     inputs: list[ChannelEntry] = []
     outputs: list[ChannelEntry] = Field(min_length=1)
     records: list[RecordEntry] = Field(min_length=1)
-    format: Literal["csv", "parquet", "mat", "bam"] | None = None
+    format: Format | None = None
     columns: dict[str, ColumnEntry] = {}
     resample: ResampleEntry | None = None
 

@@ -11,7 +11,8 @@ from hybrid_id.records.yaml_file import validate
 from hybrid_id.systems.model_file import ModelFile, build_model
 from hybrid_id.systems.model_schema import FLAT
 
-FORMATS = (Path(__file__).resolve().parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+FORMATS = (DOCS / "formats.md").read_text(encoding="utf-8")
 
 
 def test_table_of_components_is_the_one_that_the_command_prints(run) -> None:
@@ -27,6 +28,15 @@ def test_examples_are_sound() -> None:
     )
     validate(DatasetFile, dataset, "formats.md")
     build_model(validate(ModelFile, model, "formats.md"))
+
+
+def test_examples_of_records_are_sound() -> None:
+    records = (DOCS / "records.md").read_text(encoding="utf-8")
+    examples = re.findall(r"^```yaml\n(.*?)^```", records, re.MULTILINE | re.DOTALL)
+    assert len(examples) >= 3
+    for text in examples:
+        rest = {"name": "example", "outputs": [{"name": "q_m1", "unit": "rad"}]}
+        validate(DatasetFile, rest | yaml.safe_load(text), "records.md")
 
 
 def test_every_channel_and_flat_name_is_there() -> None:

@@ -4,9 +4,14 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.readers.bag import read_bag
+from hybrid_id.records.readers.bag_files import is_bag_folder
 from hybrid_id.records.readers.bam import read_bam
 from hybrid_id.records.readers.csv_text import read_csv
+from hybrid_id.records.readers.lerobot import read_lerobot
 from hybrid_id.records.readers.mat import read_mat
+from hybrid_id.records.readers.mat_hdf5 import is_hdf5
+from hybrid_id.records.readers.npz import read_npz
 from hybrid_id.records.readers.parquet import read_parquet
 from hybrid_id.records.readers.table import Table, TimeRange, record_name
 from hybrid_id.records.readers.unpack import refuse_bomb
@@ -16,11 +21,15 @@ READERS: dict[str, Callable[..., Table]] = {
     "parquet": read_parquet,
     "mat": read_mat,
     "bam": read_bam,
+    "bag": read_bag,
+    "npz": read_npz,
+    "lerobot": read_lerobot,
 }
 _IN_PIECES = ("csv", "parquet")
 _ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
+_ENDINGS |= {".bag": "bag", ".mcap": "bag", ".db3": "bag", ".npz": "npz"}
 
-__all__ = ["READERS", "Table", "TimeRange", "load_any", "record_name"]
+__all__ = ["READERS", "Table", "TimeRange", "is_bag_folder", "load_any", "record_name"]
 
 
 def load_any(
@@ -29,6 +38,7 @@ def load_any(
     *,
     file_format: str | None = None,
     time_range: TimeRange | None = None,
+    episode: int | None = None,
 ) -> Table:
     """Read the wanted columns of a file of any known format.
 
@@ -37,24 +47,34 @@ def load_any(
         wanted: Names of the columns, as the file has them.
         file_format: A key of `READERS`; None takes it from the file's ending.
         time_range: Rows to keep where the format can be read in pieces (CSV, Parquet); the others come whole.
+        episode: Number of the episode of a LeRobot dataset; None where its file holds one only.
 
     Raises:
         InputError: when the file is missing, its format unknown, or its contents are at fault.
     """
     path = Path(path)
     ending = Path(path.name.removesuffix(".gz")).suffix.lower()
-    file_format = file_format or _ENDINGS.get(ending)
+    try:
+        file_format = file_format or ("bag" if is_bag_folder(path) else _ENDINGS.get(ending))
+    except PermissionError as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); give a readable folder") from None
     if file_format not in READERS:
         raise InputError(f"{path}: ending '{ending}' is unknown; give its 'format' ({', '.join(READERS)})")
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise InputError(
             f"{path} is a pipe or a device, which is read once only; write its contents to a file"
         )
+    if episode is not None and file_format != "lerobot":
+        raise InputError(
+            f"{path}: 'episode' chooses a part of a LeRobot dataset; give 'format: lerobot' or remove it"
+        )
     try:
-        if path.suffix == ".gz" or file_format == "mat":
+        if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
             refuse_bomb(path)
         if time_range is not None and file_format in _IN_PIECES:
             return READERS[file_format](path, wanted, time_range)
+        if episode is not None:
+            return READERS[file_format](path, wanted, episode)
         return READERS[file_format](path, wanted)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct 'file' or bring the file") from None

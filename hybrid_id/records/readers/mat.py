@@ -1,4 +1,4 @@
-"""MATLAB files up to version 7.2 by `scipy.io.loadmat`: vectors, and columns of matrices.
+"""MATLAB files by `scipy.io.loadmat`, or of version 7.3 by `h5py`: vectors, and columns of matrices.
 
 A variable `x` of shape (T, 1) or (1, T) is the column `x`; a matrix of shape (T, m) gives `x(:,1)` to `x(:,m)`.
 Structures, cells and objects are left aside: their contents are never interpreted.
@@ -15,22 +15,27 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.readers.mat_hdf5 import is_hdf5, load_hdf5
 from hybrid_id.records.readers.table import Table, require_columns
+
+_EMPS = ("qm", "qg", "vir", "gtau")
 
 
 def read_mat(path: Path, wanted: Collection[str]) -> Table:
     """Read the wanted columns of a MATLAB file; its numeric scalars become `meta`.
 
     Raises:
-        InputError: for a damaged file, one of version 7.3 (HDF5), or a missing column.
+        InputError: for a damaged file, or a missing column.
     """
     from scipy.io import loadmat
 
+    others: list[str] = []
     try:
-        variables = loadmat(path)
-    except NotImplementedError:
-        raise InputError(f"{path} is a MATLAB 7.3 file; save it with save(..., '-v7')") from None
-    except (FileNotFoundError, IsADirectoryError, PermissionError):
+        if is_hdf5(path):
+            variables, others = load_hdf5(path, [*wanted, *_EMPS])
+        else:
+            variables = loadmat(path)
+    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
         raise
     except Exception as error:  # a damaged file can make its parser stumble in any way
         reason = " ".join(f"{type(error).__name__}: {error}".split())
@@ -53,5 +58,5 @@ def read_mat(path: Path, wanted: Collection[str]) -> Table:
         columns |= {new: columns[old] for new, old in (("q_m1", "qm"), ("goal1", "qg")) if old in columns}
         if isinstance(gain := scalars.get("gtau"), float):
             columns["tau1"] = gain * columns["vir"]
-    require_columns(path, wanted, columns)
+    require_columns(path, wanted, [*columns, *others])
     return Table(path, {name: columns[name] for name in wanted}, lambda k: f"sample {k + 1}", scalars)

@@ -33,7 +33,7 @@ def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | No
         else:
             batches = (pa.Table.from_batches([b]) for b in file.iter_batches(PIECE, columns=list(wanted)))
             columns, kept = time_range.gather(_pieces(path, batches, wanted))
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
     stamps = frozenset(n for n in columns if pa.types.is_timestamp(file.schema_arrow.field(n).type))
@@ -66,5 +66,7 @@ def _pieces(
             ):
                 columns[name] = column.to_numpy(zero_copy_only=False).astype(np.float64)
             else:
-                raise InputError(f"{path}: column '{name}' is of type {column.type}; write it as numbers")
+                lists = pa.types.is_list(column.type) or pa.types.is_fixed_size_list(column.type)
+                remedy = "give 'format: lerobot' if this is an episode" if lists else "write it as numbers"
+                raise InputError(f"{path}: column '{name}' is of type {column.type}; {remedy}")
         yield columns

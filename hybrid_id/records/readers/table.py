@@ -21,6 +21,8 @@ class Table:
         place: Sample k -> words for a message, such as `row 17` (1-based line of the file).
         meta: Facts from the file's header, name -> number or text.
         stamps: Columns of dates, given in seconds since the first one.
+        times: Columns that are stamped apart from the column of time -> their own stamps, on its clock [s]; their
+            length is that of these stamps.
     """
 
     path: Path
@@ -28,6 +30,7 @@ class Table:
     place: Callable[[int], str]
     meta: Mapping[str, float | str] = field(default_factory=dict)
     stamps: frozenset[str] = frozenset()
+    times: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 PIECE = 1_000_000
@@ -90,5 +93,5 @@ def require_columns(path: Path, wanted: Collection[str], available: Iterable[str
 def record_name(path: Path) -> str:
     """Return a record's name for a file: `rec_00.csv.gz` -> `rec_00`; signs that no name may have become `_`."""
     name = re.sub(r"\.gz$", "", path.name)
-    name = re.sub(r"\.(csv|txt|tsv|json|parquet|mat)$", "", name, flags=re.IGNORECASE)
+    name = re.sub(r"\.(csv|txt|tsv|json|parquet|mat|npz|bag|mcap|db3)$", "", name, flags=re.IGNORECASE)
     return re.sub(r"^\W|[^\w .+@,=()-]", "_", name)

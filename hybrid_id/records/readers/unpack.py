@@ -20,7 +20,7 @@ _MAT_COMPRESSED = 15
 
 def refuse_bomb(path: Path) -> None:
     """Raise InputError where a gzip file, or a compressed variable of a MATLAB file, unpacks beyond the limits."""
-    if not path.is_file() or path.stat().st_size * _LIMIT <= FREE:
+    if not path.is_file() or not may_inflate(path.stat().st_size):
         return
     with path.open("rb") as file:
         for start, size, window in _streams(file, path):
@@ -34,6 +34,23 @@ def refuse_bomb(path: Path) -> None:
                     refuse_growth(path, size, unpacked)
                     data = engine.unused_data  # a gzip file may hold several, one behind the other
                     engine = zlib.decompressobj(window) if engine.eof else engine
+
+
+def may_inflate(size: int) -> bool:
+    """Whether so many bytes of a deflated stream can unpack to more than any file may."""
+    return size * _LIMIT > FREE
+
+
+def refuse_inflating(path: Path, data: bytes) -> None:
+    """Raise InputError where a deflated stream unpacks beyond the limits."""
+    engine, unpacked, rest = zlib.decompressobj(), 0, data
+    try:
+        while rest and not engine.eof:
+            unpacked += len(engine.decompress(rest, _CHUNK))
+            refuse_growth(path, len(data), unpacked)
+            rest = engine.unconsumed_tail
+    except zlib.error:
+        pass  # a damaged stream is left to its reader
 
 
 def refuse_growth(path: Path, size: int, unpacked: int) -> None:

@@ -1,0 +1,310 @@
+"""Bags of ROS 1 and ROS 2, written by the library that reads them."""
+
+import sqlite3
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from record_formats import ANGLE, JOINTS, NANOSECONDS, TIME, VOLTS, write_yaml
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.readers import bag, load_any
+from hybrid_id.records.readers.bag import CONTROLLER, JOINT_STATE, _typestore
+
+pytest.importorskip("rosbags")
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+
+COLUMNS = {"t": "/joint_states", "q_m1": "/joint_states/position/shoulder_pan", "u1": "/commands/data/0"}
+Message = tuple[str, int, Any]
+STORE = {ros1: _typestore(ros1) for ros1 in (False, True)}
+
+
+def header(stamp: int, ros1: bool) -> Any:
+    types = STORE[ros1].types
+    time = types["builtin_interfaces/msg/Time"](sec=int(stamp // 10**9), nanosec=int(stamp % 10**9))
+    return types["std_msgs/msg/Header"](**({"seq": 0} if ros1 else {}), stamp=time, frame_id="")
+
+
+def joint_state(stamp: int, joints: dict[str, float], ros1: bool = False, velocity: bool = True) -> Any:
+    position = np.array([*joints.values()])
+    return STORE[ros1].types[JOINT_STATE](
+        header=header(stamp, ros1),
+        name=[*joints],
+        position=position,
+        velocity=2 * position if velocity else np.empty(0),
+        effort=np.empty(0),
+    )
+
+
+def array(values: list[float], ros1: bool = False) -> Any:
+    types = STORE[ros1].types
+    layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    return types[bag.ARRAY](layout=layout, data=np.array(values))
+
+
+def number(value: float, ros1: bool = False) -> Any:
+    return STORE[ros1].types[bag.NUMBER](data=value)
+
+
+def controller(stamp: int, generation: str, value: float, ros1: bool = False) -> Any:
+    types = STORE[ros1].types
+    points, multi = bag._GENERATIONS[generation]
+    duration = types["builtin_interfaces/msg/Duration"](sec=0, nanosec=0)
+    empty = np.empty(0)
+
+    def point(k: int) -> Any:
+        return types["trajectory_msgs/msg/JointTrajectoryPoint"](
+            positions=np.array([value + k, -value]), velocities=empty, accelerations=empty, effort=empty,
+            time_from_start=duration,
+        )  # fmt: skip
+
+    fields = {name: point(k) for k, name in enumerate(points)}
+    if multi:
+        fields["multi_dof_joint_names"] = []
+    for name in multi:
+        fields[f"multi_dof_{name}"] = types["trajectory_msgs/msg/MultiDOFJointTrajectoryPoint"](
+            transforms=[], velocities=[], accelerations=[], time_from_start=duration
+        )
+    return types[f"{CONTROLLER}{generation}"](header=header(stamp, ros1), joint_names=[*JOINTS], **fields)
+
+
+def write_bag(
+    path: Path, messages: list[Message], *, kind: str = "mcap", names: dict[str, str] | None = None
+) -> Path:
+    """Write messages (topic, log time [ns], message) into a new bag; `names` are types that the bag claims."""
+    ros1, packing = kind.startswith("ros1"), kind.partition(" ")[2]
+    if ros1:
+        writer = Writer1(path)
+        if packing:
+            writer.set_compression(Writer1.CompressionFormat[packing.upper()])
+    else:
+        writer = Writer2(
+            path, version=9, storage_plugin=StoragePlugin.MCAP if "mcap" in kind else StoragePlugin.SQLITE3
+        )
+        if packing:
+            writer.set_compression(CompressionMode[packing.upper()], CompressionFormat.ZSTD)
+    store, connections = STORE[ros1], {}
+    with writer:
+        for topic, stamp, message in messages:
+            written = message.__msgtype__
+            if topic not in connections:
+                text = {"msgdef": "float64 x", "rihs01": "x", "md5sum": "0" * 32}
+                extra = {k: text[k] for k in (("msgdef", "md5sum") if ros1 else ("msgdef", "rihs01"))}
+                claimed = (names or {}).get(topic, CONTROLLER if written.startswith(CONTROLLER) else written)
+                connections[topic] = writer.add_connection(topic, claimed, **extra)
+            raw = store.serialize_ros1(message, written) if ros1 else store.serialize_cdr(message, written)
+            writer.write(connections[topic], int(stamp), raw)
+    return path
+
+
+def uniform(ros1: bool = False) -> Iterator[Message]:
+    """The record of `record_formats.py`: joints in changing order, a header's stamps, log times a little later."""
+    for k, stamp in enumerate(NANOSECONDS):
+        joints = {JOINTS[0]: ANGLE[k], JOINTS[1]: -1.0}
+        if k % 3 == 1:
+            joints = dict(reversed(joints.items()))
+        yield "/commands", stamp, array([VOLTS[k], 7.0], ros1)
+        yield "/joint_states", stamp + 1000, joint_state(stamp, joints, ros1)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    ["mcap", "mcap storage", "sqlite3", "sqlite3 file", "sqlite3 message", "ros1", "ros1 bz2", "ros1 lz4"],
+)
+def test_every_kind_of_bag_gives_the_record(tmp_path: Path, kind: str) -> None:
+    name = "run.bag" if kind.startswith("ros1") else "run"
+    write_bag(tmp_path / name, list(uniform(kind.startswith("ros1"))), kind=kind)
+    (record,) = Dataset.load(write_yaml(tmp_path, name, COLUMNS)).records
+    assert record.name == "run"
+    np.testing.assert_allclose(record.time, TIME, atol=1e-9)
+    np.testing.assert_array_equal(record.inputs["u1"], VOLTS)
+    np.testing.assert_array_equal(record.outputs["q_m1"], ANGLE)
+
+
+@pytest.mark.parametrize(("kind", "ending"), [("mcap", "mcap"), ("sqlite3", "db3")])
+def test_bag_without_its_metadata(tmp_path: Path, kind: str, ending: str) -> None:
+    write_bag(tmp_path / "run", list(uniform()), kind=kind)
+    (tmp_path / "run" / "metadata.yaml").unlink()
+    for file in ("run", f"run/run.{ending}"):
+        (record,) = Dataset.load(write_yaml(tmp_path, file, COLUMNS)).records
+        np.testing.assert_array_equal(record.outputs["q_m1"], ANGLE)
+
+
+def test_a_pattern_finds_folders_of_bags(tmp_path: Path) -> None:
+    for name in ("run_1", "run_2"):
+        write_bag(tmp_path / name, list(uniform())[:20])
+    (tmp_path / "run_3").mkdir()
+    assert [record.name for record in Dataset.load(write_yaml(tmp_path, "run_*", COLUMNS)).records] == [
+        "run_1",
+        "run_2",
+    ]
+
+
+def test_topics_of_other_stamps_are_held_and_interpolated(tmp_path: Path) -> None:
+    """Commands at a third of the rate are held; the link's angle, a straight line, is read off between samples."""
+    messages: list[Message] = []
+    for k, stamp in enumerate(NANOSECONDS):
+        messages.append(("/joint_states", stamp, joint_state(stamp, {"a": ANGLE[k]})))
+        if k % 3 == 2:
+            messages.append(("/volts", stamp, number(float(k))))
+        late = stamp + 7_000_000
+        messages.append(("/link", late, joint_state(late, {"a": 2.0 * (TIME[k] + 0.007)})))
+    write_bag(tmp_path / "run", messages)
+    folder = write_yaml(
+        tmp_path, "run", {"t": "/joint_states", "u1": "/volts/data", "q_m1": "/link/position/a"}
+    )
+    (record,) = Dataset.load(folder).records
+    np.testing.assert_allclose(record.time, TIME[2:], atol=1e-9)
+    np.testing.assert_array_equal(record.inputs["u1"], [k - (k + 1) % 3 for k in range(2, 200)])
+    np.testing.assert_allclose(record.outputs["q_m1"], 2.0 * TIME[2:], atol=1e-9)
+
+
+def test_joints_in_subsets(tmp_path: Path) -> None:
+    """Two nodes publish on one topic, each its own joints: the first channel's messages give the stamps."""
+    messages = [
+        ("/joint_states", stamp + shift, joint_state(stamp + shift, {joint: float(k)}))
+        for k, stamp in enumerate(NANOSECONDS)
+        for joint, shift in (("a", 0), ("b", 10_000_000))
+    ]
+    write_bag(tmp_path / "run", messages)
+    table = load_any(
+        tmp_path / "run", ["/joint_states", "/joint_states/position/a", "/joint_states/position/b"]
+    )
+    np.testing.assert_array_equal(table.columns["/joint_states/position/b"], np.arange(200.0))
+    np.testing.assert_allclose(table.columns["/joint_states"], TIME, atol=1e-9)
+    assert [*table.times] == ["/joint_states/position/b"]
+    np.testing.assert_allclose(table.times["/joint_states/position/b"], TIME + 0.01, atol=1e-9)
+    assert table.place(3) == "message 7 of /joint_states"
+
+
+@pytest.mark.parametrize("generation", ["Desired", "Reference", "Both"])
+@pytest.mark.parametrize("kind", ["mcap", "ros1"])
+def test_controller_states_of_every_generation(tmp_path: Path, generation: str, kind: str) -> None:
+    path = tmp_path / ("run.bag" if kind == "ros1" else "run")
+    messages = [
+        ("/state", stamp, controller(stamp, generation, ANGLE[k], kind == "ros1"))
+        for k, stamp in enumerate(NANOSECONDS)
+    ]
+    write_bag(path, messages, kind=kind)
+    for k, field in enumerate(bag._GENERATIONS[generation][0]):
+        column = f"/state/{field}/positions/shoulder_pan"
+        np.testing.assert_array_equal(load_any(path, ["/state", column]).columns[column], ANGLE + k)
+
+
+def test_log_time_stands_in_for_empty_headers(tmp_path: Path) -> None:
+    write_bag(tmp_path / "run", [("/j", stamp, joint_state(0, {"a": 1.0})) for stamp in NANOSECONDS])
+    np.testing.assert_allclose(
+        load_any(tmp_path / "run", ["/j", "/j/position/a"]).columns["/j"], TIME, atol=1e-9
+    )
+
+
+def changed(change: Callable[[Path], object], kind: str = "mcap", **columns: str) -> Callable[[Path], Path]:
+    def build(folder: Path) -> Path:
+        file = "run.bag" if kind.startswith("ros1") else "run"
+        write_bag(folder / file, list(uniform(kind.startswith("ros1"))), kind=kind)
+        change(folder / file)
+        return write_yaml(folder, file, COLUMNS | columns)
+
+    return build
+
+
+def cut(ending: str) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        file = path / f"run.{ending}" if ending != "bag" else path
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+    return change
+
+
+def run_sql(text: str) -> Callable[[Path], None]:
+    def change(path: Path) -> None:
+        with sqlite3.connect(path / "run.db3") as connection:
+            connection.executescript(text)
+
+    return change
+
+
+def other_bag(messages: Callable[[], list[Message]], **options: Any) -> Callable[[Path], Path]:
+    def build(folder: Path) -> Path:
+        write_bag(folder / "run", messages(), **options)
+        return write_yaml(folder, "run", COLUMNS)
+
+    return build
+
+
+def nothing(path: Path) -> None:
+    del path
+
+
+def bomb(folder: Path) -> Path:
+    message = ("/blob", NANOSECONDS[0], array([0.0] * 14_000_000))
+    write_bag(folder / "run", [*uniform(), message], kind="mcap storage")
+    assert (folder / "run" / "run.mcap").stat().st_size < 1_000_000
+    return write_yaml(folder, "run", COLUMNS)
+
+
+def gap() -> list[Message]:
+    return [("/joint_states", s, joint_state(s, {"shoulder_pan": 1.0})) for s in NANOSECONDS] + [
+        ("/commands", s + 5 * 10**12, array([1.0])) for s in NANOSECONDS
+    ]
+
+
+@pytest.mark.parametrize(
+    ("build", "words"),
+    [
+        (changed(cut("mcap")), ("run", "cut short")),
+        (changed(cut("bag"), "ros1"), ("run.bag", "cut short")),
+        (changed(cut("db3"), "sqlite3"), ("run", "not a readable bag")),
+        (changed(lambda path: (path / "run.mcap").write_bytes(b"")), ("run", "no MCAP file")),
+        (changed(nothing, u1="/volts/data/0"), ("no topic for column '/volts/data/0'", "/commands (std_msgs/Float64M")),
+        (changed(nothing, t="t"), ("no topic for column 't'", "{t: /joint_states}")),
+        (changed(nothing, q_m1="/joint_states/position/elbwo"), ("'/joint_states/position/elbow'", "did you mean")),
+        (changed(nothing, q_m1="/joint_states/effort/elbow"), ("no column '/joint_states/effort/elbow'",)),
+        (changed(nothing, q_m1="/joint_states/angle/elbow"), ("is none of a sensor_msgs/JointState",)),
+        (changed(nothing, u1="/commands/data/2"), ("no column '/commands/data/2'", "/commands/data/1")),
+        (changed(run_sql("CREATE VIEW v AS SELECT 1;"), "sqlite3"), ("holds a view",)),
+        (changed(run_sql("DROP TABLE topics;"), "sqlite3"), ("not a readable bag",)),
+        (other_bag(lambda: list(uniform()), names={"/commands": "my_msgs/msg/Volts"}), ("my_msgs/Volts", "not read")),
+        (other_bag(lambda: [("/joint_states", 1, array([1.0])), *uniform()], names={"/joint_states": JOINT_STATE}),
+         ("message 1 of '/joint_states' cannot be decoded as sensor_msgs/JointState",)),
+        (other_bag(lambda: [("/joint_states", 5, joint_state(5, {"a" * 900: 1.0})), ("/commands", 5, array([1.0]))]),
+         ("names a joint in more than 200 signs",)),
+        (other_bag(gap), ("'u1' is stamped from", "another clock")),
+        (bomb, ("unpacks to more than",)),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_bag_is_said(
+    tmp_path: Path, build: Callable[[Path], Path], words: tuple[str, ...]
+) -> None:
+    with pytest.raises(InputError) as caught:
+        Dataset.load(build(tmp_path))
+    message = str(caught.value)
+    for word in words:
+        assert word in message, message
+    assert "\n" not in message
+    assert len(message.replace(str(tmp_path), "")) < 320, message
+
+
+def test_gaps_of_an_interpolated_topic_are_refused(tmp_path: Path) -> None:
+    messages: list[Message] = [("/commands", s, array([VOLTS[k]])) for k, s in enumerate(NANOSECONDS)]
+    messages += [
+        ("/joint_states", s + 10**6, joint_state(s + 10**6, {JOINTS[0]: ANGLE[k]}))
+        for k, s in enumerate(NANOSECONDS)
+        if not 100 < k < 110
+    ]
+    write_bag(tmp_path / "run", messages)
+    with pytest.raises(InputError, match=r"after 2.001 s 'q_m1' has no sample for 200 ms"):
+        Dataset.load(write_yaml(tmp_path, "run", COLUMNS | {"t": "/commands"}))
+    folder = write_yaml(tmp_path, "run", COLUMNS | {"t": "/commands"}, between=[0.1, 1.9])
+    assert Dataset.load(folder).records[0].duration > 1.7
+
+
+def test_the_library_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag1", None)
+    with pytest.raises(InputError, match=r"needs rosbags; install it with pip install 'hybrid_id\[logs\]'"):
+        load_any(tmp_path / "run.bag", ["/a"])
