@@ -190,12 +190,11 @@ def search(
                 if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own)
             if _adds_up(fits, base, best, system):
-                few = None if first is None else _helping(first)
+                few = None if first is None else _rivals(first) or None
                 short = _short_runs(fits, system)
                 if short is not None:
                     step = screen(*short, system, among=few, progress=progress)
-                    # over short runs a slow effect may not show
-                    if first is None or _rivalry(step) <= _rivalry(first):
+                    if first is None or _rivalry(step) < _rivalry(first):
                         (fits, base), first = short, step
         return fits, select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
@@ -250,10 +249,15 @@ def _own_values(fits: Fits, model: FittedModel, system: System) -> PerRecord | N
     return own if own is not None and own.explained else None
 
 
-def _helping(step: SelectionStep) -> frozenset[Name]:
-    """The effects that explain anything of what their train records show."""
-    least = (1.0 - CRITERIA.least_fall) * step.before.trained
-    return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained < least)
+def _rivals(step: SelectionStep) -> frozenset[Name]:
+    """The effects that explain the greater part of what any of them does of the train records.
+
+    Shorter runs are to tell these apart. What shows over those alone is a smaller effect: a slow one shows along whole
+    runs, and may be most of the gap.
+    """
+    most = min((e.trained for e in step.candidates), default=0.0)
+    least = step.before.trained - CRITERIA.much * (step.before.trained - most)
+    return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained <= least)
 
 
 def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
