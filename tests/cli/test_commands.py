@@ -120,7 +120,7 @@ def test_check_refuses_records_that_tell_nothing(
     Dataset("stuck drive", *channels, (stuck,), 0.002).save(tmp_path / "stuck")
     said = run("check", tmp_path / "stuck", "--model", drive / "model.yaml", *options)
     assert said.code == 2
-    assert "the records identify nothing of" in said.err
+    assert "nothing of a drive at rest can be identified; record motions of it" in said.err
 
 
 def test_check_refuses_model_without_unknowns(run, drive: Path, tmp_path: Path) -> None:
