@@ -113,8 +113,8 @@ def _hybrid_id(
 
 
 for command in (
-    init, check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components, effects,
-    doctor,
+    init, check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components,
+    effects, doctor,
 ):  # fmt: skip
     app.command()(command)
 app.add_typer(blind, name="blind")

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
 DATASET, MODEL = "dataset.yaml", "model.yaml"
 HEADS = ("about", "taken as", "sure", "evidence")
+UNSURE = ("placeholder", "not known")
+"""How the evidence of a start value begins that is none."""
 LEAST_FOR_TEST = 3
 """Records from which the last one becomes the test record."""
 
@@ -302,23 +304,25 @@ def _roles(count: int) -> str:
         )
     have = "one record" if count == 1 else "two records"
     return (
-        f"roles: {have}, so that all are fitted and none tests the model; record {LEAST_FOR_TEST - count} more at least, "
-        "with another motion (other speeds, both directions, the whole range), and make it role: test"
+        f"roles: {have}, so that all are fitted and none tests the model; record {LEAST_FOR_TEST - count} more at "
+        "least, with another motion (other speeds, both directions, the whole range), and make it role: test"
     )
 
 
 def _model_text(model: "ProposedModel") -> str:
     """`model.yaml` with a comment at every start value."""
-    lines = ["# Written by 'hybrid-id init'. A comment above a line says where it is from."]
+    lines = [
+        "# Written by 'hybrid-id init'. A comment above a line says where it is from; (?) marks what is not sure."
+    ]
     for key, value in model.values.items():
         if why := model.why.get(key):
-            lines.append(_comment(why))
+            lines.append(_comment(why + (" (?)" if why.startswith(UNSURE) else "")))
         if key in ("parameters", "components"):
             lines.append(f"{key}:")
             items = value.items() if isinstance(value, Mapping) else enumerate(value)
             for name, entry in items:
                 if why := model.why.get(f"{key}.{name}"):
-                    lines.append(_comment(why, "  "))
+                    lines.append(_comment(why + (" (?)" if why.startswith(UNSURE) else ""), "  "))
                 lines.append(f"  - {_flow(entry)}" if key == "components" else f"  {name}: {_flow(entry)}")
         else:
             lines.append(f"{key}: {_flow(value)}")
@@ -356,6 +360,20 @@ def _write(folder: Path, texts: Mapping[str, str], copied: "Sequence[Log]", base
             Path(temporary).unlink(missing_ok=True)
 
 
+def _at(values: Any, place: str) -> str:
+    """What stands at a place of the model, in a few words."""
+    for key in place.split("."):
+        values = values[int(key)] if isinstance(values, list) else values[key]
+    if isinstance(values, Mapping):
+        words = values.get("nominal", values.get("kind", values.get("file", ", ".join(values))))
+        return (
+            f"{words} at {values['place']}"
+            if "place" in values
+            else f"{words} {values.get('unit', '')}".strip()
+        )
+    return str(values)
+
+
 def _say(
     proposal: "Proposal", model: "ProposedModel", dataset: "Dataset", skews: "Sequence[Skew]", left: Sequence[str],
     folder: Path, as_json: bool, copies: bool,
@@ -366,7 +384,10 @@ def _say(
     questions = [*proposal.questions, *model.questions]
     rows = [(guess.about, guess.value, guess.sure, guess.evidence) for _, guess in proposal.all_guesses]
     rows += [(f"skew of {skew.channel}", f"{skew.late:.3g} s", True, skew.message) for skew in skews]
-    rows += [(f"model: {place}", "", True, why) for place, why in model.why.items()]
+    rows += [
+        (f"model: {place}", _at(model.values, place), not why.startswith(UNSURE), why)
+        for place, why in model.why.items()
+    ]
     if as_json:
         facts = [dict(zip(("about", "value", "sure", "evidence"), row, strict=True)) for row in rows]
         asked = [{"file": f"{one.place}.yaml", "question": one.words, "line": one.line} for one in questions]

@@ -7,39 +7,172 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 KINDS: dict[str, frozenset[str]] = {
-    "supply": frozenset("supply vbat vbus vcc vin battery".split()),
-    "temperature": frozenset("temp temperature".split()),
-    "duty": frozenset("duty pwm dutycycle".split()),
-    "current": frozenset("current cur curr amps amp ampere amperes iq i ia".split()),
-    "torque": frozenset("torque torques tau trq tq effort efforts moment force".split()),
+    "supply": frozenset(["supply", "vbat", "vbus", "vcc", "vin", "battery"]),
+    "temperature": frozenset(["temp", "temperature"]),
+    "duty": frozenset(["duty", "pwm", "dutycycle"]),
+    "current": frozenset(["current", "cur", "curr", "amps", "amp", "ampere", "amperes", "iq", "i", "ia"]),
+    "torque": frozenset(["torque", "torques", "tau", "trq", "tq", "effort", "efforts", "moment", "force"]),
     "speed": frozenset(
-        "speed speeds vel velocity velocities qd dq qdot omega w dtheta thetadot dpos rpm dps".split()
+        [
+            "speed",
+            "speeds",
+            "vel",
+            "velocity",
+            "velocities",
+            "qd",
+            "dq",
+            "qdot",
+            "omega",
+            "w",
+            "dtheta",
+            "thetadot",
+            "dpos",
+            "rpm",
+            "dps",
+        ]
     ),
     "angle": frozenset(
-        "angle angles pos position positions q theta th phi enc encoder qm qa counts ticks deg degrees "
-        "rotation".split()
+        [
+            "angle",
+            "angles",
+            "pos",
+            "position",
+            "positions",
+            "q",
+            "theta",
+            "th",
+            "phi",
+            "enc",
+            "encoder",
+            "qm",
+            "qa",
+            "counts",
+            "ticks",
+            "deg",
+            "degrees",
+            "rotation",
+        ]
     ),
-    "voltage": frozenset("voltage volt volts u vm um vmotor".split()),
+    "voltage": frozenset(["voltage", "volt", "volts", "u", "vm", "um", "vmotor"]),
     "time": frozenset(
-        "t time timestamp timestamps stamp stamps times clock seconds secs sec millis micros nanos".split()
+        [
+            "t",
+            "time",
+            "timestamp",
+            "timestamps",
+            "stamp",
+            "stamps",
+            "times",
+            "clock",
+            "seconds",
+            "secs",
+            "sec",
+            "millis",
+            "micros",
+            "nanos",
+        ]
     ),
 }
 """Words for each quantity, in the order in which they decide."""
 COMMAND = frozenset(
-    "cmd command commands commanded goal goals target targets ref reference desired des setpoint sp action actions "
-    "input plant control ctrl".split()
+    [
+        "cmd",
+        "command",
+        "commands",
+        "commanded",
+        "goal",
+        "goals",
+        "target",
+        "targets",
+        "ref",
+        "reference",
+        "desired",
+        "des",
+        "setpoint",
+        "sp",
+        "action",
+        "actions",
+        "input",
+        "plant",
+        "control",
+        "ctrl",
+    ]
 )
 MEASURED = frozenset(
-    "meas measured measurement actual act feedback fb state states present observation obs sensed output".split()
+    [
+        "meas",
+        "measured",
+        "measurement",
+        "actual",
+        "act",
+        "feedback",
+        "fb",
+        "state",
+        "states",
+        "present",
+        "observation",
+        "obs",
+        "sensed",
+        "output",
+    ]
 )
-LINK, MOTOR = frozenset("link load arm".split()), frozenset(["motor", "rotor"])
+LINK, MOTOR = frozenset(["link", "load", "arm"]), frozenset(["motor", "rotor"])
 COUNTERS = frozenset(
-    "index idx frame sample samples id seq sequence episode task row step count done reward".split()
+    [
+        "index",
+        "idx",
+        "frame",
+        "sample",
+        "samples",
+        "id",
+        "seq",
+        "sequence",
+        "episode",
+        "task",
+        "row",
+        "step",
+        "count",
+        "done",
+        "reward",
+    ]
 )
 """Words of columns that number the rows."""
 FILLERS = frozenset(
-    "joint joints data value values raw filtered the of in servo m a controller side rad deg radian radians "
-    "degrees s ms us ns v mv ma nm n x y percent per".split()
+    [
+        "joint",
+        "joints",
+        "data",
+        "value",
+        "values",
+        "raw",
+        "filtered",
+        "the",
+        "of",
+        "in",
+        "servo",
+        "m",
+        "a",
+        "controller",
+        "side",
+        "rad",
+        "deg",
+        "radian",
+        "radians",
+        "degrees",
+        "s",
+        "ms",
+        "us",
+        "ns",
+        "v",
+        "mv",
+        "ma",
+        "nm",
+        "n",
+        "x",
+        "y",
+        "percent",
+        "per",
+    ]
 )
 VOCABULARY = frozenset().union(*KINDS.values(), COMMAND, MEASURED, LINK, MOTOR, FILLERS)
 UNITS: tuple[tuple[str, str], ...] = (

@@ -185,7 +185,7 @@ def follows(time: np.ndarray, goal: np.ndarray, angle: np.ndarray) -> float:
 def drive_fit(
     time: np.ndarray, command: np.ndarray, angle: np.ndarray, *, speed: bool = False
 ) -> DriveFit | None:
-    """Fit the acceleration by command, speed and dry friction, all through the same filter, at the filter that fits best.
+    """Fit the acceleration by command, speed and dry friction, all through the same filter, the one that fits best.
 
     Args:
         time: stamps [s], (T,).

@@ -296,8 +296,9 @@ def _one_numbering(proposal: Proposal, joints: Sequence[JointFacts]) -> None:
         others = [drive.joint for drive in proposal.drives if drive.number != order[0]]
         proposal.questions.append(
             Question(
-                f"The logs hold {len(order)} joints and no robot is given: the model is of '{proposal.drives[0].joint}' "
-                f"alone, the others ({', '.join(others)}) are left out. Give --robot with the MJCF or URDF for all; "
+                f"The logs hold {len(order)} joints, and no robot is given: the model is of "
+                f"'{proposal.drives[0].joint}' alone, the others ({', '.join(others)}) are left out. "
+                "Give --robot with the MJCF or URDF for all; "
                 "one joint alone is right only if the others stood still."
             )
         )
@@ -562,7 +563,8 @@ class _Work:
             )
             if not self.sheet.counts_per_turn:
                 self.ask(
-                    f"How many counts has a turn of '{chosen.column}'? {COUNTS} are assumed (counts_per_turn in --motor)."
+                    f"How many counts has a turn of '{chosen.column}'? {COUNTS} are assumed "
+                    "(counts_per_turn in --motor)."
                 )
         elif unit in ("m", "mm"):
             chosen.factor = 1.0 if unit == "m" else 1e-3
@@ -743,8 +745,8 @@ class _Work:
         )
         if not self.sheet.voltage:
             self.ask(
-                f"What is the supply voltage behind the duty '{column.name}'? {volts:g} V stand in its scale; another one "
-                "changes P_m1 and P_m2 alone. Give voltage in --motor, or log it."
+                f"What is the supply voltage behind the duty '{column.name}'? {volts:g} V stand in its scale; another "
+                "one changes P_m1 and P_m2 alone. Give voltage in --motor, or log it."
             )
         return [chosen]
 
@@ -784,8 +786,8 @@ class _Work:
                     )
                 elif fits == [True, True]:
                     self.ask(
-                        f"'{command.column}' and '{output.column}' are opposed. The angle is turned; if it has the sign of "
-                        "the robot's file, turn the command instead (scale: -1)."
+                        f"'{command.column}' and '{output.column}' are opposed. The angle is turned; if it has the sign "
+                        "of the robot's file, turn the command instead (scale: -1)"
                     )
             for one in turned:
                 one.turn()
@@ -821,8 +823,8 @@ class _Work:
             else ""
         )
         self.ask(
-            f"Where is the robot's zero of {joint.name} in '{angle.column}'? {guess.evidence}{both}. Correct the columns "
-            "in the log, or the sensor's offset in model.yaml.",
+            f"Where is the robot's zero of {joint.name} in '{angle.column}'? {guess.evidence}{both}. Correct the "
+            "columns in the log, or the sensor's offset in model.yaml.",
         )
 
     def _measured(

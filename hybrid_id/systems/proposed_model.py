@@ -1,4 +1,4 @@
-"""A first model for logs: parts that their commands demand, with starts from a data sheet or from the logs themselves."""
+"""A first model for logs: parts that their commands demand, with starts from a data sheet or from the logs."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _ratios(sheet: MotorSheet, joints: int) -> list[float]:
     found = [] if given is None else [given] * joints if isinstance(given, int | float) else list(given)
     if found and (len(found) != joints or min(found) <= 0):
         raise InputError(
-            f"gear_ratio {given} of the motor's sheet must be positive, and one number or one for each of {joints} joints"
+            f"gear_ratio {given} of the motor's sheet must be positive: one number, or one for each of {joints} joints"
         )
     return [float(one) for one in found]
 
@@ -169,12 +169,12 @@ def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
     )
     if not ratios:
         model.ask(
-            "How many turns of the motor make one of the joint? gear_ratio is 1, which puts all parameters at the side of "
-            "the angle: J is then the inertia seen there. Give gear_ratio in --motor."
+            "How many turns of the motor make one of the joint? gear_ratio is 1, which puts all parameters at the side "
+            "of the angle: J is then the inertia seen there. Give gear_ratio in --motor."
         )
     elif ratio != 1.0 and drive.side == "m":
         model.ask(
-            f"Is the angle the motor's? With a gear of {ratio:g} and an encoder at the joint, call q_m1 q_a1 (v_m1 v_a1) "
+            f"Is it the motor's angle? With a gear of {ratio:g} and an encoder at the joint, call q_m1 q_a1 (v_m1 v_a1) "
             "in dataset.yaml."
         )
     start = _start(drive, sheet, ratio, None)
@@ -193,8 +193,8 @@ def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
     _add(model, components)
     if not (start.priors or drive.command == "torque"):
         model.ask(
-            "What is the motor's torque constant (and its resistance)? Without a known torque only ratios of parameters to "
-            "J are identifiable, J itself is a placeholder. Give torque_constant and resistance in --motor."
+            "What is the motor's torque constant (and resistance)? Without a known torque only ratios of parameters "
+            "to J are identifiable, J itself is a placeholder. Give torque_constant and resistance in --motor."
         )
     if placeholders := [name for name in names if start.why[name] == "placeholder" and name != "J"]:
         model.ask(
