@@ -216,7 +216,8 @@ def drive_fit(
         left = [
             signal - others @ np.linalg.lstsq(others, signal, rcond=None)[0] for signal in (columns[:, 0], y)
         ]
-        fit = DriveFit(*(float(g) for g in gains[:3]), correlation(*left), explained)
+        alpha, beta, gamma = (float(gain) for gain in gains[:3])
+        fit = DriveFit(alpha, beta, gamma, correlation(left[0], left[1]), explained)
         if best is None or fit.explained > best.explained:
             best = fit
     return best
@@ -349,6 +350,44 @@ def wrap_period(values: Sequence[np.ndarray], unit: str, counts_per_turn: float 
     span = max((float(np.ptp(one)) for one in values), default=0.0)
     within = turn > 0 and span <= 1.001 * turn
     return turn if within and largest > 0.8 * turn and usual < 0.3 * turn else 0.0
+
+
+def side_and_unit(
+    fit: DriveFit | None, factor: float, constant: float, ratio: float, units: Sequence[str]
+) -> tuple[str, str, str] | None:
+    """Side of the gear (``m`` or ``a``) and unit of an angle by a known back-EMF constant; None where none fits alone.
+
+    Damping over drive, ``beta / alpha``, is the back-EMF constant and a little friction: at the motor the sheet's value,
+    at the link that times the gear ratio.
+
+    Args:
+        fit: of the acceleration, voltage in V, the angle times ``factor``.
+        factor: of the angle's assumed unit to rad.
+        constant: of the motor [V s/rad].
+        ratio: of the gear; 1 where it is not known.
+        units: of the angle that are possible.
+
+    Returns:
+        Side, unit and the evidence.
+    """
+    if fit is None or fit.alpha <= 0 or fit.beta <= 0:
+        return None
+    seen = fit.beta / fit.alpha * abs(factor)
+    fits = []
+    for unit in units:
+        for side, expected in (("m", constant), ("a", constant * ratio)):
+            times = seen / ANGLE_FACTORS[unit] / expected
+            if 0.7 < times < 1.8 and (side == "m" or ratio > 1.0):
+                fits.append((side, unit, times))
+    if len(fits) != 1:
+        return None
+    side, unit, times = fits[0]
+    where = "motor" if side == "m" else f"link, behind the gear of {ratio:g},"
+    return (
+        side,
+        unit,
+        f"at the {where} in {unit} the back-EMF comes to {times:.2f} times that of the motor's sheet",
+    )
 
 
 def zero_offset(values: Sequence[np.ndarray], factor: float, joint: JointFacts, about: str) -> Guess | None:

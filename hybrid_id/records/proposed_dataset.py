@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -29,6 +29,7 @@ from hybrid_id.records.proposal import (
     follows,
     is_time,
     rate_of,
+    side_and_unit,
     sampling,
     sign_of,
     speed_unit,
@@ -118,6 +119,7 @@ class DriveFacts:
         fit: of the acceleration, in SI; of a goal, to the goal's distance from the angle.
         unsigned: whether a current is logged without its sign.
         offset: zero of the angle that the robot's range asks for [rad]; 0 where none is.
+        side_known: whether a sheet has settled the side.
     """
 
     joint: str
@@ -127,6 +129,7 @@ class DriveFacts:
     fit: DriveFit | None = None
     unsigned: bool = False
     offset: float = 0.0
+    side_known: bool = False
 
 
 @dataclass
@@ -377,6 +380,8 @@ class _Work:
             outputs += self._speed(speed, f"v_{side}{number}", outputs[0] if outputs else None)
         inputs = self._inputs(column, command, number, kinds, drive, outputs, joint)
         self._sign(inputs, outputs, drive, joint)
+        if joint is None and angle is not None:
+            self._by_sheet(inputs, outputs, drive, bool(angle.side))
         if joint is not None and angle is not None:
             self._zero(outputs[0], inputs[0], drive, joint)
         outputs += self._measured(kinds, number, drive, inputs[0], outputs)
@@ -786,8 +791,8 @@ class _Work:
                     )
                 elif fits == [True, True]:
                     self.ask(
-                        f"'{command.column}' and '{output.column}' are opposed. The angle is turned; if it has the sign "
-                        "of the robot's file, turn the command instead (scale: -1)"
+                        f"'{command.column}' and '{output.column}' are opposed. The angle is turned; if it has the "
+                        "sign of the robot's file, turn the command instead (scale: -1)"
                     )
             for one in turned:
                 one.turn()
@@ -806,6 +811,37 @@ class _Work:
             fits.append(drive_fit(self.time(log), command, angle, speed=output.name.startswith("v_")))
         fits = sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.partial)
         return fits[len(fits) // 2] if fits else None
+
+    def _by_sheet(
+        self, inputs: Sequence[Chosen], outputs: Sequence[Chosen], drive: DriveFacts, side_said: bool
+    ) -> None:
+        """Settle the unit of the angle and its side of the gear by the sheet's back-EMF constant."""
+        constant = self.sheet.back_emf_constant or self.sheet.torque_constant
+        ratio = self.sheet.gear_ratio if isinstance(self.sheet.gear_ratio, int | float) else 1.0
+        angle = outputs[0]
+        if constant is None or drive.command != "voltage" or angle.unit not in ANGLE_FACTORS:
+            return
+        about = f"unit of {angle.name}"
+        unsure = any(guess.about == about and not guess.sure for guess in angle.guesses)
+        units = ("rad", "deg", "rev") if unsure else (angle.unit,)
+        found = side_and_unit(drive.fit, ANGLE_FACTORS[angle.unit], constant, ratio, units)
+        if found is None or (side_said and found[0] != drive.side):
+            return
+        side, unit, words = found
+        if unsure:
+            angle.factor *= ANGLE_FACTORS[unit] / ANGLE_FACTORS[angle.unit]
+            angle.unit = unit
+            angle.guesses = [guess for guess in angle.guesses if guess.about != about]
+            angle.guesses.append(Guess(about, unit, words))
+            start = f"In which unit is '{angle.column}'"
+            self.proposal.questions[:] = [q for q in self.proposal.questions if not q.words.startswith(start)]
+        drive.side = side
+        drive.side_known = True
+        for one in outputs:
+            one.name = re.sub(r"_[ma](?=\d)", f"_{side}", one.name)
+            one.guesses = [replace(g, about=re.sub(r"_[ma](?=\d)", f"_{side}", g.about)) for g in one.guesses]
+        angle.guesses.append(Guess("side of the gear", "motor" if side == "m" else "link", words))
+        drive.fit = self._fit(inputs, angle, drive)
 
     def _zero(self, angle: Chosen, command: Chosen, drive: DriveFacts, joint: JointFacts) -> None:
         values = [angle.values(log) for log in self.logs]

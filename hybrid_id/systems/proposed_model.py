@@ -172,10 +172,10 @@ def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
             "How many turns of the motor make one of the joint? gear_ratio is 1, which puts all parameters at the side "
             "of the angle: J is then the inertia seen there. Give gear_ratio in --motor."
         )
-    elif ratio != 1.0 and drive.side == "m":
+    elif ratio != 1.0 and drive.side == "m" and not drive.side_known:
         model.ask(
-            f"Is it the motor's angle? With a gear of {ratio:g} and an encoder at the joint, call q_m1 q_a1 (v_m1 v_a1) "
-            "in dataset.yaml."
+            f"Is it the motor's angle? With a gear of {ratio:g} and an encoder at the joint, call q_m1 q_a1 "
+            "(v_m1 v_a1) in dataset.yaml."
         )
     start = _start(drive, sheet, ratio, None)
     dc = drive.command in ("voltage", "duty", "position_loop")

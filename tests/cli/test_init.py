@@ -17,7 +17,7 @@ ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <inertial mass="0.5" pos="0.1 0 0" diaginertia="0.002 0.002 0.002"/>
 <body name="lower" pos="0.2 0 0"><joint name="elbow_flex" axis="0 1 0" range="-1.7 1.7" armature="0.01" damping="0.2"
  frictionloss="0.05"/><inertial mass="0.3" pos="0.1 0 0" diaginertia="0.001 0.001 0.001"/></body></body>
-</worldbody>{actuators}</mujoco>"""
+</worldbody><actuator>{actuators}</actuator></mujoco>"""
 ACTUATORS = '<actuator><position joint="shoulder_pan" kp="8" kv="0.1"/><position joint="elbow_flex" kp="8" kv="0.1"/></actuator>'
 
 
@@ -91,7 +91,7 @@ def test_other_names_a_turned_sign_and_a_sheet(run, tmp_path: Path, motions) -> 
     }
     folder = write_csv(tmp_path / "logs", motions, columns, records=2)
     sheet = tmp_path / "sheet.yaml"
-    sheet.write_text("gear_ratio: 50\ntorque_constant: 0.0254\nresistance: 1.33\n")
+    sheet.write_text("gear_ratio: 20\ntorque_constant: 0.0254\nresistance: 1.33\n")
     done = run("init", folder / "run1.csv", folder / "run2.csv", "--motor", sheet, "--out", tmp_path / "mine")
     assert done.code == 0, done.err
     data, model = written(tmp_path / "mine")
@@ -100,7 +100,7 @@ def test_other_names_a_turned_sign_and_a_sheet(run, tmp_path: Path, motions) -> 
     assert {"name": "i1", "unit": "mA"} in [
         {k: v for k, v in one.items() if k != "skew"} for one in data["outputs"]
     ]
-    assert model["gear_ratio"] == [50.0] and model["parameters"]["P_m2"]["prior_std"] > 0
+    assert model["gear_ratio"] == [20.0] and model["parameters"]["P_m2"]["prior_std"] > 0
     assert model["parameters"]["J"]["nominal"] == pytest.approx(
         rigid_drive().parameter("J").spec.value, rel=0.25
     )
@@ -237,3 +237,39 @@ def test_a_lerobot_dataset(run, tmp_path: Path) -> None:
     assert data["columns"]["q_m2"]["column"] == "observation.state/elbow_flex.pos"
     assert data["columns"]["goal1"]["column"] == "action/shoulder_pan.pos"
     assert run("check", folder).code == 0
+
+
+def test_a_bag_of_joint_states_and_a_command(run, tmp_path: Path, motions) -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    from hybrid_id.records.readers.bag import ARRAY, JOINT_STATE, _typestore
+
+    store = _typestore(False)
+    types, path = store.types, tmp_path / "logs" / "run1"
+    path.parent.mkdir()
+    t, u, q = motions[0]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        states = writer.add_connection("/joint_states", JOINT_STATE, typestore=store)
+        commands = writer.add_connection("/voltage/command", ARRAY, typestore=store)
+        layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+        for time, volts, angle in zip(t, u, q, strict=True):
+            stamp = round(1e9 * (time + 10.0))
+            parts = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+            header = types["std_msgs/msg/Header"](stamp=parts, frame_id="")
+            empty = np.empty(0)
+            state = types[JOINT_STATE](
+                header=header, name=["elbow"], position=np.array([angle]), velocity=empty, effort=empty
+            )
+            writer.write(states, stamp, store.serialize_cdr(state, JOINT_STATE))
+            writer.write(
+                commands,
+                stamp,
+                store.serialize_cdr(types[ARRAY](layout=layout, data=np.array([volts])), ARRAY),
+            )
+    done = run("init", tmp_path / "logs")
+    assert done.code == 0, done.err
+    data, _ = written(tmp_path / "logs")
+    assert {name: entry["column"] for name, entry in data["columns"].items()} == {
+        "t": "/joint_states", "u1": "/voltage/command/data/0", "q_m1": "/joint_states/position/elbow",
+    }  # fmt: skip
