@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from hybrid_id.records.measures import quantisation_step
 
 TIME_FACTORS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-STEPS, SPANS = (2e-5, 0.25), (0.2, 1e5)
+STEPS, SPANS = (2e-5, 0.25), (0.05, 1e5)
 """Sample times [s] and lengths of records [s] that are plausible."""
 USUAL_STEP = 0.004
 """Of several plausible units of time, the one whose step is nearest to this one [s] is taken."""
@@ -355,10 +355,10 @@ def wrap_period(values: Sequence[np.ndarray], unit: str, counts_per_turn: float 
 def side_and_unit(
     fit: DriveFit | None, factor: float, constant: float, ratio: float, units: Sequence[str]
 ) -> tuple[str, str, str] | None:
-    """Side of the gear (``m`` or ``a``) and unit of an angle by a known back-EMF constant; None where none fits alone.
+    """Side of the gear (``m`` or ``a``) and unit of an angle by a known back-EMF constant; None where not one fits.
 
-    Damping over drive, ``beta / alpha``, is the back-EMF constant and a little friction: at the motor the sheet's value,
-    at the link that times the gear ratio.
+    Damping over drive, ``beta / alpha``, is the back-EMF constant and a little friction: at the motor the sheet's
+    value, at the link that times the gear ratio.
 
     Args:
         fit: of the acceleration, voltage in V, the angle times ``factor``.

@@ -29,8 +29,8 @@ from hybrid_id.records.proposal import (
     follows,
     is_time,
     rate_of,
-    side_and_unit,
     sampling,
+    side_and_unit,
     sign_of,
     speed_unit,
     time_unit,
@@ -241,7 +241,15 @@ def _groups(words: Mapping[str, ColumnWords], time: str, work: _Work) -> dict[st
     ]
     if not named:  # one joint, whatever its columns are called
         return {"": [*common, *(one for some in groups.values() for one in some)]}
-    loose = [key for key in groups if key.isdigit() and not any(one.kind for one in groups[key])]
+    if len(named) == 1:
+        return {
+            named[0]: [
+                *groups[named[0]],
+                *common,
+                *(one for key in groups if key not in named for one in groups[key]),
+            ]
+        }
+    loose = [key for key in groups if key.isdigit() and key not in named]
     if loose and not any(name.isdigit() for name in named) and len(loose) == len(named):
         for key, name in zip(sorted(loose, key=int), named, strict=True):
             groups[name] += groups.pop(key)

@@ -18,7 +18,7 @@ ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="lower" pos="0.2 0 0"><joint name="elbow_flex" axis="0 1 0" range="-1.7 1.7" armature="0.01" damping="0.2"
  frictionloss="0.05"/><inertial mass="0.3" pos="0.1 0 0" diaginertia="0.001 0.001 0.001"/></body></body>
 </worldbody><actuator>{actuators}</actuator></mujoco>"""
-ACTUATORS = '<actuator><position joint="shoulder_pan" kp="8" kv="0.1"/><position joint="elbow_flex" kp="8" kv="0.1"/></actuator>'
+ACTUATORS = '<position joint="shoulder_pan" kp="8" kv="0.1"/><position joint="elbow_flex" kp="8" kv="0.1"/>'
 
 
 @pytest.fixture(scope="module")
