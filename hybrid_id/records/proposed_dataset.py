@@ -18,7 +18,6 @@ from hybrid_id.records.proposal import (
     COUNTS,
     RELATED,
     SPEED_FACTORS,
-    TIME_FACTORS,
     DriveFit,
     Guess,
     JointFacts,
@@ -33,7 +32,6 @@ from hybrid_id.records.proposal import (
     side_and_unit,
     sign_of,
     speed_unit,
-    time_unit,
     wrap_period,
     zero_offset,
 )
@@ -210,45 +208,12 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     fits = [name for name in words if all(is_time(log.columns[name]) for log in logs)]
     if first.file.file_format == "lerobot" and "t" in fits:
         return Chosen("t", "t", "s", guesses=[Guess("time", "t", "frame_index / fps of the LeRobot dataset")])
-    named = [name for name in fits if words[name].kind == "time"]
-    named.sort(key=lambda name: (name not in ("t", "time"), words[name].counter))
-    other = [name for name in fits if not words[name].kind and not words[name].counter]
-    numbered = [name for name in fits if name.isdigit()]
-    if not (column := next(iter([*named, *other, *numbered]), None)):
-        raise InputError(
-            f"{first.file.path} has no column of time: none of {', '.join(list(words)[:12])} increases in even steps; "
-            "log the time of each sample"
-        )
-    why = "its name, and it increases in even steps" if column in named else "it increases in even steps"
-    guess = time_unit(first.columns[column], words[column].unit)
-    time = Chosen("t", column, guess.value, guesses=[Guess("time", column, why, column in named), guess])
-    time.factor = TIME_FACTORS[guess.value]
-    if guess.value == "ns":
-        time.unit, time.scale = "s", 1e-9
-    return time
-
-
-def _groups(words: Mapping[str, ColumnWords], time: str, work: _Work) -> dict[str, list[ColumnWords]]:
-    """Columns by joint, in the order in which the joints are met."""
-    groups: dict[str, list[ColumnWords]] = {}
-    for name, one in words.items():
-        if name != time and one.kind != "time" and not (one.counter and not one.kind):
-            groups.setdefault(one.joint, []).append(one)
-    keys = [key for key in groups if any(work.moves(one.name) for one in groups[key])]
-    common = groups.pop("", [])
-    named = [
-        key for key in keys if key and any(one.kind == "angle" and not one.command for one in groups[key])
-    ]
+    named = [key for key in keys if key and any(_is_output(one) for one in groups[key])]
     if not named:  # one joint, whatever its columns are called
         return {"": [*common, *(one for some in groups.values() for one in some)]}
     if len(named) == 1:
-        return {
-            named[0]: [
-                *groups[named[0]],
-                *common,
-                *(one for key in groups if key not in named for one in groups[key]),
-            ]
-        }
+        others = [one for key in groups if key not in named for one in groups[key]]
+        return {named[0]: [*groups[named[0]], *common, *others]}
     loose = [key for key in groups if key.isdigit() and key not in named]
     if loose and not any(name.isdigit() for name in named) and len(loose) == len(named):
         for key, name in zip(sorted(loose, key=int), named, strict=True):
@@ -260,6 +225,11 @@ def _groups(words: Mapping[str, ColumnWords], time: str, work: _Work) -> dict[st
     for key in named:
         groups[key] += common
     return {key: some for key, some in groups.items() if key in named}
+
+
+def _is_output(one: ColumnWords) -> bool:
+    """Whether a column's name makes it an angle or a speed, or the measured state of a joint."""
+    return not one.command and (one.kind in ("angle", "speed") or (not one.kind and one.measured))
 
 
 def _place(
