@@ -18,6 +18,7 @@ from hybrid_id.records.proposal import (
     COUNTS,
     RELATED,
     SPEED_FACTORS,
+    TIME_FACTORS,
     DriveFit,
     Guess,
     JointFacts,
@@ -32,6 +33,7 @@ from hybrid_id.records.proposal import (
     side_and_unit,
     sign_of,
     speed_unit,
+    time_unit,
     wrap_period,
     zero_offset,
 )
@@ -208,6 +210,32 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     fits = [name for name in words if all(is_time(log.columns[name]) for log in logs)]
     if first.file.file_format == "lerobot" and "t" in fits:
         return Chosen("t", "t", "s", guesses=[Guess("time", "t", "frame_index / fps of the LeRobot dataset")])
+    named = [name for name in fits if words[name].kind == "time"]
+    named.sort(key=lambda name: (name not in ("t", "time"), words[name].counter))
+    other = [name for name in fits if not words[name].kind and not words[name].counter]
+    numbered = [name for name in fits if name.isdigit()]
+    if not (column := next(iter([*named, *other, *numbered]), None)):
+        raise InputError(
+            f"{first.file.path} has no column of time: none of {', '.join(list(words)[:12])} increases in even steps; "
+            "log the time of each sample"
+        )
+    why = "its name, and it increases in even steps" if column in named else "it increases in even steps"
+    guess = time_unit(first.columns[column], words[column].unit)
+    time = Chosen("t", column, guess.value, guesses=[Guess("time", column, why, column in named), guess])
+    time.factor = TIME_FACTORS[guess.value]
+    if guess.value == "ns":
+        time.unit, time.scale = "s", 1e-9
+    return time
+
+
+def _groups(words: Mapping[str, ColumnWords], time: str, work: _Work) -> dict[str, list[ColumnWords]]:
+    """Columns by joint, in the order in which the joints are met."""
+    groups: dict[str, list[ColumnWords]] = {}
+    for name, one in words.items():
+        if name != time and one.kind != "time" and not (one.counter and not one.kind):
+            groups.setdefault(one.joint, []).append(one)
+    keys = [key for key in groups if any(work.moves(one.name) for one in groups[key])]
+    common = groups.pop("", [])
     named = [key for key in keys if key and any(_is_output(one) for one in groups[key])]
     if not named:  # one joint, whatever its columns are called
         return {"": [*common, *(one for some in groups.values() for one in some)]}
