@@ -266,7 +266,7 @@ def _dataset_text(
         lines.append(f"  {one.name}: {_flow(_column(one))}")
     lines += [_guess(guess, "") for guess in proposal.guesses]
     if proposal.resample:
-        lines.append("resample: true")
+        lines.append(f"resample: {{max_gap: {proposal.max_gap:g}}}" if proposal.max_gap else "resample: true")
     lines += [_comment(_roles(len(proposal.logs))), "records:"]
     for k, log in enumerate(proposal.logs):
         entry = {
@@ -275,6 +275,8 @@ def _dataset_text(
         }
         if log.file.episode is not None:
             entry["episode"] = log.file.episode
+        if k in proposal.between:
+            entry["between"] = list(proposal.between[k])
         lines.append(f"  - {_flow(entry)}")
     if proposal.left or left:
         lines += ["", "# Left out:"]

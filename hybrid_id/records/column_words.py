@@ -113,9 +113,10 @@ MEASURED = frozenset(
         "observation",
         "obs",
         "sensed",
-        "output",
     ]
 )
+GOALS = frozenset(["goal", "goals", "target", "targets", "setpoint", "sp"])
+"""Words of commands that are angles where no quantity is named."""
 LINK, MOTOR = frozenset(["link", "load", "arm"]), frozenset(["motor", "rotor"])
 COUNTERS = frozenset(
     [
@@ -256,6 +257,8 @@ def read_name(name: str, joints: Sequence[str] = ()) -> ColumnWords:
     unit = next((unit for pattern, unit in UNITS if re.search(pattern, _spaced(name))), "")
     kind = next((kind for kind, some in KINDS.items() if found & some), "")
     bare = not kind and "v" in found
+    if not kind and found & GOALS:
+        kind = "angle"
     if kind in ("", "time") and unit in ("rad", "deg", "counts") and not found & KINDS["time"]:
         kind = "angle"
     if kind == "time" and (found & (COMMAND | MEASURED) or joint):

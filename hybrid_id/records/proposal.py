@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from hybrid_id.records.measures import quantisation_step
 
 TIME_FACTORS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-STEPS, SPANS = (2e-5, 0.25), (0.05, 1e5)
+STEPS, SPANS = (5e-5, 0.25), (0.05, 1e5)
 """Sample times [s] and lengths of records [s] that are plausible."""
 USUAL_STEP = 0.004
 """Of several plausible units of time, the one whose step is nearest to this one [s] is taken."""

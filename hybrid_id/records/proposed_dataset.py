@@ -37,6 +37,7 @@ from hybrid_id.records.proposal import (
     wrap_period,
     zero_offset,
 )
+from hybrid_id.records.resample import MAX_GAP
 
 INPUTS = ("voltage", "duty", "current", "torque", "goal")
 """Quantities that can drive a joint, in the order in which they are preferred."""
@@ -46,6 +47,8 @@ DUTY_TOPS = (1.0, 100.0, 255.0, 885.0, 1000.0, 1023.0, 4095.0)
 """Numbers that stand for full duty."""
 SUPPLY = 12.0
 """Supply voltage [V] that stands in where none is known."""
+LONGEST_GAP = 20.0
+"""Missing samples, in median steps, up to which a gap is bridged and beyond which a record is cut."""
 MOST_LOGS = 8
 """Logs from which evidence is taken; all are records."""
 
@@ -144,6 +147,8 @@ class Proposal:
     held: list[str] = field(default_factory=list)
     left: list[tuple[str, str]] = field(default_factory=list)
     resample: bool = False
+    max_gap: float = 0.0
+    between: dict[int, tuple[float, float]] = field(default_factory=dict)
     guesses: list[Guess] = field(default_factory=list)
     questions: list[Question] = field(default_factory=list)
 
@@ -188,7 +193,44 @@ def propose(
     found = sampling([clock[id(log)] for log in logs])
     proposal.resample = found.value == "resample"
     proposal.guesses.append(found)
+    _gaps(proposal, [clock[id(log)] for log in logs])
+    if any(guess.about == "unit of time" and not guess.sure for guess in time.guesses):
+        evidence = next(guess.evidence for guess in time.guesses if guess.about == "unit of time")
+        work.ask(
+            f"Is the unit of '{time.column}' {time.unit}? {evidence}.",
+            f"t: {{column: {time.column}, unit: ...}}",
+        )
     return proposal
+
+
+def _gaps(proposal: Proposal, times: Sequence[np.ndarray]) -> None:
+    """Bridge short gaps by resampling, and cut records at long ones; both are said and asked about."""
+    for k, (log, time) in enumerate(zip(proposal.logs, times, strict=True)):
+        steps = np.diff(time) / np.median(np.diff(time))
+        longest = float(steps.max())
+        if longest > LONGEST_GAP:
+            cuts = np.flatnonzero(steps > LONGEST_GAP) + 1
+            parts = np.split(np.arange(time.size), cuts)
+            part = max(parts, key=len)
+            proposal.between[k] = float(time[part[0]]), float(time[part[-1]])
+            words = (
+                f"samples are missing for {longest:.3g} steps; the longest part without such a gap is kept"
+            )
+            proposal.guesses.append(
+                Guess(f"part of {log.file.title}", f"{time[part[0]]:.6g} to {time[part[-1]]:.6g} s", words)
+            )
+            longest = float(np.max(steps[part[:-1]], initial=1.0))
+        if longest > MAX_GAP and proposal.resample:
+            proposal.max_gap = max(proposal.max_gap, float(math.ceil(longest + 1.0)))
+    if proposal.max_gap:
+        words = f"the longest gap that is bridged is below {proposal.max_gap:g} median steps"
+        proposal.guesses.append(Guess("gaps", f"max_gap {proposal.max_gap:g}", words, False))
+        proposal.questions.append(
+            Question(
+                f"May gaps of up to {proposal.max_gap:g} steps be bridged by interpolation? Else cut the records there "
+                "with 'between'."
+            )
+        )
 
 
 def _no_pair(log: Log, proposal: Proposal) -> str:
@@ -475,8 +517,25 @@ class _Work:
         commands = [one for one in open_ones if one.command]
         if not commands and not any(kinds.get(kind) for kind in INPUTS) and len(open_ones) == 1:
             commands = list(open_ones)
-        for one in commands[:1]:
-            self._command(one, angle, kinds, take)
+        if commands:
+            self._command(self._best_command(commands, angle), angle, kinds, take)
+
+    def _best_command(self, commands: Sequence[ColumnWords], angle: ColumnWords | None) -> ColumnWords:
+        """Of several commands without a quantity the one that the acceleration follows best."""
+        if len(commands) == 1 or angle is None:
+            return commands[0]
+        log = self.longest()
+        fits = {
+            one.name: drive_fit(self.time(log), log.columns[one.name], log.columns[angle.name])
+            for one in commands
+        }
+        shares = {name: abs(fit.partial) if fit else 0.0 for name, fit in fits.items()}
+        best = max(commands, key=lambda one: shares[one.name])
+        listed = ", ".join(
+            f"{name} {share:.3f}" for name, share in sorted(shares.items(), key=lambda item: -item[1])
+        )
+        self.ask(f"Is '{best.name}' what acts on the drive? Correlations with the change of speed: {listed}.")
+        return best
 
     def _command(
         self, one: ColumnWords, angle: ColumnWords | None, kinds: Mapping[str, object], take: object

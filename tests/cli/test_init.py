@@ -137,6 +137,33 @@ def test_jitter_proposes_resampling(run, tmp_path: Path, motions) -> None:
     assert written(folder)[0]["resample"] is True
 
 
+def test_gaps_are_bridged_or_cut_and_said(run, tmp_path: Path, motions) -> None:
+    short, long = np.r_[0:300, 305:1000], np.r_[0:300, 400:1000]
+    folder = tmp_path / "x"
+    for k, rows in enumerate((short, long)):
+        write_csv(folder / "part", [[signal[rows] for signal in motions[k]]], MS)
+        (folder / "part" / "run1.csv").rename(folder / f"run{k}.csv")
+    (folder / "part").rmdir()
+    done = run("init", folder)
+    assert done.code == 0, done.err
+    data, _ = written(folder)
+    assert data["resample"] == {"max_gap": 7} and data["records"][1]["between"] == [0.8, 1.998]
+    assert "bridged" in done.out
+    assert run("check", folder).code == 0
+
+
+def test_the_command_that_acts_is_taken_of_several(run, tmp_path: Path, motions) -> None:
+    rng = np.random.default_rng(1)
+    columns = MS | {
+        "control": lambda t, u, q: u + rng.normal(0.0, 3.0, t.size),
+        "plant_input": MS["plant_voltage"],
+    }
+    del columns["plant_voltage"]
+    done = run("init", write_csv(tmp_path / "x", motions, columns))
+    assert written(tmp_path / "x")[0]["columns"]["u1"]["column"] == "plant_input"
+    assert "control" in done.out
+
+
 @pytest.mark.parametrize(
     ("columns", "words"),
     [
