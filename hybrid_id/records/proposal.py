@@ -69,7 +69,7 @@ class JointFacts:
 
 @dataclass(frozen=True)
 class DriveFit:
-    """``dv/dt = alpha x - beta v - gamma sgn v + const`` of a command x, fitted to a filtered record.
+    """``dv/dt = alpha x - beta v - gamma sgn v + a sin q + b cos q + c`` of a command x, fitted to a filtered record.
 
     Attributes:
         alpha: [unit of acceleration per unit of x].
@@ -77,6 +77,7 @@ class DriveFit:
         gamma: [unit of acceleration].
         partial: correlation of x and dv/dt once speed is taken out of both, from -1 to 1.
         explained: share of the acceleration's variance.
+        gravity: size of what follows sine and cosine of the angle [unit of acceleration].
     """
 
     alpha: float
@@ -84,6 +85,7 @@ class DriveFit:
     gamma: float
     partial: float
     explained: float
+    gravity: float = 0.0
 
 
 def is_time(values: np.ndarray) -> bool:
@@ -190,7 +192,7 @@ def drive_fit(
     Args:
         time: stamps [s], (T,).
         command: (T,).
-        angle: (T,), or the speed itself where ``speed``.
+        angle: [rad], (T,), or the speed itself where ``speed``.
         speed: whether ``angle`` is a speed.
 
     Returns:
@@ -204,7 +206,8 @@ def drive_fit(
         x, a = smoothed(command, width), np.gradient(v, time)
         sign = smoothed(np.sign(np.where(np.abs(v) > 0.02 * np.max(np.abs(v)), v, 0.0)), width)
         inner = slice(2 * width, -2 * width)
-        columns = np.stack([x, -v, -sign, np.ones_like(x)])[:, inner].T
+        weight = [] if speed else [smoothed(wave(angle), width) for wave in (np.sin, np.cos)]
+        columns = np.stack([x, -v, -sign, np.ones_like(x), *weight])[:, inner].T
         scale = np.linalg.norm(columns, axis=0)
         y = a[inner]
         total = float(np.sum((y - y.mean()) ** 2))
@@ -217,7 +220,8 @@ def drive_fit(
             signal - others @ np.linalg.lstsq(others, signal, rcond=None)[0] for signal in (columns[:, 0], y)
         ]
         alpha, beta, gamma = (float(gain) for gain in gains[:3])
-        fit = DriveFit(alpha, beta, gamma, correlation(left[0], left[1]), explained)
+        partial, gravity = correlation(left[0], left[1]), float(np.hypot(*gains[4:])) if weight else 0.0
+        fit = DriveFit(alpha, beta, gamma, partial, explained, gravity)
         if best is None or fit.explained > best.explained:
             best = fit
     return best
@@ -303,6 +307,8 @@ def angle_unit(
     if far <= 4 * math.pi:
         return Guess(about, "rad", f"values from {low:.3g} to {high:.3g}", far > 0.2)
     words = f"values from {low:.4g} to {high:.4g}, up to {fastest:.3g} a second: degrees, or radians of many turns"
+    if far <= 10 * math.pi and fastest < 100.0:
+        return Guess(about, "rad", words, False)
     return Guess(about, "deg" if far <= 400 and fastest < 4000 else "rad", words, False)
 
 

@@ -395,6 +395,12 @@ class _Work:
     def longest(self) -> Log:
         return max(self.logs, key=lambda log: self.clock[id(log)].size)
 
+    def liveliest(self, column: str) -> Log:
+        """The log in which a column moves most, over all of its samples."""
+        return max(
+            self.logs, key=lambda log: float(np.std(log.columns[column])) * log.columns[column].size ** 0.5
+        )
+
     def time(self, log: Log) -> np.ndarray:
         return self.clock[id(log)]
 
@@ -524,7 +530,7 @@ class _Work:
         """Of several commands without a quantity the one that the acceleration follows best."""
         if len(commands) == 1 or angle is None:
             return commands[0]
-        log = self.longest()
+        log = self.liveliest(angle.name)
         fits = {
             one.name: drive_fit(self.time(log), log.columns[one.name], log.columns[angle.name])
             for one in commands
@@ -542,7 +548,7 @@ class _Work:
     ) -> None:
         """See whether a command without a quantity is a goal, a duty or a voltage."""
         assert callable(take)
-        log = self.longest()
+        log = self.liveliest(one.name)
         values, far = log.columns[one.name], self.far(one.name)
         if angle is not None:
             q = log.columns[angle.name]
@@ -595,7 +601,7 @@ class _Work:
             values = [np.unwrap(one, period=period) for one in values]
         ratio = 0.0
         if speed is not None:
-            log = self.longest()
+            log = self.liveliest(column.name)
             q = np.unwrap(log.columns[column.name], period=period) if period else log.columns[column.name]
             found, related = derivative_ratio(self.time(log), q, log.columns[speed.name])
             ratio = found if abs(related) > RELATED else 0.0
@@ -642,7 +648,7 @@ class _Work:
             chosen.factor = ANGLE_FACTORS[unit]
 
     def _speed(self, column: ColumnWords, name: str, angle: Chosen | None) -> list[Chosen]:
-        log = self.longest()
+        log = self.liveliest(column.name)
         if angle is None:
             unit = column.unit if column.unit in SPEED_FACTORS else "rad/s"
             guess = Guess(
@@ -767,10 +773,10 @@ class _Work:
             chosen.unit = guess.value
             self._scale_angle(chosen, guess.value)
             return
-        log = self.longest()
+        log = self.liveliest(angle.column)
         spans = np.ptp(log.columns[column.name]) / max(np.ptp(angle.values(log) / abs(angle.factor)), 1e-300)
         near = 0.3 < spans < 3.0
-        words = f"the unit of '{angle.column}', whose span is {1 / spans:.2g} of it"
+        words = f"the unit of '{angle.column}', whose span is {1 / max(spans, 1e-9):.2g} of it"
         chosen.unit, chosen.scale, chosen.factor = angle.unit, abs(angle.scale), abs(angle.factor)
         chosen.guesses.append(Guess(f"unit of {chosen.name}", angle.unit, words, near))
         if not near:
@@ -827,7 +833,7 @@ class _Work:
         command, output = inputs[0], outputs[0]
         speed = output.name.startswith("v_")
         if drive.command in ("goal", "position_loop"):
-            log = self.longest()
+            log = self.liveliest(output.column)
             related = follows(self.time(log), command.values(log), output.values(log))
             words = f"correlation of the goal with the angle: {related:+.2f}"
             sure = abs(related) > 0.5
@@ -948,7 +954,7 @@ class _Work:
         chosen.guesses.append(self._why(chosen.name, column, "current"))
         words = "its name says so" if column.unit else f"values up to {self.far(column.name):.3g}"
         chosen.guesses.append(Guess(f"unit of {chosen.name}", chosen.unit, words, bool(column.unit)))
-        log = self.longest()
+        log = self.liveliest(outputs[0].column)
         i, u = chosen.values(log), command.values(log)
         related = correlation(i, u)
         angle = outputs[0].values(log)

@@ -200,8 +200,13 @@ def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
         model.ask(
             f"Where are {', '.join(placeholders)} from? They are placeholders: the logs' acceleration gives no start."
         )
+    pull = (
+        ""
+        if drive.fit is None
+        else f" {drive.fit.gravity:.3g} rad/s^2 of the acceleration follow the angle's sine."
+    )
     model.ask(
-        "Does gravity act on the joint? None is assumed.",
+        f"Does gravity act on the joint? None is assumed.{pull}",
         "gravity: vertical   # and G_l: {nominal: 1.0, unit: N m}",
     )
     return model
