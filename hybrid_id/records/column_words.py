@@ -254,7 +254,14 @@ def read_name(name: str, joints: Sequence[str] = ()) -> ColumnWords:
     words = tokens(name)
     joint, words = _joint_in(words, joints)
     found = set(words)
-    unit = next((unit for pattern, unit in UNITS if re.search(pattern, _spaced(name))), "")
+    unit = next(
+        (
+            unit
+            for pattern, unit in UNITS
+            if re.search(pattern, f"{name.lower()}\n{_spaced(name)}", re.MULTILINE)
+        ),
+        "",
+    )
     kind = next((kind for kind, some in KINDS.items() if found & some), "")
     bare = not kind and "v" in found
     if not kind and found & GOALS:

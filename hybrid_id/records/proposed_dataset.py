@@ -45,6 +45,8 @@ STEMS = {"voltage": "u", "duty": "duty", "current": "i", "torque": "tau", "goal"
          "gain": "gain", "enable": "enable"}  # fmt: skip
 DUTY_TOPS = (1.0, 100.0, 255.0, 885.0, 1000.0, 1023.0, 4095.0)
 """Numbers that stand for full duty."""
+PERCENT = 100.5
+"""Largest value of an angle that may be percent of a joint's range."""
 SUPPLY = 12.0
 """Supply voltage [V] that stands in where none is known."""
 LONGEST_GAP = 20.0
@@ -615,6 +617,16 @@ class _Work:
             chosen.guesses.append(Guess(f"turns of {name}", f"unwrap {period:g}", "it jumps by a whole turn"))
         if not guess.sure:
             self._ask_unit(chosen, guess)
+        elif (
+            self.logs[0].file.file_format == "lerobot"
+            and guess.value == "deg"
+            and self.far(column.name) <= PERCENT
+        ):
+            self.ask(
+                f"Is '{column.name}' in degrees, or in percent of the joint's range, as LeRobot records by default? "
+                f"It is taken in degrees, for it stays within {PERCENT:g}; percent needs the scale of that joint.",
+                f"{name}: {{column: {column.name}, scale: ...}}",
+            )
         return chosen
 
     def _ask_unit(self, chosen: Chosen, guess: Guess) -> None:
