@@ -161,7 +161,7 @@ def _read(files: "Sequence[LogFile]") -> "tuple[list[Log], list[str]]":
         except InputError as error:
             if file.named:
                 raise
-            left.append(f"{file.title}: {error}")
+            left.append(str(error))
     if not read:
         raise InputError(left[0] if left else "there are no logs")
     kinds = [frozenset(log.columns) for log in read]
@@ -306,8 +306,8 @@ def _roles(count: int) -> str:
         )
     have = "one record" if count == 1 else "two records"
     return (
-        f"roles: {have}, so that all are fitted and none tests the model; record {LEAST_FOR_TEST - count} more at "
-        "least, with another motion (other speeds, both directions, the whole range), and make it role: test"
+        f"roles: {have}, so that all are fitted and none tests the model; record at least {LEAST_FOR_TEST - count} more, "
+        "with another motion (other speeds, both directions, the whole range), and make it role: test"
     )
 
 

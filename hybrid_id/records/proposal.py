@@ -419,7 +419,7 @@ def zero_offset(values: Sequence[np.ndarray], factor: float, joint: JointFacts, 
         (turn for turn in (math.pi, -math.pi, 2 * math.pi, -2 * math.pi) if most <= turn <= least), middle
     )
     return Guess(
-        about, f"{near:.4g}", f"{words}; every offset from {most:.3g} to {least:.3g} rad fits", False
+        about, f"{near:.6g}", f"{words}; every offset from {most:.3g} to {least:.3g} rad fits", False
     )
 
 

@@ -317,8 +317,13 @@ def _parts(
         found += [] if robot else [(part("motor", "torque_motor"), "the loop gives a torque")]
     if drive.offset:
         kind = "link_encoder" if drive.side == "a" else "motor_encoder"
-        offset = {"nominal": _digits(drive.offset), "unit": "rad"}
-        found.append((part("sensor", kind, offset=offset), "the angles leave the joint's range otherwise"))
+        offset = {"nominal": drive.offset, "unit": "rad"}
+        found.append(
+            (
+                part("sensor", kind, offset=offset),
+                "not known: an offset with which the angles lie in the joint's range",
+            )
+        )
     if drive.unsigned:
         found.append((part("sensor", "unsigned_current"), "the current is logged without its sign"))
     return found

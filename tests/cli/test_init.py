@@ -107,7 +107,7 @@ def test_other_names_a_turned_sign_and_a_sheet(run, tmp_path: Path, motions) -> 
     assert [record["role"] for record in data["records"]] == [
         "train",
         "train",
-    ] and "more at least" in done.out
+    ] and "record at least 1 more" in done.out
     assert sorted(file.name for file in folder.iterdir()) == ["run1.csv", "run2.csv"]  # logs are left alone
     assert "notes: stands still" in done.out
 
