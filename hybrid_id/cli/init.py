@@ -306,7 +306,7 @@ def _roles(count: int) -> str:
         )
     have = "one record" if count == 1 else "two records"
     return (
-        f"roles: {have}, so that all are fitted and none tests the model; record at least {LEAST_FOR_TEST - count} more, "
+        f"roles: {have}, so all are fitted and none tests the model; record at least {LEAST_FOR_TEST - count} more, "
         "with another motion (other speeds, both directions, the whole range), and make it role: test"
     )
 
