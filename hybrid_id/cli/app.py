@@ -20,6 +20,7 @@ from hybrid_id.cli.doctor import doctor
 from hybrid_id.cli.excite import excite
 from hybrid_id.cli.export import export
 from hybrid_id.cli.identify import identify
+from hybrid_id.cli.init import init
 from hybrid_id.cli.lists import components, effects
 from hybrid_id.cli.replay import compare, simulate
 from hybrid_id.cli.reproduce import reproduce
@@ -112,8 +113,8 @@ def _hybrid_id(
 
 
 for command in (
-    check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components, effects,
-    doctor,
+    init, check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components,
+    effects, doctor,
 ):  # fmt: skip
     app.command()(command)
 app.add_typer(blind, name="blind")

@@ -4,15 +4,15 @@ from collections.abc import Callable, Collection
 from pathlib import Path
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.bag import read_bag
+from hybrid_id.records.readers.bag import bag_names, read_bag
 from hybrid_id.records.readers.bag_files import is_bag_folder
 from hybrid_id.records.readers.bam import read_bam
-from hybrid_id.records.readers.csv_text import read_csv
-from hybrid_id.records.readers.lerobot import read_lerobot
-from hybrid_id.records.readers.mat import read_mat
+from hybrid_id.records.readers.csv_text import csv_names, read_csv
+from hybrid_id.records.readers.lerobot import in_lerobot, lerobot_episodes, lerobot_names, read_lerobot
+from hybrid_id.records.readers.mat import mat_names, read_mat
 from hybrid_id.records.readers.mat_hdf5 import is_hdf5
-from hybrid_id.records.readers.npz import read_npz
-from hybrid_id.records.readers.parquet import read_parquet
+from hybrid_id.records.readers.npz import npz_names, read_npz
+from hybrid_id.records.readers.parquet import parquet_names, read_parquet
 from hybrid_id.records.readers.table import Table, TimeRange, record_name
 from hybrid_id.records.readers.unpack import refuse_bomb
 
@@ -25,11 +25,54 @@ READERS: dict[str, Callable[..., Table]] = {
     "npz": read_npz,
     "lerobot": read_lerobot,
 }
+_NAMES: dict[str, Callable[[Path], list[str]]] = {
+    "csv": csv_names,
+    "parquet": parquet_names,
+    "mat": mat_names,
+    "bag": bag_names,
+    "npz": npz_names,
+    "lerobot": lerobot_names,
+}
 _IN_PIECES = ("csv", "parquet")
 _ENDINGS = {".csv": "csv", ".tsv": "csv", ".txt": "csv", ".parquet": "parquet", ".mat": "mat", ".json": "bam"}
 _ENDINGS |= {".bag": "bag", ".mcap": "bag", ".db3": "bag", ".npz": "npz"}
 
-__all__ = ["READERS", "Table", "TimeRange", "is_bag_folder", "load_any", "record_name"]
+__all__ = [
+    "READERS",
+    "Table",
+    "TimeRange",
+    "column_names",
+    "format_of",
+    "in_lerobot",
+    "is_bag_folder",
+    "lerobot_episodes",
+    "load_any",
+    "record_name",
+]
+
+
+def format_of(path: Path) -> str | None:
+    """The format of a file by its ending, or of a bag's folder; None where nothing reads it."""
+    ending = Path(path.name.removesuffix(".gz")).suffix.lower()
+    return "bag" if is_bag_folder(path) else _ENDINGS.get(ending)
+
+
+def column_names(path: Path, file_format: str) -> list[str]:
+    """Names of all columns that a file has, in its order.
+
+    Raises:
+        InputError: when the file is missing or damaged, or its format has no names of its own (`bam`).
+    """
+    if file_format not in _NAMES:
+        raise InputError(f"{path}: columns of format '{file_format}' have fixed names; see docs/records.md")
+    try:
+        if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
+            refuse_bomb(path)
+        return _NAMES[file_format](path)
+    except FileNotFoundError:
+        raise InputError(f"{path} does not exist; correct the path or bring the file") from None
+    except (IsADirectoryError, PermissionError) as error:
+        raise InputError(f"{path} cannot be read ({error.strerror}); give a readable file") from None
 
 
 def load_any(

@@ -82,6 +82,30 @@ def read_bag(path: Path, wanted: Collection[str]) -> Table:
     return _table(path, wanted, topics)
 
 
+def bag_names(path: Path) -> list[str]:
+    """Names of all columns of a bag: of each topic that is read its own, for its stamps, and those of its values."""
+    try:
+        import rosbags.rosbag1  # noqa: F401
+    except ImportError:
+        raise InputError(
+            f"{path}: reading a ROS bag needs rosbags; install it with pip install 'hybrid_id[logs]'."
+        ) from None
+    try:
+        with ExitStack() as stack:
+            readers = _open(path, stack)
+            kinds = {c.topic: c.msgtype for reader in readers for c in reader.connections}
+            found: list[str] = []
+            for topic, kind in kinds.items():
+                if kind in KINDS:
+                    found += [topic, *_available(readers, _Topic(topic, kind), path)]
+            return found
+    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except Exception as error:  # a damaged bag can make its parser stumble in any way
+        reason = " ".join(f"{error or type(error).__name__}".split()).replace(str(path), "it").rstrip(".")
+        raise InputError(f"{path} is not a readable bag ({reason[:120]}); record or copy it again") from None
+
+
 def _open(path: Path, stack: ExitStack) -> list[Any]:
     """Open every storage file of a bag, checked before the library reads it."""
     from rosbags.rosbag1 import Reader as Reader1

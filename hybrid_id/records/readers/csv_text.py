@@ -55,6 +55,17 @@ def read_csv(path: Path, wanted: Collection[str], time_range: TimeRange | None =
     )
 
 
+def csv_names(path: Path) -> list[str]:
+    """Names of all columns of a text table, as its header gives them."""
+    try:
+        with _open(path) as file:
+            return _Layout.of(file, path).names
+    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
+        raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(f"{path} is not a text table in UTF-8; save it as CSV") from None
+
+
 @dataclass(frozen=True)
 class _Layout:
     """How the lines of one text table are cut."""

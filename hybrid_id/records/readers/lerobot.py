@@ -72,6 +72,56 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
     return Table(path, {name: values[name] for name in wanted}, lambda k: f"frame {found[_FRAME][k, 0]:.0f}")
 
 
+def lerobot_names(path: Path) -> list[str]:
+    """Names of all columns of an episode's file, elements of vectors by their own."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    info, source = _read_info(path)
+    try:
+        file = pq.ParquetFile(path)
+        found = ["t"]
+        for name in file.schema_arrow.names:
+            kind = file.schema_arrow.field(name).type
+            if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+                found.append(name)
+            elif pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+                if not (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type)):
+                    continue
+                first = next(file.iter_batches(1, columns=[name]), None)
+                width = 0 if first is None else len(first[name][0])
+                names = _names(info, name, source)
+                found += [
+                    f"{name}/{names[k] if len(names) == width else k}" for k in range(min(width, _WIDEST))
+                ]
+    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except Exception as error:  # a damaged file can make its parser stumble in any way
+        reason = " ".join(str(error).split()).rstrip(".")[:120]
+        raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
+    return found
+
+
+def lerobot_episodes(path: Path) -> list[int]:
+    """Numbers of the episodes that a file holds."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        column = pq.read_table(path, columns=[_EPISODE])[_EPISODE]
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(
+            f"{path} is no LeRobot episode ({str(error)[:80]}); bring the whole dataset"
+        ) from None
+    return sorted({int(number) for number in column.to_pylist() if number is not None})
+
+
+def in_lerobot(path: Path) -> Path | None:
+    """The folder of the LeRobot dataset that a file or folder lies in, if it does."""
+    folders = [path.resolve(), *path.resolve().parents][: _ABOVE + 1]
+    return next((folder for folder in folders if (folder / _INFO).is_file()), None)
+
+
 def _read_info(path: Path) -> tuple[dict[str, Any], Path]:
     """Read `meta/info.json` of the dataset that a file belongs to."""
     folders = [folder for folder in path.resolve().parents][:_ABOVE]

@@ -27,6 +27,23 @@ def read_mat(path: Path, wanted: Collection[str]) -> Table:
     Raises:
         InputError: for a damaged file, or a missing column.
     """
+    columns, scalars, others = _columns(path, wanted)
+    require_columns(path, wanted, [*columns, *others])
+    return Table(path, {name: columns[name] for name in wanted}, lambda k: f"sample {k + 1}", scalars)
+
+
+def mat_names(path: Path) -> list[str]:
+    """Names of all columns of a MATLAB file."""
+    columns, _, others = _columns(path, [])
+    if others:  # of version 7.3: shapes are known once a variable is read
+        columns = columns | _columns(path, others)[0]
+    return list(columns)
+
+
+def _columns(
+    path: Path, wanted: Collection[str]
+) -> tuple[dict[str, np.ndarray], dict[str, float | str], list[str]]:
+    """Columns, single numbers, and in version 7.3 the variables that are left unread."""
     from scipy.io import loadmat
 
     others: list[str] = []
@@ -58,5 +75,4 @@ def read_mat(path: Path, wanted: Collection[str]) -> Table:
         columns |= {new: columns[old] for new, old in (("q_m1", "qm"), ("goal1", "qg")) if old in columns}
         if isinstance(gain := scalars.get("gtau"), float):
             columns["tau1"] = gain * columns["vir"]
-    require_columns(path, wanted, [*columns, *others])
-    return Table(path, {name: columns[name] for name in wanted}, lambda k: f"sample {k + 1}", scalars)
+    return columns, scalars, others

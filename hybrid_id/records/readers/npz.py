@@ -37,6 +37,28 @@ def read_npz(path: Path, wanted: Collection[str]) -> Table:
         raise InputError(f"{path} is not a readable .npz file ({reason}); write it again") from None
 
 
+def npz_names(path: Path) -> list[str]:
+    """Names of all columns of an archive; single numbers and objects are none."""
+    found: list[str] = []
+    try:
+        with zipfile.ZipFile(path) as archive:
+            for item in [item for item in archive.infolist() if item.filename.endswith(_ENDING)][
+                :_MOST_ARRAYS
+            ]:
+                name, (shape, dtype) = item.filename.removesuffix(_ENDING), _header(archive, item)
+                width = shape[-1] if len(shape) == 2 else 1
+                if dtype.kind not in "fiub" or not 0 < len(shape) <= 2 or math.prod(shape) <= 1:
+                    continue
+                if width <= _MOST_COLUMNS:
+                    found += [name] if width == 1 else [f"{name}/{k}" for k in range(width)]
+    except (FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except Exception as error:  # a damaged archive can make its parser stumble in any way
+        reason = " ".join(str(error).split())[:80]
+        raise InputError(f"{path} is not a readable .npz file ({reason}); write it again") from None
+    return found
+
+
 def _read(path: Path, archive: zipfile.ZipFile, wanted: Collection[str]) -> Table:
     items = [item for item in archive.infolist() if item.filename.endswith(_ENDING)]
     if len(items) > _MOST_ARRAYS:

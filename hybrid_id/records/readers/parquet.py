@@ -40,6 +40,20 @@ def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | No
     return Table(path, columns, _row(kept), stamps=stamps)
 
 
+def parquet_names(path: Path) -> list[str]:
+    """Names of all columns of a Parquet file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        return list(pq.read_schema(path).names)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        if isinstance(error, FileNotFoundError | IsADirectoryError | PermissionError):
+            raise
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
+
+
 def _row(kept: np.ndarray | None) -> Callable[[int], str]:
     """Words for the place of each sample, of a table or of the rows that were kept of it."""
     return lambda k: f"row {(k if kept is None else int(kept[k])) + 1} of the table"

@@ -1,0 +1,343 @@
+"""A first model for logs: parts that their commands demand, with starts from a data sheet or from the logs."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hybrid_id.errors import InputError
+from hybrid_id.records.proposal import DriveFit
+from hybrid_id.records.proposed_dataset import DriveFacts, MotorSheet, Question
+from hybrid_id.robots.tree import RigidBodyTree
+from hybrid_id.systems.builders import started
+from hybrid_id.systems.servos import SERVOS
+
+PLACEHOLDER = {
+    "J": 2.0e-5,
+    "P_m1": 0.019,
+    "P_m2": 0.0254,
+    "F_c": 0.01,
+    "F_v": 5.0e-5,
+    "k_t": 0.05,
+    "k_p": 10.0,
+}
+"""Starts [SI] where neither a sheet nor the logs say more: a motor of some 10 W."""
+EXPLAINED, PARTIAL = 0.3, 0.3
+"""Share of the acceleration that a drive's fit has to explain, and the command's partial correlation, to be a start."""
+NOT_BACK_EMF = 0.1
+"""Share of a drive's damping that starts as viscous friction and not as back-EMF."""
+SURE_OF, SURE_OF_STALL = 0.05, 0.1
+"""Standard deviations of priors, relative: of a sheet's torque constant, and of stall torque per volt."""
+
+
+@dataclass
+class ProposedModel:
+    """Content of `model.yaml`.
+
+    Attributes:
+        values: as the file's keys.
+        why: place in it, ``parameters.J`` or ``components.0``, and the evidence for what stands there.
+        questions: what cannot be told.
+    """
+
+    values: dict[str, Any]
+    why: dict[str, str] = field(default_factory=dict)
+    questions: list[Question] = field(default_factory=list)
+
+    def ask(self, words: str, line: str = "") -> None:
+        """Leave a question."""
+        self.questions.append(Question(words, line, "model"))
+
+
+def propose_model(
+    drives: Sequence[DriveFacts],
+    sheet: MotorSheet | None = None,
+    tree: RigidBodyTree | None = None,
+    held: Sequence[str] = (),
+) -> ProposedModel:
+    """The model of the drives that logs hold.
+
+    Args:
+        drives: in the order of their numbers; one without a robot.
+        sheet: of the motor.
+        tree: of the robot; None for one link.
+        held: joints of the robot that are not logged.
+
+    Raises:
+        InputError: the sheet does not fit.
+    """
+    sheet = sheet or MotorSheet()
+    if sheet.servo is not None and sheet.servo not in SERVOS:
+        raise InputError(
+            f"servo '{sheet.servo}' of the motor's sheet is not known; use one of {', '.join(SERVOS)}"
+        )
+    return _one_link(drives[0], sheet) if tree is None else _robot(drives, sheet, tree, held)
+
+
+def _ratios(sheet: MotorSheet, joints: int) -> list[float]:
+    given = sheet.gear_ratio
+    found = [] if given is None else [given] * joints if isinstance(given, int | float) else list(given)
+    if found and (len(found) != joints or min(found) <= 0):
+        raise InputError(
+            f"gear_ratio {given} of the motor's sheet must be positive: one number, or one for each of {joints} joints"
+        )
+    return [float(one) for one in found]
+
+
+def _trusted(fit: DriveFit | None) -> DriveFit | None:
+    fine = fit is not None and fit.alpha > 0 and fit.explained > EXPLAINED and fit.partial > PARTIAL
+    return fit if fine else None
+
+
+def _digits(value: float) -> float:
+    return float(f"{value:.3g}")
+
+
+def _entry(nominal: float, unit: str, prior: float = 0.0) -> dict[str, Any]:
+    entry: dict[str, Any] = {"nominal": _digits(nominal)}
+    return entry | ({"prior_std": _digits(prior * nominal)} if prior else {}) | {"unit": unit}
+
+
+@dataclass
+class _Start:
+    """Start values of one drive, at its motor, and where each is from."""
+
+    values: dict[str, float]
+    why: dict[str, str]
+    priors: dict[str, float]
+
+
+def _start(drive: DriveFacts, sheet: MotorSheet, ratio: float, inertia: float | None) -> _Start:
+    """Start values by the sheet, else by the fit of the acceleration, else placeholders.
+
+    Args:
+        drive: what the logs say.
+        sheet: of the motor.
+        ratio: of the gear.
+        inertia: at the motor [kg m^2], where a description knows it.
+    """
+    fit = _trusted(drive.fit)
+    seen = ratio if drive.side == "a" else 1.0  # of the motor, for one of the angle
+    values, why, priors = dict(PLACEHOLDER), dict.fromkeys(PLACEHOLDER, "placeholder"), {}
+    by_fit = "" if fit is None else f"fit of the logs' acceleration ({100 * fit.explained:.0f} % explained)"
+    alpha = seen * fit.alpha if fit else 0.0
+    constant = sheet.back_emf_constant or sheet.torque_constant
+    if constant:
+        values["P_m2"], why["P_m2"], priors["P_m2"] = constant, "motor's sheet", SURE_OF
+    elif fit and fit.beta > 0:
+        values["P_m2"], why["P_m2"] = (1.0 - NOT_BACK_EMF) * fit.beta / alpha, by_fit
+    torque_constant = sheet.torque_constant or sheet.back_emf_constant
+    if torque_constant:
+        values["k_t"], why["k_t"], priors["k_t"] = torque_constant, "motor's sheet", SURE_OF
+    if torque_constant and sheet.resistance:
+        values["P_m1"], why["P_m1"] = (
+            torque_constant / sheet.resistance,
+            "motor's sheet: torque constant / resistance",
+        )
+        priors["P_m1"] = SURE_OF_STALL
+    gain = {"voltage": "P_m1", "duty": "P_m1", "current": "k_t"}.get(drive.command)
+    if fit and drive.command == "torque":
+        values["J"], why["J"] = 1.0 / alpha, by_fit
+    elif fit and gain and gain in priors:
+        values["J"], why["J"] = values[gain] / alpha, f"{by_fit} with {gain} of the sheet"
+    elif inertia or sheet.inertia:
+        values["J"] = float(inertia or sheet.inertia or 0.0)
+        why["J"] = "robot's description" if inertia else "motor's sheet: rotor alone, the link comes on top"
+    j = values["J"]
+    if fit and gain and gain not in priors:
+        values[gain], why[gain] = alpha * j, f"{by_fit} with J as it stands here"
+    if fit and drive.command == "goal":
+        values["k_p"], why["k_p"] = fit.alpha * j * ratio**2, f"{by_fit} with J as it stands here"
+    if fit:
+        damping = max(fit.beta, 0.0) * j
+        electric = values["P_m1"] * values["P_m2"] if gain == "P_m1" else 0.0
+        values["F_v"], why["F_v"] = max(damping - electric, NOT_BACK_EMF * damping, 1e-9), by_fit
+        values["F_c"], why["F_c"] = max(seen * fit.gamma * j, 1e-3 * j), by_fit
+    return _Start(values, why, priors)
+
+
+def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
+    ratios = _ratios(sheet, 1)
+    ratio = ratios[0] if ratios else 1.0
+    model = ProposedModel({"system": "one_link", "gear_ratio": [ratio]})
+    model.why["system"] = "one motor, one joint, stiff gear: the simplest; no robot was given"
+    model.why["gear_ratio"] = (
+        "motor's sheet" if ratios else "not known: all values are then those at the angle's side"
+    )
+    if not ratios:
+        model.ask(
+            "How many turns of the motor make one of the joint? gear_ratio is 1, which puts all parameters at the side "
+            "of the angle: J is then the inertia seen there. Give gear_ratio in --motor."
+        )
+    elif ratio != 1.0 and drive.side == "m" and not drive.side_known:
+        model.ask(
+            f"Is it the motor's angle? With a gear of {ratio:g} and an encoder at the joint, call q_m1 q_a1 "
+            "(v_m1 v_a1) in dataset.yaml."
+        )
+    start = _start(drive, sheet, ratio, None)
+    dc = drive.command in ("voltage", "duty", "position_loop")
+    names = (
+        {"J": "kg m^2"}
+        | ({"P_m1": "N m/V", "P_m2": "V s/rad"} if dc else {})
+        | {"F_c": "N m", "F_v": "N m s/rad"}
+    )
+    model.values["parameters"] = {
+        name: _entry(start.values[name], unit, start.priors.get(name, 0.0)) for name, unit in names.items()
+    }
+    for name in names:
+        model.why[f"parameters.{name}"] = start.why[name]
+    components = _parts("joint1", drive, start, False, sheet, False)
+    _add(model, components)
+    if not (start.priors or drive.command == "torque"):
+        model.ask(
+            "What is the motor's torque constant (and resistance)? Without a known torque only ratios of parameters "
+            "to J are identifiable, J itself is a placeholder. Give torque_constant and resistance in --motor."
+        )
+    if placeholders := [name for name in names if start.why[name] == "placeholder" and name != "J"]:
+        model.ask(
+            f"Where are {', '.join(placeholders)} from? They are placeholders: the logs' acceleration gives no start."
+        )
+    pull = (
+        ""
+        if drive.fit is None
+        else f" {drive.fit.gravity:.3g} rad/s^2 of the acceleration follow the angle's sine."
+    )
+    model.ask(
+        f"Does gravity act on the joint? None is assumed.{pull}",
+        "gravity: vertical   # and G_l: {nominal: 1.0, unit: N m}",
+    )
+    return model
+
+
+def _robot(
+    drives: Sequence[DriveFacts], sheet: MotorSheet, tree: RigidBodyTree, held: Sequence[str]
+) -> ProposedModel:
+    entry: dict[str, Any] = {"file": tree.source}
+    if held:
+        entry["hold"] = dict.fromkeys(held, 0.0)
+    model = ProposedModel({"robot": entry})
+    model.why["robot"] = f"joints in the file's order: {', '.join(drive.joint for drive in drives)}"
+    if held:
+        model.why["robot"] += f"; not logged, so held at 0: {', '.join(held)}"
+        model.ask(
+            f"Where do the joints {', '.join(held)} stand, which the logs do not hold? They are held at 0 (rad or m)."
+        )
+    ratios = _ratios(sheet, len(drives))
+    if ratios:
+        model.values["gear_ratio"], model.why["gear_ratio"] = ratios, "motor's sheet"
+    else:
+        model.why["robot"] += "; gear_ratio is 1, so that all parameters are seen at the joints"
+    still = tree.holding(dict.fromkeys(held, 0.0)) if held else tree
+    mass = still.mass_matrix(still.poses([0.0] * len(still.joints)), still.inertias())
+    servos: dict[str, dict[str, Any]] = {}
+    placeholders: dict[str, list[str]] = {}
+    for k, (drive, joint) in enumerate(zip(drives, started(still), strict=True)):
+        ratio = ratios[k] if ratios else 1.0
+        start = _start(drive, sheet, ratio, (float(mass[k][k]) + joint.armature) / ratio**2)
+        own = joint.servo is not None
+        if drive.command == "goal" and sheet.servo:
+            servos[drive.joint] = {"preset": sheet.servo, "p": sheet.p or 16.0}
+            servos[drive.joint] |= {"voltage": sheet.voltage} if sheet.voltage else {}
+            own = True
+        components = _parts(drive.joint, drive, start, own, sheet, True)
+        _add(model, components)
+        gains = {
+            "voltage": ("P_m1", "P_m2"),
+            "duty": ("P_m1", "P_m2"),
+            "current": ("k_t",),
+            "goal": () if own else ("k_p",),
+        }
+        for name in gains.get(drive.command, ()):
+            if name not in start.priors:
+                placeholders.setdefault(name, []).append(drive.joint)
+    if servos:
+        model.values["servos"], model.why["servos"] = servos, "motor's sheet"
+        if sheet.p is None:
+            model.ask("What does the register P of the servos hold? 16 is assumed. Give p in --motor.")
+    for name, joints in placeholders.items():
+        cure = {
+            "k_p": "it is a start only; give the servo (servo, p) in --motor, or the file a position actuator",
+            "k_t": "give torque_constant in --motor",
+        }.get(name, "give torque_constant and resistance in --motor")
+        model.ask(
+            f"How large is {name} of {', '.join(joints)}? Its start is from the logs or a placeholder: {cure}."
+        )
+    return model
+
+
+def _parts(
+    at: str, drive: DriveFacts, start: _Start, own_loop: bool, sheet: MotorSheet, robot: bool
+) -> list[tuple[dict[str, Any], str]]:
+    """Components beyond the usual ones, and why each is there."""
+
+    def part(place: str, kind: str, **parameters: Any) -> dict[str, Any]:
+        return {"place": f"{at}/{place}", "kind": kind} | ({"parameters": parameters} if parameters else {})
+
+    def value(name: str, unit: str) -> dict[str, Any]:
+        return _entry(start.values[name], unit, start.priors.get(name, 0.0))
+
+    constants = {"P_m1": value("P_m1", "N m/V"), "P_m2": value("P_m2", "V s/rad")}
+    motor = [
+        (part("motor", "dc_motor", **constants), f"P_m1: {start.why['P_m1']}; P_m2: {start.why['P_m2']}")
+    ]
+    motor = motor if robot else []
+    found: list[tuple[dict[str, Any], str]] = []
+    if drive.command == "voltage" and robot:
+        found = [(part("input", "voltage"), "the command is a voltage"), *motor]
+    elif drive.command == "duty":
+        found = [(part("input", "duty_supply"), "the command is a duty of a logged supply"), *motor]
+    elif drive.command == "position_loop":
+        words = (
+            "the command is a goal, its loop's gain and the supply are logged; duty_per_rad by your firmware"
+        )
+        found = [(part("input", "position_loop"), words), *motor]
+    elif drive.command == "current":
+        found = [
+            (part("input", "current_command"), "the command is a current"),
+            (part("motor", "current_motor", k_t=value("k_t", "N m/A")), f"k_t: {start.why['k_t']}"),
+        ]
+    elif drive.command == "torque" and not robot:
+        found = [
+            (part("input", "torque_command"), "the command is a torque"),
+            (part("motor", "torque_motor"), "a torque that acts as commanded"),
+        ]
+    elif drive.command == "torque" and own_loop:
+        found = [
+            (
+                part("input", "torque_command"),
+                "the command is a torque, though the file has a position actuator",
+            )
+        ]
+    elif drive.command == "goal" and not own_loop:
+        loop = part("input", "position_servo", k_p=value("k_p", "N m/rad"))
+        found = [(loop, f"the command is a goal; k_p: {start.why['k_p']}")]
+        found += [] if robot else [(part("motor", "torque_motor"), "the loop gives a torque")]
+    if drive.offset:
+        kind = "link_encoder" if drive.side == "a" else "motor_encoder"
+        offset = {"nominal": drive.offset, "unit": "rad"}
+        found.append(
+            (
+                part("sensor", kind, offset=offset),
+                "not known: an offset with which the angles lie in the joint's range",
+            )
+        )
+    if drive.unsigned:
+        found.append((part("sensor", "unsigned_current"), "the current is logged without its sign"))
+    return found
+
+
+def _add(model: ProposedModel, components: Sequence[tuple[dict[str, Any], str]]) -> None:
+    listed = model.values.setdefault("components", [])
+    for entry, why in components:
+        model.why[f"components.{len(listed)}"] = why
+        listed.append(entry)
+    if not listed:
+        del model.values["components"]
+
+
+def seen_from(folder: Path, file: str) -> str:
+    """A file's name as seen from a folder, so that both can be moved together."""
+    return Path(os.path.relpath(Path(file).resolve(), folder.resolve())).as_posix()

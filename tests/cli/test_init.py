@@ -1,0 +1,302 @@
+"""`init`: logs of many shapes get the files that a person would have written, and doubts are asked."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import yaml
+from drives import make_records, multisine, rigid_drive
+
+RECORDS = 3
+ARM = """<mujoco><compiler angle="radian"/><worldbody>
+<body name="upper"><joint name="shoulder_pan" axis="0 0 1" range="-1.9 1.9"
+ armature="0.01" damping="0.2" frictionloss="0.05"/>
+<inertial mass="0.5" pos="0.1 0 0" diaginertia="0.002 0.002 0.002"/>
+<body name="lower" pos="0.2 0 0"><joint name="elbow_flex" axis="0 1 0" range="-1.7 1.7" armature="0.01" damping="0.2"
+ frictionloss="0.05"/><inertial mass="0.3" pos="0.1 0 0" diaginertia="0.001 0.001 0.001"/></body></body>
+</worldbody><actuator>{actuators}</actuator></mujoco>"""
+ACTUATORS = '<position joint="shoulder_pan" kp="8" kv="0.1"/><position joint="elbow_flex" kp="8" kv="0.1"/>'
+
+
+@pytest.fixture(scope="module")
+def motions() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Time [s], voltage [V] and motor's angle [rad] of three records."""
+    voltages = [multisine(seed, samples=1000, amplitude=6.0 + seed) for seed in range(RECORDS)]
+    records = make_records(rigid_drive(), voltages, noise={"q_m1": 0.01})
+    return [(r.time, r.inputs["u1"], r.outputs["q_m1"]) for r in records]
+
+
+def write_csv(folder: Path, motions, columns, records: int = RECORDS) -> Path:
+    """CSV files whose columns are functions of time, voltage and angle."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for k, motion in enumerate(motions[:records], 1):
+        table = np.column_stack([values(*motion) for values in columns.values()])
+        np.savetxt(folder / f"run{k}.csv", table, header=",".join(columns), comments="", delimiter=",")
+    return folder
+
+
+def written(folder: Path) -> tuple[dict, dict]:
+    return yaml.safe_load((folder / "dataset.yaml").read_text()), yaml.safe_load(
+        (folder / "model.yaml").read_text()
+    )
+
+
+MS = {
+    "time": lambda t, u, q: 1e3 * t,
+    "plant_voltage": lambda t, u, q: u,
+    "theta": lambda t, u, q: np.degrees(q),
+}
+
+
+def test_degrees_and_milliseconds_pass_check(run, tmp_path: Path, motions) -> None:
+    folder = write_csv(tmp_path / "bench", motions, MS)
+    before = {file.name: file.read_bytes() for file in folder.iterdir()}
+    done = run("init", folder)
+    assert done.code == 0, done.err
+    data, model = written(folder)
+    assert data["inputs"] == [{"name": "u1", "unit": "V"}]
+    assert data["outputs"] == [{"name": "q_m1", "unit": "deg"}]
+    assert data["columns"]["t"] == {"column": "time", "unit": "ms"}
+    assert [record["role"] for record in data["records"]] == ["train", "train", "test"]
+    assert model["system"] == "one_link" and model["gear_ratio"] == [1.0]
+    assert model["parameters"]["P_m2"]["nominal"] == pytest.approx(
+        rigid_drive().parameter("P_m2").spec.value, rel=0.1
+    )
+    assert "gear_ratio" in done.out and "question" in done.out
+    assert {name: (folder / name).read_bytes() for name in before} == before
+    checked = run("check", folder)
+    assert checked.code == 0, checked.err
+
+
+def test_nothing_is_overwritten_without_force(run, tmp_path: Path, motions) -> None:
+    folder = write_csv(tmp_path / "bench", motions, MS, records=1)
+    (folder / "model.yaml").write_text("mine")
+    refused = run("init", folder)
+    assert refused.code == 2 and "model.yaml" in refused.err and "--force" in refused.err
+    assert (folder / "model.yaml").read_text() == "mine" and not (folder / "dataset.yaml").exists()
+    assert run("init", folder, "--force").code == 0
+    assert written(folder)[1]["system"] == "one_link"
+
+
+def test_other_names_a_turned_sign_and_a_sheet(run, tmp_path: Path, motions) -> None:
+    columns = {
+        "stamp_us": lambda t, u, q: 1e6 * t + 1.7e9,
+        "encoder": lambda t, u, q: -q,
+        "motor_current_mA": lambda t, u, q: 1e3 * (u - 0.0254 * np.gradient(q, t)) / 2.0,
+        "cmd_volts": lambda t, u, q: u,
+        "notes": lambda t, u, q: np.zeros_like(t),
+    }
+    folder = write_csv(tmp_path / "logs", motions, columns, records=2)
+    sheet = tmp_path / "sheet.yaml"
+    sheet.write_text("gear_ratio: 20\ntorque_constant: 0.0254\nresistance: 1.33\n")
+    done = run("init", folder / "run1.csv", folder / "run2.csv", "--motor", sheet, "--out", tmp_path / "mine")
+    assert done.code == 0, done.err
+    data, model = written(tmp_path / "mine")
+    assert data["columns"]["t"] == {"column": "stamp_us", "unit": "us"}
+    assert data["columns"]["q_m1"] == {"column": "encoder", "scale": -1.0}
+    assert {"name": "i1", "unit": "mA"} in [
+        {k: v for k, v in one.items() if k != "skew"} for one in data["outputs"]
+    ]
+    assert model["gear_ratio"] == [20.0] and model["parameters"]["P_m2"]["prior_std"] > 0
+    assert model["parameters"]["J"]["nominal"] == pytest.approx(
+        rigid_drive().parameter("J").spec.value, rel=0.25
+    )
+    assert [record["role"] for record in data["records"]] == [
+        "train",
+        "train",
+    ] and "record at least 1 more" in done.out
+    assert sorted(file.name for file in folder.iterdir()) == ["run1.csv", "run2.csv"]  # logs are left alone
+    assert "notes: stands still" in done.out
+
+
+def test_columns_without_names_are_asked_about(run, tmp_path: Path, motions) -> None:
+    columns = {
+        "a": lambda t, u, q: t,
+        "b": lambda t, u, q: q,
+        "c": lambda t, u, q: np.gradient(q, t) + 0.5 * np.sin(1e5 * t),
+        "d": lambda t, u, q: u,
+    }
+    done = run("init", write_csv(tmp_path / "x", motions, columns), "--json")
+    assert done.code == 0, done.err
+    data, _ = written(tmp_path / "x")
+    assert {name: entry["column"] for name, entry in data["columns"].items()} == {
+        "t": "a", "u1": "d", "q_m1": "b", "v_m1": "c",
+    }  # fmt: skip
+    asked = " ".join(one["question"] for one in json.loads(done.out)["questions"])
+    assert "'b'" in asked and "'d'" in asked
+
+
+def test_jitter_proposes_resampling(run, tmp_path: Path, motions) -> None:
+    rng = np.random.default_rng(0)
+    columns = MS | {"time": lambda t, u, q: 1e3 * (t + rng.uniform(-3e-4, 3e-4, t.size))}
+    folder = write_csv(tmp_path / "x", motions, columns)
+    assert run("init", folder).code == 0
+    assert written(folder)[0]["resample"] is True
+
+
+def test_gaps_are_bridged_or_cut_and_said(run, tmp_path: Path, motions) -> None:
+    short, long = np.r_[0:300, 305:1000], np.r_[0:300, 400:1000]
+    folder = tmp_path / "x"
+    for k, rows in enumerate((short, long)):
+        write_csv(folder / "part", [[signal[rows] for signal in motions[k]]], MS)
+        (folder / "part" / "run1.csv").rename(folder / f"run{k}.csv")
+    (folder / "part").rmdir()
+    done = run("init", folder)
+    assert done.code == 0, done.err
+    data, _ = written(folder)
+    assert data["resample"] == {"max_gap": 7} and data["records"][1]["between"] == [0.8, 1.998]
+    assert "bridged" in done.out
+    assert run("check", folder).code == 0
+
+
+def test_the_command_that_acts_is_taken_of_several(run, tmp_path: Path, motions) -> None:
+    rng = np.random.default_rng(1)
+    columns = MS | {
+        "control": lambda t, u, q: u + rng.normal(0.0, 3.0, t.size),
+        "plant_input": MS["plant_voltage"],
+    }
+    del columns["plant_voltage"]
+    done = run("init", write_csv(tmp_path / "x", motions, columns))
+    assert written(tmp_path / "x")[0]["columns"]["u1"]["column"] == "plant_input"
+    assert "control" in done.out
+
+
+@pytest.mark.parametrize(
+    ("columns", "words"),
+    [
+        ({"time": MS["time"], "temperature": lambda t, u, q: q}, "no usable pair"),
+        ({"voltage": lambda t, u, q: u, "angle": lambda t, u, q: q}, "no column of time"),
+    ],
+)
+def test_no_usable_columns_are_refused(run, tmp_path: Path, motions, columns, words: str) -> None:
+    folder = write_csv(tmp_path / "x", motions, columns)
+    refused = run("init", folder)
+    assert refused.code == 2 and words in refused.err and refused.err.count("\n") == 1
+    assert not list(folder.glob("*.yaml"))
+
+
+def test_an_empty_folder_and_a_wrong_sheet_are_refused(run, tmp_path: Path, motions) -> None:
+    (tmp_path / "empty").mkdir()
+    assert run("init", tmp_path / "empty").code == 2
+    assert run("init", tmp_path / "nowhere").code == 2
+    folder = write_csv(tmp_path / "x", motions, MS)
+    (tmp_path / "sheet.yaml").write_text("gear: 3\n")
+    refused = run("init", folder, "--motor", tmp_path / "sheet.yaml")
+    assert refused.code == 2 and "gear" in refused.err and not list(folder.glob("*.yaml"))
+
+
+def swing(seed: int, samples: int = 600, step: float = 0.02) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time [s], goals and angles [rad] of two joints that follow them with a lag."""
+    t = step * np.arange(samples)
+    phase = np.random.default_rng(seed).uniform(0, 6, (2, 3))
+    goal = np.stack(
+        [sum(0.5 * np.sin((0.7 + 0.6 * k + 0.2 * j) * t + phase[j, k]) for k in range(3)) for j in range(2)],
+        axis=1,
+    )
+    angle = np.zeros_like(goal)
+    angle[0] = goal[0]
+    for k in range(1, samples):
+        angle[k] = angle[k - 1] + step * 8.0 * (goal[k - 1] - angle[k - 1])
+    return t, goal, angle
+
+
+@pytest.mark.parametrize("actuators", [ACTUATORS, ""])
+def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
+    pytest.importorskip("mujoco")
+    robot = tmp_path / "arm.xml"
+    robot.write_text(ARM.format(actuators=actuators))
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    names = ["elbow_flex.pos", "shoulder_pan.pos", "elbow_flex.goal", "shoulder_pan.goal"]
+    for seed in range(3):
+        t, goal, angle = swing(seed)
+        table = np.column_stack([t, np.degrees(angle[:, ::-1]), np.degrees(goal[:, ::-1])])
+        np.savetxt(
+            folder / f"run{seed}.csv", table, header=",".join(["time", *names]), comments="", delimiter=","
+        )
+    done = run("init", folder, "--robot", robot)
+    assert done.code == 0, done.err
+    data, model = written(folder)
+    assert data["columns"]["q_m1"]["column"] == "shoulder_pan.pos"
+    assert data["columns"]["goal2"]["column"] == "elbow_flex.goal"
+    assert {one["unit"] for one in (*data["inputs"], *data["outputs"])} == {"deg"}
+    assert "times the range of shoulder_pan" in (folder / "dataset.yaml").read_text()
+    assert model["robot"]["file"] == "../arm.xml"
+    kinds = [one["kind"] for one in model.get("components", [])]
+    assert kinds == ([] if actuators else ["position_servo"] * 2)
+    checked = run("check", folder)
+    assert checked.code == 0, checked.err
+
+
+def test_a_lerobot_dataset(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM.format(actuators=ACTUATORS))
+    folder = tmp_path / "lerobot"
+    names = ["shoulder_pan.pos", "elbow_flex.pos"]
+    vector = {"dtype": "float32", "shape": [2], "names": names}
+    (folder / "meta").mkdir(parents=True)
+    info = {
+        "codebase_version": "v3.0",
+        "fps": 50,
+        "features": {"observation.state": vector, "action": vector},
+    }
+    (folder / "meta" / "info.json").write_text(json.dumps(info))
+    tables = []
+    for episode in range(3):
+        t, goal, angle = swing(episode)
+        rows = {
+            "observation.state": pa.array(np.degrees(angle).astype("f4").tolist(), pa.list_(pa.float32())),
+            "action": pa.array(np.degrees(goal).astype("f4").tolist(), pa.list_(pa.float32())),
+            "timestamp": pa.array(t.astype("f4")),
+            "frame_index": pa.array(np.arange(t.size)),
+            "episode_index": pa.array(np.full(t.size, episode)),
+        }
+        tables.append(pa.table(rows))
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    pq.write_table(pa.concat_tables(tables), folder / "data" / "chunk-000" / "file-000.parquet")
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    data, _ = written(folder)
+    assert data["format"] == "lerobot" and [one["episode"] for one in data["records"]] == [0, 1, 2]
+    assert data["columns"]["q_m2"]["column"] == "observation.state/elbow_flex.pos"
+    assert data["columns"]["goal1"]["column"] == "action/shoulder_pan.pos"
+    assert run("check", folder).code == 0
+
+
+def test_a_bag_of_joint_states_and_a_command(run, tmp_path: Path, motions) -> None:
+    pytest.importorskip("rosbags")
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    from hybrid_id.records.readers.bag import ARRAY, JOINT_STATE, _typestore
+
+    store = _typestore(False)
+    types, path = store.types, tmp_path / "logs" / "run1"
+    path.parent.mkdir()
+    t, u, q = motions[0]
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        states = writer.add_connection("/joint_states", JOINT_STATE, typestore=store)
+        commands = writer.add_connection("/voltage/command", ARRAY, typestore=store)
+        layout = types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+        for time, volts, angle in zip(t, u, q, strict=True):
+            stamp = round(1e9 * (time + 10.0))
+            parts = types["builtin_interfaces/msg/Time"](sec=stamp // 10**9, nanosec=stamp % 10**9)
+            header = types["std_msgs/msg/Header"](stamp=parts, frame_id="")
+            empty = np.empty(0)
+            state = types[JOINT_STATE](
+                header=header, name=["elbow"], position=np.array([angle]), velocity=empty, effort=empty
+            )
+            writer.write(states, stamp, store.serialize_cdr(state, JOINT_STATE))
+            writer.write(
+                commands,
+                stamp,
+                store.serialize_cdr(types[ARRAY](layout=layout, data=np.array([volts])), ARRAY),
+            )
+    done = run("init", tmp_path / "logs")
+    assert done.code == 0, done.err
+    data, _ = written(tmp_path / "logs")
+    assert {name: entry["column"] for name, entry in data["columns"].items()} == {
+        "t": "/joint_states", "u1": "/voltage/command/data/0", "q_m1": "/joint_states/position/elbow",
+    }  # fmt: skip
