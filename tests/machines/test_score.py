@@ -316,7 +316,8 @@ def test_either_dominant_effect_of_a_messy_machine_may_lead() -> None:
 def test_what_shows_in_test_records_alone_is_counted() -> None:
     """A small effect that explains more of the train records leads there, whatever the test records say."""
     told = said(effect("stribeck_friction", selected=True))
-    earlier = [{k: v for k, v in e.items() if k != "closes_train"} for e in MESSY["effects"]]
+    known: list[dict[str, Any]] = MESSY["effects"]
+    earlier = [{k: v for k, v in e.items() if k != "closes_train"} for e in known]
     assert judge("c1", MESSY | {"effects": earlier}, told).leads_train is None  # of an earlier generator
 
     def trained(*shares: float) -> dict[str, Any]:
@@ -339,7 +340,8 @@ def test_claimed_shares_are_compared_in_the_order_in_which_they_are_claimed() ->
     swapped = effect("delay", "joint1/input", share=0.45), effect("stribeck_friction", share=0.30)
     assert claims(*swapped) == pytest.approx((0.0, -5.0))
     assert claims(effect("stribeck_friction")) == ()  # a method that tells no shares
-    earlier = [{k: v for k, v in e.items() if k != "share_train"} for e in MESSY["effects"]]
+    known: list[dict[str, Any]] = MESSY["effects"]
+    earlier = [{k: v for k, v in e.items() if k != "share_train"} for e in known]
     assert judge("c1", MESSY | {"effects": earlier}, said(first | {"selected": True})).share_errors == ()
     held = effect("stribeck_friction", selected=True, share=0.55, share_interval=[0.48, 0.6])
     assert judge("c1", MESSY, said(held)).share_covered
