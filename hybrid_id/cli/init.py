@@ -188,6 +188,7 @@ def _try(
 ) -> "tuple[list[Skew], Dataset]":
     """Load what would be written, measure skews, and ask what `check` would object to."""
     from hybrid_id.records.dataset import Dataset
+    from hybrid_id.records.proposed_dataset import Question
     from hybrid_id.records.quality import check_dataset, check_encoders
     from hybrid_id.records.skew import find_skews
     from hybrid_id.systems.model_file import load_model
@@ -204,15 +205,8 @@ def _try(
         skews = find_skews(dataset)
         for finding in [*check_encoders(dataset, system.own_ratios), *check_dataset(dataset)]:
             if finding.severity == "error":
-                words = f"'hybrid-id check' will refuse this: {finding.message}"
-                proposal.questions.append(_question(words))
+                proposal.questions.append(Question(f"'hybrid-id check' will refuse this: {finding.message}"))
     return skews, dataset
-
-
-def _question(words: str) -> Any:
-    from hybrid_id.records.proposed_dataset import Question
-
-    return Question(words)
 
 
 def _flow(values: Any) -> str:
@@ -333,6 +327,8 @@ def _model_text(model: "ProposedModel") -> str:
 
 def _write(folder: Path, texts: Mapping[str, str], copied: "Sequence[Log]", base: Path) -> None:
     """Write both files under temporary names and rename them; copy logs that lie elsewhere."""
+    from hybrid_id.records.files import write_together
+
     for log in copied:
         target = folder / log.file.path.resolve().relative_to(base.resolve())
         if target.exists():
@@ -347,19 +343,7 @@ def _write(folder: Path, texts: Mapping[str, str], copied: "Sequence[Log]", base
             shutil.copytree(path, target)
         else:
             shutil.copyfile(path, target)
-    made = []
-    try:
-        for name, text in texts.items():
-            handle, temporary = tempfile.mkstemp(dir=folder, prefix=f".{name}.")
-            made.append((temporary, folder / name))
-            with os.fdopen(handle, "w", encoding="utf-8") as file:
-                file.write(text)
-            os.chmod(temporary, 0o644)
-        for temporary, path in made:
-            os.replace(temporary, path)
-    finally:
-        for temporary, _ in made:
-            Path(temporary).unlink(missing_ok=True)
+    write_together({folder / name: text for name, text in texts.items()})
 
 
 def _at(values: Any, place: str) -> str:

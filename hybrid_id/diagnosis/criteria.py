@@ -35,7 +35,7 @@ class Criteria:
             that a torque has to explain of what remains to be named in the headline.
         white: share of the mean square in common with neighbouring samples (von Neumann's ratio) up to which
             residuals are white noise.
-        autocorrelation: the same from which something structural is missing; small random torques and the rounding of
+        coloured: the same from which something structural is missing; small random torques and the rounding of
             encoders alone leave less.
         negligible: RMS of weighted errors below which nothing is looked for; 1 is the noise and what any good model
             misses.

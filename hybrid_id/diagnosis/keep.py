@@ -76,7 +76,7 @@ def _written(model: FittedModel | None) -> bytes:
             "names": result.names, "units": result.units, "status": result.status, "records": result.records,
             "cost": result.cost, "n_samples": result.n_samples, "iterations": result.iterations,
             "engine": asdict(result.engine), "history": result.history, "rows": len(result.residual),
-            "effective": seen.effective, "plain": seen.plain, "judged": model.judged,
+            "effective": seen.effective, "judged": model.judged,
         }  # fmt: skip
         arrays = {
             "about": np.array(json.dumps(about)), "values": result.values, "x0": result.x0,
@@ -112,9 +112,7 @@ def _read(arrays: Mapping[str, np.ndarray], effects: tuple[Name, ...], start: Sy
         engine=Engine(**about["engine"]),
         history=tuple(about["history"]),
     )
-    seen = Validation(
-        arrays["blocks"], arrays["sizes"], arrays["row"], about["effective"], arrays["record"], about["plain"]
-    )
+    seen = Validation(arrays["blocks"], arrays["sizes"], arrays["row"], about["effective"], arrays["record"])
     return FittedModel(effects, result, seen, about["judged"])
 
 

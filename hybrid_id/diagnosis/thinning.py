@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -65,7 +66,7 @@ def _run(system: System, batch: Batch) -> np.ndarray:
     return simulate(system, with_substeps(system, engine(), batch), batch).y.numpy()
 
 
-def _carried(whole: Batch, left: list) -> bool:
+def _carried(whole: Batch, left: Sequence[Mapping[str, float]]) -> bool:
     """Whether what the longer steps do not carry of each output is within its noise."""
     weight = whole.weight.amax(1).numpy()
     lost = np.array([[one.get(name, 0.0) for name in whole.outputs] for one in left])
@@ -80,7 +81,8 @@ def _moved(
     x = short.x.clone()
     x[:, 0] = whole.x[:, 0]
     other = _run(system, replace(short, x=x))
-    samples = min(other.shape[1], run[:, ::factor].shape[1])
-    weight = (whole.weight.numpy()[:, ::factor][:, :samples]) * (short.weight.numpy()[:, :samples] > 0)
-    miss = (other[:, :samples] - run[:, ::factor][:, :samples]) * weight
+    samples = min(other.shape[1], -(-run.shape[1] // factor))
+    kept = slice(0, factor * samples, factor)
+    weight = whole.weight.numpy()[:, kept] * (short.weight.numpy()[:, :samples] > 0)
+    miss = (other[:, :samples] - run[:, kept]) * weight
     return float(np.sqrt(np.square(miss).sum() / max((weight > 0).sum(), 1)))

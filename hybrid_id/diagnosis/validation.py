@@ -35,7 +35,6 @@ class Validation:
         row: number of the record or window that each block is from, ``(n,)``.
         effective: how many independent measurements they are worth.
         record: number of the record that each block is from, ``(n,)``.
-        plain: mean square with all records at full weight.
     """
 
     blocks: np.ndarray
@@ -43,7 +42,6 @@ class Validation:
     row: np.ndarray
     effective: float
     record: np.ndarray
-    plain: float
 
     def even_weights(self) -> np.ndarray:
         """Weights of the records, ``(R,)``, with which none counts for more than the one that is predicted next worst.
@@ -120,9 +118,7 @@ def validation(residuals: Sequence[np.ndarray], sample_time: float, records: Seq
         row.append(np.full(len(starts), number))
     sums, counts, own = np.concatenate(blocks), np.maximum(np.concatenate(sizes), 1), np.concatenate(row)
     record = np.array([number_of[name] for name in records])[own]
-    return Validation(
-        sums, counts, own, effective_samples(residuals), record, float(sums.sum() / counts.sum())
-    )
+    return Validation(sums, counts, own, effective_samples(residuals), record)
 
 
 def p_values(richer: Sequence[Validation], simpler: Validation, seed: int = 0) -> np.ndarray:

@@ -186,12 +186,15 @@ def _read_record(
         time, {name: signals[name] for name in signals if name not in times}, str(path), table.place
     )
     if times and not fault:
-        max_gap = (spec.resample or ResampleEntry()).max_gap
-        held, options = (
+        kept, signals = bring_to(
+            time,
+            signals,
+            times,
             {channel.name for channel in spec.inputs},
-            {"max_gap": max_gap, "between": entry.between},
+            source=str(path),
+            max_gap=(spec.resample or ResampleEntry()).max_gap,
+            between=entry.between,
         )
-        kept, signals = bring_to(time, signals, times, held, source=str(path), **options)
         first, time = kept.start, time[kept]
         fault = find_fault(time, signals, str(path), lambda k: table.place(first + k))
     if fault:

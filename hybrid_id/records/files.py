@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,20 +29,39 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def natural_order(name: str) -> list[tuple[int, str]]:
+    """Key by which `run2` comes before `run10`."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
 def write_whole(path: Path, content: str | bytes) -> None:
     """Write a file under a temporary name beside its own and rename it; text as UTF-8. What fails leaves nothing.
 
     Raises:
         OSError: there is no room, or no right to write there.
     """
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    write_together({path: content})
+
+
+def write_together(contents: Mapping[Path, str | bytes]) -> None:
+    """Write files that belong together as :func:`write_whole` does, and rename them once all are complete.
+
+    Raises:
+        OSError: there is no room, or no right to write there.
+    """
+    made: list[tuple[str, Path]] = []
     try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content.encode() if isinstance(content, str) else content)
-        os.chmod(temporary, 0o644)  # mkstemp makes files that nobody else may read
-        os.replace(temporary, path)
+        for path, content in contents.items():
+            handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+            made.append((temporary, path))
+            with os.fdopen(handle, "wb") as file:
+                file.write(content.encode() if isinstance(content, str) else content)
+            os.chmod(temporary, 0o644)  # mkstemp makes files that nobody else may read
+        for temporary, path in made:
+            os.replace(temporary, path)
     except BaseException:
-        Path(temporary).unlink(missing_ok=True)
+        for temporary, _ in made:
+            Path(temporary).unlink(missing_ok=True)
         raise
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.files import natural_order
 from hybrid_id.records.readers import (
     Table,
     column_names,
@@ -89,7 +89,7 @@ def _below(path: Path) -> list[LogFile]:
     else:
         files = [one for one in path.iterdir() if not one.name.startswith(".")]
     logs = []
-    for file in sorted(files, key=_natural):
+    for file in sorted(files, key=lambda file: natural_order(str(file))):
         kind = format_of(file) if file.is_file() or is_bag_folder(file) else None
         if kind is None or kind == "bam":
             if named:
@@ -102,11 +102,6 @@ def _below(path: Path) -> list[LogFile]:
         else:
             logs.append(LogFile(file, kind, None, named))
     return logs
-
-
-def _natural(path: Path) -> list[tuple[int, str]]:
-    """Sorts run2 before run10."""
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", str(path))]
 
 
 def read_log(file: LogFile) -> Log:

@@ -14,14 +14,15 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hybrid_id.records.measures import quantisation_step
+from hybrid_id.records.units import to_si
 
-TIME_FACTORS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+TIME_FACTORS = {unit: to_si(unit, "t")[1] for unit in ("s", "ms", "us")} | {"ns": 1e-9}
 STEPS, SPANS = (5e-5, 0.25), (0.05, 1e5)
 """Sample times [s] and lengths of records [s] that are plausible."""
 USUAL_STEP = 0.004
 """Of several plausible units of time, the one whose step is nearest to this one [s] is taken."""
-ANGLE_FACTORS = {"rad": 1.0, "deg": math.pi / 180, "rev": 2 * math.pi, "mrad": 1e-3}
-SPEED_FACTORS = {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": 2 * math.pi / 60, "rev/s": 2 * math.pi}
+ANGLE_FACTORS = {unit: to_si(unit, "q_m")[1] for unit in ("rad", "deg", "rev", "mrad")}
+SPEED_FACTORS = {unit: to_si(unit, "v_m")[1] for unit in ("rad/s", "deg/s", "rpm", "rev/s")}
 COUNTS = 4096
 """Counts a turn of the usual 12-bit encoder."""
 JITTER = 0.01

@@ -49,6 +49,8 @@ PERCENT = 100.5
 """Largest value of an angle that may be percent of a joint's range."""
 SUPPLY = 12.0
 """Supply voltage [V] that stands in where none is known."""
+BEYOND = {"V": 200.0, "A": 100.0}
+"""Voltage and current that no drive's log exceeds: larger numbers without a unit are thousandths."""
 LONGEST_GAP = 20.0
 """Missing samples, in median steps, up to which a gap is bridged and beyond which a record is cut."""
 MOST_LOGS = 8
@@ -727,19 +729,16 @@ class _Work:
         """The command, with what its drive needs besides."""
         name = f"{STEMS[command]}{number}"
         chosen = Chosen(name, column.name, "", guesses=[self._why(name, column, command)])
-        far = self.far(column.name)
         if command == "goal":
             self._goal(chosen, column, outputs, joint)
         elif command == "voltage":
-            milli = column.unit == "mV" or (not column.unit and far > 200)
-            self._simple(chosen, column, "mV" if milli else "V", 1e-3 if milli else 1.0, bool(column.unit))
+            self._simple(chosen, column, *self._volts_or_amps(column, "V"), bool(column.unit))
             if column.measured:
                 self.ask(
                     f"'{column.name}' is taken as the commanded voltage, though its name says measured. Is it?"
                 )
         elif command == "current":
-            milli = column.unit == "mA" or (not column.unit and far > 100)
-            self._simple(chosen, column, "mA" if milli else "A", 1e-3 if milli else 1.0, bool(column.unit))
+            self._simple(chosen, column, *self._volts_or_amps(column, "A"), bool(column.unit))
             if not column.command:
                 self.ask(
                     f"Is '{column.name}' the commanded current? As a measured one beside a voltage it belongs to the "
@@ -765,6 +764,11 @@ class _Work:
                 one.guesses.append(self._why(one.name, other, kind))
                 inputs.append(one)
         return inputs
+
+    def _volts_or_amps(self, column: ColumnWords, unit: str) -> tuple[str, float]:
+        """Unit of a voltage or a current, and its factor: thousandths by the name, or by values beyond any drive's."""
+        milli = column.unit == f"m{unit}" or (not column.unit and self.far(column.name) > BEYOND[unit])
+        return (f"m{unit}", 1e-3) if milli else (unit, 1.0)
 
     def _simple(self, chosen: Chosen, column: ColumnWords, unit: str, factor: float, said: bool) -> None:
         chosen.unit, chosen.factor = unit, factor
@@ -817,10 +821,8 @@ class _Work:
             chosen.factor = 1.0 / top
             chosen.guesses.append(Guess(f"unit of {chosen.name}", chosen.unit, words, sure))
             column = supply[0]
-            milli = column.unit == "mV" or (not column.unit and self.far(column.name) > 200)
-            other = Chosen(
-                f"supply{number}", column.name, "mV" if milli else "V", factor=1e-3 if milli else 1.0
-            )
+            unit, factor = self._volts_or_amps(column, "V")
+            other = Chosen(f"supply{number}", column.name, unit, factor=factor)
             other.guesses.append(self._why(other.name, column, "supply"))
             return [chosen, other]
         volts = self.sheet.voltage or SUPPLY
@@ -961,8 +963,8 @@ class _Work:
         if drive.command not in ("voltage", "duty") or not some:
             return []
         column = min(some, key=lambda one: (one.command, not one.measured, len(one.name)))
-        milli = column.unit == "mA" or (not column.unit and self.far(column.name) > 100)
-        chosen = Chosen(f"i{number}", column.name, "mA" if milli else "A", factor=1e-3 if milli else 1.0)
+        unit, factor = self._volts_or_amps(column, "A")
+        chosen = Chosen(f"i{number}", column.name, unit, factor=factor)
         chosen.guesses.append(self._why(chosen.name, column, "current"))
         words = "its name says so" if column.unit else f"values up to {self.far(column.name):.3g}"
         chosen.guesses.append(Guess(f"unit of {chosen.name}", chosen.unit, words, bool(column.unit)))

@@ -111,16 +111,17 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
     """
     names = [record.name for record in dataset.train or dataset.records]
     still, joints = _still(dataset.select(names), system), len(system.joints)
-    words = (
+    at_rest = (
         f"{listed(still)} {'stands' if len(still) == 1 else 'stand'} still in all records to learn from, so that "
         "nothing of a drive at rest can be identified; record motions of it"
     )
     if still and len(still) == joints:
-        raise InputError(f"{words}.")
-    moves = f"{words}, or hold it in the model: its parameters stay at their start values"
+        raise InputError(f"{at_rest}.")
     runs = replay(dataset.select(names), system)
     words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs])
-    found = [moves] if still else []
+    found = (
+        [f"{at_rest}, or hold it in the model: its parameters stay at their start values"] if still else []
+    )
     found += [words] if words else []
     for output in runs[0].outputs:
         pairs = [(run.record.signal(output), run.outputs[output]) for run in runs if run.status == "ok"]

@@ -58,7 +58,7 @@ def model(error: float, *effects: Name, seed: int = 0, scatter: float = 0.2, whi
     """A model whose blocks scatter about its mean square; of one seed alike."""
     blocks = error * (1.0 + scatter * np.random.default_rng(seed).uniform(-1.0, 1.0, BLOCKS))
     row = np.arange(BLOCKS) // 40
-    found = Validation(25.0 * blocks, np.full(BLOCKS, 25), row, 500.0, row, 1.0)
+    found = Validation(25.0 * blocks, np.full(BLOCKS, 25), row, 500.0, row)
     result = SimpleNamespace(
         names=("x",), values=[1.0], jacobian=(np.ones((9, 1, 1)),), noise_scale=1.0, n_samples=9, at_bound=(),
         prior_precision=np.zeros(1),

@@ -38,7 +38,7 @@ def noise(rng: np.random.Generator, size: float = 1.0) -> list[np.ndarray]:
 def from_blocks(blocks: np.ndarray) -> Validation:
     """Blocks ``(ROWS * BLOCKS,)`` of records of one length."""
     row = np.repeat(np.arange(ROWS), BLOCKS)
-    return Validation(blocks, np.full(len(blocks), 25), row, 100.0, row, 1.0)
+    return Validation(blocks, np.full(len(blocks), 25), row, 100.0, row)
 
 
 def autoregression(rng: np.random.Generator, shape: tuple[int, ...], memory: float) -> np.ndarray:
@@ -74,7 +74,7 @@ def test_few_records_are_divided(rng: np.random.Generator) -> None:
     for rows in (1, 2, 3):
         row = np.repeat(np.arange(rows), BLOCKS)
         one, other = (
-            Validation(size * rng.uniform(0.9, 1.1, len(row)), np.full(len(row), 25), row, 100.0, row, 1.0)
+            Validation(size * rng.uniform(0.9, 1.1, len(row)), np.full(len(row), 25), row, 100.0, row)
             for size in (0.8, 1.0)
         )
         t, n = one.over_records(other)
@@ -88,7 +88,7 @@ def test_the_record_wise_difference_of_equals_is_student_s(rows: int) -> None:
     for _ in range(400):
         row = np.repeat(np.arange(rows), BLOCKS)
         own = np.exp(rng.standard_normal((2, rows)))[:, row]
-        one, other = (Validation(size, np.full(len(row), 25), row, 100.0, row, 1.0) for size in own)
+        one, other = (Validation(size, np.full(len(row), 25), row, 100.0, row) for size in own)
         t, n = one.over_records(other)
         beyond += abs(t) > student.isf(0.05, n - 1)
     assert 0.06 < beyond / 400 < 0.14

@@ -1,6 +1,7 @@
 """Readers, one file a format; each takes a path and the names of the wanted columns and returns a `Table`."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from hybrid_id.errors import InputError
@@ -53,8 +54,11 @@ __all__ = [
 
 def format_of(path: Path) -> str | None:
     """The format of a file by its ending, or of a bag's folder; None where nothing reads it."""
-    ending = Path(path.name.removesuffix(".gz")).suffix.lower()
-    return "bag" if is_bag_folder(path) else _ENDINGS.get(ending)
+    return "bag" if is_bag_folder(path) else _ENDINGS.get(_ending(path))
+
+
+def _ending(path: Path) -> str:
+    return Path(path.name.removesuffix(".gz")).suffix.lower()
 
 
 def column_names(path: Path, file_format: str) -> list[str]:
@@ -65,14 +69,8 @@ def column_names(path: Path, file_format: str) -> list[str]:
     """
     if file_format not in _NAMES:
         raise InputError(f"{path}: columns of format '{file_format}' have fixed names; see docs/records.md")
-    try:
-        if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
-            refuse_bomb(path)
+    with _reaching(path, file_format, "the path"):
         return _NAMES[file_format](path)
-    except FileNotFoundError:
-        raise InputError(f"{path} does not exist; correct the path or bring the file") from None
-    except (IsADirectoryError, PermissionError) as error:
-        raise InputError(f"{path} cannot be read ({error.strerror}); give a readable file") from None
 
 
 def load_any(
@@ -96,13 +94,14 @@ def load_any(
         InputError: when the file is missing, its format unknown, or its contents are at fault.
     """
     path = Path(path)
-    ending = Path(path.name.removesuffix(".gz")).suffix.lower()
     try:
-        file_format = file_format or ("bag" if is_bag_folder(path) else _ENDINGS.get(ending))
+        file_format = file_format or format_of(path)
     except PermissionError as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); give a readable folder") from None
     if file_format not in READERS:
-        raise InputError(f"{path}: ending '{ending}' is unknown; give its 'format' ({', '.join(READERS)})")
+        raise InputError(
+            f"{path}: ending '{_ending(path)}' is unknown; give its 'format' ({', '.join(READERS)})"
+        )
     if path.exists() and not (path.is_file() or path.is_dir()):
         raise InputError(
             f"{path} is a pipe or a device, which is read once only; write its contents to a file"
@@ -111,15 +110,22 @@ def load_any(
         raise InputError(
             f"{path}: 'episode' chooses a part of a LeRobot dataset; give 'format: lerobot' or remove it"
         )
-    try:
-        if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
-            refuse_bomb(path)
+    with _reaching(path, file_format, "'file'"):
         if time_range is not None and file_format in _IN_PIECES:
             return READERS[file_format](path, wanted, time_range)
         if episode is not None:
             return READERS[file_format](path, wanted, episode)
         return READERS[file_format](path, wanted)
+
+
+@contextmanager
+def _reaching(path: Path, file_format: str, where: str) -> Iterator[None]:
+    """Refuse a file that is not there, cannot be read, or unpacks beyond any record; ``where`` says what names it."""
+    try:
+        if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
+            refuse_bomb(path)
+        yield
     except FileNotFoundError:
-        raise InputError(f"{path} does not exist; correct 'file' or bring the file") from None
+        raise InputError(f"{path} does not exist; correct {where} or bring the file") from None
     except (IsADirectoryError, PermissionError) as error:
         raise InputError(f"{path} cannot be read ({error.strerror}); give a readable file") from None

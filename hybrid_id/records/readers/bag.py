@@ -15,9 +15,8 @@ Messages are decoded by the definitions below and never by those that a bag carr
 generate code.
 """
 
-import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -27,8 +26,9 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.errors import InputError, listed
+from hybrid_id.records.files import natural_order
 from hybrid_id.records.readers.bag_files import STORAGES, check_storage, message_bytes, unpack_storage
-from hybrid_id.records.readers.table import Table, require_columns
+from hybrid_id.records.readers.table import Table, parsing, require_columns
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
 CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
@@ -55,55 +55,41 @@ def read_bag(path: Path, wanted: Collection[str]) -> Table:
     Raises:
         InputError: for a damaged bag, a message type that is not read, or a missing column.
     """
-    try:
-        import rosbags.rosbag1
-        import rosbags.rosbag2
-    except ImportError:
-        raise InputError(
-            f"{path}: reading a ROS bag needs rosbags; install it with pip install 'hybrid_id[logs]'."
-        ) from None
-    try:
-        with ExitStack() as stack:
-            readers = _open(path, stack)
-            kinds = {c.topic: c.msgtype for reader in readers for c in reader.connections}
-            topics = _topics(path, wanted, kinds)
-            for topic in topics.values():
-                for reader in readers:
-                    topic.add(reader, isinstance(reader, rosbags.rosbag1.Reader), path)
-            for topic in topics.values():
-                require_columns(path, topic.missing(), _available(readers, topic, path))
-    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except Exception as error:  # a damaged bag can make its parser stumble in any way
-        reason = " ".join(f"{error or type(error).__name__}".split()).replace(str(path), "it").rstrip(".")
-        raise InputError(
-            f"{path} is not a readable bag ({reason[:120]}); record or copy it again, or recover its index"
-        ) from None
+    with _opened(path) as (readers, kinds):
+        from rosbags.rosbag1 import Reader as Reader1
+
+        topics = _topics(path, wanted, kinds)
+        for topic in topics.values():
+            for reader in readers:
+                topic.add(reader, isinstance(reader, Reader1), path)
+        for topic in topics.values():
+            require_columns(path, topic.missing(), _available(readers, topic, path))
     return _table(path, wanted, topics)
 
 
 def bag_names(path: Path) -> list[str]:
     """Names of all columns of a bag: of each topic that is read its own, for its stamps, and those of its values."""
+    found: list[str] = []
+    with _opened(path) as (readers, kinds):
+        for topic, kind in kinds.items():
+            if kind in KINDS:
+                found += [topic, *_available(readers, _Topic(topic, kind), path)]
+    return found
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[list[Any], dict[str, str]]]:
+    """Readers of a bag's files, and the type of each topic's messages."""
     try:
-        import rosbags.rosbag1  # noqa: F401
+        import rosbags.rosbag1
+        import rosbags.rosbag2  # noqa: F401
     except ImportError:
         raise InputError(
             f"{path}: reading a ROS bag needs rosbags; install it with pip install 'hybrid_id[logs]'."
         ) from None
-    try:
-        with ExitStack() as stack:
-            readers = _open(path, stack)
-            kinds = {c.topic: c.msgtype for reader in readers for c in reader.connections}
-            found: list[str] = []
-            for topic, kind in kinds.items():
-                if kind in KINDS:
-                    found += [topic, *_available(readers, _Topic(topic, kind), path)]
-            return found
-    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except Exception as error:  # a damaged bag can make its parser stumble in any way
-        reason = " ".join(f"{error or type(error).__name__}".split()).replace(str(path), "it").rstrip(".")
-        raise InputError(f"{path} is not a readable bag ({reason[:120]}); record or copy it again") from None
+    with parsing(path, "bag", "record or copy it again, or recover its index"), ExitStack() as stack:
+        readers = _open(path, stack)
+        yield readers, {c.topic: c.msgtype for reader in readers for c in reader.connections}
 
 
 def _open(path: Path, stack: ExitStack) -> list[Any]:
@@ -115,7 +101,7 @@ def _open(path: Path, stack: ExitStack) -> list[Any]:
     if path.is_dir():
         files = sorted(
             (file for file in path.iterdir() if STORAGES.search(file.name)),
-            key=lambda file: [(len(part), part) for part in re.split(r"(\d+)", file.name)],
+            key=lambda file: natural_order(file.name),
         )
         if not files:
             raise InputError(f"{path} is a folder without .mcap or .db3 files; name a ROS 2 bag's folder")

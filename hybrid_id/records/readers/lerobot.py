@@ -11,14 +11,14 @@ Source: github.com/huggingface/lerobot. Vectors are float32 there; they become f
 """
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import PIECE, Table, require_columns
+from hybrid_id.records.readers.table import PIECE, Table, parsing, require_columns
 from hybrid_id.records.readers.unpack import refuse_growth
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
     import pyarrow.parquet as pq
 
     info, source = _read_info(path)
-    try:
+    with parsing(path, "Parquet file"):
         file = pq.ParquetFile(path)
         fields = [name for name in file.schema_arrow.names if not file.schema_arrow.names.count(name) > 1]
         for name in (_EPISODE, _FRAME):
@@ -56,11 +56,6 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
                 )
         columns = _fields(path, wanted, file.schema_arrow, info, source)
         found = _rows(path, file, sorted({_FRAME, *(field for field, _ in columns.values())}), episode)
-    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except Exception as error:  # a damaged file can make its parser stumble in any way
-        reason = " ".join(str(error).split()).rstrip(".")[:120]
-        raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
     values = {"t": found[_FRAME][:, 0] / _fps(info, source)}
     for name, (field, element) in columns.items():
         width = found[field].shape[1]
@@ -74,31 +69,19 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
 
 def lerobot_names(path: Path) -> list[str]:
     """Names of all columns of an episode's file, elements of vectors by their own."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     info, source = _read_info(path)
-    try:
+    found = ["t"]
+    with parsing(path, "Parquet file"):
         file = pq.ParquetFile(path)
-        found = ["t"]
-        for name in file.schema_arrow.names:
-            kind = file.schema_arrow.field(name).type
-            if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+        for name, names in _numbers(file.schema_arrow, info, source):
+            if names is None:
                 found.append(name)
-            elif pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-                if not (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type)):
-                    continue
-                first = next(file.iter_batches(1, columns=[name]), None)
-                width = 0 if first is None else len(first[name][0])
-                names = _names(info, name, source)
-                found += [
-                    f"{name}/{names[k] if len(names) == width else k}" for k in range(min(width, _WIDEST))
-                ]
-    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except Exception as error:  # a damaged file can make its parser stumble in any way
-        reason = " ".join(str(error).split()).rstrip(".")[:120]
-        raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
+                continue
+            first = next(file.iter_batches(1, columns=[name]), None)
+            width = 0 if first is None else len(first[name][0])
+            found += [f"{name}/{names[k] if len(names) == width else k}" for k in range(min(width, _WIDEST))]
     return found
 
 
@@ -124,14 +107,14 @@ def in_lerobot(path: Path) -> Path | None:
 
 def _read_info(path: Path) -> tuple[dict[str, Any], Path]:
     """Read `meta/info.json` of the dataset that a file belongs to."""
-    folders = [folder for folder in path.resolve().parents][:_ABOVE]
-    source = next((folder / _INFO for folder in folders if (folder / _INFO).is_file()), None)
     if not path.is_file():
         raise FileNotFoundError(path)
-    if source is None:
+    folder = in_lerobot(path)
+    if folder is None:
         raise InputError(
             f"{path} lies beside no meta/info.json, which holds the frame rate; bring the whole dataset"
         )
+    source = folder / _INFO
     try:
         if source.stat().st_size > _MOST_BYTES:
             raise InputError(
@@ -159,30 +142,40 @@ def _fields(
     path: Path, wanted: Collection[str], schema: "pa.Schema", info: Mapping[str, Any], source: Path
 ) -> dict[str, tuple[str, int]]:
     """Field of the file and element for each wanted column but the time."""
-    import pyarrow as pa
-
     found: dict[str, tuple[str, int]] = {}
     available = ["t"]
-    for name in schema.names:
-        kind = schema.field(name).type
-        if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+    for name, names in _numbers(schema, info, source):
+        if names is None:
             available.append(name)
             found[name] = (name, 0)
-        elif pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-            if not (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type)):
-                continue
-            names = _names(info, name, source)
-            available += [f"{name}/{element}" for element in names] or [f"{name}/0"]
-            prefix = f"{name}/"
-            for column in (column for column in wanted if column.startswith(prefix)):
-                element = column.removeprefix(prefix)
-                if element in names:
-                    found[column] = (name, names.index(element))
-                elif element.isascii() and element.isdecimal() and len(element) <= 3:
-                    found[column] = (name, int(element))
+            continue
+        available += [f"{name}/{element}" for element in names] or [f"{name}/0"]
+        prefix = f"{name}/"
+        for column in (column for column in wanted if column.startswith(prefix)):
+            element = column.removeprefix(prefix)
+            if element in names:
+                found[column] = (name, names.index(element))
+            elif element.isascii() and element.isdecimal() and len(element) <= 3:
+                found[column] = (name, int(element))
     missing = [column for column in wanted if column not in found and column != "t"]
     require_columns(path, missing, available)
     return {column: found[column] for column in wanted if column != "t"}
+
+
+def _numbers(
+    schema: "pa.Schema", info: Mapping[str, Any], source: Path
+) -> Iterator[tuple[str, list[str] | None]]:
+    """Fields of numbers: None beside a single one, and beside a vector what `info.json` names its elements."""
+    import pyarrow as pa
+
+    for name in schema.names:
+        kind = schema.field(name).type
+        if pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+            yield name, None
+            continue
+        vector = pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind)
+        if vector and (pa.types.is_floating(kind.value_type) or pa.types.is_integer(kind.value_type)):
+            yield name, _names(info, name, source)
 
 
 def _names(info: Mapping[str, Any], field: str, source: Path) -> list[str]:

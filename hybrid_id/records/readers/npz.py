@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib import format as npy
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import Table, require_columns
+from hybrid_id.records.readers.table import Table, parsing, require_columns
 from hybrid_id.records.readers.unpack import refuse_growth
 
 _MOST_ARRAYS = 10_000
@@ -27,35 +27,22 @@ def read_npz(path: Path, wanted: Collection[str]) -> Table:
     Raises:
         InputError: for a damaged archive, one that unpacks beyond any record, a pickled array, or a missing column.
     """
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return _read(path, archive, wanted)
-    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except Exception as error:  # a damaged archive can make its parser stumble in any way
-        reason = " ".join(str(error).split())[:80]
-        raise InputError(f"{path} is not a readable .npz file ({reason}); write it again") from None
+    with parsing(path, ".npz file"), zipfile.ZipFile(path) as archive:
+        return _read(path, archive, wanted)
 
 
 def npz_names(path: Path) -> list[str]:
     """Names of all columns of an archive; single numbers and objects are none."""
     found: list[str] = []
-    try:
-        with zipfile.ZipFile(path) as archive:
-            for item in [item for item in archive.infolist() if item.filename.endswith(_ENDING)][
-                :_MOST_ARRAYS
-            ]:
-                name, (shape, dtype) = item.filename.removesuffix(_ENDING), _header(archive, item)
-                width = shape[-1] if len(shape) == 2 else 1
-                if dtype.kind not in "fiub" or not 0 < len(shape) <= 2 or math.prod(shape) <= 1:
-                    continue
-                if width <= _MOST_COLUMNS:
-                    found += [name] if width == 1 else [f"{name}/{k}" for k in range(width)]
-    except (FileNotFoundError, IsADirectoryError, PermissionError):
-        raise
-    except Exception as error:  # a damaged archive can make its parser stumble in any way
-        reason = " ".join(str(error).split())[:80]
-        raise InputError(f"{path} is not a readable .npz file ({reason}); write it again") from None
+    with parsing(path, ".npz file"), zipfile.ZipFile(path) as archive:
+        items = [item for item in archive.infolist() if item.filename.endswith(_ENDING)]
+        for item in items[:_MOST_ARRAYS]:
+            name, (shape, dtype) = item.filename.removesuffix(_ENDING), _header(archive, item)
+            width = shape[-1] if len(shape) == 2 else 1
+            if dtype.kind not in "fiub" or not 0 < len(shape) <= 2 or math.prod(shape) <= 1:
+                continue
+            if width <= _MOST_COLUMNS:
+                found += [name] if width == 1 else [f"{name}/{k}" for k in range(width)]
     return found
 
 

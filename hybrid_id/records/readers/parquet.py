@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import PIECE, Table, TimeRange, require_columns
+from hybrid_id.records.readers.table import PIECE, Table, TimeRange, parsing, require_columns
 from hybrid_id.records.readers.unpack import refuse_growth
 
 if TYPE_CHECKING:
@@ -42,16 +42,10 @@ def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | No
 
 def parquet_names(path: Path) -> list[str]:
     """Names of all columns of a Parquet file."""
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    try:
+    with parsing(path, "Parquet file"):
         return list(pq.read_schema(path).names)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        if isinstance(error, FileNotFoundError | IsADirectoryError | PermissionError):
-            raise
-        reason = str(error).splitlines()[0].rstrip(".")
-        raise InputError(f"{path} is not a readable Parquet file ({reason}); write it again") from None
 
 
 def _row(kept: np.ndarray | None) -> Callable[[int], str]:

@@ -2,7 +2,8 @@
 
 import difflib
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -88,6 +89,27 @@ def require_columns(path: Path, wanted: Collection[str], available: Iterable[str
                 f"{path} has no column '{name}' ({hint}it has {shown or 'none'}); "
                 "name the right one under 'columns' in the dataset file"
             )
+
+
+@contextmanager
+def parsing(path: Path, kind: str, remedy: str = "write it again") -> Iterator[None]:
+    """Say of a damaged file that it is not readable: it can make its parser stumble in any way.
+
+    Args:
+        path: The file.
+        kind: What it should be, `Parquet file`.
+        remedy: What to do.
+
+    Raises:
+        InputError: as it came, or in place of any other error but those of reaching the file.
+    """
+    try:
+        yield
+    except (InputError, FileNotFoundError, IsADirectoryError, PermissionError):
+        raise
+    except Exception as error:
+        reason = " ".join((str(error) or type(error).__name__).split()).replace(str(path), "it").rstrip(".")
+        raise InputError(f"{path} is not a readable {kind} ({reason[:120]}); {remedy}") from None
 
 
 def record_name(path: Path) -> str:
