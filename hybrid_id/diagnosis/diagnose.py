@@ -16,7 +16,7 @@ from hybrid_id.diagnosis.changes import find_change
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.details import Details
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, repeatability, shrink
-from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, without_priors
+from hybrid_id.diagnosis.fits import FULL, WINDOW, Fits, Task, engine, with_priors_of, without_priors
 from hybrid_id.diagnosis.grade import (
     Grade,
     behind_play,
@@ -37,6 +37,7 @@ from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds, named_
 from hybrid_id.diagnosis.select import (
     MAX_EFFECTS,
     Selection,
+    accepted,
     accepted_ones,
     interrupted,
     refitted_without,
@@ -168,7 +169,8 @@ def search(
     """Stage search: the re-fitted model and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
-    leave no structure. Otherwise it is done over windows, where these tell the best effect from the others more surely.
+    leave no structure. Otherwise it is done over windows, where these tell the best effect from the others more surely,
+    and goes on over whole records, where these bear out what windows have told: a slow effect shows there alone.
     Where the best effect still leaves some and each record's own values of the nominal model leave none, records differ
     and no effect is missing.
 
@@ -181,7 +183,7 @@ def search(
     """
     fits = fits if horizon is None else fits.over(horizon)
     best = base = fits.base(system)
-    first, steps = None, list[SelectionStep]()
+    first, steps, whole = None, list[SelectionStep](), None
     try:
         if horizon is None:
             if fits.astray(base) <= CRITERIA.lost_refit:
@@ -195,14 +197,43 @@ def search(
                 if short is not None:
                     step = screen(*short, system, among=few, progress=progress)
                     if first is None or _rivalry(step) < _rivalry(first):
-                        (fits, base), first = short, step
-        return fits, select(
+                        (fits, base), first, whole = short, step, (fits, base, first)
+        found = select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
         )
     except KeyboardInterrupt:
         if not steps:
             raise
         return fits, interrupted(base, steps)
+    try:
+        more = None if whole is None else _along_whole(*whole, found, system, max_effects, progress)
+    except KeyboardInterrupt:
+        return fits, replace(found, interrupted=True)
+    return (fits, found) if whole is None or more is None else (whole[0], more)
+
+
+def _along_whole(
+    fits: Fits,
+    base: FittedModel,
+    first: SelectionStep | None,
+    near: Selection,
+    system: System,
+    max_effects: int,
+    progress: Progress | None,
+) -> Selection | None:
+    """The search gone on over whole records beside the effects that short runs have told; None where it cannot.
+
+    What is fast shows over short runs, what is slow along whole ones, and most machines lack both. It goes on only
+    where whole records bear these effects out.
+    """
+    if first is None or not near.chosen.effects:
+        return None
+    start = with_priors_of(near.chosen.system, base.system)
+    model = fits.run([Task(near.chosen.effects, start)], FULL)[0]
+    if model is None or not accepted(model, base):
+        return None
+    found = select(fits, base, system, start=model, max_effects=max_effects, progress=progress)
+    return replace(found, steps=(first, *found.steps), near=near)
 
 
 def _adds_up(fits: Fits, base: FittedModel, best: FittedModel, system: System) -> bool:

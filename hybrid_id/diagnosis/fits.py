@@ -246,6 +246,16 @@ def without_priors(system: System, nominal: System) -> System:
     return _prior_on_known(system, nominal, lambda value: (None, None))
 
 
+def with_priors_of(system: System, other: System) -> System:
+    """The same model with its parameters held as another one holds those that both have."""
+    names = {(info.component, info.symbol): info for info in system.table}
+    both = [(names[key], i.spec) for i in other.table if (key := (i.component, i.symbol)) in names]
+    held = {
+        own.name: replace(own.spec, prior_mean=spec.prior_mean, prior_std=spec.prior_std) for own, spec in both
+    }
+    return system.with_specs(held)
+
+
 def _prior_on_known(
     system: System, nominal: System, prior: Callable[[float], tuple[float | None, float | None]]
 ) -> System:

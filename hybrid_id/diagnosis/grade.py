@@ -243,7 +243,7 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
     """
     chosen = set(found.chosen.effects)
     best: dict[Name, RatedEffect] = {}
-    for step in found.steps:
+    for step in found.compared:
         if step.best is None:
             continue
         for model, probability in zip(step.candidates, _probabilities(step), strict=True):

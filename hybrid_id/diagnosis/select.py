@@ -48,6 +48,7 @@ class Selection:
         chosen: the model that the search ends with; ``base`` where no effect is accepted.
         interrupted: whether the search was stopped before its end.
         own: each record's own values of the nominal model, where they explain all that any effect does, and more.
+        near: the search over short runs that this one, over whole records, has gone on from.
     """
 
     base: FittedModel
@@ -55,6 +56,12 @@ class Selection:
     chosen: FittedModel
     interrupted: bool = False
     own: PerRecord | None = None
+    near: Selection | None = None
+
+    @property
+    def compared(self) -> tuple[SelectionStep, ...]:
+        """The steps that say how probable effects are: short runs, where there are any, tell the first from its rivals."""
+        return self.steps if self.near is None else (*self.near.steps, *self.steps[1:])
 
     @property
     def fitted(self) -> dict[str, FittedModel]:
@@ -67,6 +74,7 @@ def select(
     base: FittedModel,
     nominal: System,
     *,
+    start: FittedModel | None = None,
     first: SelectionStep | None = None,
     steps: list[SelectionStep] | None = None,
     max_effects: int = MAX_EFFECTS,
@@ -78,12 +86,13 @@ def select(
         fits: fits models to the train records, over its horizon.
         base: the nominal model, re-fitted over that horizon.
         nominal: the nominal system.
+        start: the model that the search begins with; None for ``base``.
         first: the first step, where it has been taken.
         steps: takes each step as soon as it is there: what an interrupted search has found.
         max_effects: effects at most.
         progress: called with (stage, done, total).
     """
-    model, steps, restarted = base, [] if steps is None else steps, False
+    model, steps, restarted = start or base, [] if steps is None else steps, False
     while (
         len(model.effects) < max_effects
         and sum(not one.swap for one in steps) < MAX_STEPS

@@ -190,13 +190,13 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
     for row, candidate in enumerate(shown):
         name = added_effect(candidate, first.before)
         names.append(f"{words_of(name[0])} {place_words(name[1])}, {joint_words(name[1])}")
-        one = rated[name]
-        colour = MODELS["corrected"] if one.selected else GREY
+        one = rated.get(name)  # short runs were not asked about what explains little along whole ones
+        colour = MODELS["corrected"] if one is not None and one.selected else GREY
         ratio = max(1.0 - candidate.fall(first.before), 0.0) ** 0.5
         left.plot([min(ratio, 1.0), 1.0], [row, row], color=GREY, lw=0.8, zorder=0)
         face = colour if candidate.judged else "white"
         left.plot(ratio, row, "o", ms=4.5, color=colour, markerfacecolor=face)
-        right.barh(row, one.probability, 0.6, color=colour)
+        right.barh(row, 0.0 if one is None else one.probability, 0.6, color=colour)
     left.axvline(1.0, color="black", lw=0.6)
     left.set_yticks(range(len(shown)), names)
     left.set_xlabel("RMS error on records left out (hollow: of the fit)\nrelative to the re-fitted model")
