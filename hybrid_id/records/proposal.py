@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from hybrid_id.records.measures import quantisation_step
 from hybrid_id.records.units import to_si
 
-TIME_FACTORS = {unit: to_si(unit, "t")[1] for unit in ("s", "ms", "us")} | {"ns": 1e-9}
+TIME_FACTORS = {unit: to_si(unit, "t")[1] for unit in ("s", "ms", "us", "ns")}
 STEPS, SPANS = (5e-5, 0.25), (0.05, 1e5)
 """Sample times [s] and lengths of records [s] that are plausible."""
 USUAL_STEP = 0.004

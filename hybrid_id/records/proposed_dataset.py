@@ -269,8 +269,6 @@ def _time(logs: Sequence[Log], words: Mapping[str, ColumnWords]) -> Chosen:
     guess = time_unit(first.columns[column], words[column].unit)
     time = Chosen("t", column, guess.value, guesses=[Guess("time", column, why, column in named), guess])
     time.factor = TIME_FACTORS[guess.value]
-    if guess.value == "ns":
-        time.unit, time.scale = "s", 1e-9
     return time
 
 
