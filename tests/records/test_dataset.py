@@ -100,7 +100,9 @@ def test_columns_are_mapped_scaled_unwrapped_and_brought_to_si(tmp_path) -> None
         "inputs": [{"name": "u1", "unit": "mV"}],
         "outputs": [{"name": "q_m1", "unit": "deg", "noise_std": 0.1}],
         "columns": {"t": {"column": "time", "unit": "ms"}, "u1": "command"},
-        "records": [{"file": "*.csv", "columns": {"q_m1": {"column": "theta", "scale": -1, "unwrap": 360, "zero": 5}}}],
+        "records": [
+            {"file": "*.csv", "columns": {"q_m1": {"column": "theta", "scale": -1, "unwrap": 360, "zero": 5}}}
+        ],
     }
     change_yaml(tmp_path, lambda values: values.update(settings))
     data = Dataset.load(tmp_path)
