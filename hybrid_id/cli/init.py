@@ -100,7 +100,8 @@ def _base(files: "Sequence[LogFile]", given: Sequence[Path]) -> Path:
         folders = {in_lerobot(file.path) for file in files if file.file_format == "lerobot"}
         if len(folders) > 1 or any(file.file_format != "lerobot" for file in files):
             raise InputError("these logs are of several datasets; run 'init' once for each LeRobot dataset")
-        return folders.pop() or Path()
+        whole = folders.pop() or Path()
+        return next((one for one in given if one.resolve() == whole.resolve()), whole)
     if len(given) == 1 and given[0].is_dir() and files[0].path != given[0]:
         return given[0]
     parents = [str(file.path.resolve().parent) for file in files]

@@ -24,6 +24,7 @@ from hybrid_id.records.proposal import (
     correlation,
     derivative_ratio,
     drive_fit,
+    encoder_bits,
     follows,
     goal_lag,
     goal_unit,
@@ -259,12 +260,9 @@ class _Joint:
             logs[0].file.file_format == "lerobot"
             and guess.value == "deg"
             and self.evidence.far(column.name) <= PERCENT
+            and not encoder_bits(values, 360.0)
         ):
-            self.evidence.ask(
-                f"Is '{column.name}' in degrees, or in percent of the joint's range, as LeRobot records by default? "
-                f"It is taken in degrees, for it stays within {PERCENT:g}; percent needs the scale of that joint.",
-                f"{name}: {{column: {column.name}, scale: ...}}",
-            )
+            self.evidence.percent.append(chosen)
         self.outputs.append(chosen)
 
     def _ask_unit(self, chosen: Chosen, guess: Guess) -> None:

@@ -304,13 +304,9 @@ def angle_unit(
     if ratio and (pair := _by_speed(ratio, speed_unit)):
         return Guess(about, *pair)
     whole = bool(np.all(every == np.round(every))) and np.unique(every).size > 8
-    step = max((quantisation_step(one) for one in values), default=0.0)
     for unit, turn in (("deg", 360.0), ("rad", 2 * math.pi), ("rev", 1.0)):
-        bits = math.log2(turn / step) if step > 0.0 and turn > step else 0.0
-        if 8 <= round(bits) <= 24 and abs(2.0 ** (bits - round(bits)) - 1.0) < 0.005:
-            words = (
-                f"values up to {far:.4g} in steps of {step:.4g}, 2^{round(bits)} = {2 ** round(bits)} a turn"
-            )
+        if bits := encoder_bits(values, turn):
+            words = f"values up to {far:.4g} in steps of {turn / 2**bits:.4g}, 2^{bits} = {2**bits} a turn"
             return Guess(about, unit, words)
     if joint is not None and math.isfinite(joint.range):
         factors = {"rad": 1.0, "deg": math.pi / 180}
@@ -347,6 +343,18 @@ def angle_unit(
     if far <= 10 * math.pi and fastest < 100.0:
         return Guess(about, "rad", words, False)
     return Guess(about, "deg" if far <= 400 and fastest < 4000 else "rad", words, False)
+
+
+def encoder_bits(values: Sequence[np.ndarray], turn: float) -> int:
+    """Bits of an encoder that divides a turn into as many steps as the values have; 0 where they have no such steps.
+
+    Args:
+        values: of each record, in the file's unit.
+        turn: in that unit.
+    """
+    step = max((quantisation_step(one) for one in values), default=0.0)
+    bits = math.log2(turn / step) if 0.0 < step < turn else 0.0
+    return round(bits) if 8 <= round(bits) <= 24 and abs(2.0 ** (bits - round(bits)) - 1.0) < 0.005 else 0
 
 
 def _by_speed(ratio: float, speed_unit: str) -> tuple[str, str] | None:

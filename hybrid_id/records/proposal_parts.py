@@ -137,6 +137,7 @@ class Evidence:
         words: what the name of each column says.
         sheet: of the motor.
         proposal: takes what is concluded.
+        percent: angles of LeRobot that may be percent of a range.
         stops: by the place of a log, joint and farthest angle [rad] beyond its limits, and where it is there, (T,).
     """
 
@@ -145,6 +146,7 @@ class Evidence:
     words: Mapping[str, ColumnWords]
     sheet: MotorSheet
     proposal: Proposal
+    percent: list[Chosen] = field(default_factory=list)
     stops: dict[int, list[tuple[str, np.ndarray]]] = field(default_factory=dict)
 
     def ask(self, words: str, line: str = "") -> None:

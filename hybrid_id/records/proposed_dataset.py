@@ -50,11 +50,23 @@ def propose(
     groups = _groups(words, time.column, evidence)
     for key, joint, number in _place(groups, joints, proposal):
         choose_channels(joint.name if joint else key, groups[key], joint, number, evidence)
+    if evidence.percent:
+        first = evidence.percent[0]
+        evidence.ask(
+            f"Are {', '.join(one.column for one in evidence.percent)} in degrees, or in percent of the joint's range, "
+            "as LeRobot records by default? They are taken in degrees; percent needs the scale of each joint.",
+            f"{first.name}: {{column: {first.column}, scale: ...}}",
+        )
     if not proposal.drives:
         raise InputError(_no_pair(logs[0], proposal))
     _one_numbering(proposal, joints)
     used = {one.column for one in (time, *proposal.inputs, *proposal.outputs)} | {n for n, _ in proposal.left}
-    proposal.left += [(name, "not needed, or not understood") for name in words if name not in used]
+    rows = "numbers the rows, or a second clock"
+    proposal.left += [
+        (name, rows if one.counter or one.kind == "time" else "not needed, or not understood")
+        for name, one in words.items()
+        if name not in used
+    ]
     found = sampling([clock[id(log)] for log in logs])
     proposal.resample = found.value == "resample"
     proposal.guesses.append(found)
