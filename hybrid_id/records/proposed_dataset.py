@@ -54,7 +54,7 @@ def propose(
         first = evidence.percent[0]
         evidence.ask(
             f"Are {', '.join(one.column for one in evidence.percent)} in degrees, or in percent of the joint's range, "
-            "as LeRobot records by default? They are taken in degrees; percent needs the scale of each joint.",
+            "as LeRobot may record? They are taken in degrees; percent needs the scale of each joint.",
             f"{first.name}: {{column: {first.column}, scale: ...}}",
         )
     if not proposal.drives:
