@@ -1,4 +1,4 @@
-"""Logs of three robots in a simulator of one's own: MuJoCo, with laws of this file's own that their descriptions lack.
+"""Logs of four robots in a simulator of one's own: MuJoCo, with laws of this file's own that their descriptions lack.
 
     robots.py FOLDER [--so101 FILE]
 
@@ -8,6 +8,8 @@ description that its owner has, which is wrong (`NAME.xml`).
 - `lift`: one joint behind a gear of 50, a DC motor by voltage; the description lacks a torsion spring.
 - `servo`: one joint, a position servo by its goal in rad, encoder in counts; the description lacks load-dependent
   friction.
+- `band`: one joint by a commanded torque; the description lacks a rubber band that is slack below 0.6 rad, which no
+  effect of the catalogue is.
 - `arm`: the six joints of SO-101's own MJCF, goals and angles in degrees; other gains, rotors, damping and dry
   friction, a payload, and load-dependent friction at two joints.
 """
@@ -48,6 +50,7 @@ DESCRIBED = {
         load=0.2,
         actuator=MOTOR.replace("/>", ' gear="50"/>'),
     ),
+    "band": ONE_JOINT.format(step=0.0005, armature=0.02, damping=0.2, dry=0.1, load=0.2, actuator=MOTOR),
     "servo": ONE_JOINT.format(step=0.0005, armature=0.015, damping=0.05, dry=0.1, load=0.5, actuator=SERVO),
 }
 Rows = list[tuple[float, ...]]
@@ -142,6 +145,26 @@ def servo(kind: str, seed: int) -> Rows:
     return simulate(model, goals(kind, t, np.random.default_rng(seed))[:, None], 0.004, act, read)
 
 
+def band(kind: str, seed: int) -> Rows:
+    """Torque by a PD controller at 250 Hz, speed by a tachometer; a band of 2 N m/rad that is slack below 0.6 rad."""
+    step = 0.004
+    model = mujoco.MjModel.from_xml_string(
+        ONE_JOINT.format(step=0.0002, armature=0.025, damping=0.25, dry=0.15, load=0.2, actuator=MOTOR)
+    )
+    torque, rng = np.zeros(1), np.random.default_rng(100 + seed)
+
+    def act(data: mujoco.MjData, goal: np.ndarray, seen: np.ndarray) -> None:
+        data.ctrl[0] = torque[0]
+        data.qfrc_applied[0] = -2.0 * max(data.qpos[0] - 0.6, 0.0)
+
+    def read(data: mujoco.MjData, goal: np.ndarray) -> tuple[float, ...]:
+        torque[0] = np.clip(15 * (goal[0] - data.qpos[0]) - 0.5 * data.qvel[0], -8, 8)
+        return torque[0], np.round(data.qpos[0] / (COUNT / 4)) * COUNT / 4, data.qvel[0] + rng.normal(0, 0.02)
+
+    t = step * np.arange(2000)
+    return simulate(model, goals(kind, t, np.random.default_rng(seed))[:, None], step, act, read)
+
+
 def arm(file: Path, seed: int) -> Rows:
     """Six servos at 50 Hz."""
     k_p, k_d = np.array([11, 13, 10.5, 10.6, 9, 8]), np.array([0.3, 0.35, 0.3, 0.25, 0.2, 0.2])
@@ -194,6 +217,7 @@ def main(home: Path, file: Path) -> None:
     unseen = [("multisine", 21), ("steps", 22), ("multisine", 23), ("multisine", 24)]
     for make, header in (
         (lift, ["time_ms", "motor_voltage", "joint_pos_deg"]),
+        (band, ["time", "effort_cmd", "position", "velocity"]),
         (servo, ["timestamp", "goal_position", "present_position", "error_flags"]),
     ):
         for folder, jobs in ((make.__name__, recorded), (f"{make.__name__}_unseen", unseen)):

@@ -14,6 +14,7 @@ from robots import JOINTS  # isort: skip
 
 READ = {  # the logs' columns -> time [s], commands, angles [rad]
     "lift": lambda a: (a[:, 0] / 1e3, a[:, 1:2], np.radians(a[:, 2:3])),
+    "band": lambda a: (a[:, 0], a[:, 1:2], a[:, 2:3]),
     "servo": lambda a: (a[:, 0], a[:, 1:2], (a[:, 2:3] - 2048) * 2 * np.pi / 4096),
     "arm": lambda a: (a[:, 0], np.radians(a[:, 7:13]), np.radians(a[:, 1:7])),
 }

@@ -512,46 +512,46 @@ class _Joint:
         return fits[len(fits) // 2] if fits else None
 
     def _zero(self) -> None:
-        """Bring the angle, and a goal with it, to the zero of the robot's file; say where it runs into a stop."""
-        angle, joint, ratio, about = (
-            self.outputs[0],
-            self.joint,
-            self.ratio,
-            f"zero of {self.outputs[0].name}",
+        """Bring the angle, and a goal with it, to the zero of the robot's file; without one, to its goal's."""
+        angle, joint, about = self.outputs[0], self.joint, f"zero of {self.outputs[0].name}"
+        values = [angle.values(log) / self.ratio for log in self.evidence.logs]
+        limited = joint is not None and math.isfinite(joint.range)
+        by_range = zero_offset(values, joint, about) if joint is not None and limited else None
+        by_goal = None
+        if self.drive.command == "goal" and (by_range or joint is None):
+            goals = [self.inputs[0].values(log) for log in self.evidence.logs]
+            reach = joint.range if joint is not None else max(float(np.ptp(one)) for one in values)
+            by_goal = zero_by_goal(values, goals, reach, about)
+        if guess := by_goal or by_range:
+            self._move_zero(guess, with_goal=by_goal is None and self.drive.command == "goal")
+        elif joint is not None and limited:
+            angle.guesses.append(Guess(about, "0", f"all angles lie in the range of {joint.name}"))
+        if joint is not None and limited:
+            self._stops(joint)
+
+    def _move_zero(self, guess: Guess, with_goal: bool) -> None:
+        angle, offset = self.outputs[0], float(guess.value)
+        angle.zero = float(f"{offset * self.ratio / angle.factor:.9g}")
+        if with_goal:
+            self.inputs[0].zero = float(f"{offset / self.inputs[0].factor:.9g}")
+        angle.guesses.append(replace(guess, value=f"{angle.zero:g}"))
+        both = ", and so that of its goal" if with_goal else ""
+        self.evidence.ask(
+            f"Where is the zero of {self.drive.joint} in '{angle.column}'? At {angle.zero:g}{both}: {guess.evidence}.",
+            f"{angle.name}: {{column: {angle.column}, zero: ...}}",
         )
-        if joint is None or not math.isfinite(joint.range):
-            return
-        values = [angle.values(log) / ratio for log in self.evidence.logs]
-        guess = zero_offset(values, joint, about)
-        if guess is None:
-            words = f"all angles lie in the range of {joint.name}"
-            angle.guesses.append(Guess(about, "0", words))
-        else:
-            shifted = [angle]
-            if self.drive.command == "goal":
-                goals = [self.inputs[0].values(log) for log in self.evidence.logs]
-                by_goal = zero_by_goal(values, goals, joint, about)
-                guess, shifted = (by_goal, shifted) if by_goal else (guess, [angle, self.inputs[0]])
-            offset = float(guess.value)
-            for one in shifted:
-                one.zero = float(f"{offset * (ratio if one is angle else 1.0) / one.factor:.9g}")
-            both = ", and so that of its goal" if len(shifted) > 1 else ""
-            angle.guesses.append(replace(guess, value=f"{angle.zero:g}"))
-            self.evidence.ask(
-                f"Where is the robot's zero of {joint.name} in '{angle.column}'? At {angle.zero:g}{both}: "
-                f"{guess.evidence}.",
-                f"{angle.name}: {{column: {angle.column}, zero: ...}}",
-            )
-            values = [one - offset for one in values]
+        if self.joint is None:
+            self.drive.fit = self._fit()
+
+    def _stops(self, joint: JointFacts) -> None:
+        """Note where the joint is beyond its limits."""
+        angle, middle = self.outputs[0], 0.5 * (joint.low + joint.high)
+        values = [angle.values(log) / self.ratio for log in self.evidence.logs]
         for k, beyond in enumerate(beyond_limits(values, joint)):
             if beyond.any():
-                far = values[k][np.argmax(np.abs(values[k] - 0.5 * (joint.low + joint.high)))]
-                self.evidence.stops.setdefault(k, []).append(
-                    (
-                        f"{joint.name} runs to {far:.4g}, its limits are {joint.low:.4g} to {joint.high:.4g}",
-                        beyond,
-                    )
-                )
+                far = values[k][np.argmax(np.abs(values[k] - middle))]
+                words = f"{joint.name} runs to {far:.4g}, its limits are {joint.low:.4g} to {joint.high:.4g}"
+                self.evidence.stops.setdefault(k, []).append((words, beyond))
 
     def _lag(self) -> None:
         """How late the angle follows its goal, the median of the logs that show it."""

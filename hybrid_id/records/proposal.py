@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -89,6 +89,8 @@ class DriveFit:
         partial: correlation of x and dv/dt once speed is taken out of both, from -1 to 1.
         explained: share of the acceleration's variance.
         gravity: size of what follows sine and cosine of the angle [unit of acceleration].
+        hang: angle at which that would hang [rad].
+        weight: share of the acceleration's variance that nothing but it explains.
     """
 
     alpha: float
@@ -97,6 +99,8 @@ class DriveFit:
     partial: float
     explained: float
     gravity: float = 0.0
+    hang: float = 0.0
+    weight: float = 0.0
 
 
 def is_time(values: np.ndarray) -> bool:
@@ -225,14 +229,19 @@ def drive_fit(
         if not scale.all() or total == 0.0:
             continue
         gains = np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
-        explained = 1.0 - float(np.sum((y - columns @ gains) ** 2)) / total
+        left_over = float(np.sum((y - columns @ gains) ** 2))
+        explained = 1.0 - left_over / total
         others = columns[:, 1:]
         left = [
             signal - others @ np.linalg.lstsq(others, signal, rcond=None)[0] for signal in (columns[:, 0], y)
         ]
         alpha, beta, gamma = (float(gain) for gain in gains[:3])
-        partial, gravity = correlation(left[0], left[1]), float(np.hypot(*gains[4:])) if weight else 0.0
-        fit = DriveFit(alpha, beta, gamma, partial, explained, gravity)
+        fit = DriveFit(alpha, beta, gamma, correlation(left[0], left[1]), explained)
+        if weight:
+            light = columns[:, :4]
+            without = float(np.sum((y - light @ np.linalg.lstsq(light, y, rcond=None)[0]) ** 2))
+            size, hang = float(np.hypot(*gains[4:])), float(np.arctan2(gains[5], -gains[4]))
+            fit = replace(fit, gravity=size, hang=hang, weight=(without - left_over) / total)
         if best is None or fit.explained > best.explained:
             best = fit
     return best
@@ -509,21 +518,21 @@ def zero_offset(values: Sequence[np.ndarray], joint: JointFacts, about: str) -> 
 
 
 def zero_by_goal(
-    values: Sequence[np.ndarray], goals: Sequence[np.ndarray], joint: JointFacts, about: str
+    values: Sequence[np.ndarray], goals: Sequence[np.ndarray], reach: float, about: str
 ) -> Guess | None:
     """The zero of an angle by the goal that it follows; None where both have the same.
 
     Args:
         values: of each record, at the joint [rad or m].
         goals: of each record, as `values`.
-        joint: of the robot.
+        reach: range of the joint, or what it moves by.
         about: what the guess is about; its value is what the file's angle is at the goal's zero.
     """
     beyond = float(np.median(np.concatenate([q - g for q, g in zip(values, goals, strict=True)])))
-    if abs(beyond) < 0.1 * joint.range:
+    if abs(beyond) < 0.1 * reach:
         return None
-    near = next((turn for turn in TURNS if abs(turn - beyond) < 0.02 * joint.range), beyond)
-    words = f"it leaves the range of {joint.name}, and is {beyond:.4g} rad from its goal (median); {near:.4g} is taken"
+    near = next((turn for turn in TURNS if abs(turn - beyond) < 0.02 * reach), beyond)
+    words = f"the angle is {beyond:.4g} rad from its goal (median), {near:.4g} is taken"
     return Guess(about, f"{near:.12g}", words, False)
 
 

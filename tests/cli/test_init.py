@@ -67,10 +67,24 @@ def test_degrees_and_milliseconds_pass_check(run, tmp_path: Path, motions) -> No
     assert model["parameters"]["P_m2"]["nominal"] == pytest.approx(
         rigid_drive().parameter("P_m2").spec.value, rel=0.1
     )
-    assert "gear_ratio" in done.out and "question" in done.out
+    assert "gear_ratio" in done.out and "question" in done.out and "gravity" not in model
     assert {name: (folder / name).read_bytes() for name in before} == before
     checked = run("check", folder)
     assert checked.code == 0, checked.err
+
+
+def test_a_weight_that_the_logs_show_is_in_the_model(run, tmp_path: Path) -> None:
+    drive = rigid_drive(vertical=True, ratio=1.0).with_values({"G_l": 2e-2})
+    voltages = [multisine(seed, samples=1000, amplitude=2.0 + seed, rest=1) for seed in range(RECORDS)]
+    records = make_records(drive, voltages, noise={"q_m1": 1e-3})
+    hanging = [(r.time, r.inputs["u1"], r.outputs["q_m1"]) for r in records]
+    done = run("init", write_csv(tmp_path / "x", hanging, MS))
+    assert done.code == 0, done.err
+    _, model = written(tmp_path / "x")
+    assert model["gravity"] == "vertical" and "gravity that pulls" in done.out
+    found = {name: entry["nominal"] for name, entry in model["parameters"].items()}
+    assert found["G_l"] / found["J"] == pytest.approx(2e-2 / 2e-5, rel=0.3) and abs(found["q_0"]) < 0.1
+    assert run("check", tmp_path / "x").code == 0
 
 
 def test_nothing_is_overwritten_without_force(run, tmp_path: Path, motions) -> None:

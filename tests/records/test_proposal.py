@@ -117,11 +117,11 @@ def test_side_of_the_gear_by_the_range() -> None:
 
 def test_a_goal_tells_the_zero_unless_it_has_the_same() -> None:
     goal = 1.2 * np.sin(1.7 * (T + 0.05))
-    guess = zero_by_goal([ANGLE + math.pi + 0.02], [goal], ELBOW, "zero")
+    guess = zero_by_goal([ANGLE + math.pi + 0.02], [goal], 3.0, "zero")
     assert guess is not None and float(guess.value) == pytest.approx(math.pi)
-    guess = zero_by_goal([ANGLE + 2.4], [goal], ELBOW, "zero")
+    guess = zero_by_goal([ANGLE + 2.4], [goal], 3.0, "zero")
     assert guess is not None and float(guess.value) == pytest.approx(2.4, abs=0.02)
-    assert zero_by_goal([ANGLE + math.pi], [goal + math.pi], ELBOW, "zero") is None
+    assert zero_by_goal([ANGLE + math.pi], [goal + math.pi], 3.0, "zero") is None
 
 
 def test_lag_is_the_loops_damping_over_its_stiffness() -> None:
@@ -136,3 +136,20 @@ def test_an_angle_beyond_the_limits() -> None:
     (beyond,) = beyond_limits([1.3 * ANGLE], ELBOW)
     assert beyond.sum() == np.sum(np.abs(1.3 * ANGLE) > 1.503) > 0
     assert not beyond_limits([ANGLE], ELBOW)[0].any()
+
+
+def test_a_weight_is_seen_with_the_angle_at_which_it_hangs() -> None:
+    torque = np.sin(3.0 * T) + np.sin(7.1 * T)
+    for weight in (30.0, 0.0):
+        speed, angle = np.zeros_like(T), np.zeros_like(T)
+        for k in range(1, T.size):
+            pull = weight * np.sin(angle[k - 1] - 0.3)
+            speed[k] = speed[k - 1] + 0.005 * (40.0 * torque[k - 1] - 5.0 * speed[k - 1] - pull)
+            angle[k] = angle[k - 1] + 0.005 * speed[k]
+        fit = drive_fit(T, torque, angle)
+        assert fit is not None
+        if weight:
+            assert fit.weight > 0.3
+            assert fit.gravity == pytest.approx(weight, rel=0.05) and fit.hang == pytest.approx(0.3, abs=0.02)
+        else:
+            assert fit.weight < 1e-3
