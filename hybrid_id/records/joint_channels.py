@@ -256,13 +256,10 @@ class _Joint:
             chosen.guesses.append(Guess(f"turns of {name}", f"unwrap {period:g}", "it jumps by a whole turn"))
         if not guess.sure:
             self._ask_unit(chosen, guess)
-        elif (
-            logs[0].file.file_format == "lerobot"
-            and guess.value == "deg"
-            and self.evidence.far(column.name) <= PERCENT
-            and not encoder_bits(values, 360.0)
-        ):
-            self.evidence.percent.append(chosen)
+        elif guess.value == "deg" and not (column.unit or ratio or encoder_bits(values, 360.0)):
+            known = self.joint is not None or logs[0].file.file_format == "lerobot"
+            if known and self.evidence.far(column.name) <= PERCENT:
+                self.evidence.percent.append(chosen)
         self.outputs.append(chosen)
 
     def _ask_unit(self, chosen: Chosen, guess: Guess) -> None:

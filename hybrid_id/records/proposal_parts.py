@@ -137,7 +137,7 @@ class Evidence:
         words: what the name of each column says.
         sheet: of the motor.
         proposal: takes what is concluded.
-        percent: angles of LeRobot that may be percent of a range.
+        percent: angles in degrees that may be percent of a joint's range.
         stops: by the place of a log, joint and farthest angle [rad] beyond its limits, and where it is there, (T,).
     """
 

@@ -158,9 +158,9 @@ def _roles(proposal: Proposal) -> None:
         words = "too few to keep one for the test"
         proposal.questions.append(
             Question(
-                f"Are there more logs? {'One record' if count == 1 else 'Two records'} are all fitted, and none tests "
-                f"the model: record at least {LEAST_FOR_TEST - count} more, with another motion (other speeds, both "
-                "directions, the whole range), and make it role: test."
+                f"Are there more logs? {'The one record is' if count == 1 else 'Both records are'} fitted, and none "
+                f"tests the model: record at least {LEAST_FOR_TEST - count} more, with another motion (other speeds, "
+                "both directions, the whole range), and make it role: test."
             )
         )
     proposal.guesses.append(Guess("roles", f"{count - tests} train, {tests} test", words))

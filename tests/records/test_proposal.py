@@ -46,6 +46,7 @@ def test_unit_of_time_by_step_and_span(factor: float, unit: str) -> None:
         ("q_m1", "angle", False, "", "1"),
         ("goal_elbow", "angle", True, "", "elbow"),
         ("i_meas (mA)", "current", False, "mA", ""),
+        ("Motor Position [rev]", "angle", False, "rev", ""),
     ],
 )
 def test_what_a_name_says(name: str, kind: str, command: bool, unit: str, joint: str) -> None:
