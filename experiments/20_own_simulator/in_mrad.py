@@ -5,12 +5,15 @@ their mean.
 """
 
 import sys
+from importlib import import_module
+from typing import Any
 
-import mujoco
 import numpy as np
 from unseen import run
 
 from hybrid_id import Dataset
+
+mujoco: Any = import_module("mujoco")  # has no types
 
 for file in sys.argv[2:]:
     model, squares = mujoco.MjModel.from_xml_path(file), []

@@ -18,11 +18,13 @@ import csv
 import shutil
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
 
+mujoco: Any = import_module("mujoco")  # has no types
 SO101 = Path("../shared/data/so101/so101_new_calib.xml")
 JOINTS = ("shoulder_pan", "shoulder_lift", "elbow_flex", "wrist_flex", "wrist_roll", "gripper")
 COUNT = 2 * np.pi / 4096
@@ -73,23 +75,21 @@ def goals(kind: str, t: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return 1.4 * np.clip(t - 0.3, 0, 1) * np.sin(2 * np.pi * 0.35 * (t - 0.3))
 
 
-def inertia(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+def inertia(model: Any, data: Any) -> np.ndarray:
     """Mass matrix, (nv, nv)."""
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
     return full
 
 
-def rub(
-    model: mujoco.MjModel, data: mujoco.MjData, dry: np.ndarray, mu: np.ndarray, rotors: np.ndarray
-) -> None:
+def rub(model: Any, data: Any, dry: np.ndarray, mu: np.ndarray, rotors: np.ndarray) -> None:
     """Set dry friction by the torque that each gear carries: weight and acceleration of all but its own rotor."""
     carried = data.qfrc_bias + (inertia(model, data) - np.diag(rotors)) @ data.qacc
     model.dof_frictionloss[:] = dry + mu * np.abs(carried)
 
 
 def simulate(
-    model: mujoco.MjModel, wanted: np.ndarray, step: float, act: Callable, read: Callable, settle: float = 0.0
+    model: Any, wanted: np.ndarray, step: float, act: Callable, read: Callable, settle: float = 0.0
 ) -> Rows:
     """Rows of a log: what `read` sees at every sample; `act` sets the torques at every step of the simulator."""
     data = mujoco.MjData(model)
@@ -115,11 +115,11 @@ def lift(kind: str, seed: int) -> Rows:
     )
     volts = np.zeros(1)
 
-    def act(data: mujoco.MjData, goal: np.ndarray, seen: np.ndarray) -> None:
+    def act(data: Any, goal: np.ndarray, seen: np.ndarray) -> None:
         data.ctrl[0] = gear * k_t / ohm * (volts[0] - k_t * gear * data.qvel[0])
         data.qfrc_applied[0] = -0.8 * (data.qpos[0] - 0.4)  # the spring that the description lacks
 
-    def read(data: mujoco.MjData, goal: np.ndarray) -> tuple[float, ...]:
+    def read(data: Any, goal: np.ndarray) -> tuple[float, ...]:
         volts[0] = np.clip(25 * (goal[0] - data.qpos[0]) - 0.6 * data.qvel[0], -24, 24)
         return volts[0], np.degrees(np.round(data.qpos[0] / (COUNT / 4)) * COUNT / 4)
 
@@ -134,11 +134,11 @@ def servo(kind: str, seed: int) -> Rows:
         ONE_JOINT.format(step=0.0002, armature=0.02, damping=0.08, dry=0.05, load=0.5, actuator=MOTOR)
     )
 
-    def act(data: mujoco.MjData, goal: np.ndarray, seen: np.ndarray) -> None:
+    def act(data: Any, goal: np.ndarray, seen: np.ndarray) -> None:
         data.ctrl[0] = np.clip(12 * (goal[0] - data.qpos[0]) - 0.5 * data.qvel[0], -5, 5)
         rub(model, data, np.array([0.05]), np.array([0.2]), np.array([0.02]))
 
-    def read(data: mujoco.MjData, goal: np.ndarray) -> tuple[float, ...]:
+    def read(data: Any, goal: np.ndarray) -> tuple[float, ...]:
         return goal[0], 2048 + np.round(data.qpos[0] / COUNT), 0.0
 
     t = 0.004 * np.arange(2000)
@@ -153,11 +153,11 @@ def band(kind: str, seed: int) -> Rows:
     )
     torque, rng = np.zeros(1), np.random.default_rng(100 + seed)
 
-    def act(data: mujoco.MjData, goal: np.ndarray, seen: np.ndarray) -> None:
+    def act(data: Any, goal: np.ndarray, seen: np.ndarray) -> None:
         data.ctrl[0] = torque[0]
         data.qfrc_applied[0] = -2.0 * max(data.qpos[0] - 0.6, 0.0)
 
-    def read(data: mujoco.MjData, goal: np.ndarray) -> tuple[float, ...]:
+    def read(data: Any, goal: np.ndarray) -> tuple[float, ...]:
         torque[0] = np.clip(15 * (goal[0] - data.qpos[0]) - 0.5 * data.qvel[0], -8, 8)
         return torque[0], np.round(data.qpos[0] / (COUNT / 4)) * COUNT / 4, data.qvel[0] + rng.normal(0, 0.02)
 
@@ -179,11 +179,11 @@ def arm(file: Path, seed: int) -> Rows:
     model.actuator_biasprm[:], model.actuator_gainprm[:, 0], model.actuator_ctrllimited[:] = 0, 1, 0
     rng = np.random.default_rng(seed)
 
-    def act(data: mujoco.MjData, goal: np.ndarray, seen: np.ndarray) -> None:
+    def act(data: Any, goal: np.ndarray, seen: np.ndarray) -> None:
         data.ctrl[:] = np.clip(k_p * (goal - data.qpos) - k_d * data.qvel, -3.35, 3.35)
         rub(model, data, dry, mu, rotors)
 
-    def read(data: mujoco.MjData, goal: np.ndarray) -> tuple[float, ...]:
+    def read(data: Any, goal: np.ndarray) -> tuple[float, ...]:
         counted = COUNT * np.round((data.qpos + rng.normal(0, 0.0005, 6)) / COUNT)
         return (*np.degrees(counted), *np.degrees(goal))
 

@@ -5,13 +5,16 @@ over the standard deviation of the angle, a column a motion and their mean, of a
 """
 
 import sys
+from collections.abc import Sequence
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
 
 from robots import JOINTS  # isort: skip
 
+mujoco: Any = import_module("mujoco")  # has no types
 READ = {  # the logs' columns -> time [s], commands, angles [rad]
     "lift": lambda a: (a[:, 0] / 1e3, a[:, 1:2], np.radians(a[:, 2:3])),
     "band": lambda a: (a[:, 0], a[:, 1:2], a[:, 2:3]),
@@ -21,7 +24,7 @@ READ = {  # the logs' columns -> time [s], commands, angles [rad]
 
 
 def run(
-    model: mujoco.MjModel, names: list[str], time: np.ndarray, commands: np.ndarray, start: np.ndarray
+    model: Any, names: Sequence[str], time: np.ndarray, commands: np.ndarray, start: np.ndarray
 ) -> np.ndarray:
     """Angles [rad] of a free run, (T, joints)."""
     data, step = mujoco.MjData(model), time[1] - time[0]
