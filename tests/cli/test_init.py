@@ -284,8 +284,25 @@ def test_counts_from_elsewhere_beside_a_goal_in_radians(run, tmp_path: Path) -> 
     assert data["columns"]["q_m1"]["zero"] == 2048
     assert [record["role"] for record in data["records"]] == ["train"] * 3 + ["test"] * 2
     assert "sensor" not in str(model) and "zero" in done.out
+    assert run("init", folder, "--out", tmp_path / "alone").code == 0  # without the robot, by the goal alone
+    assert written(tmp_path / "alone")[0]["columns"]["q_m1"]["zero"] == 2048
     loaded = Dataset.load(folder)
     assert all(np.max(np.abs(r.outputs["q_m1"] - r.inputs["goal1"])) < 0.5 for r in loaded.records)
+
+
+def test_percent_of_a_range_is_asked_about(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    for name, factor, asked in (("percent", 100 / 1.9, True), ("encoder", 180 / np.pi, False)):
+        step = 360 / 4096 if name == "encoder" else 1e-9
+        columns = {"timestamp": COUNTS["timestamp"]}
+        columns["elbow.goal"] = lambda t, g, q, factor=factor: factor * g
+        columns["elbow.pos"] = lambda t, g, q, factor=factor, step=step: step * np.round(factor * q / step)
+        (tmp_path / name).mkdir()
+        done = run(
+            "init", one_joint(tmp_path / name / "logs", columns), "--robot", tmp_path / name / "arm.xml"
+        )
+        assert done.code == 0, done.err
+        assert ("percent" in done.out.split("are written")[1]) is asked
 
 
 def test_gains_that_the_logs_contradict_are_no_start(run, tmp_path: Path) -> None:
