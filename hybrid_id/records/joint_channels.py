@@ -243,11 +243,11 @@ class _Joint:
             times,
             f"unit of {name}",
             column.unit,
-            self.joint,
+            self._seen_joint(),
             ratio,
             speed.unit if speed else "",
             counts,
-            self.gear,
+            1.0 if self.side_said else self.gear,
         )
         chosen = Chosen(name, column.name, guess.value, guesses=[_why(name, column, "angle"), guess])
         self._scale_angle(chosen, guess.value)
@@ -259,8 +259,19 @@ class _Joint:
         elif guess.value == "deg" and not (column.unit or ratio or encoder_bits(values, 360.0)):
             known = self.joint is not None or logs[0].file.file_format == "lerobot"
             if known and self.evidence.far(column.name) <= PERCENT:
-                self.evidence.percent.append(chosen)
+                self.evidence.ask_of(
+                    column.name,
+                    "Degrees, or percent of the joint's range, as LeRobot may record: {}? Degrees are taken; percent "
+                    "needs the scale of each joint in 'columns'.",
+                )
         self.outputs.append(chosen)
+
+    def _seen_joint(self) -> JointFacts | None:
+        """The joint with its range as the angle sees it, where its name says that it is the motor's."""
+        joint = self.joint
+        if joint is None or not self.side_said or joint.slide:
+            return joint
+        return replace(joint, low=joint.low * self.ratio, high=joint.high * self.ratio)
 
     def _ask_unit(self, chosen: Chosen, guess: Guess) -> None:
         entry = f"{chosen.name}: {{column: {chosen.column}, unit: ..., scale: ...}}"
@@ -280,8 +291,9 @@ class _Joint:
         words = f"2 pi / {given or COUNTS:g} counts a turn" + ("" if given else ", the usual 12 bits")
         chosen.guesses.append(Guess(f"scale of {chosen.name}", f"{chosen.scale:.6g}", words, bool(given)))
         if not given:
-            self.evidence.ask(
-                f"How many counts has a turn of '{chosen.column}'? {COUNTS} are assumed (counts_per_turn in --motor)."
+            self.evidence.ask_of(
+                chosen.column,
+                f"How many counts has a turn of {{}}? {COUNTS} are assumed (counts_per_turn in --motor).",
             )
 
     def _speed(self, column: ColumnWords) -> None:
@@ -364,8 +376,8 @@ class _Joint:
             unit = "mN m" if milli else "N" if slide else "N m"
             self._simple(chosen, column, unit, 1e-3 if milli else 1.0)
             if not column.command:
-                ask(
-                    f"Is '{column.name}' the commanded torque, and in N m? Servos log a load or a current so."
+                self.evidence.ask_of(
+                    column.name, "Commanded torque, and in N m: {}? Servos log a load or a current so."
                 )
         else:
             self._duty(chosen, column)

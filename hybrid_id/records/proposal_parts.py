@@ -72,11 +72,16 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Question:
-    """What cannot be told from the logs: the words, and the line that would answer it, where there is one."""
+    """What cannot be told from the logs: the words, and the line that would answer it, where there is one.
+
+    Where the words are those of a ``pattern`` with ``columns`` in the place of ``{}``, both are kept.
+    """
 
     words: str
     line: str = ""
     place: str = "dataset"
+    pattern: str = ""
+    columns: tuple[str, ...] = ()
 
 
 @dataclass
@@ -137,7 +142,6 @@ class Evidence:
         words: what the name of each column says.
         sheet: of the motor.
         proposal: takes what is concluded.
-        percent: angles in degrees that may be percent of a joint's range.
         stops: by the place of a log, joint and farthest angle [rad] beyond its limits, and where it is there, (T,).
     """
 
@@ -146,12 +150,19 @@ class Evidence:
     words: Mapping[str, ColumnWords]
     sheet: MotorSheet
     proposal: Proposal
-    percent: list[Chosen] = field(default_factory=list)
     stops: dict[int, list[tuple[str, np.ndarray]]] = field(default_factory=dict)
 
     def ask(self, words: str, line: str = "") -> None:
         """Leave a question."""
         self.proposal.questions.append(Question(words, line))
+
+    def ask_of(self, column: str, pattern: str) -> None:
+        """Leave a question about a column, in the place of ``{}``; the same one of several columns is one question."""
+        questions = self.proposal.questions
+        same = next((k for k, one in enumerate(questions) if one.pattern == pattern), len(questions))
+        columns = (*(questions[same].columns if same < len(questions) else ()), column)
+        words = pattern.format(", ".join(f"'{one}'" for one in columns))
+        questions[same : same + 1] = [Question(words, pattern=pattern, columns=columns)]
 
     def leave(self, column: str, why: str) -> None:
         """Leave a column out."""

@@ -50,13 +50,6 @@ def propose(
     groups = _groups(words, time.column, evidence)
     for key, joint, number in _place(groups, joints, proposal):
         choose_channels(joint.name if joint else key, groups[key], joint, number, evidence)
-    if evidence.percent:
-        first = evidence.percent[0]
-        evidence.ask(
-            f"Are {', '.join(one.column for one in evidence.percent)} in degrees, or in percent of the joint's range, "
-            "as LeRobot may record? They are taken in degrees; percent needs the scale of each joint.",
-            f"{first.name}: {{column: {first.column}, scale: ...}}",
-        )
     if not proposal.drives:
         raise InputError(_no_pair(logs[0], proposal))
     _one_numbering(proposal, joints)
@@ -259,7 +252,7 @@ def _place(
             proposal.left += [(one.name, "no joint of the robot is called so") for one in groups[key]]
             proposal.questions.append(Question(f"Which joint of the robot are the columns of '{key}'?"))
             continue
-        sure = len(joints) == 1
+        sure = len(joints) == 1 or len(same) == 1
         found.append((key, joint))
         words = (
             f"columns of '{key}' by their number" if digits else "the columns name no joint: the first one"

@@ -239,6 +239,7 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
     assert data["columns"]["q_m1"]["column"] == "shoulder_pan.pos"
     assert data["columns"]["goal2"]["column"] == "elbow_flex.goal"
     assert {one["unit"] for one in (*data["inputs"], *data["outputs"])} == {"deg"}
+    assert "'shoulder_pan.pos', 'elbow_flex.pos'" in done.out  # percent or degrees: one question for both
     assert "times the range of shoulder_pan" in (folder / "dataset.yaml").read_text()
     assert model["robot"]["file"] == "../arm.xml"
     kinds = [one["kind"] for one in model.get("components", [])]
@@ -337,7 +338,8 @@ def test_records_are_cut_at_an_end_stop(run, tmp_path: Path) -> None:
 def test_an_encoder_at_the_joint_is_seen_behind_a_known_gear(run, tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     (tmp_path / "sheet.yaml").write_text("gear_ratio: 50\n")
-    for name, times in (("encoder_rad", 1.0), ("encoder_rad", 50.0), ("joint_angle", 1.0)):
+    named = (("encoder_rad", 1.0), ("encoder_rad", 50.0), ("joint_angle", 1.0), ("motor_angle", 50.0))
+    for name, times in named:
         columns = {"timestamp": COUNTS["timestamp"], "torque_cmd": lambda t, g, q: g - q}
         columns[name] = lambda t, g, q, times=times: times * q
         home = tmp_path / f"{name}{times:g}"
@@ -345,7 +347,7 @@ def test_an_encoder_at_the_joint_is_seen_behind_a_known_gear(run, tmp_path: Path
         folder = one_joint(home / "logs", columns)
         done = run("init", folder, "--robot", home / "arm.xml", "--motor", tmp_path / "sheet.yaml")
         assert done.code == 0, done.err
-        assert written(folder)[0]["outputs"][0]["name"] == ("q_m1" if times > 1 else "q_a1")
+        assert written(folder)[0]["outputs"] == [{"name": "q_m1" if times > 1 else "q_a1", "unit": "rad"}]
 
 
 def test_a_joint_that_moves_in_one_of_many_logs_is_found(run, tmp_path: Path, motions) -> None:
