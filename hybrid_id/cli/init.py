@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.logs import Log, LogFile
     from hybrid_id.records.proposal import Guess
-    from hybrid_id.records.proposed_dataset import Chosen, MotorSheet, Proposal
+    from hybrid_id.records.proposal_parts import Chosen, MotorSheet, Proposal
     from hybrid_id.records.skew import Skew
     from hybrid_id.robots.tree import RigidBodyTree
     from hybrid_id.systems.proposed_model import ProposedModel
@@ -29,8 +29,6 @@ DATASET, MODEL = "dataset.yaml", "model.yaml"
 HEADS = ("about", "taken as", "sure", "evidence")
 UNSURE = ("placeholder", "not known")
 """How the evidence of a start value begins that is none."""
-LEAST_FOR_TEST = 3
-"""Records from which the last one becomes the test record."""
 
 
 def init(
@@ -102,7 +100,8 @@ def _base(files: "Sequence[LogFile]", given: Sequence[Path]) -> Path:
         folders = {in_lerobot(file.path) for file in files if file.file_format == "lerobot"}
         if len(folders) > 1 or any(file.file_format != "lerobot" for file in files):
             raise InputError("these logs are of several datasets; run 'init' once for each LeRobot dataset")
-        return folders.pop() or Path()
+        whole = folders.pop() or Path()
+        return next((one for one in given if one.resolve() == whole.resolve()), whole)
     if len(given) == 1 and given[0].is_dir() and files[0].path != given[0]:
         return given[0]
     parents = [str(file.path.resolve().parent) for file in files]
@@ -127,7 +126,7 @@ def _refuse_taken(folder: Path, force: bool) -> None:
 
 
 def _sheet(motor: Path | None) -> "MotorSheet":
-    from hybrid_id.records.proposed_dataset import MotorSheet
+    from hybrid_id.records.proposal_parts import MotorSheet
     from hybrid_id.records.yaml_file import read_yaml, validate
 
     return MotorSheet() if motor is None else validate(MotorSheet, read_yaml(motor), motor)
@@ -188,7 +187,7 @@ def _try(
 ) -> "tuple[list[Skew], Dataset]":
     """Load what would be written, measure skews, and ask what `check` would object to."""
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.records.proposed_dataset import Question
+    from hybrid_id.records.proposal_parts import Question
     from hybrid_id.records.quality import check_dataset, check_encoders
     from hybrid_id.records.skew import find_skews
     from hybrid_id.systems.model_file import load_model
@@ -229,6 +228,8 @@ def _column(one: "Chosen") -> dict[str, Any]:
         entry["unit"] = one.unit
     if one.scale != 1.0:
         entry["scale"] = float(f"{one.scale:.12g}")
+    if one.zero:
+        entry["zero"] = one.zero
     if one.unwrap:
         entry["unwrap"] = float(f"{one.unwrap:.12g}")
     return entry
@@ -261,11 +262,11 @@ def _dataset_text(
     lines += [_guess(guess, "") for guess in proposal.guesses]
     if proposal.resample:
         lines.append(f"resample: {{max_gap: {proposal.max_gap:g}}}" if proposal.max_gap else "resample: true")
-    lines += [_comment(_roles(len(proposal.logs))), "records:"]
+    lines.append("records:")
     for k, log in enumerate(proposal.logs):
         entry = {
             "file": log.file.path.resolve().relative_to(root.resolve()).as_posix(),
-            "role": _role(k, proposal),
+            "role": proposal.roles[k],
         }
         if log.file.episode is not None:
             entry["episode"] = log.file.episode
@@ -287,22 +288,6 @@ def _questions(questions: Sequence[Any]) -> list[str]:
         lines.append(_comment(f"{number}. {question.words}"))
         lines += [_comment(f"     {question.line}")] if question.line else []
     return lines
-
-
-def _role(k: int, proposal: "Proposal") -> str:
-    return "test" if len(proposal.logs) >= LEAST_FOR_TEST and k == len(proposal.logs) - 1 else "train"
-
-
-def _roles(count: int) -> str:
-    if count >= LEAST_FOR_TEST:
-        return (
-            f"roles: the last of {count} records is the test record, which no fit sees; the others are fitted"
-        )
-    have = "one record" if count == 1 else "two records"
-    return (
-        f"roles: {have}, so all are fitted and none tests the model; record at least {LEAST_FOR_TEST - count} more, "
-        "with another motion (other speeds, both directions, the whole range), and make it role: test"
-    )
 
 
 def _model_text(model: "ProposedModel") -> str:
@@ -368,7 +353,7 @@ def _say(
     from hybrid_id.reporting.tables import count, table
 
     questions = [*proposal.questions, *model.questions]
-    rows = [(guess.about, guess.value, guess.sure, guess.evidence) for _, guess in proposal.all_guesses]
+    rows = [(guess.about, guess.value, guess.sure, guess.evidence) for guess in proposal.all_guesses]
     rows += [(f"skew of {skew.channel}", f"{skew.late:.3g} s", True, skew.message) for skew in skews]
     rows += [
         (f"model: {place}", _at(model.values, place), not why.startswith(UNSURE), why)
@@ -387,7 +372,6 @@ def _say(
             [(printable(a), printable(b), "yes" if sure else "?", printable(c)) for a, b, sure, c in rows],
         )
     )
-    show("", _roles(len(proposal.logs)))
     if proposal.left or left:
         show("", "Left out:")
         show(

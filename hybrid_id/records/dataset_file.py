@@ -236,7 +236,7 @@ def _read(
     file_format, factor = entry.format or spec.format, time.scale * to_si(time.unit or unit, "t")[1]
     turns = any(column.unwrap for column in columns.values())  # are counted from the file's start
     if entry.between and factor > 0 and not turns:
-        low, high = (stamp / factor for stamp in entry.between)
+        low, high = (stamp / factor + time.zero for stamp in entry.between)
         slack = 1e-9 * max(abs(low), abs(high))  # the exact cut comes later, in seconds
         table = load_any(
             path,
@@ -257,6 +257,8 @@ def _to_channel(table: Table, column: ColumnEntry, unit: str, channel: str) -> n
     values = table.columns[column.column]
     if column.unwrap:
         values = np.unwrap(values, period=column.unwrap)
+    if column.zero:
+        values = values - column.zero
     factor = column.scale * to_si(unit, channel)[1]
     if column.column in table.stamps and factor != 1:
         raise InputError(

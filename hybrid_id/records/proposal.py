@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
@@ -16,7 +16,7 @@ from scipy.ndimage import uniform_filter1d
 from hybrid_id.records.measures import quantisation_step
 from hybrid_id.records.units import to_si
 
-TIME_FACTORS = {unit: to_si(unit, "t")[1] for unit in ("s", "ms", "us")} | {"ns": 1e-9}
+TIME_FACTORS = {unit: to_si(unit, "t")[1] for unit in ("s", "ms", "us", "ns")}
 STEPS, SPANS = (5e-5, 0.25), (0.05, 1e5)
 """Sample times [s] and lengths of records [s] that are plausible."""
 USUAL_STEP = 0.004
@@ -31,6 +31,16 @@ FASTEST = 1500.0
 """Speed [rad/s] that hardly any motor exceeds."""
 RELATED = 0.9
 """Correlation from which a column is taken for another one's derivative, or for its goal."""
+PARTLY = 0.5
+"""Correlation of a goal's error and the speed from which a lag is read off them."""
+ALIKE = 3.0
+"""Times by which the spans of a goal and its angle may differ."""
+HARDLY = 0.05
+"""Share of a joint's range that a joint moves by at least, in the log where it moves most."""
+TURNS = tuple(
+    sign * turn for turn in (math.pi, 2 * math.pi, 0.5 * math.pi, 1.5 * math.pi) for sign in (1, -1)
+)
+"""Offsets [rad] of encoders that count from elsewhere, in the order in which they are tried."""
 OPPOSED = 0.3
 """Partial correlation of a command and the acceleration from which their sign is believed."""
 
@@ -79,6 +89,8 @@ class DriveFit:
         partial: correlation of x and dv/dt once speed is taken out of both, from -1 to 1.
         explained: share of the acceleration's variance.
         gravity: size of what follows sine and cosine of the angle [unit of acceleration].
+        hang: angle at which that would hang [rad].
+        weight: share of the acceleration's variance that nothing but it explains.
     """
 
     alpha: float
@@ -87,6 +99,8 @@ class DriveFit:
     partial: float
     explained: float
     gravity: float = 0.0
+    hang: float = 0.0
+    weight: float = 0.0
 
 
 def is_time(values: np.ndarray) -> bool:
@@ -215,17 +229,41 @@ def drive_fit(
         if not scale.all() or total == 0.0:
             continue
         gains = np.linalg.lstsq(columns / scale, y, rcond=None)[0] / scale
-        explained = 1.0 - float(np.sum((y - columns @ gains) ** 2)) / total
+        left_over = float(np.sum((y - columns @ gains) ** 2))
+        explained = 1.0 - left_over / total
         others = columns[:, 1:]
         left = [
             signal - others @ np.linalg.lstsq(others, signal, rcond=None)[0] for signal in (columns[:, 0], y)
         ]
         alpha, beta, gamma = (float(gain) for gain in gains[:3])
-        partial, gravity = correlation(left[0], left[1]), float(np.hypot(*gains[4:])) if weight else 0.0
-        fit = DriveFit(alpha, beta, gamma, partial, explained, gravity)
+        fit = DriveFit(alpha, beta, gamma, correlation(left[0], left[1]), explained)
+        if weight:
+            light = columns[:, :4]
+            without = float(np.sum((y - light @ np.linalg.lstsq(light, y, rcond=None)[0]) ** 2))
+            size, hang = float(np.hypot(*gains[4:])), float(np.arctan2(gains[5], -gains[4]))
+            fit = replace(fit, gravity=size, hang=hang, weight=(without - left_over) / total)
         if best is None or fit.explained > best.explained:
             best = fit
     return best
+
+
+def goal_lag(time: np.ndarray, goal: np.ndarray, angle: np.ndarray) -> float:
+    """How late [s] an angle follows its goal in steady motion, a loop's damping over its stiffness; 0 where it is open.
+
+    The error ``goal - angle`` of slow motion is ``lag v``, dry friction and weight.
+
+    Args:
+        time: stamps [s], (T,).
+        goal: [rad], (T,).
+        angle: [rad], (T,).
+    """
+    v = rate_of(time, angle)
+    sign = smoothed(np.sign(np.where(np.abs(v) > 0.02 * np.max(np.abs(v)), v, 0.0)), 5)
+    error = smoothed(goal - angle, 5)
+    others = np.stack([sign, np.ones_like(v), np.sin(angle), np.cos(angle)], axis=1)
+    v, error = (one - others @ np.linalg.lstsq(others, one, rcond=None)[0] for one in (v, error))
+    lag = float(v @ error) / max(float(v @ v), 1e-300)
+    return lag if correlation(v, error) > PARTLY and lag > 0.0 else 0.0
 
 
 def sign_of(fit: DriveFit | None, command: str, output: str) -> Guess:
@@ -248,6 +286,7 @@ def angle_unit(
     ratio: float = 0.0,
     speed_unit: str = "",
     counts_per_turn: float = 0.0,
+    gear: float = 1.0,
 ) -> Guess:
     """Unit of an angle: ``rad``, ``deg``, ``rev``, ``mrad``, ``counts``, or at a slide ``m`` or ``mm``.
 
@@ -260,6 +299,7 @@ def angle_unit(
         ratio: derivative of the angle over a logged speed; 0 without one.
         speed_unit: of that speed, where its name says it.
         counts_per_turn: of the encoder, where a data sheet says it.
+        gear: turns of the motor for one of the joint; the angle may be that of either.
     """
     every = np.concatenate(list(values))
     low, high = float(every.min()), float(every.max())
@@ -273,13 +313,9 @@ def angle_unit(
     if ratio and (pair := _by_speed(ratio, speed_unit)):
         return Guess(about, *pair)
     whole = bool(np.all(every == np.round(every))) and np.unique(every).size > 8
-    step = max((quantisation_step(one) for one in values), default=0.0)
     for unit, turn in (("deg", 360.0), ("rad", 2 * math.pi), ("rev", 1.0)):
-        bits = math.log2(turn / step) if step > 0.0 and turn > step else 0.0
-        if 8 <= round(bits) <= 24 and abs(2.0 ** (bits - round(bits)) - 1.0) < 0.005:
-            words = (
-                f"values up to {far:.4g} in steps of {step:.4g}, 2^{round(bits)} = {2 ** round(bits)} a turn"
-            )
+        if bits := encoder_bits(values, turn):
+            words = f"values up to {far:.4g} in steps of {turn / 2**bits:.4g}, 2^{bits} = {2**bits} a turn"
             return Guess(about, unit, words)
     if joint is not None and math.isfinite(joint.range):
         factors = {"rad": 1.0, "deg": math.pi / 180}
@@ -289,9 +325,14 @@ def angle_unit(
         words = f"span {span:.4g} is {span / joint.range:.3g} times the range of {joint.name} ({joint.range:.4g} rad)"
         if "rad" in fits and not (whole and span > 2):
             return Guess(about, "rad", words, span > 0.05 * joint.range)
+        motor = gear > 1.0 and not whole and span <= 1.1 * gear * joint.range
+        words += f"; at the motor, behind the gear, {span / gear / joint.range:.3g} times" if motor else ""
         for unit in ("counts", "deg") if whole and span > 400 else ("deg", "counts"):
             if unit in fits:
-                return Guess(about, unit, f"{words}; as {unit} {span * factors[unit]:.3g} rad", unit == "deg")
+                sure = unit == "deg" and not motor
+                return Guess(about, unit, f"{words}; as {unit} {span * factors[unit]:.3g} rad", sure)
+        if motor:
+            return Guess(about, "rad", words)
     if whole and span > 400:
         return Guess(about, "counts", f"whole numbers from {low:.0f} to {high:.0f}", bool(counts_per_turn))
     rates = [
@@ -311,6 +352,18 @@ def angle_unit(
     if far <= 10 * math.pi and fastest < 100.0:
         return Guess(about, "rad", words, False)
     return Guess(about, "deg" if far <= 400 and fastest < 4000 else "rad", words, False)
+
+
+def encoder_bits(values: Sequence[np.ndarray], turn: float) -> int:
+    """Bits of an encoder that divides a turn into as many steps as the values have; 0 where they have no such steps.
+
+    Args:
+        values: of each record, in the file's unit.
+        turn: in that unit.
+    """
+    step = max((quantisation_step(one) for one in values), default=0.0)
+    bits = math.log2(turn / step) if 0.0 < step < turn else 0.0
+    return round(bits) if 8 <= round(bits) <= 24 and abs(2.0 ** (bits - round(bits)) - 1.0) < 0.005 else 0
 
 
 def _by_speed(ratio: float, speed_unit: str) -> tuple[str, str] | None:
@@ -397,31 +450,96 @@ def side_and_unit(
     )
 
 
-def zero_offset(values: Sequence[np.ndarray], factor: float, joint: JointFacts, about: str) -> Guess | None:
+def side_by_range(span: float, joint: JointFacts, ratio: float) -> tuple[str, str, bool] | None:
+    """Side of the gear (``m`` or ``a``) by the range of the joint, the evidence, and whether it is sure; or None.
+
+    Args:
+        span: of the angle, where it moves most [rad].
+        joint: of the robot.
+        ratio: turns of the motor for one of the joint, more than one.
+    """
+    if not math.isfinite(joint.range) or ratio <= 1.0:
+        return None
+    share = span / joint.range
+    if share > 1.1:
+        words = (
+            f"behind the gear of {ratio:g} its span is {share / ratio:.2g} times the range of {joint.name}"
+        )
+        return ("m", f"{words}, and {share:.3g} times before it", True) if share / ratio <= 1.1 else None
+    if share > HARDLY * ratio:
+        return None
+    words = f"its span is {share:.2g} times the range of {joint.name}; as the motor's it would be {share / ratio:.1g}"
+    return "a", words, True
+
+
+def goal_unit(span: float, moved: float, factor: float, column: str, about: str) -> Guess:
+    """Unit of a goal, by how far it goes: ``same`` as the angle's, or another one in which it spans as much.
+
+    Args:
+        span: of the goal, in the file's numbers.
+        moved: by the angle in the same log [rad or m].
+        factor: of the angle's numbers to SI.
+        column: of the angle.
+        about: what the guess is about.
+    """
+    moved = max(moved, 1e-300)
+    shares = {"same": span * factor / moved}
+    shares |= {unit: span * ANGLE_FACTORS[unit] / moved for unit in ("rad", "deg", "rev")}
+    shares |= {"counts": span * 2.0 * math.pi / COUNTS / moved}
+    unit = next((unit for unit, share in shares.items() if 1.0 / ALIKE < share < ALIKE), "same")
+    words = f"its span is {shares[unit]:.2g} of that of '{column}'"
+    same = unit == "same"
+    how = (
+        f"the unit of '{column}'; {words}" if same else f"as {unit} {words}, in its unit {shares['same']:.2g}"
+    )
+    return Guess(about, unit, how, same and 1.0 / ALIKE < shares[unit] < ALIKE)
+
+
+def zero_offset(values: Sequence[np.ndarray], joint: JointFacts, about: str) -> Guess | None:
     """What the robot's range says of the zero: None where the angles lie in it, or where it cannot be told.
 
     Args:
-        values: of each record, in the file's unit.
-        factor: of that unit to rad, sign included.
+        values: of each record, at the joint [rad or m], sign included.
         joint: of the robot.
-        about: what the guess is about.
+        about: what the guess is about; its value is what the file's angle is at the robot's zero.
     """
-    every = np.concatenate(list(values)) * factor
-    low, high = float(every.min()), float(every.max())
+    low, high = min(float(one.min()) for one in values), max(float(one.max()) for one in values)
     slack = 0.05 * joint.range
     if not math.isfinite(joint.range) or (low >= joint.low - slack and high <= joint.high + slack):
         return None
     words = f"{low:.3g} to {high:.3g} rad leave the range of {joint.name}, {joint.low:.3g} to {joint.high:.3g} rad"
     least, most = low - joint.low, high - joint.high
-    middle = 0.5 * (low + high) - 0.5 * (joint.low + joint.high)
     if high - low > 1.1 * joint.range:
         return Guess(about, "0", f"{words}, and are wider than it: the unit, or another joint", False)
-    near = next(
-        (turn for turn in (math.pi, -math.pi, 2 * math.pi, -2 * math.pi) if most <= turn <= least), middle
-    )
-    return Guess(
-        about, f"{near:.6g}", f"{words}; every offset from {most:.3g} to {least:.3g} rad fits", False
-    )
+    middle = 0.5 * (least + most)
+    near = next((turn for turn in TURNS if most - slack <= turn <= least + slack), middle)
+    words += f"; offsets from {most:.4g} to {least:.4g} rad fit, {near:.4g} is taken"
+    return Guess(about, f"{near:.12g}", words, False)
+
+
+def zero_by_goal(
+    values: Sequence[np.ndarray], goals: Sequence[np.ndarray], reach: float, about: str
+) -> Guess | None:
+    """The zero of an angle by the goal that it follows; None where both have the same.
+
+    Args:
+        values: of each record, at the joint [rad or m].
+        goals: of each record, as `values`.
+        reach: range of the joint, or what it moves by.
+        about: what the guess is about; its value is what the file's angle is at the goal's zero.
+    """
+    beyond = float(np.median(np.concatenate([q - g for q, g in zip(values, goals, strict=True)])))
+    if abs(beyond) < 0.1 * reach:
+        return None
+    near = next((turn for turn in TURNS if abs(turn - beyond) < 0.02 * reach), beyond)
+    words = f"the angle is {beyond:.4g} rad from its goal (median), {near:.4g} is taken"
+    return Guess(about, f"{near:.12g}", words, False)
+
+
+def beyond_limits(values: Sequence[np.ndarray], joint: JointFacts) -> list[np.ndarray]:
+    """Where each record, at the joint, is beyond the joint's limits, at which a stop would be, (T,) of bool."""
+    slack = 1e-3 * joint.range
+    return [(one < joint.low - slack) | (one > joint.high + slack) for one in values]
 
 
 def _si(value: float, unit: str) -> str:

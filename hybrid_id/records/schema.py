@@ -13,7 +13,7 @@ outputs:
 columns:                      # only where the files name things otherwise
   t: {column: time, unit: ms}
   u1: plant_input
-  q_m1: {column: theta, scale: -1, unwrap: 360}
+  q_m1: {column: theta, scale: -1, unwrap: 360, zero: 12.5}
 resample: true                # or {sample_time: 0.005, inputs: hold, max_gap: 5}
 records:
   - {file: run1.csv, role: train, note: multisine}
@@ -46,10 +46,11 @@ class ChannelEntry(_Part):
 
 
 class ColumnEntry(_Part):
-    """Where a channel's values are: value = scale * (column, unwrapped), in `unit`."""
+    """Where a channel's values are: value = scale * (column, unwrapped, less zero), in `unit`."""
 
     column: str
     scale: float = 1.0
+    zero: float = 0.0  # the file's number where the channel is 0
     unit: str | None = None
     unwrap: float | None = Field(
         default=None, gt=0

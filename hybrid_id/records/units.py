@@ -7,7 +7,7 @@ from hybrid_id.errors import InputError
 
 # SI unit -> {spelling found in files: factor to the SI unit}
 _SPELLINGS: dict[str, dict[str, float]] = {
-    "s": {"s": 1, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "min": 60},
+    "s": {"s": 1, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "min": 60},
     "rad": {
         "rad": 1,
         "mrad": 1e-3,

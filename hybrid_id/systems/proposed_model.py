@@ -10,8 +10,8 @@ from typing import Any
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.proposal import DriveFit
-from hybrid_id.records.proposed_dataset import DriveFacts, MotorSheet, Question
-from hybrid_id.robots.tree import RigidBodyTree
+from hybrid_id.records.proposal_parts import DriveFacts, MotorSheet, Question
+from hybrid_id.robots.tree import RigidBodyTree, TreeJoint
 from hybrid_id.systems.builders import started
 from hybrid_id.systems.servos import SERVOS
 
@@ -29,6 +29,10 @@ EXPLAINED, PARTIAL = 0.3, 0.3
 """Share of the acceleration that a drive's fit has to explain, and the command's partial correlation, to be a start."""
 NOT_BACK_EMF = 0.1
 """Share of a drive's damping that starts as viscous friction and not as back-EMF."""
+TIMES = 3.0
+"""Times by which a servo's lag in the logs may differ from that of the gains in the robot's file."""
+WEIGHS = 0.05
+"""Share of the acceleration's variance that only a weight explains, from which one is taken to be there."""
 SURE_OF, SURE_OF_STALL = 0.05, 0.1
 """Standard deviations of priors, relative: of a sheet's torque constant, and of stall torque per volt."""
 
@@ -172,11 +176,6 @@ def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
             "How many turns of the motor make one of the joint? gear_ratio is 1, which puts all parameters at the side "
             "of the angle: J is then the inertia seen there. Give gear_ratio in --motor."
         )
-    elif ratio != 1.0 and drive.side == "m" and not drive.side_known:
-        model.ask(
-            f"Is it the motor's angle? With a gear of {ratio:g} and an encoder at the joint, call q_m1 q_a1 "
-            "(v_m1 v_a1) in dataset.yaml."
-        )
     start = _start(drive, sheet, ratio, None)
     dc = drive.command in ("voltage", "duty", "position_loop")
     names = (
@@ -200,16 +199,33 @@ def _one_link(drive: DriveFacts, sheet: MotorSheet) -> ProposedModel:
         model.ask(
             f"Where are {', '.join(placeholders)} from? They are placeholders: the logs' acceleration gives no start."
         )
-    pull = (
-        ""
-        if drive.fit is None
-        else f" {drive.fit.gravity:.3g} rad/s^2 of the acceleration follow the angle's sine."
-    )
-    model.ask(
-        f"Does gravity act on the joint? None is assumed.{pull}",
-        "gravity: vertical   # and G_l: {nominal: 1.0, unit: N m}",
-    )
+    _weight(model, drive, start, ratio)
     return model
+
+
+def _weight(model: ProposedModel, drive: DriveFacts, start: _Start, ratio: float) -> None:
+    """Gravity where the acceleration follows the angle's sine and cosine; asked about either way."""
+    fit, line = drive.fit, "gravity: vertical   # and G_l: {nominal: 1.0, unit: N m}"
+    if fit is None or not fit.gravity:
+        model.ask("Does gravity act on the joint? None is assumed.", line)
+        return
+    pull = f"{fit.gravity:.3g} rad/s^2 of the acceleration follow sine and cosine of the angle"
+    if drive.side == "m" and ratio != 1.0:  # the fit has taken the motor's angle for the joint's
+        model.ask("Does gravity act on the joint? None is assumed.", line)
+    elif _trusted(fit) is None or fit.weight < WEIGHS:
+        model.ask(f"Does gravity act on the joint? None is assumed, {pull}.", line)
+    else:
+        why = f"{pull}, and explain {100 * fit.weight:.0f} % of its variance that nothing else does"
+        model.values["gravity"], model.why["gravity"] = "vertical", why
+        model.values["parameters"] = model.values.pop("parameters")  # behind it
+        load = _entry(fit.gravity * start.values["J"] * ratio**2, "N m")
+        hang = {"nominal": _digits(fit.hang), "unit": "rad", "estimate": True}
+        for name, entry in (("G_l", load), ("q_0", hang)):
+            model.values["parameters"][name], model.why[f"parameters.{name}"] = (
+                entry,
+                "fit of the logs' acceleration",
+            )
+        model.ask("Is it gravity that pulls at the joint? A spring does so, too; 'diagnose' parts them.")
 
 
 def _robot(
@@ -234,21 +250,25 @@ def _robot(
     mass = still.mass_matrix(still.poses([0.0] * len(still.joints)), still.inertias())
     servos: dict[str, dict[str, Any]] = {}
     placeholders: dict[str, list[str]] = {}
+    late: list[str] = []
     for k, (drive, joint) in enumerate(zip(drives, started(still), strict=True)):
         ratio = ratios[k] if ratios else 1.0
         start = _start(drive, sheet, ratio, (float(mass[k][k]) + joint.armature) / ratio**2)
-        own = joint.servo is not None
+        other_gains = _other_gains(drive, joint)
+        own = joint.servo is not None and other_gains is None
         if drive.command == "goal" and sheet.servo:
             servos[drive.joint] = {"preset": sheet.servo, "p": sheet.p or 16.0}
             servos[drive.joint] |= {"voltage": sheet.voltage} if sheet.voltage else {}
-            own = True
-        components = _parts(drive.joint, drive, start, own, sheet, True)
-        _add(model, components)
+            own, other_gains = True, None
+        if other_gains:
+            late.append(drive.joint)
+            _add(model, [other_gains])
+        _add(model, _parts(drive.joint, drive, start, own or bool(other_gains), sheet, True))
         gains = {
             "voltage": ("P_m1", "P_m2"),
             "duty": ("P_m1", "P_m2"),
             "current": ("k_t",),
-            "goal": () if own else ("k_p",),
+            "goal": () if own or other_gains else ("k_p",),
         }
         for name in gains.get(drive.command, ()):
             if name not in start.priors:
@@ -257,6 +277,11 @@ def _robot(
         model.values["servos"], model.why["servos"] = servos, "motor's sheet"
         if sheet.p is None:
             model.ask("What does the register P of the servos hold? 16 is assumed. Give p in --motor.")
+    if late:
+        model.ask(
+            f"How stiff are the servos of {', '.join(late)}? The logs contradict the gains in the robot's file, so k_p "
+            "starts from the logs. Give the servo (servo, p) in --motor, or correct the file."
+        )
     for name, joints in placeholders.items():
         cure = {
             "k_p": "it is a start only; give the servo (servo, p) in --motor, or the file a position actuator",
@@ -266,6 +291,27 @@ def _robot(
             f"How large is {name} of {', '.join(joints)}? Its start is from the logs or a placeholder: {cure}."
         )
     return model
+
+
+def _other_gains(drive: DriveFacts, joint: TreeJoint) -> tuple[dict[str, Any], str] | None:
+    """A position loop by how late the logs' angle is, and why; None where the gains of the robot's file fit that."""
+    servo = joint.servo
+    if drive.command != "goal" or servo is None or not drive.lag:
+        return None
+    lag = (servo.damping + joint.damping) / servo.stiffness
+    if drive.lag / TIMES < lag < TIMES * drive.lag or not joint.damping:
+        return None
+    limits = {} if servo.largest is None else {"tau_max": _entry(servo.largest, "N m")}
+    if servo.goals is not None:
+        limits |= {name: float(one) for name, one in zip(("goal_min", "goal_max"), servo.goals, strict=True)}
+    k_p = _entry(joint.damping / drive.lag, "N m/rad")
+    part = {"place": f"{drive.joint}/input", "kind": "position_servo", "parameters": {"k_p": k_p, **limits}}
+    words = (
+        f"the angle is {1e3 * drive.lag:.3g} ms behind its goal, where the gains in the robot's file (kp "
+        f"{servo.stiffness:g}, kv {servo.damping:g}) would give {1e3 * lag:.2g} ms; k_p from that and the file's "
+        "damping, no kv"
+    )
+    return part, words
 
 
 def _parts(
@@ -315,15 +361,6 @@ def _parts(
         loop = part("input", "position_servo", k_p=value("k_p", "N m/rad"))
         found = [(loop, f"the command is a goal; k_p: {start.why['k_p']}")]
         found += [] if robot else [(part("motor", "torque_motor"), "the loop gives a torque")]
-    if drive.offset:
-        kind = "link_encoder" if drive.side == "a" else "motor_encoder"
-        offset = {"nominal": drive.offset, "unit": "rad"}
-        found.append(
-            (
-                part("sensor", kind, offset=offset),
-                "not known: an offset with which the angles lie in the joint's range",
-            )
-        )
     if drive.unsigned:
         found.append((part("sensor", "unsigned_current"), "the current is logged without its sign"))
     return found

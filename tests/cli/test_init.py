@@ -10,15 +10,17 @@ import pytest
 import yaml
 from drives import make_records, multisine, rigid_drive
 
+from hybrid_id.records.dataset import Dataset
+
 RECORDS = 3
 ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <body name="upper"><joint name="shoulder_pan" axis="0 0 1" range="-1.9 1.9"
  armature="0.01" damping="0.2" frictionloss="0.05"/>
-<inertial mass="0.5" pos="0.1 0 0" diaginertia="0.002 0.002 0.002"/>
+<inertial mass="0.5" pos="0.1 0 0" diaginertia="2e-3 2e-3 2e-3"/>
 <body name="lower" pos="0.2 0 0"><joint name="elbow_flex" axis="0 1 0" range="-1.7 1.7" armature="0.01" damping="0.2"
  frictionloss="0.05"/><inertial mass="0.3" pos="0.1 0 0" diaginertia="0.001 0.001 0.001"/></body></body>
 </worldbody><actuator>{actuators}</actuator></mujoco>"""
-ACTUATORS = '<position joint="shoulder_pan" kp="8" kv="0.1"/><position joint="elbow_flex" kp="8" kv="0.1"/>'
+ACTUATORS = '<position joint="shoulder_pan" kp="8" kv="0.8"/><position joint="elbow_flex" kp="8" kv="0.8"/>'
 
 
 @pytest.fixture(scope="module")
@@ -65,10 +67,24 @@ def test_degrees_and_milliseconds_pass_check(run, tmp_path: Path, motions) -> No
     assert model["parameters"]["P_m2"]["nominal"] == pytest.approx(
         rigid_drive().parameter("P_m2").spec.value, rel=0.1
     )
-    assert "gear_ratio" in done.out and "question" in done.out
+    assert "gear_ratio" in done.out and "question" in done.out and "gravity" not in model
     assert {name: (folder / name).read_bytes() for name in before} == before
     checked = run("check", folder)
     assert checked.code == 0, checked.err
+
+
+def test_a_weight_that_the_logs_show_is_in_the_model(run, tmp_path: Path) -> None:
+    drive = rigid_drive(vertical=True, ratio=1.0).with_values({"G_l": 2e-2})
+    voltages = [multisine(seed, samples=1000, amplitude=2.0 + seed, rest=1) for seed in range(RECORDS)]
+    records = make_records(drive, voltages, noise={"q_m1": 1e-3})
+    hanging = [(r.time, r.inputs["u1"], r.outputs["q_m1"]) for r in records]
+    done = run("init", write_csv(tmp_path / "x", hanging, MS))
+    assert done.code == 0, done.err
+    _, model = written(tmp_path / "x")
+    assert model["gravity"] == "vertical" and "gravity that pulls" in done.out
+    found = {name: entry["nominal"] for name, entry in model["parameters"].items()}
+    assert found["G_l"] / found["J"] == pytest.approx(2e-2 / 2e-5, rel=0.3) and abs(found["q_0"]) < 0.1
+    assert run("check", tmp_path / "x").code == 0
 
 
 def test_nothing_is_overwritten_without_force(run, tmp_path: Path, motions) -> None:
@@ -223,12 +239,126 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
     assert data["columns"]["q_m1"]["column"] == "shoulder_pan.pos"
     assert data["columns"]["goal2"]["column"] == "elbow_flex.goal"
     assert {one["unit"] for one in (*data["inputs"], *data["outputs"])} == {"deg"}
+    assert "'shoulder_pan.pos', 'elbow_flex.pos'" in done.out  # percent or degrees: one question for both
     assert "times the range of shoulder_pan" in (folder / "dataset.yaml").read_text()
     assert model["robot"]["file"] == "../arm.xml"
     kinds = [one["kind"] for one in model.get("components", [])]
     assert kinds == ([] if actuators else ["position_servo"] * 2)
     checked = run("check", folder)
     assert checked.code == 0, checked.err
+
+
+PENDULUM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="elbow" axis="0 1 0" range="{low} {high}"
+ armature="0.01" damping="0.6" frictionloss="0.05"/><inertial mass="0.5" pos="0 0 -0.1" diaginertia="2e-3 2e-3 2e-3"/>
+</body></worldbody><actuator>{actuator}</actuator></mujoco>"""
+
+
+def one_joint(
+    folder: Path, columns: dict, actuator: str = "", low: float = -1.9, high: float = 1.9, logs: int = 3
+) -> Path:
+    """Logs of one joint as functions of time, goal and angle, and beside their folder the robot."""
+    folder.mkdir()
+    (folder.parent / "arm.xml").write_text(PENDULUM.format(low=-1.9, high=high, actuator=actuator))
+    for seed in range(logs):
+        t, goal, angle = swing(seed)
+        table = np.column_stack([values(t, goal[:, 0], angle[:, 0]) for values in columns.values()])
+        np.savetxt(
+            folder / f"run{seed}.csv", table, header=",".join(columns), comments="", delimiter=",", fmt="%.9g"
+        )
+    return folder
+
+
+COUNTS = {
+    "timestamp": lambda t, g, q: t,
+    "goal_position": lambda t, g, q: g,
+    "present_position": lambda t, g, q: 2048 + np.round(4096 * q / (2 * np.pi)),
+}
+
+
+def test_counts_from_elsewhere_beside_a_goal_in_radians(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    folder = one_joint(tmp_path / "logs", COUNTS, logs=5)
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    data, model = written(folder)
+    assert data["columns"]["goal1"] == {"column": "goal_position"}
+    assert data["columns"]["q_m1"]["zero"] == 2048
+    assert [record["role"] for record in data["records"]] == ["train"] * 3 + ["test"] * 2
+    assert "sensor" not in str(model) and "zero" in done.out
+    assert run("init", folder, "--out", tmp_path / "alone").code == 0  # without the robot, by the goal alone
+    assert written(tmp_path / "alone")[0]["columns"]["q_m1"]["zero"] == 2048
+    loaded = Dataset.load(folder)
+    assert all(np.max(np.abs(r.outputs["q_m1"] - r.inputs["goal1"])) < 0.5 for r in loaded.records)
+
+
+def test_percent_of_a_range_is_asked_about(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    for name, factor, asked in (("percent", 100 / 1.9, True), ("encoder", 180 / np.pi, False)):
+        step = 360 / 4096 if name == "encoder" else 1e-9
+        columns = {"timestamp": COUNTS["timestamp"]}
+        columns["elbow.goal"] = lambda t, g, q, factor=factor: factor * g
+        columns["elbow.pos"] = lambda t, g, q, factor=factor, step=step: step * np.round(factor * q / step)
+        (tmp_path / name).mkdir()
+        done = run(
+            "init", one_joint(tmp_path / name / "logs", columns), "--robot", tmp_path / name / "arm.xml"
+        )
+        assert done.code == 0, done.err
+        assert ("percent" in done.out.split("are written")[1]) is asked
+
+
+def test_gains_that_the_logs_contradict_are_no_start(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    for name, kp, believed in (("stiff", 998, False), ("right", 5, True)):
+        actuator = f'<position joint="elbow" kp="{kp}" forcerange="-3 3"/>'
+        (tmp_path / name).mkdir()
+        folder = one_joint(tmp_path / name / "logs", COUNTS, actuator)
+        done = run("init", folder, "--robot", tmp_path / name / "arm.xml")
+        assert done.code == 0, done.err
+        found = written(folder)[1].get("components", [])
+        assert ("behind its goal" in done.out) is not believed and bool(found) is not believed
+        if found:  # the angle follows with 1/8 s, the file's damping is 0.6
+            assert found[0]["parameters"]["k_p"]["nominal"] == pytest.approx(0.6 * 8, rel=0.15)
+            assert found[0]["parameters"]["tau_max"]["nominal"] == 3
+
+
+def test_records_are_cut_at_an_end_stop(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    angles = [swing(seed)[2][:, 0] for seed in range(3)]
+    farthest = max(float(one.max()) for one in angles)
+    columns = {"timestamp": COUNTS["timestamp"], "goal": lambda t, g, q: g, "position": lambda t, g, q: q}
+    folder = one_joint(tmp_path / "logs", columns, high=0.99 * farthest)
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    cut = [record for record in written(folder)[0]["records"] if "between" in record]
+    assert cut and "end stop" in done.out
+    for record in Dataset.load(folder).records:
+        assert record.outputs["q_m1"].max() <= 0.9931 * farthest
+
+
+def test_an_encoder_at_the_joint_is_seen_behind_a_known_gear(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "sheet.yaml").write_text("gear_ratio: 50\n")
+    named = (("encoder_rad", 1.0), ("encoder_rad", 50.0), ("joint_angle", 1.0), ("motor_angle", 50.0))
+    for name, times in named:
+        columns = {"timestamp": COUNTS["timestamp"], "torque_cmd": lambda t, g, q: g - q}
+        columns[name] = lambda t, g, q, times=times: times * q
+        home = tmp_path / f"{name}{times:g}"
+        home.mkdir()
+        folder = one_joint(home / "logs", columns)
+        done = run("init", folder, "--robot", home / "arm.xml", "--motor", tmp_path / "sheet.yaml")
+        assert done.code == 0, done.err
+        assert written(folder)[0]["outputs"] == [{"name": "q_m1" if times > 1 else "q_a1", "unit": "rad"}]
+
+
+def test_a_joint_that_moves_in_one_of_many_logs_is_found(run, tmp_path: Path, motions) -> None:
+    folder = tmp_path / "x"
+    for k in range(10):
+        t, u, q = motions[0]
+        write_csv(folder / "part", [(t, u if k == 9 else 0 * u, q if k == 9 else 0 * q)], MS)
+        (folder / "part" / "run1.csv").rename(folder / f"run{k}.csv")
+    (folder / "part").rmdir()
+    done = run("init", folder)
+    assert "stands still" not in done.out + done.err and "has no usable pair" not in done.err
 
 
 def test_a_lerobot_dataset(run, tmp_path: Path) -> None:

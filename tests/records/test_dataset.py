@@ -100,13 +100,15 @@ def test_columns_are_mapped_scaled_unwrapped_and_brought_to_si(tmp_path) -> None
         "inputs": [{"name": "u1", "unit": "mV"}],
         "outputs": [{"name": "q_m1", "unit": "deg", "noise_std": 0.1}],
         "columns": {"t": {"column": "time", "unit": "ms"}, "u1": "command"},
-        "records": [{"file": "*.csv", "columns": {"q_m1": {"column": "theta", "scale": -1, "unwrap": 360}}}],
+        "records": [
+            {"file": "*.csv", "columns": {"q_m1": {"column": "theta", "scale": -1, "unwrap": 360, "zero": 5}}}
+        ],
     }
     change_yaml(tmp_path, lambda values: values.update(settings))
     data = Dataset.load(tmp_path)
     np.testing.assert_allclose(data["run"].time, [0, 0.001, 0.002, 0.003])
     np.testing.assert_allclose(data["run"].inputs["u1"], [0, 0.1, 0.2, 0.3])
-    np.testing.assert_allclose(np.rad2deg(data["run"].outputs["q_m1"]), [-170, -175, -182, -190])
+    np.testing.assert_allclose(np.rad2deg(data["run"].outputs["q_m1"]), [-165, -170, -177, -185])
     assert data.outputs[0].unit == "rad"
     assert data.outputs[0].noise_std == pytest.approx(np.deg2rad(0.1))
 

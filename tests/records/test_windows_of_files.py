@@ -151,3 +151,15 @@ def test_an_output_may_stand_still_in_some_records(tmp_path: Path) -> None:
     table.assign(q_m2=0.5).to_csv(tmp_path / "r1.csv", index=False)
     with pytest.raises(InputError, match="output 'q_m2' stands still in every record"):
         Dataset.load(tmp_path)
+
+
+def test_a_window_counts_from_the_zero_of_time(rng: np.random.Generator, tmp_path: Path) -> None:
+    frame = table(rng)
+    frame["t"] += 100.0
+    frame.to_csv(tmp_path / "long.csv", index=False)
+    home = described(tmp_path, "long.csv", parts=[(0.0, 0.401)])
+    spec = read_yaml(home / "dataset.yaml")
+    spec["columns"]["t"] = {"column": "t", "zero": 100.0}
+    write_yaml(home / "dataset.yaml", spec)
+    (record,) = Dataset.load(home).records
+    np.testing.assert_allclose(record.time, STEP * np.arange(201), atol=1e-9)

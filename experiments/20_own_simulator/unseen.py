@@ -1,0 +1,55 @@
+"""Error of MJCF files in MuJoCo on motions that nobody recorded: unseen.py ROBOT LOGS FILE.xml ...
+
+Each motion runs freely from its first angle at rest, driven by the logged commands alone. Printed is the RMS error
+over the standard deviation of the angle, a column a motion and their mean, of an arm the mean over its joints.
+"""
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from robots import JOINTS  # isort: skip
+
+mujoco: Any = import_module("mujoco")  # has no types
+READ = {  # the logs' columns -> time [s], commands, angles [rad]
+    "lift": lambda a: (a[:, 0] / 1e3, a[:, 1:2], np.radians(a[:, 2:3])),
+    "band": lambda a: (a[:, 0], a[:, 1:2], a[:, 2:3]),
+    "servo": lambda a: (a[:, 0], a[:, 1:2], (a[:, 2:3] - 2048) * 2 * np.pi / 4096),
+    "arm": lambda a: (a[:, 0], np.radians(a[:, 7:13]), np.radians(a[:, 1:7])),
+}
+
+
+def run(
+    model: Any, names: Sequence[str], time: np.ndarray, commands: np.ndarray, start: np.ndarray
+) -> np.ndarray:
+    """Angles [rad] of a free run, (T, joints)."""
+    data, step = mujoco.MjData(model), time[1] - time[0]
+    at = [model.joint(name).qposadr[0] for name in names]
+    data.qpos[at] = start
+    angles = np.empty((time.size, len(names)))
+    for k in range(time.size):
+        angles[k] = data.qpos[at]
+        data.ctrl[: len(names)] = commands[k]
+        mujoco.mj_step(model, data, round(step / model.opt.timestep))
+    return angles
+
+
+def main(robot: str, logs: Path, files: list[str]) -> None:
+    """A row a file."""
+    names = list(JOINTS) if robot == "arm" else ["elbow"]
+    for file in files:
+        model, errors = mujoco.MjModel.from_xml_path(file), []
+        for log in sorted(logs.glob("*.csv")):
+            time, commands, measured = READ[robot](np.genfromtxt(log, delimiter=",", skip_header=1))
+            off = run(model, names, time, commands, measured[0]) - measured
+            errors.append(float(np.mean(np.sqrt(np.mean(off**2, axis=0)) / np.std(measured, axis=0))))
+        shown = "".join(f"{error:10.5f}" for error in [*errors, float(np.mean(errors))])
+        print(f"{file:24}{shown}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], Path(sys.argv[2]), sys.argv[3:])

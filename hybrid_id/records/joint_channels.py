@@ -1,0 +1,607 @@
+"""The channels of one joint: its angle and speed, its command, their units, signs, zeros and side of the gear."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hybrid_id.records.column_kinds import INPUTS, kinds_of
+from hybrid_id.records.column_words import ColumnWords, tokens
+from hybrid_id.records.proposal import (
+    ANGLE_FACTORS,
+    COUNTS,
+    RELATED,
+    SPEED_FACTORS,
+    DriveFit,
+    Guess,
+    JointFacts,
+    angle_unit,
+    beyond_limits,
+    correlation,
+    derivative_ratio,
+    drive_fit,
+    encoder_bits,
+    follows,
+    goal_lag,
+    goal_unit,
+    rate_of,
+    side_and_unit,
+    side_by_range,
+    sign_of,
+    speed_unit,
+    wrap_period,
+    zero_by_goal,
+    zero_offset,
+)
+from hybrid_id.records.proposal_parts import Chosen, DriveFacts, Evidence
+
+STEMS = {"voltage": "u", "duty": "duty", "current": "i", "torque": "tau", "goal": "goal", "supply": "supply",
+         "gain": "gain", "enable": "enable"}  # fmt: skip
+DUTY_TOPS = (1.0, 100.0, 255.0, 885.0, 1000.0, 1023.0, 4095.0)
+"""Numbers that stand for full duty."""
+PERCENT = 100.5
+"""Largest value of an angle that may be percent of a joint's range."""
+SUPPLY = 12.0
+"""Supply voltage [V] that stands in where none is known."""
+BEYOND = {"V": 200.0, "A": 100.0}
+"""Voltage and current that no drive's log exceeds: larger numbers without a unit are thousandths."""
+FITTED = 8
+"""Logs whose acceleration is fitted, those in which the joint moves most; of their fits the median is taken."""
+
+Kinds = Mapping[str, Sequence[ColumnWords]]
+
+
+def choose_channels(
+    title: str, columns: Sequence[ColumnWords], joint: JointFacts | None, number: int, evidence: Evidence
+) -> None:
+    """Choose the channels of one joint; where a pair is missing, its columns are left out and it is said.
+
+    Args:
+        title: what messages call it; empty where neither robot nor columns name it.
+        columns: that may be its own.
+        joint: of the robot; None without one.
+        number: of its channels.
+        evidence: takes channels, guesses and questions.
+    """
+    columns = [one for one in columns if not _still(one, evidence)]
+    kinds = kinds_of(columns, evidence)
+    angle, speed = evidence.first(kinds, "angle"), evidence.first(kinds, "speed")
+    command = next((kind for kind in INPUTS if _drives(kinds, kind, evidence)), None)
+    if command is None or not (angle or speed):
+        missing = "no input" if command is None else "no angle and no speed"
+        for one in columns:
+            evidence.leave(one.name, f"of {title or 'the drive'}, for which there is {missing}")
+        if title:
+            evidence.ask(
+                f"Joint '{title}' has {missing} in the logs, and is left out. Is there one under another name?"
+            )
+        return
+    work = _Joint(evidence, joint, kinds, DriveFacts(title or "the drive", number, command))
+    work.choose(angle, speed)
+    taken = {one.column for one in (*work.inputs, *work.outputs)}
+    for one in columns:
+        if one.name not in taken:
+            kind = next((kind for kind, some in kinds.items() if one in some), "a column")
+            reason = "no channel that a drive of this kind has, or a second one of its kind"
+            evidence.leave(one.name, f"{kind} of {work.drive.joint}: {reason}")
+    evidence.proposal.inputs += work.inputs
+    evidence.proposal.outputs += work.outputs
+    evidence.proposal.drives.append(work.drive)
+
+
+def _still(one: ColumnWords, evidence: Evidence) -> bool:
+    if evidence.moves(one.name) or one.kind in ("supply", "gain", "enable"):
+        return False
+    evidence.leave(one.name, "stands still in all logs")
+    return True
+
+
+def _drives(kinds: Kinds, kind: str, evidence: Evidence) -> ColumnWords | None:
+    """The column of a quantity that can be the input, commanded before unmarked; measured ones are none."""
+    moving = [one for one in kinds.get(kind, ()) if evidence.moves(one.name)]
+    if kind in ("current", "torque"):
+        others = any(_drives(kinds, other, evidence) for other in ("voltage", "duty", "goal"))
+        moving = [one for one in moving if one.command or not (one.measured or others)]
+    moving.sort(key=lambda one: (not one.command, one.measured, len(one.name)))
+    return moving[0] if moving else None
+
+
+def _why(name: str, column: ColumnWords, kind: str) -> Guess:
+    how = f"its name: {kind}" if column.kind else f"its values: {kind}"
+    command = ", commanded" if column.command else ", measured" if column.measured else ""
+    return Guess(name, column.name, f"{how}{command}", bool(column.kind))
+
+
+@dataclass
+class _Joint:
+    """One joint while its channels are chosen; outputs begin with the angle, inputs with the command."""
+
+    evidence: Evidence
+    joint: JointFacts | None
+    kinds: Kinds
+    drive: DriveFacts
+    inputs: list[Chosen] = field(default_factory=list)
+    outputs: list[Chosen] = field(default_factory=list)
+    side_said: bool = False
+
+    def choose(self, angle: ColumnWords | None, speed: ColumnWords | None) -> None:
+        """Choose the channels in the order in which one is evidence for the next."""
+        self._side_by_name(angle or speed)
+        if angle is not None:
+            self._angle(angle, speed)
+        if speed is not None:
+            self._speed(speed)
+        column = _drives(self.kinds, self.drive.command, self.evidence)
+        assert column is not None
+        self._command(column)
+        self._sign()
+        if angle is not None:
+            self._side_by_motor()
+            self._zero()
+            self._lag()
+        self._current()
+
+    @property
+    def ratio(self) -> float:
+        """Turns of what the angle is measured at for one of the joint, as far as the sheet says."""
+        return self.gear if self.drive.side == "m" else 1.0
+
+    @property
+    def gear(self) -> float:
+        return self.evidence.sheet.ratio(self.drive.number)
+
+    # Side of the gear
+
+    def _side_by_name(self, column: ColumnWords | None) -> None:
+        """With a gear, a name that says joint means the joint's side; without, both sides are one."""
+        assert column is not None
+        at_joint = self.gear != 1.0 and "joint" in tokens(column.name) and not column.side
+        self.drive.side = "a" if column.side == "link" or at_joint else "m"
+        self.side_said = bool(column.side)
+
+    def _turn_side(self, side: str, words: str, sure: bool = True) -> None:
+        """Rename the outputs to a side of the gear."""
+        self.drive.side = side
+        for one in self.outputs:
+            one.name = re.sub(r"_[ma](?=\d)", f"_{side}", one.name)
+            one.guesses = [replace(g, about=re.sub(r"_[ma](?=\d)", f"_{side}", g.about)) for g in one.guesses]
+        self.outputs[0].guesses.append(
+            Guess("side of the gear", "motor" if side == "m" else "link", words, sure)
+        )
+
+    def _side_by_motor(self) -> None:
+        """Settle the angle's unit and side by the sheet's back-EMF constant, else its side by the joint's range."""
+        angle, drive = self.outputs[0], self.drive
+        found = self._by_back_emf()
+        if found is not None and not (self.side_said and found[0] != drive.side):
+            side, unit, words = found
+            if unit != angle.unit:
+                self._change_unit(unit, words)
+                drive.fit = self._fit()
+            if self.gear != 1.0:
+                self._turn_side(side, words)
+            return
+        if self.side_said or self.gear == 1.0:
+            return
+        span = max(float(np.ptp(angle.values(log))) for log in self.evidence.logs)
+        if self.joint is not None and (by_range := side_by_range(span, self.joint, self.gear)):
+            self._turn_side(*by_range)
+            return
+        here, there, other = ("motor", "joint", "a") if drive.side == "m" else ("joint", "motor", "m")
+        now, then = (f"q_{side}{drive.number}" for side in (drive.side, other))
+        self.evidence.ask(
+            f"Is '{angle.column}' the angle of the {here}? With a gear of {self.gear:g} and an encoder at the {there}, "
+            f"call {now} {then} in dataset.yaml, and so its speed."
+        )
+
+    def _by_back_emf(self) -> tuple[str, str, str] | None:
+        """Side, unit and evidence where the sheet knows the motor and the command is a voltage."""
+        sheet, angle = self.evidence.sheet, self.outputs[0]
+        constant = sheet.back_emf_constant or sheet.torque_constant
+        if constant is None or self.drive.command != "voltage" or angle.unit not in ANGLE_FACTORS:
+            return None
+        unsure = any(guess.about == f"unit of {angle.name}" and not guess.sure for guess in angle.guesses)
+        units = ("rad", "deg", "rev") if unsure else (angle.unit,)
+        return side_and_unit(self.drive.fit, ANGLE_FACTORS[angle.unit], constant, self.gear, units)
+
+    def _change_unit(self, unit: str, words: str) -> None:
+        angle = self.outputs[0]
+        about = f"unit of {angle.name}"
+        angle.factor *= ANGLE_FACTORS[unit] / ANGLE_FACTORS[angle.unit]
+        angle.unit = unit
+        angle.guesses = [guess for guess in angle.guesses if guess.about != about]
+        angle.guesses.append(Guess(about, unit, words))
+        questions = self.evidence.proposal.questions
+        questions[:] = [q for q in questions if not q.words.startswith(f"In which unit is '{angle.column}'")]
+
+    # Angle and speed
+
+    def _angle(self, column: ColumnWords, speed: ColumnWords | None) -> None:
+        logs, counts = self.evidence.logs, self.evidence.sheet.counts_per_turn or 0.0
+        values, name = [log.columns[column.name] for log in logs], f"q_{self.drive.side}{self.drive.number}"
+        early = column.unit if column.unit in (*ANGLE_FACTORS, "counts") else "deg"
+        period = (
+            wrap_period(values, early, counts)
+            or wrap_period(values, "rad")
+            or wrap_period(values, "counts", counts)
+        )
+        if period:
+            values = [np.unwrap(one, period=period) for one in values]
+        ratio = 0.0
+        if speed is not None:
+            (log,) = self.evidence.liveliest(column.name)
+            q = np.unwrap(log.columns[column.name], period=period) if period else log.columns[column.name]
+            found, related = derivative_ratio(self.evidence.time(log), q, log.columns[speed.name])
+            ratio = found if abs(related) > RELATED else 0.0
+        times = [self.evidence.time(log) for log in logs]
+        guess = angle_unit(
+            values,
+            times,
+            f"unit of {name}",
+            column.unit,
+            self._seen_joint(),
+            ratio,
+            speed.unit if speed else "",
+            counts,
+            1.0 if self.side_said else self.gear,
+        )
+        chosen = Chosen(name, column.name, guess.value, guesses=[_why(name, column, "angle"), guess])
+        self._scale_angle(chosen, guess.value)
+        if period:
+            chosen.unwrap = period
+            chosen.guesses.append(Guess(f"turns of {name}", f"unwrap {period:g}", "it jumps by a whole turn"))
+        if not guess.sure:
+            self._ask_unit(chosen, guess)
+        elif guess.value == "deg" and not (column.unit or ratio or encoder_bits(values, 360.0)):
+            known = self.joint is not None or logs[0].file.file_format == "lerobot"
+            if known and self.evidence.far(column.name) <= PERCENT:
+                self.evidence.ask_of(
+                    column.name,
+                    "Degrees, or percent of the joint's range, as LeRobot may record: {}? Degrees are taken; percent "
+                    "needs the scale of each joint in 'columns'.",
+                )
+        self.outputs.append(chosen)
+
+    def _seen_joint(self) -> JointFacts | None:
+        """The joint with its range as the angle sees it, where its name says that it is the motor's."""
+        joint = self.joint
+        if joint is None or not self.side_said or joint.slide:
+            return joint
+        return replace(joint, low=joint.low * self.ratio, high=joint.high * self.ratio)
+
+    def _ask_unit(self, chosen: Chosen, guess: Guess) -> None:
+        entry = f"{chosen.name}: {{column: {chosen.column}, unit: ..., scale: ...}}"
+        self.evidence.ask(
+            f"In which unit is '{chosen.column}'? It is taken as {guess.value}: {guess.evidence}.", entry
+        )
+
+    def _scale_angle(self, chosen: Chosen, unit: str) -> None:
+        """Unit, scale and factor of an angle or a goal in a unit of `angle_unit`."""
+        if unit != "counts":
+            chosen.unit = unit
+            chosen.factor = {"m": 1.0, "mm": 1e-3}.get(unit) or ANGLE_FACTORS[unit]
+            return
+        given = self.evidence.sheet.counts_per_turn
+        chosen.unit, chosen.scale = "rad", 2 * math.pi / (given or COUNTS)
+        chosen.factor = chosen.scale
+        words = f"2 pi / {given or COUNTS:g} counts a turn" + ("" if given else ", the usual 12 bits")
+        chosen.guesses.append(Guess(f"scale of {chosen.name}", f"{chosen.scale:.6g}", words, bool(given)))
+        if not given:
+            self.evidence.ask_of(
+                chosen.column,
+                f"How many counts has a turn of {{}}? {COUNTS} are assumed (counts_per_turn in --motor).",
+            )
+
+    def _speed(self, column: ColumnWords) -> None:
+        name = f"v_{self.drive.side}{self.drive.number}"
+        if not self.outputs:
+            self._speed_alone(column, name)
+            return
+        angle = self.outputs[0]
+        (log,) = self.evidence.liveliest(column.name)
+        time, speed = self.evidence.time(log), log.columns[column.name]
+        q = angle.values(log) / angle.factor
+        ratio, related = derivative_ratio(time, q, speed)
+        if abs(related) < RELATED:
+            self.evidence.leave(
+                column.name, f"a speed that does not match the angle (correlation {related:+.2f})"
+            )
+            self.evidence.ask(
+                f"Is '{column.name}' the speed of this joint? It does not match '{angle.column}' ({related:+.2f})."
+            )
+            return
+        backward = np.diff(q, prepend=q[0]) / np.median(np.diff(time))
+        if max(correlation(one, ratio * speed) for one in (np.gradient(q, time), backward)) > 1.0 - 1e-9:
+            self.evidence.leave(
+                column.name, "computed from the angle (a difference of its samples), so it tells nothing new"
+            )
+            words = "it is the difference of the angle's samples, sample by sample"
+            self.evidence.proposal.guesses.append(Guess(f"column {column.name}", "left out", words))
+            return
+        guess = speed_unit(ratio, abs(angle.factor), f"unit of {name}", column.unit)
+        if not guess.sure:
+            self.evidence.leave(column.name, f"a speed in no usual unit ({guess.evidence})")
+            self.evidence.ask(
+                f"In which unit is the speed '{column.name}'? {guess.evidence}.", f"{name}: {column.name}"
+            )
+            return
+        chosen = Chosen(name, column.name, guess.value, factor=SPEED_FACTORS[guess.value])
+        chosen.guesses += [_why(name, column, "speed"), guess]
+        if ratio < 0:
+            chosen.turn()
+            words = f"opposed to the derivative of '{angle.column}' (correlation {related:+.2f})"
+            chosen.guesses.append(Guess(f"sign of {name}", "-1", words))
+        self.outputs.append(chosen)
+
+    def _speed_alone(self, column: ColumnWords, name: str) -> None:
+        """A speed without an angle, in the unit of its name."""
+        unit = column.unit if column.unit in SPEED_FACTORS else "rad/s"
+        words = "its name says so" if column.unit else "assumed"
+        guess = Guess(f"unit of {name}", unit, words, bool(column.unit))
+        chosen = Chosen(name, column.name, unit, factor=SPEED_FACTORS[unit])
+        chosen.guesses += [_why(name, column, "speed"), guess]
+        if not guess.sure:
+            self._ask_unit(chosen, guess)
+        self.outputs.append(chosen)
+
+    # Command
+
+    def _command(self, column: ColumnWords) -> None:
+        """The command, with what its drive needs besides."""
+        command, number, ask = self.drive.command, self.drive.number, self.evidence.ask
+        name = f"{STEMS[command]}{number}"
+        chosen = Chosen(name, column.name, "", guesses=[_why(name, column, command)])
+        self.inputs.append(chosen)
+        if command == "goal":
+            self._goal(chosen, column)
+        elif command == "voltage":
+            self._simple(chosen, column, *self._volts_or_amps(column, "V"))
+            if column.measured:
+                ask(
+                    f"'{column.name}' is taken as the commanded voltage, though its name says measured. Is it?"
+                )
+        elif command == "current":
+            self._simple(chosen, column, *self._volts_or_amps(column, "A"))
+            if not column.command:
+                ask(
+                    f"Is '{column.name}' the commanded current? As a measured one beside a voltage it belongs to the "
+                    "outputs; log the command, too."
+                )
+        elif command == "torque":
+            milli, slide = column.unit == "mN m", self.joint is not None and self.joint.slide
+            unit = "mN m" if milli else "N" if slide else "N m"
+            self._simple(chosen, column, unit, 1e-3 if milli else 1.0)
+            if not column.command:
+                self.evidence.ask_of(
+                    column.name, "Commanded torque, and in N m: {}? Servos log a load or a current so."
+                )
+        else:
+            self._duty(chosen, column)
+        if command == "goal" and self.kinds.get("gain") and self.kinds.get("supply"):
+            self.drive.command = "position_loop"
+            for kind, unit in (("gain", "1"), ("supply", "V")):
+                other = self.kinds[kind][0]
+                name = f"{kind}{number}"
+                self.inputs.append(Chosen(name, other.name, unit, guesses=[_why(name, other, kind)]))
+
+    def _volts_or_amps(self, column: ColumnWords, unit: str) -> tuple[str, float]:
+        """Unit of a voltage or a current, and its factor: thousandths by the name, or by values beyond any drive's."""
+        milli = column.unit == f"m{unit}" or (
+            not column.unit and self.evidence.far(column.name) > BEYOND[unit]
+        )
+        return (f"m{unit}", 1e-3) if milli else (unit, 1.0)
+
+    def _simple(self, chosen: Chosen, column: ColumnWords, unit: str, factor: float) -> None:
+        chosen.unit, chosen.factor = unit, factor
+        said, far = bool(column.unit), self.evidence.far(column.name)
+        words = "its name says so" if said else f"values up to {far:.3g}, none in its name"
+        chosen.guesses.append(Guess(f"unit of {chosen.name}", unit, words, said))
+
+    def _goal(self, chosen: Chosen, column: ColumnWords) -> None:
+        """A goal is in the unit of its name, else in the one with which it spans what the angle does."""
+        about = f"unit of {chosen.name}"
+        angle = next((one for one in self.outputs if one.name.startswith("q_")), None)
+        said = column.unit if column.unit in (*ANGLE_FACTORS, "counts") else ""
+        if said or angle is None:
+            words = "its name says so" if said else "assumed"
+            guess = Guess(about, said or "rad", words, bool(said))
+        else:
+            (log,) = self.evidence.liveliest(angle.column)
+            goal, moved = float(np.ptp(log.columns[column.name])), float(np.ptp(angle.values(log)))
+            guess = goal_unit(goal, moved, abs(angle.factor), angle.column, about)
+        chosen.guesses.append(guess)
+        if angle is not None and guess.value == "same":
+            chosen.guesses[-1] = replace(guess, value=angle.unit)
+            chosen.unit, chosen.scale, chosen.factor = angle.unit, abs(angle.scale), abs(angle.factor)
+        else:
+            self._scale_angle(chosen, guess.value)
+        if not guess.sure:
+            self.evidence.ask(
+                f"In which unit is the goal '{column.name}'? It is taken in {chosen.unit}: {guess.evidence}."
+            )
+
+    def _duty(self, chosen: Chosen, column: ColumnWords) -> None:
+        """A duty with a logged supply stays one; with a constant supply it is a voltage."""
+        far, about, number = (
+            self.evidence.far(column.name),
+            f"unit of {chosen.name}",
+            self.drive.number,
+        )
+        top = next((top for top in DUTY_TOPS if far <= 1.001 * top), far)
+        words = f"values up to {far:.4g}: {top:g} is full duty"
+        if top not in (1.0, 100.0):
+            self.evidence.ask(
+                f"Which value of '{column.name}' is full duty? {top:g} is assumed, for it goes up to {far:.4g}."
+            )
+        if supply := self.kinds.get("supply"):
+            chosen.unit, chosen.scale = ("%", 1.0) if top == 100.0 else ("1", 1.0 / top)
+            chosen.factor = 1.0 / top
+            chosen.guesses.append(Guess(about, chosen.unit, words, top in (1.0, 100.0)))
+            unit, factor = self._volts_or_amps(supply[0], "V")
+            name = f"supply{number}"
+            guesses = [_why(name, supply[0], "supply")]
+            self.inputs.append(Chosen(name, supply[0].name, unit, factor=factor, guesses=guesses))
+            return
+        given = self.evidence.sheet.voltage
+        volts = given or SUPPLY
+        self.drive.command = "voltage"
+        chosen.name, chosen.unit, chosen.scale, chosen.factor = f"u{number}", "V", volts / top, volts / top
+        source = "of the motor's sheet" if given else "a placeholder"
+        value = f"{volts:g} V / {top:g}"
+        chosen.guesses.append(Guess(f"unit of {chosen.name}", value, f"{words}; {volts:g} V {source}", False))
+        if not given:
+            self.evidence.ask(
+                f"What is the supply voltage behind the duty '{column.name}'? {volts:g} V stand in its scale; another "
+                "one changes P_m1 and P_m2 alone. Give voltage in --motor, or log it."
+            )
+
+    # Sign, zero and end stops
+
+    @property
+    def _by_goal(self) -> bool:
+        return self.drive.command in ("goal", "position_loop")
+
+    def _sign(self) -> None:
+        """Turn the angle where command and response are opposed, and fit the drive."""
+        command, output = self.inputs[0], self.outputs[0]
+        if self._by_goal:
+            (log,) = self.evidence.liveliest(output.column)
+            related = follows(self.evidence.time(log), command.values(log), output.values(log))
+            words = f"correlation of the goal with the angle: {related:+.2f}"
+            sure = abs(related) > 0.5
+            guess = Guess(f"sign of {output.name}", "-1" if sure and related < 0 else "1", words, sure)
+        else:
+            guess = sign_of(self._fit(), command.name, output.name)
+        if not guess.sure:
+            self.evidence.ask(
+                f"Does a positive '{command.column}' turn '{output.column}' the positive way? ({guess.evidence})"
+            )
+        if guess.value != "-1":
+            output.guesses.append(guess)
+        else:
+            turned, words = self._turned(guess.evidence)
+            for one in turned:
+                one.turn()
+            turned[0].guesses.append(Guess(f"sign of {turned[0].name}", "-1", words))
+        self.drive.fit = self._fit()
+
+    def _turned(self, words: str) -> tuple[list[Chosen], str]:
+        """Which of two opposed ones to turn: the outputs, or the command where the robot's range asks for that."""
+        command, output, joint = self.inputs[0], self.outputs[0], self.joint
+        if joint is None or output.name.startswith("v_"):
+            return list(self.outputs), words
+        angles = [output.values(log) / self.ratio for log in self.evidence.logs]
+        fits = [zero_offset([way * one for one in angles], joint, "") is None for way in (1.0, -1.0)]
+        if fits == [True, False]:
+            return [command], f"{words}; turned, the angle would leave the range of {joint.name}"
+        if fits == [True, True]:
+            self.evidence.ask(
+                f"'{command.column}' and '{output.column}' are opposed. The angle is turned; if it has the "
+                "sign of the robot's file, turn the command instead (scale: -1)"
+            )
+        return list(self.outputs), words
+
+    def _fit(self) -> DriveFit | None:
+        """The acceleration's fit, the median one of the logs in which the joint moves most."""
+        fits, output = [], self.outputs[0]
+        for log in self.evidence.liveliest(output.column, FITTED):
+            command = self.inputs[0].values(log)
+            if self.drive.command == "duty" and len(self.inputs) > 1:
+                command = command * self.inputs[1].values(log)
+            angle = output.values(log)
+            if self._by_goal:
+                command = command - angle
+            speed = output.name.startswith("v_")
+            fits.append(drive_fit(self.evidence.time(log), command, angle, speed=speed))
+        fits = sorted((fit for fit in fits if fit is not None), key=lambda fit: fit.partial)
+        return fits[len(fits) // 2] if fits else None
+
+    def _zero(self) -> None:
+        """Bring the angle, and a goal with it, to the zero of the robot's file; without one, to its goal's."""
+        angle, joint, about = self.outputs[0], self.joint, f"zero of {self.outputs[0].name}"
+        values = [angle.values(log) / self.ratio for log in self.evidence.logs]
+        limited = joint is not None and math.isfinite(joint.range)
+        by_range = zero_offset(values, joint, about) if joint is not None and limited else None
+        by_goal = None
+        if self.drive.command == "goal" and (by_range or joint is None):
+            goals = [self.inputs[0].values(log) for log in self.evidence.logs]
+            reach = joint.range if joint is not None else max(float(np.ptp(one)) for one in values)
+            by_goal = zero_by_goal(values, goals, reach, about)
+        if guess := by_goal or by_range:
+            self._move_zero(guess, with_goal=by_goal is None and self.drive.command == "goal")
+        elif joint is not None and limited:
+            angle.guesses.append(Guess(about, "0", f"all angles lie in the range of {joint.name}"))
+        if joint is not None and limited:
+            self._stops(joint)
+
+    def _move_zero(self, guess: Guess, with_goal: bool) -> None:
+        angle, offset = self.outputs[0], float(guess.value)
+        angle.zero = float(f"{offset * self.ratio / angle.factor:.9g}")
+        if with_goal:
+            self.inputs[0].zero = float(f"{offset / self.inputs[0].factor:.9g}")
+        angle.guesses.append(replace(guess, value=f"{angle.zero:g}"))
+        both = ", and so that of its goal" if with_goal else ""
+        self.evidence.ask(
+            f"Where is the zero of {self.drive.joint} in '{angle.column}'? At {angle.zero:g}{both}: {guess.evidence}.",
+            f"{angle.name}: {{column: {angle.column}, zero: ...}}",
+        )
+        if self.joint is None:
+            self.drive.fit = self._fit()
+
+    def _stops(self, joint: JointFacts) -> None:
+        """Note where the joint is beyond its limits."""
+        angle, middle = self.outputs[0], 0.5 * (joint.low + joint.high)
+        values = [angle.values(log) / self.ratio for log in self.evidence.logs]
+        for k, beyond in enumerate(beyond_limits(values, joint)):
+            if beyond.any():
+                far = values[k][np.argmax(np.abs(values[k] - middle))]
+                words = f"{joint.name} runs to {far:.4g}, its limits are {joint.low:.4g} to {joint.high:.4g}"
+                self.evidence.stops.setdefault(k, []).append((words, beyond))
+
+    def _lag(self) -> None:
+        """How late the angle follows its goal, the median of the logs that show it."""
+        if self.drive.command == "goal":
+            goal, angle, ratio = self.inputs[0], self.outputs[0], self.ratio
+            logs = self.evidence.liveliest(angle.column, FITTED)
+            lags = [
+                goal_lag(self.evidence.time(one), goal.values(one), angle.values(one) / ratio) for one in logs
+            ]
+            self.drive.lag = float(np.median([lag for lag in lags if lag] or [0.0]))
+
+    def _current(self) -> None:
+        """A measured current is an output beside a commanded voltage."""
+        command, drive = self.inputs[0], self.drive
+        some = [
+            one
+            for one in self.kinds.get("current", ())
+            if self.evidence.moves(one.name) and one.name != command.column
+        ]
+        if drive.command not in ("voltage", "duty") or not some:
+            return
+        column = min(some, key=lambda one: (one.command, not one.measured, len(one.name)))
+        unit, factor = self._volts_or_amps(column, "A")
+        chosen = Chosen(f"i{drive.number}", column.name, unit, factor=factor)
+        words = "its name says so" if column.unit else f"values up to {self.evidence.far(column.name):.3g}"
+        chosen.guesses += [
+            _why(chosen.name, column, "current"),
+            Guess(f"unit of {chosen.name}", unit, words, bool(column.unit)),
+        ]
+        (log,) = self.evidence.liveliest(self.outputs[0].column)
+        i, u, angle = chosen.values(log), command.values(log), self.outputs[0].values(log)
+        speed = angle if self.outputs[0].name.startswith("v_") else rate_of(self.evidence.time(log), angle)
+        columns = np.stack([u, speed, np.sign(u)], axis=1)
+        gain = float(np.linalg.lstsq(columns / np.std(columns, axis=0).clip(1e-12), i, rcond=None)[0][0])
+        related = correlation(i, u)
+        if i.min() >= -0.02 * i.max() and u.min() < -0.1 * u.max():
+            drive.unsigned = True
+            words = "never negative while the command is"
+            chosen.guesses.append(Guess(f"sign of {chosen.name}", "none", words))
+        elif gain < 0 and related < -0.2:
+            chosen.turn()
+            words = f"opposed to the command (correlation {related:+.2f})"
+            chosen.guesses.append(Guess(f"sign of {chosen.name}", "-1", words))
+        self.outputs.append(chosen)
