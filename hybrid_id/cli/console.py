@@ -4,7 +4,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -64,6 +65,19 @@ def counting(noun: str) -> Progress:
     return bar(
         TextColumn(noun), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     )
+
+
+@contextmanager
+def steps(*names: str) -> Iterator[Callable[[], None]]:
+    """Bar over steps of unequal length by their names, of which some may be left out; yields what ends a step."""
+    with bar(TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn()) as shown:
+        left = iter(names)
+        task = shown.add_task(next(left), total=len(names))
+
+        def after() -> None:
+            shown.update(task, description=next(left, ""), advance=1)
+
+        yield after
 
 
 class FitProgress:

@@ -118,12 +118,12 @@ def refuse_arm(system: "System", model: Path, command: str) -> None:
 def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
     """The model of a study, started at what an earlier stage has found where the study names one.
 
-    Records whose encoders contradict its gear ratio end the command.
+    Records that contradict its gear ratio or the ranges of its joints end the command.
     """
-    from hybrid_id.records.quality import check_encoders
+    from hybrid_id.study import check_scales
 
     system, stage = read_model(config.model), config.previous
-    odd = check_encoders(dataset, system.own_ratios)
+    odd = check_scales(dataset, system)
     refuse_errors(odd)
     for finding in odd:
         remark(f"warning: {finding.message}")

@@ -253,7 +253,8 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
 
 
 MIN_SAMPLES = 200
-SLOW_STEP = 0.2  # s; nobody samples a drive that slowly, but 5 kHz stamped in ms looks like it
+SLOW_STEP = 0.2  # s; hardly anybody samples a drive that slowly, but 5 kHz stamped in ms looks like it
+STEPS = 5e-6, 1.0  # s; no drive is sampled faster or slower, so that the stamps are in another unit
 STAMPS = ((1e2, "ms", "unit: ms"), (1e5, "us", "unit: us"), (np.inf, "ns", "scale: 1.0e-9"))
 """Units of stamps by the step below which they explain one that is too long, and what says so."""
 UNEQUAL = 10.0  # ratio of two records' steps
@@ -268,10 +269,16 @@ def check_sampling(record: Record) -> Iterator[Finding]:
     if step >= SLOW_STEP:
         unit, key = next((u, k) for most, u, k in STAMPS if step < most)
         words = (
-            f"{name}: its samples are {step:.4g} s apart, too far for most drives; if its stamps are in {unit}, set "
-            f"'t: {{column: t, {key}}}' under 'columns'"
+            f"{record.title}: its samples are {step:.4g} s apart, too far for most drives; if its stamps are in "
+            f"{unit}, set 't: {{column: t, {key}}}' under 'columns' in the dataset file"
         )
-        yield Finding("warning", "slow_step", words, name)
+        yield Finding("error" if step >= STEPS[1] else "warning", "slow_step", words, name)
+    if step < STEPS[0]:
+        words = (
+            f"{record.title}: its samples are {step:.4g} s apart, closer than any drive is sampled; correct 'unit' and "
+            "'scale' of t under 'columns' in the dataset file: stamps in seconds need neither"
+        )
+        yield Finding("error", "fast_step", words, name)
     if gaps := find_gaps(record):
         places = "place" if len(gaps) == 1 else "places"
         longest = np.floor(max(length for _, length in gaps) / step) + 1

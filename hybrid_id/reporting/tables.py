@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -13,10 +14,10 @@ from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
-from hybrid_id.statistics.identifiability import Identifiability
-from hybrid_id.study import BaseParameterCheck, Comparison, Study
-from hybrid_id.study.base_parameters import INDEPENDENT, TORQUE_ERROR
-from hybrid_id.study.truth import against_truth
+
+if TYPE_CHECKING:  # the table of the records is on the screen before torch is loaded
+    from hybrid_id.statistics.identifiability import Identifiability
+    from hybrid_id.study import BaseParameterCheck, Comparison, Study
 
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": "dim"}
 
@@ -81,6 +82,8 @@ def identifiability_table(identified: Identifiability) -> RenderableType:
 
 def base_parameters_table(based: BaseParameterCheck, most: int = MOST_ROWS) -> RenderableType:
     """Number of base parameters, condition number of the motion, and the worst excited ones."""
+    from hybrid_id.study.base_parameters import INDEPENDENT, TORQUE_ERROR
+
     base = based.base
     silent = len(base.without_effect)
     words = (
@@ -151,6 +154,8 @@ def comparison_table(comparison: Comparison) -> Table:
 
 def truth_table(study: Study, truth: Mapping[str, float]) -> Table:
     """Known values beside the estimates of the selected set."""
+    from hybrid_id.study.truth import against_truth
+
     heads = ("parameter", "truth>", "estimate>", f"{100 * study.level:g} % interval>", "unit", "off by>")
     rows = []
     for one in against_truth(study, truth):

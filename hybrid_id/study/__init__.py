@@ -6,6 +6,7 @@ from hybrid_id.study.checks import (
     check_fit,
     check_identifiability,
     check_priors,
+    check_scales,
     check_start_values,
     profiles,
 )
@@ -25,6 +26,7 @@ __all__ = [
     "check_fit",
     "check_identifiability",
     "check_priors",
+    "check_scales",
     "check_start_values",
     "compare",
     "identify",

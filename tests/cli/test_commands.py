@@ -145,6 +145,52 @@ def test_wrong_units_and_signs_do_not_pass_silently(
     assert "start values explain" not in run("check", drive, "--json").out
 
 
+TIMES_IN = {
+    "ms": ("unit: ms", 1e3),
+    "ns": ("scale: 1.0e-9", 1e9),
+    "ms for s": ("stamps in seconds need neither", 1e-3),
+}
+
+
+def with_column(drive: Path, folder: Path, channel: str, scale: float) -> Path:
+    """The drive's records with a column whose unit was forgotten."""
+    shutil.copytree(drive, folder)
+    values = yaml.safe_load((folder / "dataset.yaml").read_text())
+    values |= {"columns": {channel: {"column": channel, "scale": scale}}, "sample_time": None}
+    (folder / "dataset.yaml").write_text(yaml.safe_dump(values))
+    return folder
+
+
+@pytest.mark.parametrize("case", TIMES_IN)
+def test_time_in_another_unit_is_refused_before_anything_is_simulated(
+    run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: str
+) -> None:
+    words, factor = TIMES_IN[case]
+    monkeypatch.setattr("hybrid_id.simulation.rollout.simulate", None)
+    monkeypatch.setattr("hybrid_id.study.check_start_values", None)
+    folder = with_column(drive, tmp_path / "wrong", "t", factor)
+    said = run("check", folder)
+    assert said.code == 2 and words in said.err and "run_0.csv.gz" in said.err
+    assert "run_3   test" in said.out and "identif" not in said.out
+    for command in ("identify", "diagnose"):
+        assert words in run(command, folder, "--out", tmp_path / "out").err
+
+
+def test_no_confident_table_follows_degrees_for_radians(run, drive: Path, tmp_path: Path) -> None:
+    said = run("check", with_column(drive, tmp_path / "wrong", "q_m1", 180.0 / np.pi))
+    assert said.code == 2 and "check its unit" in said.err
+    assert "identifiable" not in said.out and "records and model contradict each other" in said.out
+
+
+def test_warnings_are_said_before_the_model_is_read(run, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text(
+        (drive / "model.yaml").read_text().replace("gear_ratio: [156.0]", "gear_ratio: [0.001]")
+    )
+    said = run("check", drive, "--model", tmp_path / "model.yaml")
+    assert said.code == 2 and "run_3   test" in said.out
+    assert "model.yaml: gear_ratio 0.001 is none of a drive" in said.err and "turns of the motor" in said.err
+
+
 def test_records_of_more_joints_than_the_model_has(run, drive: Path, tmp_path: Path) -> None:
     data = Dataset.load(drive)
     records = tuple(replace(r, outputs=r.outputs | {"q_m2": r.outputs["q_m1"]}) for r in data.records)
