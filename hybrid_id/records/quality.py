@@ -312,7 +312,7 @@ def check_steps(dataset: Dataset) -> Iterator[Finding]:
 
 OFF, WRONG = 0.02, 0.2
 """Relative difference between the records' ratio and the model's that is said, and from which no fit means anything."""
-TOGETHER = 0.8
+ONE_GEAR = 0.8
 """Correlation below which two angles hardly belong to one gear, unless it is very soft."""
 MOVES = 20.0
 """Standard deviation of an angle over its noise from which it moves."""
@@ -341,7 +341,7 @@ def check_encoders(dataset: Dataset, gear_ratio: Sequence[float | None]) -> list
             continue  # noise has no ratio
         together = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
         seen = float(np.linalg.norm(a) / np.linalg.norm(b)) * (1.0 if together > 0 else -1.0)
-        if abs(together) < TOGETHER:
+        if abs(together) < ONE_GEAR:
             words = (
                 f"joint {n}: {motor} and {link} hardly move together (correlation {together:.2f}); {link} is to be the "
                 "angle between this link and the one before it"
@@ -354,7 +354,7 @@ def check_encoders(dataset: Dataset, gear_ratio: Sequence[float | None]) -> list
             )
         else:
             continue
-        grave = abs(together) >= TOGETHER and abs(seen / ratio - 1.0) > WRONG
+        grave = abs(together) >= ONE_GEAR and abs(seen / ratio - 1.0) > WRONG
         found.append(Finding("error" if grave else "warning", "gear_ratio", words, channel=link))
     return found
 

@@ -128,8 +128,8 @@ def _spans(dataset: Dataset, system: System) -> Iterator[Finding]:
                 unit = "m" if described.kind == "slide" else "rad"
                 words = (
                     f"{name} takes {described.name} through {span:.4g} {unit}, {span / (high - low):.3g} times its "
-                    f"range in {Path(system.tree.source).name} ({low:.3g} to {high:.3g} {unit}); correct its 'unit' in the "
-                    "dataset file (degrees?), or gear_ratio in the model file"
+                    f"range in {Path(system.tree.source).name} ({low:.3g} to {high:.3g} {unit}); correct its 'unit' in "
+                    "the dataset file (degrees?), or gear_ratio in the model file"
                 )
                 yield Finding("error", "range", words, channel=name)
 
