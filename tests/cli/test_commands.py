@@ -76,6 +76,12 @@ def helps(command: click.Command) -> Iterator[str]:
         yield from helps(below)
 
 
+def test_two_commands_that_estimate_say_when_to_prefer_the_other(run) -> None:
+    for command, other in (("train", "identify"), ("identify", "train")):
+        words = " ".join(run(command, "--help").out.split())
+        assert "Prefer" in words and f"{other} " in words[words.index("Prefer") :]
+
+
 def test_no_help_has_what_the_terminal_takes_for_markup() -> None:
     words = list(helps(typer.main.get_command(app)))
     assert len(words) > 100
