@@ -1,12 +1,11 @@
 """`check`: what the records are worth before anything is fitted to them."""
 
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import show, show_json, steps
+from hybrid_id.cli.console import doing, show, show_json
 from hybrid_id.cli.inputs import load_records, read_model, refuse_errors
 from hybrid_id.cli.options import DatasetArgument, JsonOption, ModelOption, ThreadsOption, use_threads
 from hybrid_id.config import beside
@@ -15,12 +14,7 @@ from hybrid_id.errors import InputError
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.quality import Finding
-    from hybrid_id.statistics.identifiability import Identifiability
-    from hybrid_id.study import BaseParameterCheck
-    from hybrid_id.systems.chain import System
-
-CONTRADICT = ("unit", "sign")
-"""Codes of findings after which no table may follow: it would be confident of what means nothing."""
+    from hybrid_id.study import ModelCheck
 
 
 def check(
@@ -43,57 +37,30 @@ def check(
     if not as_json:
         _show_findings(findings, full=full)
     path = model or (beside(dataset) if beside(dataset).exists() else None)
-    found = Found()
+    found = None
     if path is not None and not any(finding.severity == "error" for finding in findings):
         use_threads(threads)
-        found = _of_model(data, read_model(path))
+        from hybrid_id.study import check_model
+
+        system = read_model(path)
+        with doing() as say:
+            found = check_model(data, system, say)
     if as_json:
         from hybrid_id.reporting.results import check_result
 
-        every = worst_first([*found.findings, *findings])
-        show_json("check", check_result(data, every, found.identified, found.based))
+        more = () if found is None else found.findings
+        show_json("check", check_result(data, worst_first([*more, *findings]), found))
     elif path is None:
         show(
             f"no {beside(dataset)}: with a model (docs/formats.md), check says which of its parameters these "
             "records identify"
         )
-    else:
-        _show_found(found, path, full=full)
-    refuse_errors([*findings, *found.findings])
-    told = found.identified
+    elif found is not None:
+        _show_model(found, path, full=full)
+    refuse_errors([*findings, *(() if found is None else found.findings)])
+    told = None if found is None else found.identified
     if told is not None and not told.combinations and not told.claimable.any():
         raise InputError(f"the records identify nothing of {path}; make new ones in which the drive moves")
-
-
-@dataclass
-class Found:
-    """What the records say of a model: remarks, and where none of them is fatal, what the records identify."""
-
-    findings: "list[Finding]" = field(default_factory=list)
-    identified: "Identifiability | None" = None
-    based: "BaseParameterCheck | None" = None
-
-
-def _of_model(data: "Dataset", system: "System") -> Found:
-    """Check a model against records, what is quick and may be fatal first."""
-    from hybrid_id.study import (
-        check_base_parameters,
-        check_identifiability,
-        check_scales,
-        check_start_values,
-    )
-
-    found = Found(check_scales(data, system))
-    if any(finding.severity == "error" for finding in found.findings):
-        return found  # what the model would do means nothing, and takes its time
-    with steps("free runs with the start values", "identifiability", "base parameters") as after:
-        found.findings += check_start_values(data, system)
-        after()
-        if not any(finding.code in CONTRADICT for finding in found.findings):
-            found.identified = check_identifiability(data, system)
-            after()
-            found.based = check_base_parameters(data, system) if system.tree is not None else None
-    return found
 
 
 def _show_records(data: "Dataset") -> None:
@@ -111,7 +78,7 @@ def _show_findings(findings: "list[Finding]", *, full: bool) -> None:
         show(f"({count(hidden, 'remark')} for information: --full)")
 
 
-def _show_found(found: Found, path: Path, *, full: bool) -> None:
+def _show_model(found: "ModelCheck", path: Path, *, full: bool) -> None:
     from hybrid_id.reporting.tables import (
         MOST_ROWS,
         base_parameters_table,
@@ -121,11 +88,11 @@ def _show_found(found: Found, path: Path, *, full: bool) -> None:
 
     if found.findings:
         show("", f"Against {path}:", findings_list(found.findings))
-    if found.identified is not None:
+    if found.identified is None:
+        show("", "What the records identify is not said: records and model contradict each other.")
+    else:
         show("", f"What these records identify of {path}, at its start values and before any fit:")
         show(identifiability_table(found.identified))
-    elif any(finding.code in CONTRADICT for finding in found.findings):
-        show("", "What the records identify is not said: records and model contradict each other.")
     if found.based is not None:
         show("", "What any motion can say of the robot's masses and inertias, and what these records do:")
         show(base_parameters_table(found.based, 0 if full else MOST_ROWS))

@@ -68,16 +68,11 @@ def counting(noun: str) -> Progress:
 
 
 @contextmanager
-def steps(*names: str) -> Iterator[Callable[[], None]]:
-    """Bar over steps of unequal length by their names, of which some may be left out; yields what ends a step."""
+def doing() -> Iterator[Callable[[str], None]]:
+    """Bar over what has no number of steps; yields what says in words which step runs."""
     with bar(TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn()) as shown:
-        left = iter(names)
-        task = shown.add_task(next(left), total=len(names))
-
-        def after() -> None:
-            shown.update(task, description=next(left, ""), advance=1)
-
-        yield after
+        task = shown.add_task("", total=None)
+        yield lambda words: shown.update(task, description=words)
 
 
 class FitProgress:

@@ -69,7 +69,7 @@ class StudyConfig(Section):
         output: where results go, and which.
     """
 
-    model_config = ConfigDict(json_schema_extra=lambda schema: schema["required"].remove("model"))
+    model_config = ConfigDict(json_schema_extra={"required": ["dataset"]})
     dataset: Path
     model: Path
     previous: Previous | None = None

@@ -16,7 +16,7 @@ from hybrid_id.records.files import plain
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.uncertainty import normal_interval
-from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, Replay, Study
+from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, ModelCheck, Replay, Study
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import save_model
 
@@ -181,10 +181,10 @@ def identifiability_result(identified: Identifiability) -> dict[str, Any]:
 def check_result(
     dataset: Dataset,
     findings: Sequence[Finding],
-    identified: Identifiability | None,
-    based: BaseParameterCheck | None = None,
+    found: ModelCheck | None,
 ) -> dict[str, Any]:
     """Result of a check as plain data."""
+    identified, based = (None, None) if found is None else (found.identified, found.based)
     return {
         "dataset": dataset.name,
         "records": [

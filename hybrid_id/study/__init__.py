@@ -10,6 +10,7 @@ from hybrid_id.study.checks import (
     check_start_values,
     profiles,
 )
+from hybrid_id.study.model_check import ModelCheck, check_model
 from hybrid_id.study.replays import Comparison, Replay, compare, replay
 from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import analyse_fits, identify
@@ -19,12 +20,14 @@ __all__ = [
     "Combinations",
     "Comparison",
     "Horizon",
+    "ModelCheck",
     "Replay",
     "Study",
     "analyse_fits",
     "check_base_parameters",
     "check_fit",
     "check_identifiability",
+    "check_model",
     "check_priors",
     "check_scales",
     "check_start_values",

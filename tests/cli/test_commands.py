@@ -173,7 +173,7 @@ def test_time_in_another_unit_is_refused_before_anything_is_simulated(
 ) -> None:
     words, factor = TIMES_IN[case]
     monkeypatch.setattr("hybrid_id.simulation.rollout.simulate", None)
-    monkeypatch.setattr("hybrid_id.study.check_start_values", None)
+    monkeypatch.setattr("hybrid_id.study.check_model", None)
     folder = with_column(drive, tmp_path / "wrong", "t", factor)
     said = run("check", folder)
     assert said.code == 2 and words in said.err and "run_0.csv.gz" in said.err
