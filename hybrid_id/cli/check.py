@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.quality import Finding
     from hybrid_id.study import ModelCheck
+    from hybrid_id.systems.chain import System
 
 
 def check(
@@ -37,7 +38,7 @@ def check(
     if not as_json:
         _show_findings(findings, full=full)
     path = model or (beside(dataset) if beside(dataset).exists() else None)
-    found = None
+    found = system = None
     if path is not None and not any(finding.severity == "error" for finding in findings):
         use_threads(threads)
         from hybrid_id.study import check_model
@@ -55,8 +56,8 @@ def check(
             f"no {beside(dataset)}: with a model (docs/formats.md), check says which of its parameters these "
             "records identify"
         )
-    elif found is not None:
-        _show_model(found, path, full=full)
+    elif found is not None and system is not None:
+        _show_model(found, system, path, full=full)
     refuse_errors([*findings, *(() if found is None else found.findings)])
     told = None if found is None else found.identified
     if told is not None and not told.combinations and not told.claimable.any():
@@ -78,13 +79,14 @@ def _show_findings(findings: "list[Finding]", *, full: bool) -> None:
         show(f"({count(hidden, 'remark')} for information: --full)")
 
 
-def _show_model(found: "ModelCheck", path: Path, *, full: bool) -> None:
+def _show_model(found: "ModelCheck", system: "System", path: Path, *, full: bool) -> None:
     from hybrid_id.reporting.tables import (
         MOST_ROWS,
         base_parameters_table,
         findings_list,
         identifiability_table,
     )
+    from hybrid_id.reporting.units import symbols_line
 
     if found.findings:
         show("", f"Against {path}:", findings_list(found.findings))
@@ -93,6 +95,7 @@ def _show_model(found: "ModelCheck", path: Path, *, full: bool) -> None:
     else:
         show("", f"What these records identify of {path}, at its start values and before any fit:")
         show(identifiability_table(found.identified))
+        show(*symbols_line(system.table, " ".join(found.identified.names)))
     if found.based is not None:
         show("", "What any motion can say of the robot's masses and inertias, and what these records do:")
         show(base_parameters_table(found.based, 0 if full else MOST_ROWS))

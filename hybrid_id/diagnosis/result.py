@@ -178,7 +178,9 @@ class Diagnosis:
                 "shrink_interval": None if gap is None else list(gap.interval),
                 "by_output": {
                     name: {"nominal": self.nominal.by_output[name], "refit": value,
-                           "with_effect": self.with_effect.by_output[name]}
+                           "with_effect": self.with_effect.by_output[name],
+                           "rmse": {"nominal": self.nominal.rmse[name], "refit": self.refit.rmse[name],
+                                    "with_effect": self.with_effect.rmse[name]}}
                     for name, value in self.refit.by_output.items()
                 } if self.nominal and self.refit and self.with_effect else {},
                 "contradiction": self.contradiction,

@@ -233,29 +233,29 @@ def torque_map_figure(dataset: Dataset, maps: Sequence[Mapping[str, TorqueMap]])
 def reversal_figure(dataset: Dataset, left: Mapping[str, Sequence[Reversals]]) -> Figure:
     """A panel an angle: mean error after a reversal, and its standard error, of every model."""
     outputs = [one.output for one in next(iter(left.values()))][:ANGLES]
-    units = {channel.name: channel.unit for channel in dataset.outputs}
+    units = {channel.name: channel.shown for channel in dataset.outputs}
     figure = new_figure(2.1 * len(outputs) + 0.2)
     panels = np.ravel(figure.subplots(len(outputs), 1, squeeze=False))
     for axes, output in zip(panels, outputs, strict=True):
         axes.axhline(0.0, color="black", lw=0.5)
-        counts = 0
+        counts, (unit, factor) = 0, units[output]
         for k, (name, tests) in enumerate(left.items()):
             one = next((t for t in tests if t.output == output), None)
             if one is None:
                 continue
             counts = one.count
-            axes.plot(one.time, one.mean, color=MODELS[name], ls=DASHES[k], label=f"{name} model")
+            axes.plot(one.time, factor * one.mean, color=MODELS[name], ls=DASHES[k], label=f"{name} model")
             for side in (-1.0, 1.0):
                 label = f"{name} model ± standard error" if side > 0 else None
                 axes.plot(
                     one.time,
-                    one.mean + side * one.error,
+                    factor * (one.mean + side * one.error),
                     color=MODELS[name],
                     lw=0.5,
                     alpha=0.7,
                     label=label,
                 )
-        axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(units[output], 0)}")
+        axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(unit, 0)}")
         axes.set_title(f"{symbol(output)}, {counts} reversals", loc="left")
         axes.set_xlim(0.0, None)
     legend_above(figure, panels[0], 2)

@@ -54,6 +54,7 @@ def study_result(study: Study) -> dict[str, Any]:
             "std": selection.std,
         },
         "test_nrmse": study.test_nrmse,
+        "test_errors": {name: vars(one) for name, one in study.test_errors.items()},
         "engine_error": study.engine_error,
         "profiles": {name: vars(one) for name, one in study.profiles.items()},
     }
@@ -229,7 +230,13 @@ def comparison_result(comparison: Comparison) -> dict[str, Any]:
     """Fits of several models as plain data."""
     return {
         label: {
-            r.record.name: {"role": r.record.role, "status": r.status, "fit_percent": r.fit, "nrmse": r.nrmse}
+            r.record.name: {
+                "role": r.record.role,
+                "status": r.status,
+                "fit_percent": r.fit,
+                "nrmse": r.nrmse,
+                "rmse": r.rmse,
+            }
             for r in replays
         }
         for label, replays in comparison.replays.items()
@@ -281,8 +288,8 @@ def write_replay(path: Path, replay: Replay) -> None:
 
 
 def write_comparison(path: Path, comparison: Comparison) -> None:
-    """One row for each model, record and output: fit and normalised RMSE."""
-    heads = ("model", "record", "role", "output", "fit_percent", "nrmse", "status")
+    """One row for each model, record and output: fit, normalised RMSE, and RMSE in SI."""
+    heads = ("model", "record", "role", "output", "fit_percent", "nrmse", "rmse", "status")
     rows = (
         (
             label,
@@ -291,6 +298,7 @@ def write_comparison(path: Path, comparison: Comparison) -> None:
             signal,
             f"{r.fit[signal]:.6g}",
             f"{r.nrmse[signal]:.6g}",
+            f"{r.rmse[signal]:.6g}",
             r.status,
         )
         for label, replays in comparison.replays.items()

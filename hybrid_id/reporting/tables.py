@@ -136,19 +136,27 @@ def two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """Fit and normalised RMSE of every model on every record and output, with the mean over the records."""
-    fits, errors = comparison.table("fit"), comparison.table("nrmse")
-    labels = list(comparison.replays)
-    head = [f"{words}>" for label in labels for words in (f"{label}\nfit [%]", "\nNRMSE")]
-    found = open_table("record", "role", "output", *head)
-    both = [(values[label], form) for label in labels for values, form in ((fits, ".2f"), (errors, ".4f"))]
+    """Fit, normalised RMSE and RMSE of every model on every record and output, with the mean over the records.
+
+    The RMSE is in the unit that was logged.
+    """
+    labels, units = list(comparison.replays), {c.name: c.shown for c in comparison.outputs}
+    shown = [units.get(signal, ("", 1.0)) for signal in comparison.signals]
+    forms = (("fit", ".2f"), ("nrmse", ".4f"), ("rmse", ".3g"))
+    head = [f"{words}>" for label in labels for words in (f"{label}\nfit [%]", "\nNRMSE", "\nRMSE")]
+    found = open_table("record", "role", "output", *head, "\nunit")
+    tables = {measure: comparison.table(measure) for measure, _ in forms}
+    for values in tables["rmse"].values():
+        values *= [factor for _, factor in shown]
+    every = [(tables[measure][label], form) for label in labels for measure, form in forms]
     for row, replay in enumerate(comparison.replays[labels[0]]):
         for column, signal in enumerate(comparison.signals):
-            cells = (_number(values[row, column], form) for values, form in both)
-            found.add_row(replay.record.name, replay.record.role, signal, *cells)
+            cells = (_number(values[row, column], form) for values, form in every)
+            found.add_row(replay.record.name, replay.record.role, signal, *cells, shown[column][0])
     found.add_section()
     for column, signal in enumerate(comparison.signals):
-        found.add_row("mean", "", signal, *(_mean(values[:, column], form) for values, form in both))
+        means = (_mean(values[:, column], form) for values, form in every)
+        found.add_row("mean", "", signal, *means, shown[column][0])
     return found
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.result import FitResult
+from hybrid_id.records.dataset import Channel
 from hybrid_id.statistics.cross_validation import CrossValidation, Selection
 from hybrid_id.statistics.fit import known_mean
 from hybrid_id.statistics.identifiability import Identifiability
@@ -17,6 +18,7 @@ from hybrid_id.statistics.reliability import Reliability
 from hybrid_id.statistics.residuals import Whiteness, whiteness
 from hybrid_id.statistics.uncertainty import Covariance, normal_interval
 from hybrid_id.statistics.variation import Variation, variation
+from hybrid_id.study.replays import OutputError
 from hybrid_id.systems.chain import System
 
 
@@ -59,6 +61,8 @@ class Study:
         horizon: how long the free runs are that were fitted and compared with the records.
         profiles: profile likelihoods of the selected set's parameters, by name, as far as they were asked for.
         level: confidence of all intervals.
+        test_errors: error of the selected set in each output on the test records, by name; empty without them.
+        outputs: channels of the records, which know the units that were logged.
     """
 
     system: System
@@ -76,6 +80,8 @@ class Study:
     horizon: Horizon = WHOLE
     profiles: Mapping[str, Profile] = field(default_factory=dict)
     level: float = 0.95
+    test_errors: Mapping[str, OutputError] = field(default_factory=dict)
+    outputs: tuple[Channel, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,14 +118,18 @@ class Study:
     def intervals(self, index: int | None = None) -> np.ndarray:
         """Intervals of a set (default: the selected one), within the bounds of the parameters, ``(n_parameters, 2)``.
 
-        NaN where none may be claimed.
+        NaN where none may be claimed. A parameter of the selected set whose profile likelihood was computed has that
+        interval, whose ends may be infinite.
         """
         index = self.selection.index if index is None else index
         result = self.sets[index]
         specs = [result.system.parameter(name).spec for name in self.names]
         bounds = np.array([(spec.lower, spec.upper) for spec in specs])
         ends = normal_interval(result.values, self.standard_errors(index), self.level)
-        return np.clip(ends, bounds[:, :1], bounds[:, 1:])
+        ends = np.clip(ends, bounds[:, :1], bounds[:, 1:])
+        for name, profile in self.profiles.items() if index == self.selection.index else ():
+            ends[self.names.index(name)] = profile.lower, profile.upper
+        return ends
 
     @property
     def test_error(self) -> float:
