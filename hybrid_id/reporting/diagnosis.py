@@ -8,12 +8,11 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.diagnosis.result import LIKELY, Diagnosis
 from hybrid_id.errors import InputError
 from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.diagnosis_words import (
     LEAST_SHARE,
-    LIKELY,
     capital,
     caution_lines,
     change_lines,

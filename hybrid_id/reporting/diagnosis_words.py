@@ -19,8 +19,6 @@ from hybrid_id.reporting.units import in_unit, shown_unit
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
-LIKELY = 0.2
-"""Probability below which an effect stands in no table of a page."""
 WORSE = 1.5
 """Error of the re-fitted model over that of the nominal one from which it is said."""
 NAMED = 4
