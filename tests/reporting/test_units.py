@@ -7,8 +7,9 @@ import pytest
 from drives import make_records, multisine, rigid_drive
 from rich.console import Console
 
-from hybrid_id import Channel, Dataset, one_link
+from hybrid_id import Channel, Dataset, Record, one_link, replay
 from hybrid_id.reporting.study import study_table
+from hybrid_id.reporting.study_figures import fit_figure
 from hybrid_id.reporting.units import in_unit, shown_unit, symbols_line
 from hybrid_id.statistics.profile import Profile
 from hybrid_id.study import Study, identify
@@ -55,6 +56,10 @@ def test_an_angle_among_the_parameters_has_it_too(
 ) -> None:
     name, factor = shown_unit(unit, outputs)
     assert (name, factor) == (shown[0], pytest.approx(shown[1]))
+
+
+def study_record() -> Record:
+    return make_records(rigid_drive(), [multisine(3, samples=200, amplitude=7.0)], noise={"q_m1": 0.01})[0]
 
 
 @pytest.fixture(scope="module")
@@ -105,3 +110,15 @@ def test_symbols_are_named_once_and_only_those_that_stand_there() -> None:
     (line,) = symbols_line(table, "P_m1, F_c may be multiplied; F_c up")
     assert line == "symbols: P_m1 stall torque per volt, k_m/R; F_c Coulomb level."
     assert symbols_line(table, "nothing here") == []
+
+
+def test_pictures_are_drawn_in_the_unit_that_was_logged(study: Study) -> None:
+    record = study_record()
+    run = replay(Dataset("drive", (Channel("u1", "V"),), (RADIANS,), (record,), 0.002), study.selected_model)[
+        0
+    ]
+    for channel, factor in ((RADIANS, 1.0), (DEGREES, 180.0 / np.pi)):
+        data = Dataset("drive", (Channel("u1", "V"),), (channel,), (record,), 0.002)
+        panel = fit_figure(data, run).axes[0]
+        assert f"[{channel.shown[0]}]" in panel.get_ylabel()
+        assert panel.lines[0].get_ydata() == pytest.approx(factor * record.outputs["q_m1"])
