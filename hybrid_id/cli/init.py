@@ -193,8 +193,9 @@ def _try(
     """Load what would be written, measure skews, and ask what `check` would object to."""
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.proposed_dataset import Question
-    from hybrid_id.records.quality import check_dataset, check_encoders
+    from hybrid_id.records.quality import check_dataset
     from hybrid_id.records.skew import find_skews
+    from hybrid_id.study import check_scales
     from hybrid_id.systems.model_file import load_model
 
     with tempfile.TemporaryDirectory() as temporary:
@@ -207,7 +208,7 @@ def _try(
         except InputError as error:
             raise InputError(f"{str(error).replace(temporary, str(folder))}; nothing was written") from None
         skews = find_skews(dataset)
-        for finding in [*check_encoders(dataset, system.own_ratios), *check_dataset(dataset)]:
+        for finding in [*check_scales(dataset, system), *check_dataset(dataset)]:
             if finding.severity == "error":
                 proposal.questions.append(Question(f"'hybrid-id check' will refuse this: {finding.message}"))
     return skews, dataset

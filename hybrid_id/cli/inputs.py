@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from hybrid_id.systems.chain import System
 
 UNEVEN = 1.5
+ABSURD = ("slow_step", "fast_step")
+"""Codes of findings whose errors no simulation may meet: it would not end."""
 MAX_WARNINGS = 5  # said before a fit; `check` says them all
 
 
@@ -57,6 +59,16 @@ def refuse_errors(findings: "list[Finding]") -> None:
     if errors:
         more = f" (and {len(errors) - 1} more; see 'hybrid-id check')" if len(errors) > 1 else ""
         raise InputError(errors[0].message + more)
+
+
+def records_to_replay(path: Path) -> "Dataset":
+    """Load records for a simulation, which is no fit and takes gaps; a step that cannot be meant ends the command."""
+    from hybrid_id.records.quality import check_sampling
+
+    dataset = load_records(path)
+    steps = [one for record in dataset for one in check_sampling(record) if one.code in ABSURD]
+    refuse_errors(steps)
+    return dataset
 
 
 def checked_records(config: StudyConfig) -> "Dataset":

@@ -178,8 +178,10 @@ def test_time_in_another_unit_is_refused_before_anything_is_simulated(
     said = run("check", folder)
     assert said.code == 2 and words in said.err and "run_0.csv.gz" in said.err
     assert "run_3   test" in said.out and "identif" not in said.out
-    for command in ("identify", "diagnose"):
+    for command in ("identify", "diagnose", "simulate"):
         assert words in run(command, folder, "--out", tmp_path / "out").err
+    to_mujoco = ("--to", "mjcf", "--out", tmp_path / "robot.xml", "--check", folder)
+    assert words in run("export", drive / "model.yaml", *to_mujoco).err
 
 
 def test_no_confident_table_follows_degrees_for_radians(run, drive: Path, tmp_path: Path) -> None:
