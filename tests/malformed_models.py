@@ -95,6 +95,8 @@ def malformed_models() -> list[MalformedModel]:
         MalformedModel("no gear ratio", ("gear_ratio", "missing"), drop("gear_ratio")),
         MalformedModel("gear ratio of two joints", ("gear_ratio", "one"), put("gear_ratio", to=[10.0, 20.0])),
         MalformedModel("negative gear ratio", ("gear_ratio", "-5"), put("gear_ratio", to=[-5.0])),
+        MalformedModel("inverse gear ratio", ("gear_ratio", "0.001"), put("gear_ratio", to=[0.001])),
+        MalformedModel("gear ratio of no gear", ("gear_ratio", "1e+06"), put("gear_ratio", to=[1e6])),
         MalformedModel("gear ratio not a number", ("gear_ratio", "'high'"), put("gear_ratio", to=["high"])),
         MalformedModel("unknown gravity", ("gravity", "'up'"), put("gravity", to="up")),
         MalformedModel("gravity without G_l", ("gravity", "G_l"), put("gravity", to="vertical")),

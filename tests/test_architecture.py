@@ -215,6 +215,10 @@ def test_command_line_starts_without_torch() -> None:
     assert not loads_torch("hybrid_id.cli")
 
 
+def test_table_of_the_records_needs_no_torch() -> None:
+    assert not loads_torch("hybrid_id.cli.check", "hybrid_id.records.quality", "hybrid_id.reporting.tables")
+
+
 def test_torch_would_be_seen() -> None:
     assert loads_torch("torch")
 

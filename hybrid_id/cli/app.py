@@ -24,6 +24,7 @@ from hybrid_id.cli.init import init
 from hybrid_id.cli.lists import components, effects
 from hybrid_id.cli.replay import compare, simulate
 from hybrid_id.cli.reproduce import reproduce
+from hybrid_id.cli.schema import schema
 from hybrid_id.cli.train import train
 from hybrid_id.errors import InputError
 
@@ -114,7 +115,7 @@ def _hybrid_id(
 
 for command in (
     init, check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components,
-    effects, doctor,
+    effects, schema, doctor,
 ):  # fmt: skip
     app.command()(command)
 app.add_typer(blind, name="blind")

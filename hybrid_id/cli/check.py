@@ -1,14 +1,21 @@
 """`check`: what the records are worth before anything is fitted to them."""
 
-from typing import Annotated
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import show, show_json
+from hybrid_id.cli.console import doing, show, show_json
 from hybrid_id.cli.inputs import load_records, read_model, refuse_errors
 from hybrid_id.cli.options import DatasetArgument, JsonOption, ModelOption, ThreadsOption, use_threads
 from hybrid_id.config import beside
 from hybrid_id.errors import InputError
+
+if TYPE_CHECKING:
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.records.quality import Finding
+    from hybrid_id.study import ModelCheck
+    from hybrid_id.systems.chain import System
 
 
 def check(
@@ -22,57 +29,73 @@ def check(
 
     Ends with exit code 0 when there are warnings only, and 2 when a fit would be meaningless.
     """
-    from hybrid_id.records.quality import check_dataset
+    from hybrid_id.records.quality import check_dataset, worst_first
 
     data = load_records(dataset)
+    if not as_json:
+        _show_records(data)
     findings = check_dataset(data)
+    if not as_json:
+        _show_findings(findings, full=full)
     path = model or (beside(dataset) if beside(dataset).exists() else None)
-    identified, based, contradicted = None, None, False
-    if path is not None:
+    found = system = None
+    if path is not None and not any(finding.severity == "error" for finding in findings):
         use_threads(threads)
-        from hybrid_id.records.quality import check_encoders, worst_first
-        from hybrid_id.study import check_base_parameters, check_identifiability, check_start_values
+        from hybrid_id.study import check_model
 
         system = read_model(path)
-        odd = check_encoders(data, system.own_ratios)
-        contradicted = any(finding.severity == "error" for finding in odd)
-        if not contradicted:  # else what the model would do means nothing, and takes its time
-            identified = check_identifiability(data, system)
-            based = check_base_parameters(data, system) if system.tree is not None else None
-            odd += check_start_values(data, system)
-        findings = worst_first([*odd, *findings])
+        with doing() as say:
+            found = check_model(data, system, say)
     if as_json:
         from hybrid_id.reporting.results import check_result
 
-        show_json("check", check_result(data, findings, identified, based))
-    else:
-        from hybrid_id.reporting.tables import (
-            MOST_ROWS,
-            base_parameters_table,
-            count,
-            findings_list,
-            identifiability_table,
-            records_table,
+        more = () if found is None else found.findings
+        show_json("check", check_result(data, worst_first([*more, *findings]), found))
+    elif path is None:
+        show(
+            f"no {beside(dataset)}: with a model (docs/formats.md), check says which of its parameters these "
+            "records identify"
         )
-
-        shown = [one for one in findings if full or one.severity != "info" or one.code == "resampled"]
-        show(records_table(data), "", findings_list(shown))
-        if hidden := len(findings) - len(shown):
-            show(f"({count(hidden, 'remark')} for information: --full)")
-        if identified is not None:
-            show("", f"What these records identify of {path}, at its start values and before any fit:")
-            show(identifiability_table(identified))
-            if based is not None:
-                show(
-                    "",
-                    "What any motion can say of the robot's masses and inertias, and what these records do:",
-                )
-                show(base_parameters_table(based, 0 if full else MOST_ROWS))
-        elif not contradicted:
-            show(
-                f"no {beside(dataset)}: with a model (docs/formats.md), check says which of its parameters these "
-                "records identify"
-            )
-    refuse_errors(findings)
-    if identified is not None and not identified.combinations and not identified.claimable.any():
+    elif found is not None and system is not None:
+        _show_model(found, system, path, full=full)
+    refuse_errors([*findings, *(() if found is None else found.findings)])
+    told = None if found is None else found.identified
+    if told is not None and not told.combinations and not told.claimable.any():
         raise InputError(f"the records identify nothing of {path}; make new ones in which the drive moves")
+
+
+def _show_records(data: "Dataset") -> None:
+    from hybrid_id.reporting.tables import records_table
+
+    show(records_table(data), "")
+
+
+def _show_findings(findings: "list[Finding]", *, full: bool) -> None:
+    from hybrid_id.reporting.tables import count, findings_list
+
+    shown = [one for one in findings if full or one.severity != "info" or one.code == "resampled"]
+    show(findings_list(shown))
+    if hidden := len(findings) - len(shown):
+        show(f"({count(hidden, 'remark')} for information: --full)")
+
+
+def _show_model(found: "ModelCheck", system: "System", path: Path, *, full: bool) -> None:
+    from hybrid_id.reporting.tables import (
+        MOST_ROWS,
+        base_parameters_table,
+        findings_list,
+        identifiability_table,
+    )
+    from hybrid_id.reporting.units import symbols_line
+
+    if found.findings:
+        show("", f"Against {path}:", findings_list(found.findings))
+    if found.identified is None:
+        show("", "What the records identify is not said: records and model contradict each other.")
+    else:
+        show("", f"What these records identify of {path}, at its start values and before any fit:")
+        show(identifiability_table(found.identified))
+        show(*symbols_line(system.table, " ".join(found.identified.names)))
+    if found.based is not None:
+        show("", "What any motion can say of the robot's masses and inertias, and what these records do:")
+        show(base_parameters_table(found.based, 0 if full else MOST_ROWS))

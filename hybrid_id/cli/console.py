@@ -4,7 +4,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -64,6 +65,14 @@ def counting(noun: str) -> Progress:
     return bar(
         TextColumn(noun), BarColumn(24), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()
     )
+
+
+@contextmanager
+def doing() -> Iterator[Callable[[str], None]]:
+    """Bar over what has no number of steps; yields what says in words which step runs."""
+    with bar(TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn()) as shown:
+        task = shown.add_task("", total=None)
+        yield lambda words: shown.update(task, description=words)
 
 
 class FitProgress:

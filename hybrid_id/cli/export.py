@@ -10,7 +10,7 @@ import typer
 
 from hybrid_id.cli.console import remark, show
 from hybrid_id.cli.folder import RESULT, refuse_file, result_file
-from hybrid_id.cli.inputs import load_records, read_model
+from hybrid_id.cli.inputs import read_model, records_to_replay
 from hybrid_id.cli.options import JsonOption, use_threads
 from hybrid_id.cli.results import write_last
 from hybrid_id.errors import InputError
@@ -153,7 +153,7 @@ def _mjcf(system: "System", check: Path | None, out: Path) -> "tuple[bytes, dict
         remark(
             f"meshes and includes are named as seen from {exported.home}: MuJoCo finds them where {out.name} lies there"
         )
-    rows = [] if check is None else agreement(system, exported, load_records(check))
+    rows = [] if check is None else agreement(system, exported, records_to_replay(check))
     checked = None if check is None else [vars(row) for row in rows]
     return exported.text.encode(), {"left_out": list(exported.notes), "check": checked}, rows
 

@@ -64,6 +64,7 @@ def identify(
     """Identify one parameter set for each train record (or one over all): variation, cross-validation, reliability.
 
     Writes report.html, result.json, parameters.csv, model.yaml, pictures and TensorBoard events.
+    Prefer train for residual networks beside the physics, and for another ODE solver.
     """
     config = config_of(
         source, model, out, window, identification__pooled=pooled, identification__starts=starts,

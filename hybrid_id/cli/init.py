@@ -14,6 +14,7 @@ import yaml
 from hybrid_id.cli.console import printable, remark, show, show_json
 from hybrid_id.cli.folder import RESULTS
 from hybrid_id.cli.options import JsonOption
+from hybrid_id.cli.schema import schema_line, schema_text
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
     from hybrid_id.systems.proposed_model import ProposedModel
 
 DATASET, MODEL = "dataset.yaml", "model.yaml"
+SCHEMAS = ".schema"
+"""Folder of the schemas beside both; hidden, so that nobody takes them for logs."""
 HEADS = ("about", "taken as", "sure", "evidence")
 UNSURE = ("placeholder", "not known")
 """How the evidence of a start value begins that is none."""
@@ -87,6 +90,7 @@ def init(
     texts = {
         DATASET: _dataset_text(proposal, root, folder, skews, left),
         MODEL: _model_text(_seen_from(model, folder)),
+        **{_schema_of(kind): schema_text(kind) for kind in ("dataset", "model")},
     }
     _write(folder, texts, proposal.logs if copies else [], base)
     _say(proposal, model, dataset, skews, left, folder, as_json, copies)
@@ -188,8 +192,9 @@ def _try(
     """Load what would be written, measure skews, and ask what `check` would object to."""
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.records.proposal_parts import Question
-    from hybrid_id.records.quality import check_dataset, check_encoders
+    from hybrid_id.records.quality import check_dataset
     from hybrid_id.records.skew import find_skews
+    from hybrid_id.study import check_scales
     from hybrid_id.systems.model_file import load_model
 
     with tempfile.TemporaryDirectory() as temporary:
@@ -202,10 +207,14 @@ def _try(
         except InputError as error:
             raise InputError(f"{str(error).replace(temporary, str(folder))}; nothing was written") from None
         skews = find_skews(dataset)
-        for finding in [*check_encoders(dataset, system.own_ratios), *check_dataset(dataset)]:
+        for finding in [*check_scales(dataset, system), *check_dataset(dataset)]:
             if finding.severity == "error":
                 proposal.questions.append(Question(f"'hybrid-id check' will refuse this: {finding.message}"))
     return skews, dataset
+
+
+def _schema_of(kind: str) -> str:
+    return f"{SCHEMAS}/{kind}.json"
 
 
 def _flow(values: Any) -> str:
@@ -241,6 +250,7 @@ def _dataset_text(
     """`dataset.yaml` with a comment at every guess."""
     late = {skew.channel: skew for skew in skews}
     lines = [
+        schema_line(_schema_of("dataset")),
         "# Written by 'hybrid-id init'. A comment above a line says why it is so; (?) marks what is not sure.",
         f"name: {_flow(folder.resolve().name or 'dataset')}",
     ]
@@ -293,7 +303,8 @@ def _questions(questions: Sequence[Any]) -> list[str]:
 def _model_text(model: "ProposedModel") -> str:
     """`model.yaml` with a comment at every start value."""
     lines = [
-        "# Written by 'hybrid-id init'. A comment above a line says where it is from; (?) marks what is not sure."
+        schema_line(_schema_of("model")),
+        "# Written by 'hybrid-id init'. A comment above a line says where it is from; (?) marks what is not sure.",
     ]
     for key, value in model.values.items():
         if why := model.why.get(key):
@@ -311,7 +322,7 @@ def _model_text(model: "ProposedModel") -> str:
 
 
 def _write(folder: Path, texts: Mapping[str, str], copied: "Sequence[Log]", base: Path) -> None:
-    """Write both files under temporary names and rename them; copy logs that lie elsewhere."""
+    """Write the files under temporary names and rename them; copy logs that lie elsewhere."""
     from hybrid_id.records.files import write_together
 
     for log in copied:
@@ -328,6 +339,7 @@ def _write(folder: Path, texts: Mapping[str, str], copied: "Sequence[Log]", base
             shutil.copytree(path, target)
         else:
             shutil.copyfile(path, target)
+    (folder / SCHEMAS).mkdir(exist_ok=True)
     write_together({folder / name: text for name, text in texts.items()})
 
 

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from hybrid_id.systems.chain import System
 
 UNEVEN = 1.5
+ABSURD = ("slow_step", "fast_step")
+"""Codes of findings whose errors no simulation may meet: it would not end."""
 MAX_WARNINGS = 5  # said before a fit; `check` says them all
 
 
@@ -57,6 +59,16 @@ def refuse_errors(findings: "list[Finding]") -> None:
     if errors:
         more = f" (and {len(errors) - 1} more; see 'hybrid-id check')" if len(errors) > 1 else ""
         raise InputError(errors[0].message + more)
+
+
+def records_to_replay(path: Path) -> "Dataset":
+    """Load records for a simulation, which is no fit and takes gaps; a step that cannot be meant ends the command."""
+    from hybrid_id.records.quality import check_sampling
+
+    dataset = load_records(path)
+    steps = [one for record in dataset for one in check_sampling(record) if one.code in ABSURD]
+    refuse_errors(steps)
+    return dataset
 
 
 def checked_records(config: StudyConfig) -> "Dataset":
@@ -118,12 +130,12 @@ def refuse_arm(system: "System", model: Path, command: str) -> None:
 def load_system(config: StudyConfig, dataset: "Dataset") -> "System":
     """The model of a study, started at what an earlier stage has found where the study names one.
 
-    Records whose encoders contradict its gear ratio end the command.
+    Records that contradict its gear ratio or the ranges of its joints end the command.
     """
-    from hybrid_id.records.quality import check_encoders
+    from hybrid_id.study import check_scales
 
     system, stage = read_model(config.model), config.previous
-    odd = check_encoders(dataset, system.own_ratios)
+    odd = check_scales(dataset, system)
     refuse_errors(odd)
     for finding in odd:
         remark(f"warning: {finding.message}")

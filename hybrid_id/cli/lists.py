@@ -14,8 +14,6 @@ COMPONENT_HEADS = ("kind", "place", "parameters [unit]", "law")
 EFFECT_HEADS = (
     "effect", "what it is; how large it usually is", "where", "laws", "smoothness", "easily mistaken for", "source"
 )  # fmt: skip
-ON_SCREEN = (0, 1, 2, 4, 6)
-"""The rest would leave too little room; what each is mistaken for stands in the second table."""
 PAIR_HEADS = ("effect", "mistaken for", "what distinguishes them")
 
 
@@ -59,8 +57,9 @@ def effects(markdown: MarkdownOption = False, as_json: JsonOption = False) -> No
     elif markdown:
         show(markdown_tables())
     else:
-        heads, *alone = (tuple(row[k] for k in ON_SCREEN) for row in (EFFECT_HEADS, *rows))
-        show(table(heads, alone), table(PAIR_HEADS, pairs))
+        width = max(len(name) for name, *_ in rows)
+        show(*(f"{name:<{width}}  {about}" for name, about, *_ in rows))
+        show("", table(PAIR_HEADS, pairs), "places, laws and sources: --markdown or --json")
 
 
 def markdown_tables() -> str:

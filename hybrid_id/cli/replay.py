@@ -7,7 +7,7 @@ import typer
 
 from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
-from hybrid_id.cli.inputs import check_window, load_records, read_model
+from hybrid_id.cli.inputs import check_window, read_model, records_to_replay
 from hybrid_id.cli.options import (
     DatasetArgument,
     ForceOption,
@@ -81,7 +81,7 @@ def _replay(
     twice = next((model for k, model in enumerate(models) if model in models[:k]), None)
     if twice is not None:
         raise InputError(f"model {twice} is given twice; give every model once")
-    dataset = load_records(path)
+    dataset = records_to_replay(path)
     if command == "simulate" and any(record.name == "comparison" for record in dataset.records):
         raise InputError(
             f"{path}: record 'comparison' is named as the table that simulate writes; give it another name"

@@ -62,6 +62,9 @@ def train(
 ) -> None:
     """Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.
 
+    Prefer it to identify for residual networks, for another ODE solver, and to watch a long fit in TensorBoard.
+    For physical parameters alone, identify is faster, and takes dry friction as it is where train smooths it.
+
     With a `hybrid` section in the study file, residual networks train beside the physics (configs/study_hybrid.yaml).
     While it runs, `tensorboard --logdir DIR` shows its history. Ctrl-C ends it with what it has; --resume goes on.
     """

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from pydantic import PrivateAttr, model_validator
+from pydantic import ConfigDict, PrivateAttr, model_validator
 
 from hybrid_id.config.ablation import Ablation
 from hybrid_id.config.sections import (
@@ -53,8 +53,23 @@ __all__ = [
 
 
 class StudyConfig(Section):
-    """All of a study file."""
+    """All of a study file.
 
+    Attributes:
+        dataset: folder with dataset.yaml, or a dataset file; paths are seen from the study file.
+        model: model file; model.yaml beside the records where it is left out.
+        previous: an earlier stage, whose identified values this one starts from.
+        preprocessing: what is done to the records first.
+        identification: how identify fits.
+        training: how train fits.
+        hybrid: residual networks beside the physics, for train.
+        ablation: what ablate compares.
+        gap: how diagnose searches.
+        statistics: what is computed after a fit.
+        output: where results go, and which.
+    """
+
+    model_config = ConfigDict(json_schema_extra={"required": ["dataset"]})
     dataset: Path
     model: Path
     previous: Previous | None = None

@@ -99,7 +99,7 @@ class Details:
         name = first if errors is None else max(errors.by_record, key=errors.by_record.__getitem__)
         part = self.dataset.select([name])
         fitted = {n: replay(part, m.system, engine=m.result.engine) for n, m in self._fitted.items()}
-        return Comparison({"nominal": replay(part, self.nominal)} | fitted)
+        return Comparison({"nominal": replay(part, self.nominal)} | fitted, outputs=part.outputs)
 
 
 def as_identified(fits: Fits, model: FittedModel, *, seed: int = 0, level: float = 0.95) -> Study:

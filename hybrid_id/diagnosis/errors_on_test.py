@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -40,6 +40,7 @@ class Errors:
         autocorrelation: share of the errors' mean square, in units of the measurements' weights, that neighbouring
             samples have in common; an offset of half a count is none, whether an encoder rounds or counts edges.
         over_noise: RMS of all errors in those units.
+        rmse: RMSE of each output in its SI unit, records averaged.
     """
 
     nrmse: float
@@ -49,6 +50,7 @@ class Errors:
     noise: float
     autocorrelation: float = 0.0
     over_noise: float = 0.0
+    rmse: dict[str, float] = field(default_factory=dict)
 
     def resampled(self, draw: list[list[np.ndarray]]) -> float:
         """Normalised RMSE of blocks drawn with replacement; ``draw`` holds the blocks of each record and output."""
@@ -85,7 +87,7 @@ def errors(
     batch, simulated = runs(system, engine, whole, horizon)
     length = max(1, round(BLOCK / batch.sample_time))
     declared = {channel.name: channel.noise_std or 0.0 for channel in dataset.outputs}
-    blocks, by_record, by_output, noise, weighted = [], {}, {}, [], []
+    blocks, by_record, by_output, plain, noise, weighted = [], {}, {}, {}, [], []
     for r, name in enumerate(whole.names):
         row, floors = [], []
         rows = [k for k, one in enumerate(batch.names) if one == name]
@@ -104,6 +106,7 @@ def errors(
                 means.append(np.add.reduceat(np.square(error), starts) / size / variance)
             row.append(np.concatenate(means))
             by_output.setdefault(output, []).append(float(np.sqrt(row[-1].mean())))
+            plain.setdefault(output, []).append(by_output[output][-1] * np.sqrt(variance))
             floors.append(declared.get(output, 0.0) / np.sqrt(variance))
         if not row:
             continue
@@ -120,6 +123,7 @@ def errors(
         float(np.mean(noise)),
         autocorrelation(weighted),
         float(np.sqrt(np.square(np.concatenate(weighted)).mean())),
+        {output: float(np.mean(values)) for output, values in plain.items()},
     )
 
 

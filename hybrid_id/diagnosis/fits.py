@@ -251,7 +251,8 @@ def with_priors_of(system: System, other: System) -> System:
     names = {(info.component, info.symbol): info for info in system.table}
     both = [(names[key], i.spec) for i in other.table if (key := (i.component, i.symbol)) in names]
     held = {
-        own.name: replace(own.spec, prior_mean=spec.prior_mean, prior_std=spec.prior_std) for own, spec in both
+        own.name: replace(own.spec, prior_mean=spec.prior_mean, prior_std=spec.prior_std)
+        for own, spec in both
     }
     return system.with_specs(held)
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hybrid_id.diagnosis.details import Details
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
@@ -13,8 +14,17 @@ from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
+from hybrid_id.study.notebook import as_html
 from hybrid_id.systems.chain import System
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+LIKELY = 0.2
+"""Probability below which an effect that is not selected stands in no table of a page or a notebook."""
+EFFECT_COLUMNS = [
+    "effect", "where", "probability", "share", "share_lower", "share_upper", "selected", "tied_with", "parameters"
+]  # fmt: skip
 FORMER_KEYS = {
     "left": "residual_after",
     "unknown_at": "unknown_location",
@@ -122,6 +132,41 @@ class Diagnosis:
         """The models that were fitted: ``re-fitted``, and ``corrected`` where that is another one."""
         return self.search.fitted
 
+    def table(self) -> pd.DataFrame:
+        """The effects that were tried, one row each, the selected ones first.
+
+        Columns: ``effect``, ``where``, ``probability``, ``share`` of the gap with ``share_lower`` and ``share_upper``
+        (NaN where it was not asked for), ``selected``, ``tied_with`` (the effects that these records cannot distinguish
+        from it) and ``parameters`` (symbol to value; their intervals are those of ``details.studies[-1].table()``).
+        """
+        import pandas as pd
+
+        nothing = (math.nan, math.nan)
+        rows = [
+            {
+                "effect": one.name,
+                "where": one.where,
+                "probability": one.probability,
+                "share": math.nan if one.share is None else one.share,
+                "share_lower": (one.share_interval or nothing)[0],
+                "share_upper": (one.share_interval or nothing)[1],
+                "selected": one.selected,
+                "tied_with": list(one.tied_with),
+                "parameters": {symbol: value for symbol, (value, _) in one.parameters.items()},
+            }
+            for one in self.effects
+        ]
+        return pd.DataFrame(rows, columns=EFFECT_COLUMNS)
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the effects that are selected or likely."""
+        table = self.table()
+        shown = table.loc[table["selected"] | (table["probability"] >= LIKELY)]
+        kept = [
+            line for line in self.summary().splitlines() if not line.startswith("  ") or "unexplained" in line
+        ]
+        return as_html(f"{self.case}: {kept[0]}", shown, map(str.strip, kept[1:]))
+
     def summary(self) -> str:
         """Verdict, place, effects and gap in a few lines; the command ``diagnose`` says the same in sentences."""
         lines = [f"verdict: {self.verdict}{' (interrupted)' if self.interrupted else ''}"]
@@ -178,7 +223,9 @@ class Diagnosis:
                 "shrink_interval": None if gap is None else list(gap.interval),
                 "by_output": {
                     name: {"nominal": self.nominal.by_output[name], "refit": value,
-                           "with_effect": self.with_effect.by_output[name]}
+                           "with_effect": self.with_effect.by_output[name],
+                           "rmse": {"nominal": self.nominal.rmse[name], "refit": self.refit.rmse[name],
+                                    "with_effect": self.with_effect.rmse[name]}}
                     for name, value in self.refit.by_output.items()
                 } if self.nominal and self.refit and self.with_effect else {},
                 "contradiction": self.contradiction,

@@ -60,7 +60,7 @@ class Selection:
 
     @property
     def compared(self) -> tuple[SelectionStep, ...]:
-        """The steps that say how probable effects are: short runs, where there are any, tell the first from its rivals."""
+        """The steps that say how probable effects are: short runs, if any, tell the first from its rivals."""
         return self.steps if self.near is None else (*self.near.steps, *self.steps[1:])
 
     @property

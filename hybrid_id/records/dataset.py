@@ -23,27 +23,39 @@ class Channel:
         name: `u1`, `q_m1`, ...: an identifier; docs/formats.md has the table of names.
         unit: SI unit, such as `V` or `rad/s`.
         noise_std: Standard deviation of the sensor's noise, in `unit`; None where it is not known.
+        logged: Unit of the files, in which values are shown; empty for `unit`.
     """
 
     name: str
     unit: str
     noise_std: float | None = None
+    logged: str = ""
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier() or self.name == "t":
             raise InputError(f"channel name '{self.name}' is not usable; give a name such as u1 or q_m1")
         try:
             si = to_si(self.unit, self.name)[0]
+            logged = to_si(self.logged or self.unit, self.name)[0]
         except InputError as error:
             raise InputError(f"channel '{self.name}': {error}") from None
         if si != self.unit:
             raise InputError(
                 f"channel '{self.name}': unit '{self.unit}' is not SI; convert its values to {si}"
             )
+        if logged != self.unit:
+            raise InputError(f"channel '{self.name}': logged unit '{self.logged}' is not one of {self.unit}")
         if self.noise_std is not None and not 0 < self.noise_std < np.inf:
             raise InputError(
                 f"channel '{self.name}': noise_std is {self.noise_std}; give one above 0, or none"
             )
+
+    @property
+    def shown(self) -> tuple[str, float]:
+        """Unit in which values are shown, and the factor that brings values in `unit` to it."""
+        if not self.logged:
+            return self.unit, 1.0
+        return self.logged, 1.0 / to_si(self.logged, self.name)[1]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,6 +17,8 @@ from hybrid_id.records.units import to_si
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 
 FILE_NAME = "dataset.yaml"
+SAVED = ("name", "unit", "noise_std")
+"""What a file holds of a channel whose values are in SI."""
 _BAM_INPUTS = {"goal1": "rad", "gain1": "1", "duty1": "1", "supply1": "V", "enable1": "1"}
 _BAM_OUTPUTS = {"q_m1": "rad", "v_m1": "rad/s"}
 
@@ -72,7 +74,7 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
     values = {"name": dataset.name, "sample_time": dataset.sample_time}
     for group in ("inputs", "outputs"):
         values[group] = [
-            {key: item for key, item in vars(channel).items() if item is not None}
+            {key: item for key in SAVED if (item := getattr(channel, key)) is not None}
             for channel in getattr(dataset, group)
         ]
     write_yaml(folder / FILE_NAME, plain(values) | {"records": entries})
@@ -80,9 +82,9 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
 
 def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:
     """Read all records of a checked dataset file."""
-    inputs, outputs = _channels(spec, "inputs", file), _channels(spec, "outputs", file)
     units = {"t": "s"} | {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)}
     _refuse_strange_columns(spec, units, file)
+    inputs, outputs = _channels(spec, "inputs", file), _channels(spec, "outputs", file)
     records = tuple(
         _read_record(entry, spec, units, data_file, file)
         for index, entry in enumerate(spec.records)
@@ -126,7 +128,10 @@ def _channels(spec: DatasetFile, group: str, file: Path) -> tuple[Channel, ...]:
     for index, entry in enumerate(getattr(spec, group)):
         try:
             unit, factor = to_si(entry.unit, entry.name)
-            channels.append(Channel(entry.name, unit, entry.noise_std and entry.noise_std * factor))
+            column = spec.columns.get(entry.name)
+            logged = (column.unit if column else None) or entry.unit
+            noise = entry.noise_std and entry.noise_std * factor
+            channels.append(Channel(entry.name, unit, noise, "" if logged == unit else logged))
         except InputError as error:
             raise InputError(f"{file}: key '{group}[{index}]': {error}") from None
     return tuple(channels)
@@ -143,7 +148,7 @@ def _refuse_strange_columns(spec: DatasetFile, units: Mapping[str, str], file: P
                     f"{file}: key '{key}.{channel}' is no channel; channels are {', '.join(units)}"
                 )
             try:
-                to_si(column.unit or units[channel], channel)
+                _ = column.unit and to_si(column.unit, channel)
             except InputError as error:
                 raise InputError(f"{file}: key '{key}.{channel}': {error}") from None
 

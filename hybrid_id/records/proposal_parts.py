@@ -14,19 +14,31 @@ from hybrid_id.records.proposal import DriveFit, Guess
 
 
 class MotorSheet(BaseModel):
-    """What a data sheet says of the drive, in SI units and at the motor's shaft; all of it may be left out."""
+    """What a data sheet says of the drive, in SI units and at the motor's shaft; all of it may be left out.
+
+    Attributes:
+        gear_ratio: turns of the motor for one of the joint; a list gives one number a joint.
+        torque_constant: [N m/A].
+        back_emf_constant: [V s/rad].
+        resistance: of the winding [ohm].
+        inertia: of the rotor [kg m^2].
+        voltage: of the supply [V].
+        counts_per_turn: of the encoder.
+        servo: sts3215 or xl330_m288.
+        p: register P of that servo.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     gear_ratio: float | list[float] | None = None
-    torque_constant: float | None = Field(default=None, gt=0)  # N m/A
-    back_emf_constant: float | None = Field(default=None, gt=0)  # V s/rad
-    resistance: float | None = Field(default=None, gt=0)  # ohm
-    inertia: float | None = Field(default=None, gt=0)  # kg m^2, rotor
-    voltage: float | None = Field(default=None, gt=0)  # V, supply
+    torque_constant: float | None = Field(default=None, gt=0)
+    back_emf_constant: float | None = Field(default=None, gt=0)
+    resistance: float | None = Field(default=None, gt=0)
+    inertia: float | None = Field(default=None, gt=0)
+    voltage: float | None = Field(default=None, gt=0)
     counts_per_turn: float | None = Field(default=None, gt=0)
-    servo: str | None = None  # sts3215 or xl330_m288
-    p: float | None = Field(default=None, gt=0)  # register P of that servo
+    servo: str | None = None
+    p: float | None = Field(default=None, gt=0)
 
     def ratio(self, number: int) -> float:
         """Gear ratio of the joint of a number; 1 where the sheet has none."""

@@ -253,7 +253,8 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
 
 
 MIN_SAMPLES = 200
-SLOW_STEP = 0.2  # s; nobody samples a drive that slowly, but 5 kHz stamped in ms looks like it
+SLOW_STEP = 0.2  # s; hardly anybody samples a drive that slowly, but 5 kHz stamped in ms looks like it
+STEPS = 5e-6, 1.0  # s; no drive is sampled faster or slower, so that the stamps are in another unit
 STAMPS = ((1e2, "ms", "unit: ms"), (1e5, "us", "unit: us"), (np.inf, "ns", "scale: 1.0e-9"))
 """Units of stamps by the step below which they explain one that is too long, and what says so."""
 UNEQUAL = 10.0  # ratio of two records' steps
@@ -268,10 +269,16 @@ def check_sampling(record: Record) -> Iterator[Finding]:
     if step >= SLOW_STEP:
         unit, key = next((u, k) for most, u, k in STAMPS if step < most)
         words = (
-            f"{name}: its samples are {step:.4g} s apart, too far for most drives; if its stamps are in {unit}, set "
-            f"'t: {{column: t, {key}}}' under 'columns'"
+            f"{record.title}: its samples are {step:.4g} s apart, too far for most drives; if its stamps are in "
+            f"{unit}, set 't: {{column: t, {key}}}' under 'columns' in the dataset file"
         )
-        yield Finding("warning", "slow_step", words, name)
+        yield Finding("error" if step >= STEPS[1] else "warning", "slow_step", words, name)
+    if step < STEPS[0]:
+        words = (
+            f"{record.title}: its samples are {step:.4g} s apart, closer than any drive is sampled; correct 'unit' and "
+            "'scale' of t under 'columns' in the dataset file: stamps in seconds need neither"
+        )
+        yield Finding("error", "fast_step", words, name)
     if gaps := find_gaps(record):
         places = "place" if len(gaps) == 1 else "places"
         longest = np.floor(max(length for _, length in gaps) / step) + 1
@@ -305,7 +312,7 @@ def check_steps(dataset: Dataset) -> Iterator[Finding]:
 
 OFF, WRONG = 0.02, 0.2
 """Relative difference between the records' ratio and the model's that is said, and from which no fit means anything."""
-TOGETHER = 0.8
+ONE_GEAR = 0.8
 """Correlation below which two angles hardly belong to one gear, unless it is very soft."""
 MOVES = 20.0
 """Standard deviation of an angle over its noise from which it moves."""
@@ -334,7 +341,7 @@ def check_encoders(dataset: Dataset, gear_ratio: Sequence[float | None]) -> list
             continue  # noise has no ratio
         together = float(a @ b) / float(np.linalg.norm(a) * np.linalg.norm(b))
         seen = float(np.linalg.norm(a) / np.linalg.norm(b)) * (1.0 if together > 0 else -1.0)
-        if abs(together) < TOGETHER:
+        if abs(together) < ONE_GEAR:
             words = (
                 f"joint {n}: {motor} and {link} hardly move together (correlation {together:.2f}); {link} is to be the "
                 "angle between this link and the one before it"
@@ -347,7 +354,7 @@ def check_encoders(dataset: Dataset, gear_ratio: Sequence[float | None]) -> list
             )
         else:
             continue
-        grave = abs(together) >= TOGETHER and abs(seen / ratio - 1.0) > WRONG
+        grave = abs(together) >= ONE_GEAR and abs(seen / ratio - 1.0) > WRONG
         found.append(Finding("error" if grave else "warning", "gear_ratio", words, channel=link))
     return found
 

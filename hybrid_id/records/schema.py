@@ -28,6 +28,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hybrid_id.records.resample import MAX_GAP
+from hybrid_id.records.units import spellings
+from hybrid_id.records.yaml_file import one_of
 
 Format = Literal["csv", "parquet", "mat", "bam", "bag", "npz", "lerobot"]
 
@@ -37,24 +39,37 @@ class _Part(BaseModel):
 
 
 class ChannelEntry(_Part):
-    """One input or output; `unit` is that of the files, and so is `noise_std`; `skew` is in seconds."""
+    """One input or output.
+
+    Attributes:
+        name: its stem and the number of its joint: u1 (voltage), q_m1 (motor's angle), q_a1 (link's angle), ...
+        unit: of the values in the files; they become SI on loading.
+        noise_std: standard deviation of the sensor's noise, in that unit; estimated where it is left out.
+        skew: how much later than the others it is recorded [s].
+    """
 
     name: str
-    unit: str
+    unit: str = Field(json_schema_extra=one_of(spellings))
     noise_std: float | None = Field(default=None, gt=0)
     skew: float = 0.0
 
 
 class ColumnEntry(_Part):
-    """Where a channel's values are: value = scale * (column, unwrapped, less zero), in `unit`."""
+    """Where a channel's values are: value = scale * (column, unwrapped, less zero), in `unit`.
+
+    Attributes:
+        column: its name in the files.
+        scale: what its numbers are multiplied by; -1 turns a sign.
+        zero: the file's number where the channel is 0.
+        unit: of the result, where it is another than the channel's.
+        unwrap: period of a counter or an angle that jumps, in the file's numbers.
+    """
 
     column: str
     scale: float = 1.0
-    zero: float = 0.0  # the file's number where the channel is 0
-    unit: str | None = None
-    unwrap: float | None = Field(
-        default=None, gt=0
-    )  # period of a counter or angle that jumps, in the file's numbers
+    zero: float = 0.0
+    unit: str | None = Field(default=None, json_schema_extra=one_of(spellings))
+    unwrap: float | None = Field(default=None, gt=0)
 
     @field_validator("scale")
     @classmethod
@@ -65,15 +80,37 @@ class ColumnEntry(_Part):
 
 
 class ResampleEntry(_Part):
-    """Options of `resample_record`."""
+    """A uniform grid for stamps that are none.
+
+    Attributes:
+        sample_time: its step [s]; the median one where it is left out.
+        inputs: mean of the held command over the new step, or its value there.
+        max_gap: longest gap that is bridged, in median steps.
+    """
 
     sample_time: float | None = Field(default=None, gt=0)
     inputs: Literal["average", "hold"] = "average"
     max_gap: float = Field(default=MAX_GAP, gt=1)
 
 
+Columns = dict[str, str | ColumnEntry]
+"""What ``columns`` may be in a file."""
+
+
 class RecordEntry(_Part):
-    """One record, or by a pattern in `file` several."""
+    """One record, or by a pattern in `file` several.
+
+    Attributes:
+        file: inside the dataset's folder; * stands for any characters.
+        name: that of the file where it is left out.
+        role: train is fitted, validation chooses between models, test measures at the end.
+        note: what was done, for people.
+        format: where the file's ending does not say it.
+        columns: where the files of this record name things otherwise than the others.
+        episode: of a LeRobot dataset whose file holds several.
+        between: only the samples stamped between these two [s].
+        meta: facts that hold throughout the record, payload or temperature say.
+    """
 
     file: str = Field(min_length=1)
     name: str | None = None
@@ -81,11 +118,13 @@ class RecordEntry(_Part):
     note: str = ""
     format: Format | None = None
     columns: dict[str, ColumnEntry] = {}
-    episode: int | None = Field(default=None, ge=0)  # of a LeRobot dataset whose file holds several
-    between: tuple[float, float] | None = None  # s; only the samples stamped between these two
+    episode: int | None = Field(default=None, ge=0)
+    between: tuple[float, float] | None = None
     meta: dict[str, float | str] = {}
 
-    _columns = field_validator("columns", mode="before")(lambda value: _short_columns(value))
+    _columns = field_validator("columns", mode="before", json_schema_input_type=Columns)(
+        lambda value: _short_columns(value)
+    )
 
     @field_validator("file")
     @classmethod
@@ -101,7 +140,18 @@ class RecordEntry(_Part):
 
 
 class DatasetFile(_Part):
-    """All of `dataset.yaml`."""
+    """Records of one machine: what was commanded, what was measured, and the files that hold it.
+
+    Attributes:
+        name: short name.
+        sample_time: step that all records share [s]; the stamps count where it is left out.
+        inputs: what was commanded.
+        outputs: what was measured; every one that is listed is fitted.
+        records: the files.
+        format: of all files, where their ending does not say it.
+        columns: channel (or t) to the column that holds it, where the files name things otherwise.
+        resample: true, or options: brings jittered stamps to a uniform grid.
+    """
 
     name: str = Field(min_length=1)
     sample_time: float | None = Field(default=None, gt=0)
@@ -112,9 +162,11 @@ class DatasetFile(_Part):
     columns: dict[str, ColumnEntry] = {}
     resample: ResampleEntry | None = None
 
-    _columns = field_validator("columns", mode="before")(lambda value: _short_columns(value))
+    _columns = field_validator("columns", mode="before", json_schema_input_type=Columns)(
+        lambda value: _short_columns(value)
+    )
 
-    @field_validator("resample", mode="before")
+    @field_validator("resample", mode="before", json_schema_input_type=bool | ResampleEntry | None)
     @classmethod
     def _short_resample(cls, value: Any) -> Any:
         return {True: {}, False: None}[value] if isinstance(value, bool) else value

@@ -71,6 +71,11 @@ def stem(channel: str) -> str:
     return re.sub(r"\d+$", "", channel)
 
 
+def spellings() -> list[str]:
+    """Every unit that files may come in, as it is written there."""
+    return list(_TO_SI)
+
+
 def to_si(unit: str, channel: str) -> tuple[str, float]:
     """Return the SI unit of a channel and the factor that brings values in `unit` to it.
 

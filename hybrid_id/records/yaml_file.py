@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -19,6 +19,9 @@ ODD_NUMBER = re.compile(r"[-+]?([1-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?|0[0-7_]+
 """What YAML takes for a number to base 60 or 8, and nobody else does: ``1:40`` is 100, ``0100`` is 64."""
 KINDS = {"study": "dataset", "dataset": "records", "model": "system"}
 """Kinds of files, and a key that each must have."""
+DRAFT = "https://json-schema.org/draft/2020-12/schema"
+ATTRIBUTE = re.compile(r"^ {4}(\w+(?:, \w+)*): (.*(?:\n {5,}.*)*)", re.MULTILINE)
+"""Names in an ``Attributes`` section of a docstring, and what is said of them."""
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
@@ -77,6 +80,32 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
         faults = _without_misspelt(error.errors(include_url=False))
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {_sentence(faults[0], schema)}{more}") from None
+
+
+def editor_schema(schema: type[BaseModel]) -> dict[str, Any]:
+    """JSON schema of a file, by which an editor completes its keys, shows what they mean and marks faults.
+
+    The ``Attributes`` of a model's docstring become the descriptions of its keys.
+    """
+    found = schema.model_json_schema()
+    for part in (found, *found.get("$defs", {}).values()):
+        words, _, attributes = part.get("description", "").partition("\n\nAttributes:\n")
+        part["description"] = " ".join(words.split())
+        for names, about in ATTRIBUTE.findall(attributes):
+            for name in names.split(", "):
+                part["properties"][name]["description"] = " ".join(about.split())
+    return {"$schema": DRAFT, **found}
+
+
+def one_of(names: Callable[[], Iterable[str]]) -> Callable[[dict[str, Any]], None]:
+    """For ``Field(json_schema_extra=...)``: the words that a text may be, where another check refuses all others."""
+
+    def extend(schema: dict[str, Any]) -> None:
+        for text in (schema, *schema.get("anyOf", [])):
+            if text.get("type") == "string":
+                text["enum"] = list(names())
+
+    return extend
 
 
 def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:

@@ -8,12 +8,11 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.diagnosis.result import LIKELY, Diagnosis
 from hybrid_id.errors import InputError
 from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.diagnosis_words import (
     LEAST_SHARE,
-    LIKELY,
     capital,
     caution_lines,
     change_lines,
@@ -40,6 +39,7 @@ from hybrid_id.reporting.page import Page, Section
 from hybrid_id.reporting.residuals import residual_blocks
 from hybrid_id.reporting.study import JUDGED, LEGEND, combinations_table, reliability_cells
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
+from hybrid_id.reporting.units import shown_unit
 from hybrid_id.study import Study
 from hybrid_id.systems.chain import System
 
@@ -102,23 +102,24 @@ def parameters_table(diagnosis: Diagnosis) -> Table:
     models = (nominal, *(one.selected_model for one in studies))
     infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
     for name, info in infos.items():
-        cells = [cell for one in studies for cell in _estimate(one, name)]
+        unit, factor = shown_unit(info.spec.unit, last.outputs)
+        cells = [cell for one in studies for cell in _estimate(one, name, factor)]
         grades = reliability_cells(last, name) if name in last.names else []
-        rows.append((name, info.doc, _value(nominal, name), *cells, info.spec.unit, *grades))
+        rows.append((name, info.doc, _value(nominal, name, factor), *cells, unit, *grades))
     return table(("parameter", "meaning", "nominal>", *heads, "unit", *JUDGED), rows)
 
 
-def _estimate(study: Study, name: str) -> tuple[str, str]:
-    """Value of a parameter in a fitted model, and its interval."""
-    text = _value(study.selected_model, name)
+def _estimate(study: Study, name: str, factor: float) -> tuple[str, str]:
+    """Value of a parameter in a fitted model times a factor, and its interval."""
+    text = _value(study.selected_model, name, factor)
     if name not in study.names:
         return text, ""
-    return text, interval_words(*study.intervals(0)[study.names.index(name)])
+    return text, interval_words(*(factor * study.intervals(0)[study.names.index(name)]))
 
 
-def _value(system: System, name: str) -> str:
+def _value(system: System, name: str, factor: float) -> str:
     try:
-        return f"{system.parameter(name).spec.value:.4g}"
+        return f"{factor * system.parameter(name).spec.value:.4g}"
     except InputError:
         return ""
 

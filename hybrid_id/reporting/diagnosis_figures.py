@@ -139,16 +139,23 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
     for axes, one in zip(panels, shown, strict=True):
         exponent = power_of_ten(one.torque)
         axes.axhline(0.0, color="black", lw=0.5)
-        axes.plot(one.grid, one.torque / 10.0**exponent, color=MODELS["re-fitted"], label="re-fitted model")
+        unit, factor, torque_unit = units_of(dataset, one.joint)
+        factor = factor if one.signal in ("angle", "speed") else 1.0
+        axes.plot(
+            factor * one.grid,
+            one.torque / 10.0**exponent,
+            color=MODELS["re-fitted"],
+            label="re-fitted model",
+        )
         if diagnosis.selected and (left := after.get(_key(one))) is not None and len(left.grid):
             torque, colour = left.torque / 10.0**exponent, MODELS["corrected"]
-            axes.plot(left.grid, torque, color=colour, ls=DASHES[1], label="corrected model")
+            axes.plot(factor * left.grid, torque, color=colour, ls=DASHES[1], label="corrected model")
         axes.set(
-            xlabel=_axis(dataset, one),
-            ylabel=f"missing torque {scaled_unit(units_of(dataset, one.joint)[1], exponent)}",
+            xlabel=_axis(dataset, one, unit),
+            ylabel=f"missing torque {scaled_unit(torque_unit, exponent)}",
         )
         axes.set_title(f"{side_words(one.joint, one.side)}: {100 * max(one.share, 0.0):.0f} %", loc="left")
-        axes.set_xlim(one.grid[0], one.grid[-1])
+        axes.set_xlim(factor * one.grid[0], factor * one.grid[-1])
     legend_above(figure, panels[0])
     return figure
 
@@ -212,11 +219,12 @@ def torque_map_figure(dataset: Dataset, maps: Sequence[Mapping[str, TorqueMap]])
     figure = new_figure(2.3 * len(maps) + 0.2)
     grid = figure.subplots(len(maps), len(maps[0]), squeeze=False)
     for panels, of_joint in zip(grid, maps, strict=True):
-        angle_unit, torque_unit = units_of(dataset, next(iter(of_joint.values())).joint)
+        angle_unit, factor, torque_unit = units_of(dataset, next(iter(of_joint.values())).joint)
         reach = max(float(np.nanmax(np.abs(one.torque))) for one in of_joint.values()) or 1.0
         for axes, (name, one) in zip(panels, of_joint.items(), strict=True):
             image = axes.pcolormesh(
-                one.angle, one.speed, one.torque, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
+                factor * one.angle, factor * one.speed, one.torque, cmap="RdBu_r", vmin=-reach, vmax=reach,
+                rasterized=True,
             )  # fmt: skip
             side = "link" if one.side == "load" else "motor"
             axes.set(
@@ -233,51 +241,56 @@ def torque_map_figure(dataset: Dataset, maps: Sequence[Mapping[str, TorqueMap]])
 def reversal_figure(dataset: Dataset, left: Mapping[str, Sequence[Reversals]]) -> Figure:
     """A panel an angle: mean error after a reversal, and its standard error, of every model."""
     outputs = [one.output for one in next(iter(left.values()))][:ANGLES]
-    units = {channel.name: channel.unit for channel in dataset.outputs}
+    units = {channel.name: channel.shown for channel in dataset.outputs}
     figure = new_figure(2.1 * len(outputs) + 0.2)
     panels = np.ravel(figure.subplots(len(outputs), 1, squeeze=False))
     for axes, output in zip(panels, outputs, strict=True):
         axes.axhline(0.0, color="black", lw=0.5)
-        counts = 0
+        counts, (unit, factor) = 0, units[output]
         for k, (name, tests) in enumerate(left.items()):
             one = next((t for t in tests if t.output == output), None)
             if one is None:
                 continue
             counts = one.count
-            axes.plot(one.time, one.mean, color=MODELS[name], ls=DASHES[k], label=f"{name} model")
+            axes.plot(one.time, factor * one.mean, color=MODELS[name], ls=DASHES[k], label=f"{name} model")
             for side in (-1.0, 1.0):
                 label = f"{name} model ± standard error" if side > 0 else None
                 axes.plot(
                     one.time,
-                    one.mean + side * one.error,
+                    factor * (one.mean + side * one.error),
                     color=MODELS[name],
                     lw=0.5,
                     alpha=0.7,
                     label=label,
                 )
-        axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(units[output], 0)}")
+        axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(unit, 0)}")
         axes.set_title(f"{symbol(output)}, {counts} reversals", loc="left")
         axes.set_xlim(0.0, None)
     legend_above(figure, panels[0], 2)
     return figure
 
 
-def units_of(dataset: Dataset, joint: str) -> tuple[str, str]:
-    """Units of a joint's angle and torque; a linear axis has a way and a force."""
+def units_of(dataset: Dataset, joint: str) -> tuple[str, float, str]:
+    """Unit of a joint's angle as it was logged, its factor from SI, and unit of its torque.
+
+    A linear axis has a way and a force.
+    """
     number = joint.removeprefix("joint")
-    angle = next((c.unit for c in dataset.outputs if c.name in (f"q_m{number}", f"q_a{number}")), "rad")
-    return angle, "N" if angle == "m" else "N m"
+    angle = next((c for c in dataset.outputs if c.name in (f"q_m{number}", f"q_a{number}")), None)
+    if angle is None:
+        return "rad", 1.0, "N m"
+    return *angle.shown, "N" if angle.unit == "m" else "N m"
 
 
 def _key(one: Location) -> tuple[str, str, str]:
     return one.joint, one.side, one.signal
 
 
-def _axis(dataset: Dataset, one: Location) -> str:
+def _axis(dataset: Dataset, one: Location, angle_unit: str) -> str:
     """Axis label of the signal that a missing torque depends on."""
     side = "link" if one.side == "load" else "motor"
     if one.signal != "command":
-        return f"{side} {one.signal} [{units_of(dataset, one.joint)[0]}{'/s' * (one.signal == 'speed')}]"
+        return f"{side} {one.signal} [{angle_unit}{'/s' * (one.signal == 'speed')}]"
     drives = [f"{stem}{one.joint.removeprefix('joint')}" for stem in ("u", "duty", "tau", "i")]
     text = next((unit(channel.unit) for channel in dataset.inputs if channel.name in drives), "")
     return f"command [{text}]" if text else "command"

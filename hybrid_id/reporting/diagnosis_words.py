@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import combinations
 
+import numpy as np
+
 from hybrid_id.diagnosis.catalogue import effect, separation
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.errors_on_test import Errors
@@ -13,11 +15,10 @@ from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.reporting.tables import count, interval_words
+from hybrid_id.reporting.units import in_unit, shown_unit
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
-LIKELY = 0.2
-"""Probability below which an effect stands in no table of a page."""
 WORSE = 1.5
 """Error of the re-fitted model over that of the nominal one from which it is said."""
 NAMED = 4
@@ -189,10 +190,8 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
         ]
     last = diagnosis.with_effect if "corrected" in diagnosis.fitted or diagnosis.varying else None
     records = count(len(nominal.by_record), "test record")
-    outputs = "; ".join(
-        f"{output} {_errors_words(*(m.by_output[output] for m in (nominal, refit, last) if m is not None))}"
-        for output in nominal.by_output
-    )
+    models = [one for one in (nominal, refit, last) if one is not None]
+    outputs = "; ".join(_errors_words(diagnosis, output, models) for output in nominal.by_output)
     floor = "noise floor, by repeated records," if gap.repeated else "noise floor"
     lines = [f"NRMSE on {records}, {diagnosis.horizon}: {outputs}; {floor} {gap.floor:.3g}."]
     if last is not None:
@@ -208,9 +207,13 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
     return lines
 
 
-def _errors_words(nominal: float, refit: float, corrected: float | None = None) -> str:
-    last = "" if corrected is None else f", corrected {corrected:.3g}"
-    return f"nominal {nominal:.3g}, re-fitted {refit:.3g}{last}"
+def _errors_words(diagnosis: Diagnosis, output: str, models: Sequence[Errors]) -> str:
+    """Normalised errors of the models in one output, then the errors in the unit that was logged."""
+    system, channels = diagnosis.details.nominal, diagnosis.details.dataset.outputs
+    names = ("nominal", "re-fitted", "corrected")
+    said = [f"{name} {one.by_output[output]:.3g}" for name, one in zip(names, models, strict=False)]
+    *values, unit = in_unit(output, [one.rmse[output] for one in models], channels, system)
+    return f"{output} {', '.join(said)} (RMSE {', '.join(values)} {unit})"
 
 
 def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
@@ -348,7 +351,9 @@ def values_of(diagnosis: Diagnosis, one: RatedEffect) -> list[str]:
     intervals = dict(zip(study.names, study.intervals(0), strict=True))
     for symbol, (value, _) in one.parameters.items():
         if info := infos.get(symbol):
-            found.append(f"{info.doc} {symbol} {measured(value, intervals.get(info.name), info.spec.unit)}")
+            unit, factor = shown_unit(info.spec.unit, study.outputs)
+            ends = None if info.name not in intervals else factor * intervals[info.name]
+            found.append(f"{info.doc} {symbol} {measured(factor * value, ends, unit)}")
     return found
 
 
@@ -358,7 +363,7 @@ def _infos(diagnosis: Diagnosis, one: RatedEffect) -> dict[str, ParameterInfo]:
     return {i.symbol: i for i in diagnosis.model.table if i.component in keys}
 
 
-def measured(value: float, interval: Sequence[float] | None, unit: str) -> str:
+def measured(value: float, interval: Sequence[float] | np.ndarray | None, unit: str) -> str:
     """A value with its interval and unit; what is held has no interval, what is not identified says so."""
     sure = ""
     if interval is not None:

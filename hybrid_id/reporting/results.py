@@ -16,7 +16,7 @@ from hybrid_id.records.files import plain
 from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.uncertainty import normal_interval
-from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, Replay, Study
+from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, ModelCheck, Replay, Study
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import save_model
 
@@ -54,6 +54,7 @@ def study_result(study: Study) -> dict[str, Any]:
             "std": selection.std,
         },
         "test_nrmse": study.test_nrmse,
+        "test_errors": {name: vars(one) for name, one in study.test_errors.items()},
         "engine_error": study.engine_error,
         "profiles": {name: vars(one) for name, one in study.profiles.items()},
     }
@@ -181,10 +182,10 @@ def identifiability_result(identified: Identifiability) -> dict[str, Any]:
 def check_result(
     dataset: Dataset,
     findings: Sequence[Finding],
-    identified: Identifiability | None,
-    based: BaseParameterCheck | None = None,
+    found: ModelCheck | None,
 ) -> dict[str, Any]:
     """Result of a check as plain data."""
+    identified, based = (None, None) if found is None else (found.identified, found.based)
     return {
         "dataset": dataset.name,
         "records": [
@@ -229,7 +230,13 @@ def comparison_result(comparison: Comparison) -> dict[str, Any]:
     """Fits of several models as plain data."""
     return {
         label: {
-            r.record.name: {"role": r.record.role, "status": r.status, "fit_percent": r.fit, "nrmse": r.nrmse}
+            r.record.name: {
+                "role": r.record.role,
+                "status": r.status,
+                "fit_percent": r.fit,
+                "nrmse": r.nrmse,
+                "rmse": r.rmse,
+            }
             for r in replays
         }
         for label, replays in comparison.replays.items()
@@ -281,8 +288,8 @@ def write_replay(path: Path, replay: Replay) -> None:
 
 
 def write_comparison(path: Path, comparison: Comparison) -> None:
-    """One row for each model, record and output: fit and normalised RMSE."""
-    heads = ("model", "record", "role", "output", "fit_percent", "nrmse", "status")
+    """One row for each model, record and output: fit, normalised RMSE, and RMSE in SI."""
+    heads = ("model", "record", "role", "output", "fit_percent", "nrmse", "rmse", "status")
     rows = (
         (
             label,
@@ -291,6 +298,7 @@ def write_comparison(path: Path, comparison: Comparison) -> None:
             signal,
             f"{r.fit[signal]:.6g}",
             f"{r.nrmse[signal]:.6g}",
+            f"{r.rmse[signal]:.6g}",
             r.status,
         )
         for label, replays in comparison.replays.items()

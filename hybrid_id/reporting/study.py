@@ -23,6 +23,7 @@ from hybrid_id.reporting.tables import (
     table,
     two_a_row,
 )
+from hybrid_id.reporting.units import in_unit, shown_unit
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
 from hybrid_id.systems.chain import System
@@ -42,16 +43,18 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
     value, prior, bounds), for which a terminal has no room.
     """
     intervals, spread = study.intervals(), study.variation
-    heads = ["parameter", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
+    heads = ["parameter", "meaning", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
     heads += [f"{100 * study.level:g} % interval>", "unit"]
     heads += [] if spread is None else ["mean of sets>", "std/mean>"]
     rows = []
     for k, name in enumerate(study.names):
-        value = study.selected.values[k]
-        row = [name, f"{value:.5g}", interval_words(*intervals[k]), study.selected.units[k]]
+        info = study.selected_model.parameter(name)
+        unit, factor = shown_unit(info.spec.unit, study.outputs)
+        value = factor * study.selected.values[k]
+        row = [name, info.doc, f"{value:.5g}", interval_words(*(factor * intervals[k])), unit]
         if spread is not None:
             colour = "" if spread.acceptable[k] or spread.held[k] else "red"
-            row += [f"{spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
+            row += [f"{factor * spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
         word, *_, why = reliability_cells(study, name)
         rows.append([*row, word, why] if full else [*row, word])
     found = table([*heads, "reliability", "why"] if full else [*heads, "reliability"], rows)
@@ -62,35 +65,42 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
 def start_table(study: Study) -> Table:
     """What the fit started from: nominal value, prior and bounds of each parameter."""
     heads = ("parameter", "nominal>", "prior std>", "lower bound>", "upper bound>", "unit")
-    rows = (
-        [name, *start_cells(study.system, name), *bound_cells(study.selected_model, name), unit]
-        for name, unit in zip(study.names, study.selected.units, strict=True)
-    )
+    rows = []
+    for name, unit in zip(study.names, study.selected.units, strict=True):
+        unit, factor = shown_unit(unit, study.outputs)
+        start = start_cells(study.system, name, factor)
+        rows.append([name, *start, *bound_cells(study.selected_model, name, factor), unit])
     return table(heads, rows)
 
 
-def start_cells(system: System, name: str) -> list[str]:
-    """Nominal value of a parameter, and its prior's standard deviation, with the prior's mean where that is another."""
+def start_cells(system: System, name: str, factor: float = 1.0) -> list[str]:
+    """Nominal value of a parameter, and its prior's standard deviation, with the prior's mean where that is another.
+
+    ``factor`` brings them to the unit in which they are shown.
+    """
     spec = system.parameter(name).spec
+    value = f"{factor * spec.value:.5g}"
     if spec.prior_std is None:
-        return [f"{spec.value:.5g}", "none"]
-    about = "" if spec.prior_mean in (None, spec.value) else f" about {spec.prior_mean:.5g}"
-    return [f"{spec.value:.5g}", f"{spec.prior_std:.3g}{about}"]
+        return [value, "none"]
+    other = spec.prior_mean is not None and spec.prior_mean != spec.value
+    about = f" about {factor * spec.prior_mean:.5g}" if other and spec.prior_mean is not None else ""
+    return [value, f"{factor * spec.prior_std:.3g}{about}"]
 
 
 def reliability_cells(study: Study, name: str) -> list[Text]:
     """Reliability, lower and upper bound of a parameter of the selected set, and why it is not more reliable."""
     one = study.reliability[study.names.index(name)]
     word, why = one.words, "" if one.grade == "A" else one.reason
-    return [Text(word, style=_STYLE[word]), *bound_cells(study.selected_model, name), Text(why)]
+    _, factor = shown_unit(study.selected_model.parameter(name).spec.unit, study.outputs)
+    return [Text(word, style=_STYLE[word]), *bound_cells(study.selected_model, name, factor), Text(why)]
 
 
-def bound_cells(system: System, name: str) -> list[Text]:
-    """Lower and upper bound of a parameter, in its unit; the one that its value has reached is marked."""
+def bound_cells(system: System, name: str, factor: float = 1.0) -> list[Text]:
+    """Lower and upper bound of a parameter times a factor; the one that its value has reached is marked."""
     spec, cells = system.parameter(name).spec, []
     for bound in (spec.lower, spec.upper):
         at = abs(spec.value - bound) <= 1e-9 * max(abs(spec.value), 1e-300)
-        words = f"{bound:.4g}" if np.isfinite(bound) else "none"
+        words = f"{factor * bound:.4g}" if np.isfinite(bound) else "none"
         cells.append(Text(f"{words}, reached", style="red") if at else Text(words))
     return cells
 
@@ -130,12 +140,20 @@ def _remarks(study: Study) -> list[str]:
         lines.append(f"selection: {study.selection.summary()}")
     if study.test_nrmse:
         seen = count(len(study.test_nrmse), "record")
-        lines.append(f"test: normalised RMSE {study.test_error:.4g} on {seen} that no fit has seen")
+        lines.append(f"test: RMSE on {seen} that no fit has seen: {test_words(study)}")
     lines.append(f"integration error (step halved): {study.engine_error:.2g} standard errors at most")
-    lines += [
-        f"profile of {n}: {p.lower:.5g} to {p.upper:.5g}, {p.message}" for n, p in study.profiles.items()
-    ]
+    lines += [f"profile likelihood of {name}: {one.message}" for name, one in study.profiles.items()]
     return lines
+
+
+def test_words(study: Study) -> str:
+    """Error of the selected set in each output on the test records, in the unit that was logged, and normalised."""
+    said = [
+        f"{name} {' '.join(in_unit(name, [one.rmse], study.outputs, study.system))} (normalised {one.nrmse:.4g})"
+        for name, one in study.test_errors.items()
+    ]
+    mean = f"; normalised, mean of the outputs, {study.test_error:.4g}" if len(said) > 1 else ""
+    return ", ".join(said) + mean
 
 
 _CAPTIONS = {
@@ -194,7 +212,7 @@ def _lead(dataset: Dataset, study: Study, residuals: Residuals | None) -> str:
     if not study.pooled and len(study.sets) > 1:
         words += f" Set {study.selection.name} carries over best."
     if study.test_nrmse:
-        words += f" On {count(len(study.test_nrmse), 'unseen record')} its normalised RMSE is {study.test_error:.3g}."
+        words += f" RMSE on {count(len(study.test_nrmse), 'unseen record')}: {test_words(study)}."
     if residuals:
         noise = all(map(sound, residuals.values()))
         words += f" Its residual is {'noise' if noise else 'not only noise: see Residuals'}."

@@ -400,7 +400,8 @@ def _overlay(dataset: Dataset, replays: Mapping[str, Replay], title: str) -> Fig
 def _signal(
     main: Axes, below: Axes, time: np.ndarray, channel: Channel, replays: Mapping[str, Replay]
 ) -> None:
-    measured = next(iter(replays.values())).record.signal(channel.name)
+    unit, factor = channel.shown
+    measured = factor * next(iter(replays.values())).record.signal(channel.name)
     main.plot(time, measured, color=GREY, lw=2.4, alpha=0.75, label="measured", solid_capstyle="round")
     below.axhline(0.0, color="black", lw=0.5)
     for k, (long_name, replay) in enumerate(replays.items()):
@@ -410,20 +411,20 @@ def _signal(
             main.plot([], [], color=colour, ls=dash, label=f"{name}: diverged")
             continue
         fit = replay.fit[channel.name]
-        error = measured - replay.outputs[channel.name]
+        simulated = factor * replay.outputs[channel.name]
         main.plot(
             time,
-            replay.outputs[channel.name],
+            simulated,
             color=colour,
             ls=dash,
             lw=1.0,
             label=f"{name}, fit {fit:.2f} %",
         )
-        below.plot(time, error, color=colour, lw=0.6, alpha=0.9, label=f"_residual, {name}")
-    main.set_ylabel(label(channel.name, channel.unit))
+        below.plot(time, measured - simulated, color=colour, lw=0.6, alpha=0.9, label=f"_residual, {name}")
+    main.set_ylabel(label(channel.name, unit))
     pad(main)
     main.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, borderaxespad=0.0)
-    below.set_ylabel("residual\n" + label(channel.name, channel.unit).split(" ")[-1])
+    below.set_ylabel("residual\n" + label(channel.name, unit).split(" ")[-1])
     pad(below)
 
 

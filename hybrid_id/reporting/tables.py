@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import zip_longest
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -13,10 +14,10 @@ from rich.text import Text
 
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import Finding
-from hybrid_id.statistics.identifiability import Identifiability
-from hybrid_id.study import BaseParameterCheck, Comparison, Study
-from hybrid_id.study.base_parameters import INDEPENDENT, TORQUE_ERROR
-from hybrid_id.study.truth import against_truth
+
+if TYPE_CHECKING:  # the table of the records is on the screen before torch is loaded
+    from hybrid_id.statistics.identifiability import Identifiability
+    from hybrid_id.study import BaseParameterCheck, Comparison, Study
 
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": "dim"}
 
@@ -81,6 +82,8 @@ def identifiability_table(identified: Identifiability) -> RenderableType:
 
 def base_parameters_table(based: BaseParameterCheck, most: int = MOST_ROWS) -> RenderableType:
     """Number of base parameters, condition number of the motion, and the worst excited ones."""
+    from hybrid_id.study.base_parameters import INDEPENDENT, TORQUE_ERROR
+
     base = based.base
     silent = len(base.without_effect)
     words = (
@@ -133,24 +136,34 @@ def two_a_row(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """Fit and normalised RMSE of every model on every record and output, with the mean over the records."""
-    fits, errors = comparison.table("fit"), comparison.table("nrmse")
-    labels = list(comparison.replays)
-    head = [f"{words}>" for label in labels for words in (f"{label}\nfit [%]", "\nNRMSE")]
-    found = open_table("record", "role", "output", *head)
-    both = [(values[label], form) for label in labels for values, form in ((fits, ".2f"), (errors, ".4f"))]
+    """Fit, normalised RMSE and RMSE of every model on every record and output, with the mean over the records.
+
+    The RMSE is in the unit that was logged.
+    """
+    labels, units = list(comparison.replays), {c.name: c.shown for c in comparison.outputs}
+    shown = [units.get(signal, ("", 1.0)) for signal in comparison.signals]
+    forms = (("fit", ".2f"), ("nrmse", ".4f"), ("rmse", ".3g"))
+    head = [f"{words}>" for label in labels for words in (f"{label}\nfit [%]", "\nNRMSE", "\nRMSE")]
+    found = open_table("record", "role", "output", *head, "\nunit")
+    tables = {measure: comparison.table(measure) for measure, _ in forms}
+    for values in tables["rmse"].values():
+        values *= [factor for _, factor in shown]
+    every = [(tables[measure][label], form) for label in labels for measure, form in forms]
     for row, replay in enumerate(comparison.replays[labels[0]]):
         for column, signal in enumerate(comparison.signals):
-            cells = (_number(values[row, column], form) for values, form in both)
-            found.add_row(replay.record.name, replay.record.role, signal, *cells)
+            cells = (_number(values[row, column], form) for values, form in every)
+            found.add_row(replay.record.name, replay.record.role, signal, *cells, shown[column][0])
     found.add_section()
     for column, signal in enumerate(comparison.signals):
-        found.add_row("mean", "", signal, *(_mean(values[:, column], form) for values, form in both))
+        means = (_mean(values[:, column], form) for values, form in every)
+        found.add_row("mean", "", signal, *means, shown[column][0])
     return found
 
 
 def truth_table(study: Study, truth: Mapping[str, float]) -> Table:
     """Known values beside the estimates of the selected set."""
+    from hybrid_id.study.truth import against_truth
+
     heads = ("parameter", "truth>", "estimate>", f"{100 * study.level:g} % interval>", "unit", "off by>")
     rows = []
     for one in against_truth(study, truth):

@@ -29,6 +29,21 @@ def nrmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
     return np.where(constant, np.nan, ratio)
 
 
+def rmse(measured: np.ndarray, simulated: np.ndarray) -> np.ndarray:
+    """Root mean square error over the last axis, in the signals' unit; +inf for a simulation that diverged.
+
+    Args:
+        measured: y, (..., T).
+        simulated: ŷ, (..., T).
+
+    Returns:
+        (...).
+    """
+    error = np.asarray(simulated, float) - np.asarray(measured, float)
+    finite = np.isfinite(error).all(axis=-1)
+    return np.where(finite, np.sqrt(np.mean(np.square(np.nan_to_num(error)), axis=-1)), np.inf)
+
+
 def known_mean(values: Iterable[float]) -> float:
     """Mean of errors without those of outputs that stand still, which are NaN; NaN where no other is left."""
     known = [value for value in values if not math.isnan(value)]

@@ -6,9 +6,11 @@ from hybrid_id.study.checks import (
     check_fit,
     check_identifiability,
     check_priors,
+    check_scales,
     check_start_values,
     profiles,
 )
+from hybrid_id.study.model_check import ModelCheck, check_model
 from hybrid_id.study.replays import Comparison, Replay, compare, replay
 from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import analyse_fits, identify
@@ -18,13 +20,16 @@ __all__ = [
     "Combinations",
     "Comparison",
     "Horizon",
+    "ModelCheck",
     "Replay",
     "Study",
     "analyse_fits",
     "check_base_parameters",
     "check_fit",
     "check_identifiability",
+    "check_model",
     "check_priors",
+    "check_scales",
     "check_start_values",
     "compare",
     "identify",

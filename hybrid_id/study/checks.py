@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -19,7 +20,7 @@ from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
 from hybrid_id.records.measures import less_half_a_count
-from hybrid_id.records.quality import Finding
+from hybrid_id.records.quality import Finding, check_encoders
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
@@ -37,9 +38,11 @@ REFERENCES = ("P_m1", "k_t", "P_m1m1", "P_m1m2")
 """Parameters by which identifiable combinations are divided, where the model has them."""
 FROM_PRIOR = 6.0
 """Standard deviations of a prior from which its parameter is called odd."""
-ALIKE, UNIT = 0.9, 5.0
-"""Correlation of a signal with its simulation, and factor between the two, from which its unit is doubted: 9.5 is a
-speed's in rpm, 57 an angle's in degrees."""
+ALIKE, UNIT, ABSURD = 0.9, 5.0, 40.0
+"""Correlation of a signal with its simulation, and factors between the two from which its unit is doubted and surely
+wrong: 9.5 is a speed's in rpm, 57 an angle's in degrees, 1000 that of a time in ms."""
+RANGES = 3.0
+"""Span of a joint's angle over its range in the robot's file, from which the angle's unit is wrong."""
 INSTANTS, TURNED = 50, 0.5
 """Instants of a record between which motions are compared, and the negative correlation that casts doubt on a sign."""
 STILL = 1.2
@@ -101,10 +104,41 @@ def check_identifiability(
     )
 
 
-def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
-    """Simulate the train records with the model's start values: warnings of what these do not explain.
+def check_scales(dataset: Dataset, system: System) -> list[Finding]:
+    """What contradicts the model without a simulation: gear ratios, and angles far out of their joint's range.
 
-    Of a joint that stands still in all of them it is said that nothing of it can be identified.
+    With an error among them, what the model would do means nothing.
+    """
+    return [*check_encoders(dataset, system.own_ratios), *_spans(dataset, system)]
+
+
+def _spans(dataset: Dataset, system: System) -> Iterator[Finding]:
+    """Errors of the joints of a robot whose angles go several times through their range."""
+    if system.tree is None:
+        return
+    seats, measured = system.seats or range(len(system.joints)), {c.name for c in dataset.outputs}
+    for seat, joint, ratio in zip(seats, system.joints, system.own_ratios, strict=True):
+        described = system.tree.joints[seat]
+        low, high = described.limits
+        sides = {f"q_a{joint.number}": 1.0} | ({f"q_m{joint.number}": ratio} if ratio else {})
+        for name in sorted(sides.keys() & measured):
+            values = [record.outputs[name] for record in dataset]
+            span = (max(v.max() for v in values) - min(v.min() for v in values)) / sides[name]
+            if span > RANGES * (high - low) > 0.0:
+                unit = "m" if described.kind == "slide" else "rad"
+                words = (
+                    f"{name} takes {described.name} through {span:.4g} {unit}, {span / (high - low):.3g} times its "
+                    f"range in {Path(system.tree.source).name} ({low:.3g} to {high:.3g} {unit}); correct its 'unit' in "
+                    "the dataset file (degrees?), or gear_ratio in the model file"
+                )
+                yield Finding("error", "range", words, channel=name)
+
+
+def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
+    """Simulate the train records with the model's start values, and say what these do not explain.
+
+    Of a joint that stands still in all of them it is said that nothing of it can be identified. Findings of the codes
+    ``unit`` and ``sign`` say that records and model contradict each other, so that nothing may be concluded from both.
 
     Raises:
         InputError: no joint of the model moves.
@@ -119,23 +153,26 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
         raise InputError(f"{at_rest}.")
     runs = replay(dataset.select(names), system)
     words = _verdict("the model's start values", names, [list(run.nrmse.values()) for run in runs])
-    found = (
-        [f"{at_rest}, or hold it in the model: its parameters stay at their start values"] if still else []
-    )
-    found += [words] if words else []
+    found = [Finding("warning", "start_values", words)] if words else []
+    if still:
+        words = f"{at_rest}, or hold it in the model: its parameters stay at their start values"
+        found.insert(0, Finding("warning", "start_values", words))
     for output in runs[0].outputs:
         pairs = [(run.record.signal(output), run.outputs[output]) for run in runs if run.status == "ok"]
         if times := _times([(a - a.mean(), b - b.mean()) for a, b in pairs]):
-            found.append(
+            words = (
                 f"{output} moves {times:.3g} times as far in the records as with the model's start values, and alike "
-                "otherwise; check its unit"
+                "otherwise; check its unit and that of the time, or correct the start values"
             )
+            absurd = max(times, 1.0 / times) > ABSURD
+            found.append(Finding("error" if absurd else "warning", "unit", words, channel=output))
         if _turned([(_steps(a), _steps(b)) for a, b in pairs]):
-            found.append(
+            words = (
                 f"{output} turns the other way than with the model's start values; if the sign of the sensor or of the "
                 "command is reversed, give its channel 'scale: -1' in dataset.yaml"
             )
-    return [Finding("warning", "start_values", one) for one in found]
+            found.append(Finding("warning", "sign", words, channel=output))
+    return found
 
 
 def _still(dataset: Dataset, system: System) -> list[str]:

@@ -11,7 +11,7 @@ import torch
 from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import FOLLOWED, WHOLE, Horizon, choose_horizon, free_runs
 from hybrid_id.identification.result import FitResult
-from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiled_for
@@ -20,7 +20,7 @@ from hybrid_id.simulation.rollout import cause_of_divergence, simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.cross_validation import CrossValidation, cross_validation
-from hybrid_id.statistics.fit import fit_percent, known_mean, nrmse
+from hybrid_id.statistics.fit import fit_percent, known_mean, nrmse, rmse
 from hybrid_id.systems.chain import System
 
 LANES = 400_000
@@ -106,21 +106,39 @@ def engine_error(result: FitResult, batch: Batch) -> float:
     return float(np.max(np.abs(shift), initial=0.0) / max(result.noise_scale, 1e-300))
 
 
-def test_nrmse(
+@dataclass(frozen=True)
+class OutputError:
+    """Error of free runs in one output, mean of records.
+
+    Attributes:
+        rmse: in the output's SI unit; inf where a run diverged.
+        nrmse: normalised; NaN where the output stands still in all records.
+    """
+
+    rmse: float
+    nrmse: float
+
+
+def test_errors(
     dataset: Dataset, result: FitResult, signal_share: float, horizon: Horizon = WHOLE
-) -> dict[str, float]:
-    """Normalised RMSE of a set on each test record, by name, outputs averaged; empty without test records."""
+) -> tuple[dict[str, float], dict[str, OutputError]]:
+    """Errors of a set on the test records: normalised RMSE by record, outputs averaged, and the error by output.
+
+    Both are empty without test records.
+    """
     if not dataset.test:
-        return {}
+        return {}, {}
     batch = batch_of(dataset, result.system, dataset.test, signal_share)
     engine = stable_engine(result.system, result.engine, batch)  # these records may have longer samples
     runs = simulated_over(horizon, result.system, engine, batch)
-    return {
-        name: known_mean(
-            [float(nrmse(measured[: len(run), c], run[:, c])) for c in range(measured.shape[-1])]
-        )
-        for name, measured, run in zip(batch.names, batch.y.numpy(), runs, strict=True)
+    pairs = [(y[: len(run)].T, run.T) for y, run in zip(batch.y.numpy(), runs, strict=True)]  # (n_y, T)
+    normalised, plain = (np.array([of(*pair) for pair in pairs]) for of in (nrmse, rmse))  # (records, n_y)
+    by_record = {name: known_mean(row) for name, row in zip(batch.names, normalised, strict=True)}
+    by_output = {
+        name: OutputError(float(plain[:, c].mean()), known_mean(normalised[:, c]))
+        for c, name in enumerate(batch.outputs)
     }
+    return by_record, by_output
 
 
 def simulated_over(horizon: Horizon, system: System, engine: Engine, batch: Batch) -> list[np.ndarray]:
@@ -143,6 +161,7 @@ class Replay:
         outputs: simulated outputs by name, ``(T,)``; NaN in an end that is shorter than a window.
         fit: fit of each output [%]; -inf where the simulation diverged.
         nrmse: normalised RMSE of each output.
+        rmse: RMSE of each output in its SI unit.
         status: "ok" or "diverged".
         message: why it diverged, in one sentence; empty where it did not.
     """
@@ -151,6 +170,7 @@ class Replay:
     outputs: Mapping[str, np.ndarray]
     fit: Mapping[str, float]
     nrmse: Mapping[str, float]
+    rmse: Mapping[str, float]
     status: str
     message: str = ""
 
@@ -162,10 +182,12 @@ class Comparison:
     Attributes:
         replays: label of each model -> its replays, all in the order of the records.
         horizon: how long the free runs are, alike for all models.
+        outputs: channels of the dataset.
     """
 
     replays: Mapping[str, tuple[Replay, ...]]
     horizon: Horizon = WHOLE
+    outputs: tuple[Channel, ...] = ()
 
     @property
     def records(self) -> tuple[str, ...]:
@@ -178,7 +200,7 @@ class Comparison:
         return tuple(next(iter(self.replays.values()))[0].fit)
 
     def table(self, measure: str) -> dict[str, np.ndarray]:
-        """``fit`` or ``nrmse`` by model, ``(n_records, n_signals)``."""
+        """``fit``, ``nrmse`` or ``rmse`` by model, ``(n_records, n_signals)``."""
         return {
             label: np.array(
                 [[getattr(replay, measure)[signal] for signal in self.signals] for replay in replays]
@@ -207,13 +229,13 @@ def replay(
     found = []
     for record, run in zip(dataset.records, runs, strict=True):
         whole = np.pad(run, ((0, record.n_samples - len(run)), (0, 0)), constant_values=np.nan)
-        fits, errors = (
+        fits, errors, plain = (
             {n: float(of(record.signal(n)[: len(run)], run[:, k])) for k, n in enumerate(batch.outputs)}
-            for of in (fit_percent, nrmse)
+            for of in (fit_percent, nrmse, rmse)
         )
         outputs = dict(zip(batch.outputs, whole.T, strict=True))
         lost = "" if np.isfinite(run).all() else _why_lost(system, engine, batch, record.name)
-        found.append(Replay(record, outputs, fits, errors, "diverged" if lost else "ok", lost))
+        found.append(Replay(record, outputs, fits, errors, plain, "diverged" if lost else "ok", lost))
     return tuple(found)
 
 
@@ -252,14 +274,14 @@ def compare(
         if lost := next((run.message for run in replays[label] if run.message), ""):
             raise InputError(f"{label}: {lost}")
     if horizon is not None:
-        return Comparison(replays, horizon)
+        return Comparison(replays, horizon, dataset.outputs)
     errors = {label: _mean_error(runs) for label, runs in replays.items()}
     best = models[min(errors, key=lambda label: errors[label])]
     horizon = Horizon(reason="they follow the records")
     if min(errors.values()) > FOLLOWED:
         horizon = choose_horizon(best, engine or Engine(), batch_of(dataset, best, dataset.records))
     if horizon.kind == "whole":
-        return Comparison(replays, horizon)
+        return Comparison(replays, horizon, dataset.outputs)
     return compare(dataset, models, engine=engine, horizon=horizon)
 
 

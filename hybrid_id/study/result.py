@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.result import FitResult
+from hybrid_id.records.dataset import Channel
 from hybrid_id.statistics.cross_validation import CrossValidation, Selection
 from hybrid_id.statistics.fit import known_mean
 from hybrid_id.statistics.identifiability import Identifiability
@@ -17,7 +19,12 @@ from hybrid_id.statistics.reliability import Reliability
 from hybrid_id.statistics.residuals import Whiteness, whiteness
 from hybrid_id.statistics.uncertainty import Covariance, normal_interval
 from hybrid_id.statistics.variation import Variation, variation
+from hybrid_id.study.notebook import as_html
+from hybrid_id.study.replays import OutputError
 from hybrid_id.systems.chain import System
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +66,8 @@ class Study:
         horizon: how long the free runs are that were fitted and compared with the records.
         profiles: profile likelihoods of the selected set's parameters, by name, as far as they were asked for.
         level: confidence of all intervals.
+        test_errors: error of the selected set in each output on the test records, by name; empty without them.
+        outputs: channels of the records, which know the units that were logged.
     """
 
     system: System
@@ -76,6 +85,8 @@ class Study:
     horizon: Horizon = WHOLE
     profiles: Mapping[str, Profile] = field(default_factory=dict)
     level: float = 0.95
+    test_errors: Mapping[str, OutputError] = field(default_factory=dict)
+    outputs: tuple[Channel, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,14 +123,18 @@ class Study:
     def intervals(self, index: int | None = None) -> np.ndarray:
         """Intervals of a set (default: the selected one), within the bounds of the parameters, ``(n_parameters, 2)``.
 
-        NaN where none may be claimed.
+        NaN where none may be claimed. A parameter of the selected set whose profile likelihood was computed has that
+        interval, whose ends may be infinite.
         """
         index = self.selection.index if index is None else index
         result = self.sets[index]
         specs = [result.system.parameter(name).spec for name in self.names]
         bounds = np.array([(spec.lower, spec.upper) for spec in specs])
         ends = normal_interval(result.values, self.standard_errors(index), self.level)
-        return np.clip(ends, bounds[:, :1], bounds[:, 1:])
+        ends = np.clip(ends, bounds[:, :1], bounds[:, 1:])
+        for name, profile in self.profiles.items() if index == self.selection.index else ():
+            ends[self.names.index(name)] = profile.lower, profile.upper
+        return ends
 
     @property
     def test_error(self) -> float:
@@ -150,10 +165,43 @@ class Study:
         names = tuple(c.text for c in found)
         return Combinations(names, values, errors, variation(values, names) if len(self.sets) > 1 else None)
 
+    def table(self) -> pd.DataFrame:
+        """Parameters of the selected set, one row each by name, in SI.
+
+        Columns: ``meaning``, ``value``, ``lower`` and ``upper`` end of the interval (NaN where none may be claimed),
+        ``unit``, ``mean`` and ``std_over_mean`` of the sets (with several), ``reliability`` and the ``reason`` for it.
+        """
+        import pandas as pd
+
+        infos = [self.selected_model.parameter(name) for name in self.names]
+        lower, upper = self.intervals().T
+        columns: dict[str, object] = {
+            "meaning": [info.doc for info in infos],
+            "value": self.selected.values,
+            "lower": lower,
+            "upper": upper,
+            "unit": [info.spec.unit for info in infos],
+        }
+        if self.variation is not None:
+            columns |= {"mean": self.variation.mean, "std_over_mean": self.variation.percent / 100.0}
+        columns["reliability"] = [one.words for one in self.reliability]
+        columns["reason"] = [one.reason for one in self.reliability]
+        return pd.DataFrame(columns, index=pd.Index(self.names, name="parameter"))
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        shown = self.table().drop(columns="reason")
+        return as_html(self._heading, shown, self._remarks)
+
+    @property
+    def _heading(self) -> str:
+        kind = "pooled" if self.pooled else "selected"
+        return f"{kind} set: {self.selected.summary().splitlines()[0]}"
+
     def summary(self) -> str:
         """The study in a page: parameters with intervals and grades, variation, cross-validation, selection."""
         grades = {t.name: t for t in self.reliability}
-        lines = [f"{'pooled' if self.pooled else 'selected'} set: {self.selected.summary().splitlines()[0]}"]
+        lines = [self._heading]
         width = max(map(len, self.names))
         rows = zip(self.names, self.selected.values, self.intervals(), self.selected.units, strict=True)
         for k, (name, value, (low, high), unit) in enumerate(rows):
@@ -162,8 +210,13 @@ class Study:
             lines.append(
                 f"  {name:<{width}}  {value:11.5g}  {interval:<24} {unit:<10}{spread}  {grades[name].words}"
             )
-        lines += [] if self.horizon.kind == "whole" else [f"horizon: {self.horizon}"]
-        lines.append(self.identifiability.summary())
+        return "\n".join([*lines, *self._remarks])
+
+    @property
+    def _remarks(self) -> list[str]:
+        """What a page says below the parameters."""
+        lines = [] if self.horizon.kind == "whole" else [f"horizon: {self.horizon}"]
+        lines += self.identifiability.summary().splitlines()
         lines.append(self.selection.summary())
         if self.test_nrmse:
             plural = "s" * (len(self.test_nrmse) > 1)
@@ -171,4 +224,4 @@ class Study:
                 f"normalised RMSE on {len(self.test_nrmse)} test record{plural}: {self.test_error:.4g}"
             )
         lines.append(f"integration error (step halved): {self.engine_error:.2g} standard errors at most")
-        return "\n".join(lines)
+        return lines

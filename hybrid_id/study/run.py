@@ -34,7 +34,7 @@ from hybrid_id.statistics.uncertainty import (
 from hybrid_id.statistics.variation import mean_interval, prior_variances, variation
 from hybrid_id.study.checks import identifiability_of
 from hybrid_id.study.processes import fit_in_processes
-from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_nrmse
+from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_errors
 from hybrid_id.study.result import Study
 from hybrid_id.systems.chain import System
 
@@ -190,10 +190,11 @@ def analyse_fits(
     if any(result.left_early for result in sets):
         why = "a fit was stopped before its end, so that its values are no estimate; let it finish"
         reliability = tuple(Reliability(name, "D", math.inf, why) for name in names)
-    test = test_nrmse(dataset, chosen, signal_share, horizon)
+    by_record, by_output = test_errors(dataset, chosen, signal_share, horizon)
     return Study(
-        system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection, test,
-        engine_error(chosen, batch), horizon=horizon, level=level,
+        system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection,
+        by_record, engine_error(chosen, batch), horizon=horizon, level=level, test_errors=by_output,
+        outputs=dataset.outputs,
     )  # fmt: skip
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -26,6 +27,9 @@ from hybrid_id.systems.model_schema import FLAT, ROBOT, SKELETON, ModelFile, Par
 from hybrid_id.systems.servos import SERVOS, drive_of
 
 WEIGHTS = (Gravity.kind, ArmGravity.kind)
+
+RATIOS, SLIDE_RATIOS = (1e-2, 1e5), (1e-2, 1e8)
+"""Least and largest gear ratio of a joint that turns, and of one that slides [rad/m]."""
 
 EVERY_JOINT = "all"
 """Stands for every joint in the list of servos."""
@@ -75,6 +79,7 @@ def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
         raise InputError(
             f"{path}: gear_ratio {file.gear_ratio} must hold a positive number for each of {', '.join(tree.names)}."
         )
+    _refuse_odd_ratios(ratios, [joint.kind == "slide" for joint in tree.joints], path)
     if file.parameters or file.gravity != "none":
         key = "parameters" if file.parameters else "gravity"
         raise InputError(
@@ -107,6 +112,17 @@ def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
         words = re.sub(r"\bjoint(\d+)(?=/| has )", lambda found: tree.names[int(found[1]) - 1], words)
         raise InputError(f"{path}: {words}") from None
     return system
+
+
+def _refuse_odd_ratios(ratios: Sequence[float], slides: Sequence[bool], path: str) -> None:
+    """Raise InputError for a ratio that no gear has: its inverse was meant, or another unit."""
+    for ratio, slide in zip(ratios, slides, strict=True):
+        low, high = SLIDE_RATIOS if slide else RATIOS
+        if not low <= ratio <= high:
+            what = f"{'rad' if slide else 'turns'} of the motor for one {'m ' if slide else ''}of the joint"
+            raise InputError(
+                f"{path}: gear_ratio {ratio:g} is none of a drive; give the {what}, a number from {low:g} to {high:g}."
+            )
 
 
 def _with_servos(system: System, tree: RigidBodyTree, file: ModelFile, path: str) -> System:
@@ -155,6 +171,7 @@ def _known(file: ModelFile, path: str) -> System:
     if len(file.gear_ratio) != joints or not all(math.isfinite(r) and r > 0 for r in file.gear_ratio):
         number = "one positive number" if joints == 1 else f"{joints} positive numbers"
         raise InputError(f"{path}: gear_ratio {file.gear_ratio} must hold {number} for {file.system}.")
+    _refuse_odd_ratios(file.gear_ratio, [False] * joints, path)
     parts: Parts = {(where, part.kind): {} for where, part in SKELETON[file.system]}
     _add_components(parts, file, path)
     _add_parameters(parts, file, path)

@@ -6,13 +6,15 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from hybrid_id.components.base import Component
+from hybrid_id.components.base import PLACES, REGISTRY, Component
 from hybrid_id.components.input.voltage import Voltage
 from hybrid_id.components.load.one_link import OneLink, TwoInertias
 from hybrid_id.components.load.two_link import LinkInertia
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.components.transmission.linear_spring import LinearSpring
 from hybrid_id.components.transmission.rigid import Rigid
+from hybrid_id.records.yaml_file import one_of
+from hybrid_id.systems.servos import SERVOS
 
 ParameterPlace = tuple[str, str, str]
 """Place, kind and symbol that a flat name stands for."""
@@ -124,6 +126,14 @@ class ParameterEntry(_Section):
 
     The keys are columns of PEtab's parameter table without their affixes (``nominalValue``, ``lowerBound``,
     ``upperBound``, ``estimate``); PEtab is a file format for parameter estimation in systems biology.
+
+    Attributes:
+        nominal: start value of a fit; in a model file that a command writes it is the estimate.
+        lower, upper: range that a fit keeps to; by default the component's.
+        unit: checked against the component's unit, no conversion.
+        estimate: false holds it at its nominal value.
+        prior_std: standard deviation of a Gaussian prior, how well a data sheet's value is known say.
+        prior_mean: its mean, where that is not the nominal value.
     """
 
     nominal: float
@@ -141,16 +151,30 @@ class ParameterEntry(_Section):
         return self
 
 
-class ComponentEntry(_Section):
-    """One component beyond the system's defaults; a network has options, and weights unless it is fresh."""
+Parameters = dict[str, float | ParameterEntry]
+"""What ``parameters`` may be in a file."""
 
-    place: str
-    kind: str
+
+class ComponentEntry(_Section):
+    """One component beyond the system's defaults; a network has options, and weights unless it is fresh.
+
+    Attributes:
+        place: joint and place, joint1/motor_friction say; a robot's joints by their names in its file.
+        kind: what acts there; hybrid-id components lists all kinds.
+        parameters: start values by symbol; short for {nominal: value} is the value alone.
+        options: of a network.
+        weights: of a network.
+    """
+
+    place: str = Field(json_schema_extra={"pattern": f"^.+/({'|'.join(PLACES)})$"})
+    kind: str = Field(json_schema_extra=one_of(lambda: sorted(REGISTRY | FORMER_KINDS)))
     parameters: dict[str, ParameterEntry] = {}
     options: dict[str, Any] = {}
     weights: dict[str, list[Any]] = {}
 
-    _parameters = field_validator("parameters", mode="before")(_short_parameters)
+    _parameters = field_validator("parameters", mode="before", json_schema_input_type=Parameters)(
+        _short_parameters
+    )
 
     @field_validator("kind")
     @classmethod
@@ -159,7 +183,13 @@ class ComponentEntry(_Section):
 
 
 class RobotEntry(_Section):
-    """A robot's own description, and which of its joints do not move [rad or m]."""
+    """A robot's own description.
+
+    Attributes:
+        file: its MJCF or URDF.
+        base: bodies without a parent stand still.
+        hold: joints that do not move, and where they stand [rad or m].
+    """
 
     file: str
     base: Literal["fixed"] = "fixed"
@@ -167,24 +197,46 @@ class RobotEntry(_Section):
 
 
 class CouplingEntry(_Section):
-    """A gear that couples motors of a wrist: what each turns behind its gear, by the joints', one row a motor."""
+    """A gear that couples motors of a wrist.
+
+    Attributes:
+        joints: that it couples.
+        matrix: what each motor turns behind its gear, by the joints' angles; one row a motor.
+    """
 
     joints: list[str]
     matrix: list[list[float]]
 
 
 class ServoEntry(_Section):
-    """A servo that is known by name, with the gain that its register P holds and its supply [V]."""
+    """A servo that is known by name.
 
-    preset: str
+    Attributes:
+        preset: its name.
+        p: gain that its register P holds.
+        voltage: of its supply [V].
+    """
+
+    preset: str = Field(json_schema_extra=one_of(lambda: sorted(SERVOS)))
     p: float = Field(gt=0)
     voltage: float | None = Field(default=None, gt=0)
 
 
 class ModelFile(_Section):
-    """Content of a model file: a system of a known name, or drives at the joints of a robot's MJCF or URDF."""
+    """Nominal model: a system of a known name, or drives at the joints of a robot's MJCF or URDF.
 
-    system: str = ROBOT
+    Attributes:
+        system: a drive or arm that is known by name; left out beside 'robot'.
+        robot: the robot's own description: joints, masses, gravity.
+        gear_ratio: turns of the motor for one of the joint (rad per m at a slide), one number a joint.
+        couplings: gears that couple the motors of a wrist.
+        gravity: whether the link moves in a vertical plane.
+        parameters: start values of a known system by name; short for {nominal: value} is the value alone.
+        servos: by joint, or all.
+        components: what acts beyond the system's own parts; one of a kind that a place holds once replaces it.
+    """
+
+    system: str = Field(default=ROBOT, json_schema_extra=one_of(lambda: [*FLAT, ROBOT]))
     robot: RobotEntry | None = None
     gear_ratio: list[float] = []
     couplings: list[CouplingEntry] = []
@@ -193,7 +245,9 @@ class ModelFile(_Section):
     servos: dict[str, ServoEntry] = {}
     components: list[ComponentEntry] = []
 
-    _parameters = field_validator("parameters", mode="before")(_short_parameters)
+    _parameters = field_validator("parameters", mode="before", json_schema_input_type=Parameters)(
+        _short_parameters
+    )
 
     @field_validator("gear_ratio", mode="before")
     @classmethod

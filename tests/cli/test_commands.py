@@ -76,6 +76,12 @@ def helps(command: click.Command) -> Iterator[str]:
         yield from helps(below)
 
 
+def test_two_commands_that_estimate_say_when_to_prefer_the_other(run) -> None:
+    for command, other in (("train", "identify"), ("identify", "train")):
+        words = " ".join(run(command, "--help").out.split())
+        assert "Prefer" in words and f"{other} " in words[words.index("Prefer") :]
+
+
 def test_no_help_has_what_the_terminal_takes_for_markup() -> None:
     words = list(helps(typer.main.get_command(app)))
     assert len(words) > 100
@@ -143,6 +149,54 @@ def test_wrong_units_and_signs_do_not_pass_silently(
     assert "the model's start values explain less than the mean of the records (normalised RMSE" in words
     assert ("q_m1 turns the other way than with the model's start values" in words) == ("scale" in change)
     assert "start values explain" not in run("check", drive, "--json").out
+
+
+TIMES_IN = {
+    "ms": ("unit: ms", 1e3),
+    "ns": ("scale: 1.0e-9", 1e9),
+    "ms for s": ("stamps in seconds need neither", 1e-3),
+}
+
+
+def with_column(drive: Path, folder: Path, channel: str, scale: float) -> Path:
+    """The drive's records with a column whose unit was forgotten."""
+    shutil.copytree(drive, folder)
+    values = yaml.safe_load((folder / "dataset.yaml").read_text())
+    values |= {"columns": {channel: {"column": channel, "scale": scale}}, "sample_time": None}
+    (folder / "dataset.yaml").write_text(yaml.safe_dump(values))
+    return folder
+
+
+@pytest.mark.parametrize("case", TIMES_IN)
+def test_time_in_another_unit_is_refused_before_anything_is_simulated(
+    run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: str
+) -> None:
+    words, factor = TIMES_IN[case]
+    monkeypatch.setattr("hybrid_id.simulation.rollout.simulate", None)
+    monkeypatch.setattr("hybrid_id.study.check_model", None)
+    folder = with_column(drive, tmp_path / "wrong", "t", factor)
+    said = run("check", folder)
+    assert said.code == 2 and words in said.err and "run_0.csv.gz" in said.err
+    assert "run_3   test" in said.out and "identif" not in said.out
+    for command in ("identify", "diagnose", "simulate"):
+        assert words in run(command, folder, "--out", tmp_path / "out").err
+    to_mujoco = ("--to", "mjcf", "--out", tmp_path / "robot.xml", "--check", folder)
+    assert words in run("export", drive / "model.yaml", *to_mujoco).err
+
+
+def test_no_confident_table_follows_degrees_for_radians(run, drive: Path, tmp_path: Path) -> None:
+    said = run("check", with_column(drive, tmp_path / "wrong", "q_m1", 180.0 / np.pi))
+    assert said.code == 2 and "check its unit" in said.err
+    assert "identifiable" not in said.out and "records and model contradict each other" in said.out
+
+
+def test_warnings_are_said_before_the_model_is_read(run, drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text(
+        (drive / "model.yaml").read_text().replace("gear_ratio: [156.0]", "gear_ratio: [0.001]")
+    )
+    said = run("check", drive, "--model", tmp_path / "model.yaml")
+    assert said.code == 2 and "run_3   test" in said.out
+    assert "model.yaml: gear_ratio 0.001 is none of a drive" in said.err and "turns of the motor" in said.err
 
 
 def test_records_of_more_joints_than_the_model_has(run, drive: Path, tmp_path: Path) -> None:

@@ -19,6 +19,7 @@ from gapcase import small_case
 
 import hybrid_id.cli.diagnose as command
 from hybrid_id import __version__, load_model, replay, save_model
+from hybrid_id.components import CATALOGUE
 from hybrid_id.config import load_config
 from hybrid_id.diagnosis.next_experiment import next_experiment
 
@@ -291,6 +292,10 @@ def test_ctrl_c_before_and_after_a_command(program: str, code: int, said: str) -
 
 def test_effects_are_listed(run) -> None:
     words = run("effects").out
+    for name, effect in CATALOGUE.items():  # a line each: what it is, and how large it usually is
+        (line,) = (one for one in words.splitlines() if one.split("  ")[0] == name and effect.about in one)
+        what, _, size = line.partition(";")
+        assert what and size.strip(), name
     rows = run("effects", "--markdown").out.splitlines()
     assert "spring_load" in words
     assert rows[1] == "| --- | --- | --- | --- | --- | --- | --- |"

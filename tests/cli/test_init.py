@@ -87,6 +87,17 @@ def test_a_weight_that_the_logs_show_is_in_the_model(run, tmp_path: Path) -> Non
     assert run("check", tmp_path / "x").code == 0
 
 
+def test_files_turn_their_schemas_on(run, tmp_path: Path, motions) -> None:
+    folder = write_csv(tmp_path / "bench", motions, MS)
+    assert run("init", folder).code == 0
+    for kind in ("dataset", "model"):
+        first = (folder / f"{kind}.yaml").read_text().splitlines()[0]
+        assert first == f"# yaml-language-server: $schema=.schema/{kind}.json"
+        schema = json.loads((folder / ".schema" / f"{kind}.json").read_text())
+        assert set(yaml.safe_load((folder / f"{kind}.yaml").read_text())) <= set(schema["properties"])
+    assert run("init", folder, "--force").code == 0  # schemas are no logs
+
+
 def test_nothing_is_overwritten_without_force(run, tmp_path: Path, motions) -> None:
     folder = write_csv(tmp_path / "bench", motions, MS, records=1)
     (folder / "model.yaml").write_text("mine")

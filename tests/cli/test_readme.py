@@ -63,9 +63,26 @@ def test_tour_runs_as_written(run, workplace: Path, capsys: pytest.CaptureFixtur
         "train",
     }
     assert (workplace / "multisine.csv").exists()
-    (block,) = blocks(TOUR, "python")
-    exec(compile(block, "tour.md", "exec"), {})
+    names: dict[str, object] = {}
+    for block in blocks(TOUR, "python"):
+        exec(compile(block, "tour.md", "exec"), names)
     assert "selected set" in capsys.readouterr().out
+
+
+def test_python_of_the_tour_that_takes_minutes_imports_what_there_is() -> None:
+    found = blocks(TOUR, "pycon")
+    assert len(found) == 4
+    for block in found:
+        source = "\n".join(line.removeprefix(">>> ") for line in block.splitlines())
+        compile(source, "tour.md", "exec")
+        exec("\n".join(line for line in source.splitlines() if line.startswith("from ")), {})
+
+
+def test_every_command_of_the_tour_has_its_python() -> None:
+    sections = re.split(r"^## ", TOUR, flags=re.MULTILINE)[1:]
+    for section in sections:
+        if "hybrid-id " in section:
+            assert "```python" in section or "```pycon" in section, section.splitlines()[0]
 
 
 def test_readme_commands_run_as_written(run, workplace: Path) -> None:

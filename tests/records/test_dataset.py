@@ -1,5 +1,8 @@
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
@@ -168,3 +171,32 @@ def test_records_must_have_the_channels_of_the_dataset(tmp_path) -> None:
     data = Dataset.load(write_sound_dataset(tmp_path))
     with pytest.raises(InputError, match=r"has outputs \['q_m1'\] where .* has \['q_a1'\]"):
         Dataset("other", data.inputs, (Channel("q_a1", "rad"),), data.records)
+
+
+@pytest.mark.parametrize(
+    ("unit", "columns", "shown"),
+    [
+        ("deg", {}, ("deg", 180.0 / np.pi)),
+        ("rad", {}, ("rad", 1.0)),
+        ("rad", {"q_m1": {"column": "q_m1", "unit": "deg"}}, ("deg", 180.0 / np.pi)),
+        ("deg", {"q_m1": {"column": "q_m1", "scale": -1}}, ("deg", 180.0 / np.pi)),
+    ],
+)
+def test_a_channel_knows_the_unit_that_was_logged(
+    tmp_path: Path, unit: str, columns: dict, shown: tuple[str, float]
+) -> None:
+    (tmp_path / "a.csv").write_text("t,q_m1\n0,0\n0.1,90\n0.2,180\n")
+    values = {"name": "a", "outputs": [{"name": "q_m1", "unit": unit}], "columns": columns}
+    (tmp_path / "dataset.yaml").write_text(yaml.safe_dump(values | {"records": [{"file": "a.csv"}]}))
+    (channel,) = Dataset.load(tmp_path).outputs
+    assert channel.unit == "rad"
+    assert channel.shown == (shown[0], pytest.approx(shown[1]))
+    saved = Dataset.load(Dataset.load(tmp_path).save(tmp_path / "saved"))  # whose files hold SI
+    assert saved.outputs[0].shown == ("rad", 1.0)
+
+
+def test_a_logged_unit_of_another_kind_is_refused() -> None:
+    with pytest.raises(InputError, match="does not fit 'q_m1'"):
+        Channel("q_m1", "rad", logged="V")
+    with pytest.raises(InputError, match="logged unit 'mm' is not one of rad"):
+        Channel("q_m1", "rad", logged="mm")

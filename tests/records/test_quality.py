@@ -132,9 +132,25 @@ def test_faults_of_sampling() -> None:
     assert (found["gap"].severity, found["jitter"].severity) == ("error", "info")
     assert "missing at 1 place, first after 1.998 s for 22 ms" in found["gap"].message
     assert "'resample: {max_gap: 12}'" in found["gap"].message
-    slow = next(f for f in check_record(record(time=1e3 * TIME)) if f.code == "slow_step")
-    assert "a: its samples are 2 s apart" in slow.message
     assert "short" in codes(check_record(record().between(1.0, 1.1)))
+
+
+@pytest.mark.parametrize(
+    ("factor", "severity", "words"),
+    [
+        (1e3, "error", "2 s apart, too far for most drives; if its stamps are in ms, set 't: {column"),
+        (1e6, "error", "in us, set 't: {column: t, unit: us}' under 'columns' in the dataset file"),
+        (1e9, "error", "in ns, set 't: {column: t, scale: 1.0e-9}'"),
+        (150.0, "warning", "its samples are 0.3 s apart"),  # a slow drive may be meant
+        (1e-3, "error", "its samples are 2e-06 s apart, closer than any drive is sampled; correct 'unit'"),
+        (5e-3, "", ""),
+        (50.0, "", ""),
+    ],
+)
+def test_stamps_in_another_unit(factor: float, severity: str, words: str) -> None:
+    steps = [f for f in check_record(record(time=factor * TIME)) if f.code in ("slow_step", "fast_step")]
+    assert [f.severity for f in steps] == ([severity] if severity else [])
+    assert all(words in f.message for f in steps)
 
 
 def test_faults_of_excitation() -> None:

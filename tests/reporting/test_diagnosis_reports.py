@@ -142,9 +142,13 @@ def test_errors_are_told_by_output_with_their_horizon(diagnosed) -> None:
     gap = found.shrink
     assert gap is not None and found.nominal is not None
     first, second = error_lines(found)
+    ratio = found.model.joints[0].gear_ratio
+    models = (found.nominal, found.refit, found.with_effect)
+    rmse = ", ".join(f"{one.rmse['q_m1'] / ratio:.3g}" for one in models)
+    at = "rad" if ratio == 1.0 else "rad at the joint"
     assert first == (
         f"NRMSE on 1 test record, free runs over whole records: q_m1 nominal {found.nominal.nrmse:.3g}, re-fitted "
-        f"{gap.refit:.3g}, corrected {gap.with_effect:.3g}; noise floor {gap.floor:.3g}."
+        f"{gap.refit:.3g}, corrected {gap.with_effect:.3g} (RMSE {rmse} {at}); noise floor {gap.floor:.3g}."
     )
     assert second.startswith(f"shrink of the gap on them: {100 * min(gap.share, 1):.0f} % (")
     words = "The test records do not confirm the correction."

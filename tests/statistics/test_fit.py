@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hybrid_id.statistics.fit import fit_percent, nrmse
+from hybrid_id.statistics.fit import fit_percent, nrmse, rmse
 
 
 def test_perfect_mean_and_by_hand():
@@ -40,3 +40,10 @@ def test_fit_does_not_depend_on_unit_or_origin(y, scale, offset):
     simulated = 0.9 * y
     before, after = fit_percent(y, simulated), fit_percent(scale * y + offset, scale * simulated + offset)
     assert after == pytest.approx(before, abs=1e-6) or np.std(y) < 1e-6
+
+
+def test_rmse_is_in_the_unit_of_the_signal() -> None:
+    measured = np.array([[0.0, 0.0, 0.0, 0.0], [1.0, 2.0, 3.0, 4.0]])
+    off = np.array([[3.0, -3.0, 3.0, -3.0], [1.0, 2.0, 3.0, 6.0]])
+    assert rmse(measured, off).tolist() == [3.0, 1.0]
+    assert rmse(measured[0], np.array([0.0, np.nan, 0.0, 0.0])) == np.inf  # diverged

@@ -1,12 +1,13 @@
-"""What is said of records before a fit: a joint that stands still in all of them."""
+"""What is said of records before a fit: joints that stand still, and angles that their joints cannot have."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from hybrid_id import Channel, Dataset, InputError, Record, System, one_link, two_link
-from hybrid_id.study import check_start_values
+from hybrid_id import Channel, Dataset, InputError, Record, System, load_model, one_link, two_link
+from hybrid_id.study import check_scales, check_start_values
 
 TIME = 0.01 * np.arange(100)
 NOISE = 1e-3
@@ -49,3 +50,27 @@ def test_of_a_joint_that_stands_still_nothing_can_be_identified() -> None:
 def test_records_in_which_nothing_moves_are_refused(system: System, joints: int) -> None:
     with pytest.raises(InputError, match="nothing of a drive at rest can be identified"):
         check_start_values(arm_records(joints, moving=0), system)
+
+
+@pytest.mark.parametrize(
+    ("output", "scale", "found"),
+    [
+        ("q_a1", 1.0, False),
+        ("q_a1", 180.0 / np.pi, True),
+        ("q_m1", 10.0, False),  # the motor's angle, ten turns for one of the joint
+        ("q_m1", 1800.0 / np.pi, True),
+    ],
+)
+def test_angles_far_out_of_the_joints_range_are_in_another_unit(
+    tmp_path: Path, output: str, scale: float, found: bool
+) -> None:
+    (tmp_path / "arm.xml").write_text(
+        "<mujoco><worldbody><body><joint name='pan' type='hinge' range='-60 60'/>"
+        "<geom type='box' size='0.1 0.1 0.1' mass='1'/></body></worldbody></mujoco>"
+    )
+    (tmp_path / "model.yaml").write_text("robot: {file: arm.xml}\ngear_ratio: [10]\n")
+    record = Record("run", TIME, {"tau1": np.sin(5 * TIME)}, {output: scale * np.sin(9 * TIME)})
+    dataset = Dataset("arm", (Channel("tau1", "N m"),), (Channel(output, "rad"),), (record,), 0.01)
+    findings = check_scales(dataset, load_model(tmp_path / "model.yaml"))
+    assert [(f.severity, f.code) for f in findings] == ([("error", "range")] if found else [])
+    assert all("takes pan through" in f.message and "its range in arm.xml" in f.message for f in findings)

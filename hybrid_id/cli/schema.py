@@ -1,0 +1,87 @@
+"""`schema`: what a settings file may hold, as a JSON schema for editors."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from hybrid_id.cli.console import remark, show
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+
+def schema(
+    kind: Annotated[
+        Literal["dataset", "model", "study", "motor"],
+        typer.Argument(
+            help="Kind of file: dataset.yaml, model.yaml, a study file, a motor's data sheet.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", help="File to write; the screen by default.", show_default=False),
+    ] = None,
+) -> None:
+    """Write the JSON schema of a settings file, for editors: they complete keys, say what they mean and mark faults.
+
+    VS Code (with its YAML extension), Neovim, Helix and others read it where the file's first line names it.
+    """
+    text = schema_text(kind)
+    if out is None:
+        show(text)
+        return
+    from hybrid_id.records.files import write_whole
+
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(out, f"{text}\n")
+    remark(f"first line of a file beside it: {schema_line(out.name)}")
+
+
+def schema_text(kind: str) -> str:
+    """The JSON schema of a kind of file."""
+    import json
+
+    from hybrid_id.records.yaml_file import editor_schema
+
+    return json.dumps(editor_schema(MODELS[kind]()), indent=1, ensure_ascii=False)
+
+
+def schema_line(path: str) -> str:
+    """The comment that turns a schema on in an editor."""
+    return f"# yaml-language-server: $schema={path}"
+
+
+def _dataset() -> "type[BaseModel]":
+    from hybrid_id.records.schema import DatasetFile
+
+    return DatasetFile
+
+
+def _model() -> "type[BaseModel]":
+    import hybrid_id.components  # noqa: F401  # registers its kinds
+    from hybrid_id.systems.model_schema import ModelFile
+
+    return ModelFile
+
+
+def _study() -> "type[BaseModel]":
+    from hybrid_id.config import StudyConfig
+
+    return StudyConfig
+
+
+def _motor() -> "type[BaseModel]":
+    from hybrid_id.records.proposed_dataset import MotorSheet
+
+    return MotorSheet
+
+
+MODELS: dict[str, Callable[[], Any]] = {
+    "dataset": _dataset,
+    "model": _model,
+    "study": _study,
+    "motor": _motor,
+}

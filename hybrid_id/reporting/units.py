@@ -1,0 +1,50 @@
+"""Values in the units that the user logged, and symbols with their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+
+from hybrid_id.parameters import ParameterInfo
+from hybrid_id.records.dataset import Channel
+from hybrid_id.records.units import stem
+from hybrid_id.reporting.style import unit as printed
+from hybrid_id.systems.chain import System
+
+
+def shown_unit(unit: str, outputs: Iterable[Channel]) -> tuple[str, float]:
+    """Unit in which a parameter is shown, and its factor: an angle at the joint has that of the logged angles."""
+    angles = (channel.shown for channel in outputs if stem(channel.name) in ("q_a", "q_m"))
+    return next(angles, (unit, 1.0)) if unit == "rad" else (unit, 1.0)
+
+
+def in_unit(
+    channel: str, values: Iterable[float], outputs: Iterable[Channel], system: System
+) -> tuple[str, ...]:
+    """Values of a channel in the unit that was logged, and that unit; a motor's angle is seen at the joint.
+
+    ``("0.71", "0.4", "deg at the joint")``.
+    """
+    unit, factor = next((one.shown for one in outputs if one.name == channel), ("", 1.0))
+    ratio = _geared(channel, system)
+    where = f"{printed(unit)} at the joint" if ratio else printed(unit)
+    return (*(f"{value * factor / (ratio or 1.0):.3g}" for value in values), where)
+
+
+def _geared(channel: str, system: System) -> float | None:
+    """Gear ratio between a motor's angle or speed and its joint that turns; None where there is none."""
+    kinds = ["hinge"] * len(system.joints)
+    if system.tree is not None:
+        seats = system.seats or range(len(system.joints))
+        kinds = [system.tree.joints[seat].kind for seat in seats]
+    for joint, ratio, kind in zip(system.joints, system.own_ratios, kinds, strict=True):
+        if channel in (f"q_m{joint.number}", f"v_m{joint.number}") and kind == "hinge" and ratio != 1.0:
+            return ratio
+    return None
+
+
+def symbols_line(infos: Iterable[ParameterInfo], words: str) -> list[str]:
+    """Names of the parameters whose symbols stand in some words, as one line; none where there is none."""
+    used = set(re.findall(r"\w+", words))
+    names: Mapping[str, str] = {one.name: one.doc for one in infos if one.name in used}
+    return [f"symbols: {'; '.join(f'{name} {doc}' for name, doc in names.items())}."] if names else []
