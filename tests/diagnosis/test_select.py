@@ -9,10 +9,11 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis.fits import FULL, Fits, Task
+from hybrid_id.diagnosis.fits import FULL, Fits, Task, with_priors_of
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.select import (
+    Selection,
     _alive,
     _leaves_something,
     _with_whole_numbers,
@@ -105,3 +106,21 @@ def test_periods_per_turn_are_whole_where_that_predicts_as_well() -> None:
     assert chosen(4.0) == 4.0
     assert abs(chosen(3.4) - 3.4) < 0.05
     assert abs(chosen(3.4, lower=3.35) - 3.4) < 0.05  # the nearest whole number lies outside the bounds
+
+
+def test_short_runs_say_how_probable_the_first_effects_are_and_whole_records_what_comes_beside() -> None:
+    base = model(NOISE + WAVE)
+    first, short, beside = (SelectionStep(base, (model(NOISE, PLAY),)) for _ in range(3))
+    near = Selection(base, (short,), short.candidates[0])
+    whole = Selection(base, (first, beside), beside.candidates[0], near=near)
+    assert whole.compared == (short, beside) and near.compared == (short,)
+
+
+def test_parameters_are_held_as_those_of_another_model() -> None:
+    _, nominal = small_case()
+    richer = nominal.with_component("joint1/motor", REGISTRY["thermal_derating"](T_w=1.0, c=10.0))
+    (name,) = (info.name for info in nominal.table if info.symbol == "J")
+    held = nominal.with_specs({name: replace(nominal.parameter(name).spec, prior_mean=1e-5, prior_std=1e-6)})
+    spec = with_priors_of(richer, held).parameter(name).spec
+    assert (spec.prior_mean, spec.prior_std) == (1e-5, 1e-6)
+    assert with_priors_of(with_priors_of(richer, held), nominal).table == richer.table
