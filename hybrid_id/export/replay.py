@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -63,8 +63,9 @@ class Summary:
 
     Attributes:
         worst: largest difference between MuJoCo and the package's own replay.
-        role: of the records that judge: test where there are any, else all.
+        role: of the records that judge, those left out: test where there are any, else validation, else all ("").
         there, here: MuJoCo, and the package's own replay, against what was measured: means over those records.
+        by_output: MuJoCo against what was measured, for each output its mean over those records.
         strange: mean of the package's own replay over all records where it is so large that they may be of another
             robot; None otherwise.
     """
@@ -73,16 +74,28 @@ class Summary:
     role: str
     there: float
     here: float
+    by_output: dict[str, float]
     strange: float | None
+
+
+def judging_role(roles: Iterable[str]) -> str:
+    """Role of the records that judge, which no fit has seen: test, else validation, else all (the empty word)."""
+    known = set(roles)
+    return next((role for role in ("test", "validation") if role in known), "")
 
 
 def summarise(rows: Sequence[Agreement]) -> Summary:
     """The agreement of all records and outputs in a few figures."""
-    test = [row for row in rows if row.role == "test"]
-    there, here = (known_mean(getattr(row, name) for row in test or rows) for name in ("there", "here"))
+    role = judging_role(row.role for row in rows)
+    judges = [row for row in rows if role in ("", row.role)]
+    there, here = (known_mean(getattr(row, name) for row in judges) for name in ("there", "here"))
+    by_output = {
+        name: known_mean(row.there for row in judges if row.output == name)
+        for name in dict.fromkeys(row.output for row in judges)
+    }
     missed = known_mean(row.here for row in rows)
     worst = max((row.apart for row in rows if not math.isnan(row.apart)), default=math.nan)
-    return Summary(worst, "test" if test else "", there, here, missed if missed > STRANGE else None)
+    return Summary(worst, role, there, here, by_output, missed if missed > STRANGE else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +144,9 @@ def free_runs_of(system: System, dataset: Dataset, horizon: Horizon = WHOLE) -> 
     return found
 
 
-def agreement(system: System, exported: Mjcf, dataset: Dataset, horizon: Horizon = WHOLE) -> list[Agreement]:
+def agreement(
+    system: System, exported: Mjcf, dataset: Dataset, horizon: Horizon = WHOLE, *, there: System | None = None
+) -> list[Agreement]:
     """Replay every record in MuJoCo and here.
 
     Args:
@@ -139,22 +154,21 @@ def agreement(system: System, exported: Mjcf, dataset: Dataset, horizon: Horizon
         exported: what has become of it.
         dataset: the records.
         horizon: where the free runs begin anew from a measured state, there and here.
+        there: the model with the values that were exported, where these are others.
 
     Raises:
         InputError: MuJoCo is not installed, or a record has what MuJoCo cannot follow.
     """
     runs = free_runs_of(system, dataset, horizon)
-    both = list(zip(runs, mujoco_replays(system, exported, runs), strict=True))
+    both = list(zip(runs, mujoco_replays(there or system, exported, runs), strict=True))
     found = []
     for record in dataset.records:
-        mine = [(run, there) for run, there in both if run.record.name == record.name]
-        for name in mine[0][1]:
-            pieces = zip(
-                *((run.record.signal(name), run.outputs[name], there[name]) for run, there in mine),
-                strict=True,
-            )
-            measured, here, there = (np.concatenate(one) for one in pieces)
-            scores = [float(nrmse(*pair)) for pair in ((here, there), (measured, here), (measured, there))]
+        mine = [(run, replayed) for run, replayed in both if run.record.name == record.name]
+        for name in (name for name in mine[0][0].outputs if name in mine[0][1]):
+            pieces = [(run.record.signal(name), run.outputs[name], replayed[name]) for run, replayed in mine]
+            measured, ours, theirs = (np.concatenate(one) for one in zip(*pieces, strict=True))
+            pairs = (ours, theirs), (measured, ours), (measured, theirs)
+            scores = [float(nrmse(*pair)) for pair in pairs]
             found.append(Agreement(record.name, record.role, name, *scores))
     return found
 
@@ -203,6 +217,7 @@ def _mujoco_replay(
             model.actuator_delay[motor] = 0.0
         else:
             _fill_delay(mujoco, model, data, motor, command(0, data))
+    switched = any((command.on != 1.0).any() for command in commands)
     limited = model.actuator_ctrllimited[motors].copy()
     pulls = [(matrix, matrix[motors].copy()) for matrix in (model.actuator_gainprm, model.actuator_biasprm)]
     read = {n: _reading(model, system, exported, n) for n in record.outputs if _channel(n)[0] in READ}
@@ -212,9 +227,10 @@ def _mujoco_replay(
         states[k] = np.concatenate([data.qpos, data.qvel])
         if k + 1 == record.n_samples:
             break
-        model.actuator_ctrllimited[motors] = limited * [command.on[k] == 1.0 for command in commands]
-        for matrix, own in pulls:  # a servo that is off lets go
-            matrix[motors] = [c.pull(k) * row for c, row in zip(commands, own, strict=True)]
+        if switched:
+            model.actuator_ctrllimited[motors] = limited * [command.on[k] == 1.0 for command in commands]
+            for matrix, own in pulls:  # a servo that is off lets go
+                matrix[motors] = [c.pull(k) * row for c, row in zip(commands, own, strict=True)]
         left = int(ticks[k + 1] - ticks[k])
         at_once = 1 if any(command.follows(k) for command in commands) else left
         for _ in range(0, left, max(at_once, 1)):
