@@ -20,17 +20,17 @@ def loaded() -> System:
     """A weight that a motor lifts through teeth that rub the harder the more torque they carry."""
     drive = one_link(100.0, vertical=True).with_values({"J": 2e-5, "F_c": 0.004, "F_v": 5e-5, "G_l": 0.9})
     held = {i.name: replace(i.spec, estimate=i.name in ("F_c", "F_v", "J")) for i in drive.table}
-    return drive.with_specs(held).with_component("joint1/motor_friction", LoadDependent(mu=0.3))
+    return drive.with_specs(held).with_component("joint1/motor_friction", LoadDependent(mu=0.15))
 
 
 @pytest.fixture(scope="module")
 def diagnosed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a diagnosis whose corrected model has load-dependent friction, and the records beside it."""
     home = tmp_path_factory.mktemp("loaded")
-    voltages = [multisine(seed, samples=500, amplitude=6.0 + seed) for seed in range(4)]
-    records = make_records(loaded(), voltages, noise={"q_m1": 0.05})
-    records[3] = replace(records[3], role="test")
-    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.05),)
+    voltages = [multisine(seed, samples=800, amplitude=6.0 + seed) for seed in range(5)]
+    records = make_records(loaded(), voltages, noise={"q_m1": 0.002})
+    records[3:] = [replace(record, role="test") for record in records[3:]]
+    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.002),)
     data = Dataset("lift", *channels, tuple(records), 0.002)
     data.save(home / "data")
     base = loaded().without_component("joint1/motor_friction", "load_dependent_friction")
@@ -52,10 +52,10 @@ def test_a_corrected_model_is_as_good_as_the_re_fitted_one(run, diagnosed: Path,
     assert told["role"] == "test" and list(told["models"]) == ["nominal", "re-fitted", "corrected"]
     nominal, refitted, corrected = told["models"].values()
     assert corrected["nrmse_before_refit"] > 2 * refitted["nrmse"], "the failure that is cured"
-    assert corrected["nrmse"] < 1.02 * refitted["nrmse"] < nominal["nrmse"]
+    assert corrected["nrmse"] < 1.05 * refitted["nrmse"] < nominal["nrmse"]
     assert corrected["nrmse_here"] < 0.2 * refitted["nrmse_here"]
     assert "F_c" in corrected["refitted"] and "mu" not in corrected["refitted"]
-    line = "normalised RMSE in MuJoCo, mean over 1 test record: nominal"
+    line = "normalised RMSE in MuJoCo, mean over 2 test records: nominal"
     assert line in out.read_text() and line in out.with_suffix(".html").read_text()
     assert f"{corrected['nrmse']:.3g}" in done.out and "fits the train records best there" in done.out
     level = mujoco.MjModel.from_xml_path(str(out)).dof_frictionloss.max()
