@@ -204,12 +204,13 @@ def _mujoco_replay(
         state = {name: [sum(share * start[m.positions[0] + k] for m, share in turning) for k in (0, 1)]}
         if not joint.rigid:
             rotor, link = state[name], start[joint.positions[1] : joint.positions[1] + 2]
-            state[f"gear{joint.number}"] = [b - a for a, b in zip(rotor, link, strict=True)]
+            gear = _gear(model, joint)
+            state |= {gear: [b - a for a, b in zip(rotor, link, strict=True)]} if gear else {name: link}
         for hinge, (angle, speed) in state.items():
             data.joint(hinge).qpos[:], data.joint(hinge).qvel[:] = angle, speed
     motors = [model.actuator(name).id for name in exported.motors]
     commands = [
-        _Command(system, joint, exported, record, model.opt.timestep, bool(model.actuator_biastype[motor]))
+        _Command(system, joint, exported, record, model, bool(model.actuator_biastype[motor]))
         for joint, motor in zip(system.joints, motors, strict=True)
     ]
     for command, motor in zip(commands, motors, strict=True):
@@ -280,9 +281,15 @@ def _reading(model: Any, system: System, exported: Mjcf, name: str) -> np.ndarra
             add(exported.joints[link.number - 1], turns)
         return found
     add(exported.joints[number], 1.0)
-    if not joint.rigid:
-        add(f"gear{joint.number}", 1.0)
+    if gear := _gear(model, joint):
+        add(gear, 1.0)
     return found
+
+
+def _gear(model: Any, joint: Joint) -> str:
+    """Name of the hinge that is a gear's deflection in MuJoCo; empty where the gear is rigid there."""
+    name = f"gear{joint.number}"
+    return name if not joint.rigid and name in {model.joint(k).name for k in range(model.njnt)} else ""
 
 
 def _shaft(exported: Mjcf, joint: Joint, data: Any, field: str) -> float:
@@ -301,7 +308,7 @@ class _Command:
     """
 
     def __init__(
-        self, system: System, joint: Joint, exported: Mjcf, record: Record, tick: float, servo: bool
+        self, system: System, joint: Joint, exported: Mjcf, record: Record, model: Any, servo: bool
     ) -> None:
         key, self._source = joint.drive.input
         self._exported, self._joint = exported, joint
@@ -316,7 +323,7 @@ class _Command:
         self._encoders = [(part, part.view()) for _, part in joint.drive.encoders]
         self.servo = servo = servo and self._source.at_joint
         self._closed = not servo and (isinstance(self._source, PositionLoop) or self._source.at_joint)
-        self._tick = tick
+        self._tick, self._gear = model.opt.timestep, _gear(model, joint)
         self._time, delay = record.time - record.time[0], joint.drive.delay
         self._late = 0.0 if delay is None else delay[1].specs["T_d"].value
         zero = torch.zeros(1, dtype=torch.float64)
@@ -366,7 +373,7 @@ class _Command:
         if not self._source.at_joint:
             return angle, speed
         r = self._joint.gear_ratio
-        gear = None if self._joint.rigid else data.joint(f"gear{self._joint.number}")
+        gear = data.joint(self._gear) if self._gear else None
         twist, rate = (0.0, 0.0) if gear is None else (gear.qpos[0], gear.qvel[0])
         return angle / r + twist, speed / r + rate
 

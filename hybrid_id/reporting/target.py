@@ -18,13 +18,13 @@ Models = Mapping[str, InTarget]
 
 
 def errors_table(models: Models) -> Table:
-    """Errors of each model in MuJoCo, by output and over all, beside what the package's own replay has."""
+    """Errors of each model in MuJoCo, beside what the package's own replay has, and in MuJoCo by output."""
     found = {label: one.summary for label, one in models.items()}
     outputs = list(next(iter(found.values())).by_output)
     split = outputs if len(outputs) > 1 else []
-    heads = ("model", *(f"{name} in MuJoCo>" for name in split), "in MuJoCo>", "here>")
+    heads = ("model", "in MuJoCo>", "here>", *(f"{name}>" for name in split))
     rows = (
-        (label, *(f"{one.by_output[name]:.3g}" for name in split), f"{one.there:.3g}", f"{one.here:.3g}")
+        (label, f"{one.there:.3g}", f"{one.here:.3g}", *(f"{one.by_output[name]:.3g}" for name in split))
         for label, one in found.items()
     )
     return table(heads, rows)
