@@ -74,7 +74,7 @@ def _study() -> "type[BaseModel]":
 
 
 def _motor() -> "type[BaseModel]":
-    from hybrid_id.records.proposed_dataset import MotorSheet
+    from hybrid_id.records.proposal_parts import MotorSheet
 
     return MotorSheet
 

@@ -197,7 +197,8 @@ def search(
                 if short is not None:
                     step = screen(*short, system, among=few, progress=progress)
                     if first is None or _rivalry(step) < _rivalry(first):
-                        (fits, base), first, whole = short, step, (fits, base, first)
+                        whole = None if first is None else (fits, base, first)
+                        (fits, base), first = short, step
         found = select(
             fits, base, system, first=first, steps=steps, max_effects=max_effects, progress=progress
         )
@@ -215,7 +216,7 @@ def search(
 def _along_whole(
     fits: Fits,
     base: FittedModel,
-    first: SelectionStep | None,
+    first: SelectionStep,
     near: Selection,
     system: System,
     max_effects: int,
@@ -226,7 +227,7 @@ def _along_whole(
     What is fast shows over short runs, what is slow along whole ones, and most machines lack both. It goes on only
     where whole records bear these effects out.
     """
-    if first is None or not near.chosen.effects:
+    if not near.chosen.effects:
         return None
     start = with_priors_of(near.chosen.system, base.system)
     model = fits.run([Task(near.chosen.effects, start)], FULL)[0]

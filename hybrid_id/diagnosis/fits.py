@@ -248,11 +248,11 @@ def without_priors(system: System, nominal: System) -> System:
 
 def with_priors_of(system: System, other: System) -> System:
     """The same model with its parameters held as another one holds those that both have."""
-    names = {(info.component, info.symbol): info for info in system.table}
-    both = [(names[key], i.spec) for i in other.table if (key := (i.component, i.symbol)) in names]
+    given = {(info.component, info.symbol): info.spec for info in other.table}
     held = {
-        own.name: replace(own.spec, prior_mean=spec.prior_mean, prior_std=spec.prior_std)
-        for own, spec in both
+        info.name: replace(info.spec, prior_mean=spec.prior_mean, prior_std=spec.prior_std)
+        for info in system.table
+        if (spec := given.get((info.component, info.symbol))) is not None
     }
     return system.with_specs(held)
 

@@ -356,7 +356,7 @@ def _ties(model: FittedModel, step: SelectionStep, name: Name) -> tuple[str, ...
 
 def tied_models(found: Selection) -> list[FittedModel]:
     """Models that explain the records as well as the chosen one, itself among them; empty without a rival."""
-    for step in found.steps:
+    for step in found.compared:
         if step.best is not None and step.best.effects == found.chosen.effects:
             equals = indistinguishable(step.best, step)
             if len(equals) > 1:

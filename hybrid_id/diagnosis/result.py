@@ -162,14 +162,34 @@ class Diagnosis:
         """What a notebook shows: the effects that are selected or likely."""
         table = self.table()
         shown = table.loc[table["selected"] | (table["probability"] >= LIKELY)]
-        kept = [
-            line for line in self.summary().splitlines() if not line.startswith("  ") or "unexplained" in line
-        ]
-        return as_html(f"{self.case}: {kept[0]}", shown, map(str.strip, kept[1:]))
+        return as_html(f"{self.case}: {self._heading}", shown, [self._unexplained, *self._remarks])
+
+    @property
+    def _heading(self) -> str:
+        return f"verdict: {self.verdict}{' (interrupted)' if self.interrupted else ''}"
+
+    @property
+    def _unexplained(self) -> str:
+        low, high = self.remainder_interval
+        return f"unexplained: {100 * self.remainder:.0f} % of the gap ({100 * low:.0f}-{100 * high:.0f} %)"
+
+    @property
+    def _remarks(self) -> list[str]:
+        """What a page says below the effects."""
+        lines = [f"implausible: {one}" for one in self.implausible]
+        if self.nominal is not None and self.shrink is not None:
+            gap, low, high = self.shrink, *self.shrink.interval
+            lines.insert(
+                0,
+                f"NRMSE on the test records, mean of the outputs: nominal {self.nominal.nrmse:.3g}, re-fitted "
+                f"{gap.refit:.3g}, corrected {gap.with_effect:.3g}; shrink {100 * gap.share:.0f} % "
+                f"({100 * low:.0f}-{100 * high:.0f} %)",
+            )
+        return lines
 
     def summary(self) -> str:
         """Verdict, place, effects and gap in a few lines; the command ``diagnose`` says the same in sentences."""
-        lines = [f"verdict: {self.verdict}{' (interrupted)' if self.interrupted else ''}"]
+        lines = [self._heading]
         for one in self.effects[:4]:
             share = "" if one.share is None else f"  {100 * one.share:.0f} % of the gap"
             values = ", ".join(f"{k} = {v:.4g}" for k, (v, _) in one.parameters.items())
@@ -177,18 +197,7 @@ class Diagnosis:
             lines.append(
                 f"  {one.probability:.3f}{share}  {one.name} at {one.where}  {values if mark else ''}  {mark}".rstrip()
             )
-        low, high = self.remainder_interval
-        lines.append(
-            f"  unexplained: {100 * self.remainder:.0f} % of the gap ({100 * low:.0f}-{100 * high:.0f} %)"
-        )
-        if self.nominal is not None and self.shrink is not None:
-            gap, low, high = self.shrink, *self.shrink.interval
-            lines.append(
-                f"NRMSE on the test records, mean of the outputs: nominal {self.nominal.nrmse:.3g}, re-fitted "
-                f"{gap.refit:.3g}, corrected {gap.with_effect:.3g}; shrink {100 * gap.share:.0f} % "
-                f"({100 * low:.0f}-{100 * high:.0f} %)"
-            )
-        return "\n".join([*lines, *(f"implausible: {one}" for one in self.implausible)])
+        return "\n".join([*lines, f"  {self._unexplained}", *self._remarks])
 
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``, former keys included."""

@@ -11,6 +11,7 @@ import numpy as np
 
 from hybrid_id.records.column_kinds import INPUTS, kinds_of
 from hybrid_id.records.column_words import ColumnWords, tokens
+from hybrid_id.records.logs import Log
 from hybrid_id.records.proposal import (
     ANGLE_FACTORS,
     COUNTS,
@@ -150,6 +151,10 @@ class _Joint:
         """Turns of what the angle is measured at for one of the joint, as far as the sheet says."""
         return self.gear if self.drive.side == "m" else 1.0
 
+    def at_joint(self, logs: Sequence[Log]) -> list[np.ndarray]:
+        """The angle at the joint in each log [rad or m], (T,)."""
+        return [self.outputs[0].values(log) / self.ratio for log in logs]
+
     @property
     def gear(self) -> float:
         return self.evidence.sheet.ratio(self.drive.number)
@@ -163,15 +168,13 @@ class _Joint:
         self.drive.side = "a" if column.side == "link" or at_joint else "m"
         self.side_said = bool(column.side)
 
-    def _turn_side(self, side: str, words: str, sure: bool = True) -> None:
+    def _turn_side(self, side: str, words: str) -> None:
         """Rename the outputs to a side of the gear."""
         self.drive.side = side
         for one in self.outputs:
             one.name = re.sub(r"_[ma](?=\d)", f"_{side}", one.name)
             one.guesses = [replace(g, about=re.sub(r"_[ma](?=\d)", f"_{side}", g.about)) for g in one.guesses]
-        self.outputs[0].guesses.append(
-            Guess("side of the gear", "motor" if side == "m" else "link", words, sure)
-        )
+        self.outputs[0].guesses.append(Guess("side of the gear", "motor" if side == "m" else "link", words))
 
     def _side_by_motor(self) -> None:
         """Settle the angle's unit and side by the sheet's back-EMF constant, else its side by the joint's range."""
@@ -494,7 +497,7 @@ class _Joint:
         command, output, joint = self.inputs[0], self.outputs[0], self.joint
         if joint is None or output.name.startswith("v_"):
             return list(self.outputs), words
-        angles = [output.values(log) / self.ratio for log in self.evidence.logs]
+        angles = self.at_joint(self.evidence.logs)
         fits = [zero_offset([way * one for one in angles], joint, "") is None for way in (1.0, -1.0)]
         if fits == [True, False]:
             return [command], f"{words}; turned, the angle would leave the range of {joint.name}"
@@ -523,7 +526,7 @@ class _Joint:
     def _zero(self) -> None:
         """Bring the angle, and a goal with it, to the zero of the robot's file; without one, to its goal's."""
         angle, joint, about = self.outputs[0], self.joint, f"zero of {self.outputs[0].name}"
-        values = [angle.values(log) / self.ratio for log in self.evidence.logs]
+        values = self.at_joint(self.evidence.logs)
         limited = joint is not None and math.isfinite(joint.range)
         by_range = zero_offset(values, joint, about) if joint is not None and limited else None
         by_goal = None
@@ -554,8 +557,7 @@ class _Joint:
 
     def _stops(self, joint: JointFacts) -> None:
         """Note where the joint is beyond its limits."""
-        angle, middle = self.outputs[0], 0.5 * (joint.low + joint.high)
-        values = [angle.values(log) / self.ratio for log in self.evidence.logs]
+        values, middle = self.at_joint(self.evidence.logs), 0.5 * (joint.low + joint.high)
         for k, beyond in enumerate(beyond_limits(values, joint)):
             if beyond.any():
                 far = values[k][np.argmax(np.abs(values[k] - middle))]
@@ -565,10 +567,10 @@ class _Joint:
     def _lag(self) -> None:
         """How late the angle follows its goal, the median of the logs that show it."""
         if self.drive.command == "goal":
-            goal, angle, ratio = self.inputs[0], self.outputs[0], self.ratio
-            logs = self.evidence.liveliest(angle.column, FITTED)
+            logs = self.evidence.liveliest(self.outputs[0].column, FITTED)
             lags = [
-                goal_lag(self.evidence.time(one), goal.values(one), angle.values(one) / ratio) for one in logs
+                goal_lag(self.evidence.time(log), self.inputs[0].values(log), angle)
+                for log, angle in zip(logs, self.at_joint(logs), strict=True)
             ]
             self.drive.lag = float(np.median([lag for lag in lags if lag] or [0.0]))
 

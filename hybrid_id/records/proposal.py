@@ -450,8 +450,8 @@ def side_and_unit(
     )
 
 
-def side_by_range(span: float, joint: JointFacts, ratio: float) -> tuple[str, str, bool] | None:
-    """Side of the gear (``m`` or ``a``) by the range of the joint, the evidence, and whether it is sure; or None.
+def side_by_range(span: float, joint: JointFacts, ratio: float) -> tuple[str, str] | None:
+    """Side of the gear (``m`` or ``a``) by the range of the joint, and the evidence; None where both are possible.
 
     Args:
         span: of the angle, where it moves most [rad].
@@ -465,11 +465,11 @@ def side_by_range(span: float, joint: JointFacts, ratio: float) -> tuple[str, st
         words = (
             f"behind the gear of {ratio:g} its span is {share / ratio:.2g} times the range of {joint.name}"
         )
-        return ("m", f"{words}, and {share:.3g} times before it", True) if share / ratio <= 1.1 else None
+        return ("m", f"{words}, and {share:.3g} times before it") if share / ratio <= 1.1 else None
     if share > HARDLY * ratio:
         return None
     words = f"its span is {share:.2g} times the range of {joint.name}; as the motor's it would be {share / ratio:.1g}"
-    return "a", words, True
+    return "a", words
 
 
 def goal_unit(span: float, moved: float, factor: float, column: str, about: str) -> Guess:

@@ -35,8 +35,7 @@ def _geared(channel: str, system: System) -> float | None:
     """Gear ratio between a motor's angle or speed and its joint that turns; None where there is none."""
     kinds = ["hinge"] * len(system.joints)
     if system.tree is not None:
-        seats = system.seats or range(len(system.joints))
-        kinds = [system.tree.joints[seat].kind for seat in seats]
+        kinds = [system.tree.joints[seat].kind for seat in system.arm.seats]
     for joint, ratio, kind in zip(system.joints, system.own_ratios, kinds, strict=True):
         if channel in (f"q_m{joint.number}", f"v_m{joint.number}") and kind == "hinge" and ratio != 1.0:
             return ratio

@@ -116,8 +116,8 @@ def _spans(dataset: Dataset, system: System) -> Iterator[Finding]:
     """Errors of the joints of a robot whose angles go several times through their range."""
     if system.tree is None:
         return
-    seats, measured = system.seats or range(len(system.joints)), {c.name for c in dataset.outputs}
-    for seat, joint, ratio in zip(seats, system.joints, system.own_ratios, strict=True):
+    measured = {channel.name for channel in dataset.outputs}
+    for seat, joint, ratio in zip(system.arm.seats, system.joints, system.own_ratios, strict=True):
         described = system.tree.joints[seat]
         low, high = described.limits
         sides = {f"q_a{joint.number}": 1.0} | ({f"q_m{joint.number}": ratio} if ratio else {})
@@ -178,8 +178,7 @@ def check_start_values(dataset: Dataset, system: System) -> list[Finding]:
 def _still(dataset: Dataset, system: System) -> list[str]:
     """Names of the joints whose angles and speeds are measured and leave their noise in no record."""
     found = []
-    seats = system.seats or range(len(system.joints))
-    for seat, joint in zip(seats, system.joints, strict=True):
+    for seat, joint in zip(system.arm.seats, system.joints, strict=True):
         own = [
             c
             for c in dataset.outputs
