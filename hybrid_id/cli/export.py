@@ -1,7 +1,8 @@
 """`export`: what was found, in the formats of others."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,13 +19,16 @@ from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
-    from hybrid_id.reporting.target import Models
+    from rich.console import RenderableType
+
+    from hybrid_id.export.target import TargetErrors
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.reporting.page import Page
     from hybrid_id.study import Horizon
     from hybrid_id.systems.chain import System
 
 REFIT = "refit.yaml"
 """The nominal model, re-fitted, beside the corrected one."""
-PAGE = ".html"
 SAMPLE_TIME, WIDTH = 0.002, 0.5
 """Defaults of the torch program: its step [s], and the speed over which it smooths dry friction [rad/s]."""
 
@@ -35,6 +39,23 @@ class Format(StrEnum):
     mjcf = "mjcf"
     ranges = "ranges"
     torch = "torch"
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a format comes to.
+
+    Attributes:
+        described: what is said of it, as plain data.
+        words: what the screen says of it.
+        content: of its file; None where that is the description itself.
+        page: beside it; None where there is none.
+    """
+
+    described: dict[str, Any]
+    words: "Sequence[RenderableType]" = ()
+    content: bytes | None = None
+    page: "Page | None" = None
 
 
 def export(
@@ -72,210 +93,199 @@ def export(
             show_default=str(WIDTH),
         ),
     ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="Replace the file; write a model that is worse in MuJoCo.")
+        bool,
+        typer.Option(
+            "--force", help="Write a corrected model that is worse in MuJoCo than the re-fitted one."
+        ),
     ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a model for MuJoCo, parameter ranges for domain randomisation, or one step as a torch program.
 
     What the format cannot carry is said in one sentence an effect, here and in the file (beside a torch program: in the
-    JSON of the same name). A model of an identification or a diagnosis is replayed in MuJoCo on its test records, or on
+    JSON of the same name). A model in its folder of results is replayed in MuJoCo on the run's test records, or on
     those of --check, beside the nominal and the re-fitted model; what it loses there is fitted anew in MuJoCo, and a
     corrected model that stays worse than the re-fitted one is refused.
     """
-    _refuse_foreign_options(to, check, sample_time, width)
-    refuse_file(out, force=force)
-    beside = _description_beside(out, to)
-    if beside is not None:
-        refuse_file(beside, force=force)
-    if to is Format.mjcf:
-        refuse_file(out.with_suffix(PAGE), force=force)
+    _refuse_foreign_options(to, check, sample_time, width, force=force)
+    refuse_file(out, force=overwrite, option="--overwrite")
+    files = _files(out, to)
+    for one in files[1:]:
+        refuse_file(one, force=overwrite, option="--overwrite")
     use_threads(1)
     from hybrid_id.reporting.results import as_json as to_json
 
     file = model / "model.yaml" if model.is_dir() else model
     system = read_model(file)
-    models: Models = {}
     if to is Format.ranges:
-        described, content = _ranges(system, model), b""
+        made = _ranges(system, model, out)
     elif to is Format.mjcf:
-        content, described, models = _mjcf(system, file, check, out, force=force)
+        made = _mjcf(system, file, check, out, force=force)
     else:
-        content, described = _program(system, sample_time or SAMPLE_TIME, width or WIDTH)
+        made = _program(system, out, sample_time or SAMPLE_TIME, width or WIDTH)
     about = {"model": str(model), "format": to.value}
-    if beside is not None:
+    if made.content is not None:
         about |= {"model": str(file), "file": out.name}
-    text = to_json("export", about | described)
-    _write(out, content, beside, text, models, force=force)
+    text = to_json("export", about | made.described)
+    _write(files, made, text, overwrite=overwrite)
     if as_json:
         return show(text)
-    for note in described.get("left_out", []):
+    left_out = made.described.get("left_out", [])
+    for note in left_out:
         remark(f"{note}.")
-    if beside is None:
-        return show(f"a range for each parameter is in {out}")
-    if to is Format.torch:
-        words = f"{described['difference']:.1e} of the largest state"
-        show(f"{out}, read back, differs from the model's own step by {words}")
-    elif models:
-        _show_errors(models)
-    else:
-        show("give --check DATASET to see how closely MuJoCo replays your records")
-    left_out = f"what it leaves out in {beside}" if described["left_out"] else "nothing is left out"
-    show(f"the model is in {out}, {left_out}")
+    show(*made.words)
+    if made.content is not None:
+        show(
+            f"the model is in {out}, {f'what it leaves out in {files[1]}' if left_out else 'nothing is left out'}"
+        )
 
 
 def _refuse_foreign_options(
-    to: Format, check: Path | None, sample_time: float | None, width: float | None
+    to: Format, check: Path | None, sample_time: float | None, width: float | None, *, force: bool
 ) -> None:
     """Refuse an option of another format than the one asked for."""
     if check is not None and to is not Format.mjcf:
         raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
+    if force and to is not Format.mjcf:
+        raise InputError(
+            "--force writes a model that is worse in MuJoCo; leave it out, --overwrite replaces files that exist"
+        )
     if to is not Format.torch and (sample_time, width) != (None, None):
         raise InputError(
             "--sample-time and --width are of the torch program; leave them out, or take --to torch"
         )
 
 
-def _description_beside(out: Path, to: Format) -> Path | None:
-    """The JSON file beside an exported model; None for ranges, which are JSON themselves."""
-    if to is Format.ranges:
-        return None
-    beside = out.with_suffix(".json")
-    if beside == out:
-        raise InputError(f"{out} would also be the name of the description beside it; take another ending")
-    return beside
+def _files(out: Path, to: Format) -> list[Path]:
+    """The file to write, then its description and its page; ranges are JSON themselves."""
+    endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
+    beside = [out.with_suffix(ending) for ending in endings]
+    if out in beside:
+        raise InputError(
+            f"{out} would also be the name of the {'page' if out.suffix == '.html' else 'description'} beside it; take "
+            "another ending"
+        )
+    return [out, *beside]
 
 
-def _write(
-    out: Path, content: bytes, beside: Path | None, text: str, models: "Models", *, force: bool
-) -> None:
-    """Write the model, its page and its description beside it, all or none; without a description that alone."""
-    with ExitStack() as files:
-        main = files.enter_context(result_file(out, force=force))
-        if beside is None:
-            return write_last(main, text)
-        main.write_bytes(content)
-        if models:
-            from hybrid_id.reporting.target import target_page
-
-            page = files.enter_context(result_file(out.with_suffix(PAGE), force=force))
-            target_page(models, out.name).write(page)
-        write_last(files.enter_context(result_file(beside, force=force)), text)
+def _write(files: Sequence[Path], made: Made, text: str, *, overwrite: bool) -> None:
+    """Write the model, its description and its page, all or none; the description comes in last."""
+    with ExitStack() as stack:
+        kept = files if made.page is not None else files[:2]
+        out, *beside = (stack.enter_context(result_file(one, force=overwrite)) for one in kept)
+        if made.content is None:
+            return write_last(out, text)
+        out.write_bytes(made.content)
+        if made.page is not None:
+            made.page.write(beside[1])
+        write_last(beside[0], text)
 
 
-def _mjcf(
-    system: "System", file: Path, check: Path | None, out: Path, *, force: bool
-) -> "tuple[bytes, dict[str, Any], Models]":
+def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, force: bool) -> Made:
     from hybrid_id.export.mjcf import to_mjcf
     from hybrid_id.export.target import with_comment
-    from hybrid_id.reporting.target import error_lines, target_result
+    from hybrid_id.reporting import target
 
-    models = _in_mujoco(system, file, check)
-    exported = to_mjcf(system)
-    described: dict[str, Any] = {"left_out": list(exported.notes), "check": None, "in_mujoco": None}
-    if models:
-        _refuse_worse(models, file, force=force)
-        asked = list(models.values())[-1]
-        exported = with_comment(asked.exported, error_lines(models))
-        described = {
-            "left_out": list(exported.notes),
-            "check": [vars(row) for row in asked.rows],
-            "in_mujoco": target_result(models),
-        }
+    errors = _in_mujoco(system, file, check)
+    exported = to_mjcf(system) if errors is None else errors.exported.exported
     if exported.home is not None and out.parent.resolve() != exported.home:
         remark(
             f"meshes and includes are named as seen from {exported.home}: MuJoCo finds them where {out.name} lies there"
         )
-    return exported.text.encode(), described, models
+    described: dict[str, Any] = {"left_out": list(exported.notes), "check": None, "in_mujoco": None}
+    if errors is None:
+        words = ["give --check DATASET to see how closely MuJoCo replays your records"]
+        return Made(described, words, exported.text.encode())
+    if errors.worse and not force:
+        raise InputError(
+            f"{file}: {target.worse_words(errors)}; nothing is written: export {file.with_name(REFIT)}, or give "
+            "--force to write it all the same"
+        )
+    if errors.worse:
+        remark(f"{target.worse_words(errors)}; it is written all the same")
+    if (missed := errors.exported.summary.strange) is not None:
+        remark(
+            f"this model misses these records by {missed:.2g} of their spread; are they of the same robot?"
+        )
+    described |= {
+        "check": [vars(row) for row in errors.exported.rows],
+        "in_mujoco": target.target_result(errors),
+    }
+    content = with_comment(exported, target.error_lines(errors)).text.encode()
+    return Made(described, target.on_screen(errors), content, target.target_page(errors, out.name))
 
 
-def _in_mujoco(system: "System", file: Path, check: Path | None) -> "Models":
-    """The model in MuJoCo, behind those that it is to be better than; none where there are no records.
+def _in_mujoco(system: "System", file: Path, check: Path | None) -> "TargetErrors | None":
+    """The model in MuJoCo, behind those that it is to be better than; None where there are no records.
 
     The records of --check judge, else those of the run that the model comes from; that run's own train records fit.
     """
-    from hybrid_id.export.replay import judging_role
-    from hybrid_id.export.target import in_mujoco
-    from hybrid_id.study import Horizon
+    from hybrid_id.export.replay import left_out
+    from hybrid_id.export.target import NOMINAL, REFITTED, target_errors
 
-    made = _run_of(file)
-    own = None if made is None else load_records(made[0].dataset, made[0])
-    judges = own if check is None else records_to_replay(check)
-    if judges is None:
-        return {}
-    if check is None and find_spec("mujoco") is None:
+    run = _run_of(file)
+    own = None if run is None else _own_records(run[0])
+    if check is None and own is not None and find_spec("mujoco") is None:
         remark(
-            "MuJoCo is not installed: how this model errs there is not known; 'hybrid-id doctor' says what to install"
+            "MuJoCo is not installed: how this model errs there is not known; pip install 'hybrid-id[blind]'"
         )
-        return {}
-    horizon = Horizon() if made is None else made[1]
-    role = judging_role(record.role for record in judges)
-    left_out = replace(judges, records=tuple(record for record in judges if role in ("", record.role)))
-    train = None if own is None or not own.train else replace(own, records=own.train)
-    asked = judges if check else left_out
-    if made is None:
-        return {"exported": in_mujoco(system, asked)}
-    label, found = _label(file), {}
-    nominal, refit = made[0].model, file.with_name(REFIT)
-    if nominal.exists():
-        found["nominal"] = in_mujoco(read_model(nominal), left_out, horizon=horizon)
-    starts = [read_model(refit)] if label == "corrected" and refit.exists() else []
+        return None
+    judges = left_out(own) if check is None and own is not None else check and records_to_replay(check)
+    if judges is None:
+        return None
+    if run is None:
+        return target_errors({"exported": system}, judges)
+    (config, horizon), label = run, _label(file)
+    models = {NOMINAL: read_model(config.model)} if config.model.exists() else {}
+    refit = file.with_name(REFIT)
+    if label != REFITTED and refit.exists():
+        models[REFITTED] = read_model(refit)
     remark(
         "replaying in MuJoCo; what it cannot carry is fitted there to the train records, which may take minutes"
     )
-    for one in starts:
-        found["re-fitted"] = in_mujoco(one, left_out, train=train, horizon=horizon)
-    return found | {label: in_mujoco(system, asked, train=train, horizon=horizon, starts=starts)}
+    train = replace(own, records=own.train) if own is not None and own.train else None
+    return target_errors(models | {label: system}, judges, train=train, horizon=horizon)
 
 
 def _run_of(file: Path) -> "tuple[StudyConfig, Horizon] | None":
-    """Settings and horizon of the run whose folder a model lies in; None without one, or where its records are gone."""
+    """Settings and horizon of the run whose folder a model lies in; None where it lies in none."""
     from hybrid_id.export.ranges import read_result
     from hybrid_id.study import Horizon
 
-    settings, result = file.with_name("config.yaml"), file.with_name(DIAGNOSIS)
-    if not result.exists():
-        result = file.with_name(RESULT)
-    if not (result.exists() and settings.exists()):
-        return None
-    config = load_config(settings)
-    if not config.dataset.exists():
+    settings = file.with_name("config.yaml")
+    result = next((one for name in (DIAGNOSIS, RESULT) if (one := file.with_name(name)).exists()), None)
+    if result is None or not settings.exists():
         remark(
-            f"{config.dataset}, the records of this run, is not there: nothing is fitted anew in MuJoCo's terms"
+            f"{file} lies in no folder of results: it is neither compared with a re-fitted model nor fitted anew to "
+            "what MuJoCo can carry"
         )
         return None
     horizon = read_result(result).get("horizon") or {}
-    return config, Horizon(horizon.get("kind", "whole"), horizon.get("seconds") or 0.0)
+    return load_config(settings), Horizon(horizon.get("kind", "whole"), horizon.get("seconds") or 0.0)
+
+
+def _own_records(config: StudyConfig) -> "Dataset | None":
+    """Records of a run; None where they are gone."""
+    if config.dataset.exists():
+        return load_records(config.dataset, config)
+    remark(
+        f"{config.dataset}, the records of this run, is not there: nothing is fitted anew in MuJoCo's terms"
+    )
+    return None
 
 
 def _label(file: Path) -> str:
     """What the model of a run is called."""
+    from hybrid_id.export.target import CORRECTED, REFITTED
+
     if file.name == REFIT:
-        return "re-fitted"
-    return "corrected" if file.with_name(DIAGNOSIS).exists() else "identified"
+        return REFITTED
+    return CORRECTED if file.with_name(DIAGNOSIS).exists() else "identified"
 
 
-def _refuse_worse(models: "Models", file: Path, *, force: bool) -> None:
-    """Refuse a corrected model that is worse in MuJoCo than the re-fitted one."""
-    from hybrid_id.reporting.target import judged_on
-
-    corrected, refitted = models.get("corrected"), models.get("re-fitted")
-    if corrected is None or refitted is None or not corrected.worse_than(refitted):
-        return
-    words = (
-        f"in MuJoCo the corrected model errs by {corrected.summary.there:.3g}, the re-fitted one by "
-        f"{refitted.summary.there:.3g} (normalised RMSE, mean over {judged_on(models)})"
-    )
-    if not force:
-        raise InputError(
-            f"{file}: {words}; nothing is written: export {file.with_name(REFIT)}, or give --force to write it all "
-            "the same"
-        )
-    remark(f"{words}; it is written all the same")
-
-
-def _program(system: "System", sample_time: float, width: float) -> tuple[bytes, dict[str, Any]]:
+def _program(system: "System", out: Path, sample_time: float, width: float) -> Made:
     from hybrid_id.export.program import to_program
 
     program = to_program(system, sample_time=sample_time, width=width)
@@ -287,10 +297,11 @@ def _program(system: "System", sample_time: float, width: float) -> tuple[bytes,
     if any(joint.drive.encoders or joint.gear.errors for joint in system.joints):
         left_out.append("what encoders read (offset, dead time, error of a gear): the states are true angles")
     about = {"interface": program.interface, "difference": program.difference, "left_out": left_out}
-    return program.content, about
+    differs = f"{out}, read back, differs from the model's own step by {program.difference:.1e} of the largest state"
+    return Made(about, [differs], program.content)
 
 
-def _ranges(system: "System", model: Path) -> dict[str, Any]:
+def _ranges(system: "System", model: Path, out: Path) -> Made:
     from hybrid_id.export.ranges import read_result, to_ranges
 
     file = (model if model.is_dir() else model.parent) / RESULT
@@ -301,28 +312,4 @@ def _ranges(system: "System", model: Path) -> dict[str, Any]:
     found = to_ranges(system, read_result(file) if file.is_file() else None)
     if lost := [name for name, one in found["parameters"].items() if one["from"] == "unknown"]:
         remark(f"nothing says how far {', '.join(lost)} may be off: their ranges are one value; give priors")
-    return found
-
-
-def _show_errors(models: "Models") -> None:
-    """How closely MuJoCo replays the records, and whether they may be of another robot."""
-    from hybrid_id.export.replay import summarise
-    from hybrid_id.reporting.target import error_lines, errors_table, judged_on, replays_table
-
-    rows = list(models.values())[-1].rows
-    found = summarise(rows)
-    show("normalised RMSE, over the same records:", replays_table(rows))
-    show(f"MuJoCo replays these records within {found.worst:.2g} of ours (normalised RMSE)")
-    if len(models) > 1:
-        show(
-            f"normalised RMSE, mean over {judged_on(models)}:", errors_table(models), *error_lines(models)[1:]
-        )
-    else:
-        show(
-            f"measured against MuJoCo {found.there:.3g}, against ours {found.here:.3g} (mean over the "
-            f"{f'{found.role} records'.strip()})"
-        )
-    if found.strange is not None:
-        remark(
-            f"this model misses these records by {found.strange:.2g} of their spread; are they of the same robot?"
-        )
+    return Made(found, [f"a range for each parameter is in {out}"])

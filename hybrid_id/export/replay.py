@@ -23,7 +23,7 @@ from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
-from hybrid_id.statistics.fit import known_mean, nrmse
+from hybrid_id.statistics.fit import known_mean, nrmse, rmse
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
@@ -47,6 +47,7 @@ class Agreement:
         apart: MuJoCo against the package's own replay.
         here: the package's replay against what was measured.
         there: MuJoCo against what was measured.
+        rmse: MuJoCo against what was measured, not normalised: in the output's SI unit.
     """
 
     record: str
@@ -55,6 +56,7 @@ class Agreement:
     apart: float
     here: float
     there: float
+    rmse: float
 
 
 @dataclass(frozen=True)
@@ -64,17 +66,21 @@ class Summary:
     Attributes:
         worst: largest difference between MuJoCo and the package's own replay.
         role: of the records that judge, those left out: test where there are any, else validation, else all ("").
+        n_records: how many these are.
         there, here: MuJoCo, and the package's own replay, against what was measured: means over those records.
         by_output: MuJoCo against what was measured, for each output its mean over those records.
+        rmse: the same, not normalised: in the output's SI unit.
         strange: mean of the package's own replay over all records where it is so large that they may be of another
             robot; None otherwise.
     """
 
     worst: float
     role: str
+    n_records: int
     there: float
     here: float
     by_output: dict[str, float]
+    rmse: dict[str, float]
     strange: float | None
 
 
@@ -84,18 +90,29 @@ def judging_role(roles: Iterable[str]) -> str:
     return next((role for role in ("test", "validation") if role in known), "")
 
 
+def left_out(dataset: Dataset) -> Dataset:
+    """The records that judge: all where no role leaves any out."""
+    role = judging_role(record.role for record in dataset)
+    return replace(dataset, records=tuple(one for one in dataset if role in ("", one.role)))
+
+
 def summarise(rows: Sequence[Agreement]) -> Summary:
     """The agreement of all records and outputs in a few figures."""
     role = judging_role(row.role for row in rows)
     judges = [row for row in rows if role in ("", row.role)]
     there, here = (known_mean(getattr(row, name) for row in judges) for name in ("there", "here"))
-    by_output = {
-        name: known_mean(row.there for row in judges if row.output == name)
-        for name in dict.fromkeys(row.output for row in judges)
-    }
+    by_output, by_unit = (
+        {
+            name: known_mean(getattr(row, of) for row in judges if row.output == name)
+            for name in dict.fromkeys(row.output for row in judges)
+        }
+        for of in ("there", "rmse")
+    )
     missed = known_mean(row.here for row in rows)
     worst = max((row.apart for row in rows if not math.isnan(row.apart)), default=math.nan)
-    return Summary(worst, role, there, here, by_output, missed if missed > STRANGE else None)
+    n_records = len({row.record for row in judges})
+    strange = missed if missed > STRANGE else None
+    return Summary(worst, role, n_records, there, here, by_output, by_unit, strange)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,7 +186,9 @@ def agreement(
             measured, ours, theirs = (np.concatenate(one) for one in zip(*pieces, strict=True))
             pairs = (ours, theirs), (measured, ours), (measured, theirs)
             scores = [float(nrmse(*pair)) for pair in pairs]
-            found.append(Agreement(record.name, record.role, name, *scores))
+            found.append(
+                Agreement(record.name, record.role, name, *scores, rmse=float(rmse(measured, theirs)))
+            )
     return found
 
 

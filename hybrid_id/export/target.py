@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,11 +22,13 @@ from hybrid_id.export.replay import (
     summarise,
 )
 from hybrid_id.identification.horizons import WHOLE, Horizon
-from hybrid_id.parameters import Bounded
-from hybrid_id.records.dataset import Dataset
+from hybrid_id.parameters import Bounded, ParameterInfo
+from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems.chain import System
 
-WORSE = 1.05
+NOMINAL, REFITTED, CORRECTED = "nominal", "re-fitted", "corrected"
+"""What the models of a diagnosis are called."""
+WORSE = 1.02
 """Ratio of errors from which the larger one is worse: MuJoCo's against the package's, a model's against another's.
 Fits of one model that differ in nothing but the treatment of the first states differ by less on test records."""
 STEPS = 15
@@ -62,9 +64,61 @@ class InTarget:
         """Errors on the records that judge."""
         return summarise(self.rows)
 
-    def worse_than(self, other: InTarget) -> bool:
-        """Whether this model errs more in MuJoCo than another one, on the records that judge both."""
-        return not self.summary.there <= WORSE * other.summary.there
+
+@dataclass(frozen=True, eq=False)
+class TargetErrors:
+    """Models in MuJoCo, replayed there on the same records.
+
+    Attributes:
+        models: by what they are called; the one that is exported comes last.
+        outputs: channels of the records.
+        horizon: how long the free runs are.
+    """
+
+    models: Mapping[str, InTarget]
+    outputs: tuple[Channel, ...]
+    horizon: Horizon
+
+    @property
+    def label(self) -> str:
+        """What the exported model is called."""
+        return list(self.models)[-1]
+
+    @property
+    def exported(self) -> InTarget:
+        """The model that is exported."""
+        return self.models[self.label]
+
+    @property
+    def worse(self) -> bool:
+        """Whether a corrected model errs more in MuJoCo than the re-fitted one, on the records that judge both."""
+        if self.label != CORRECTED or REFITTED not in self.models:
+            return False
+        return not self.exported.summary.there <= WORSE * self.models[REFITTED].summary.there
+
+
+def target_errors(
+    models: Mapping[str, System], dataset: Dataset, *, train: Dataset | None = None, horizon: Horizon = WHOLE
+) -> TargetErrors:
+    """Models replayed in MuJoCo, all but the nominal one fitted anew there where they lose by the way.
+
+    The re-fit of a corrected model may begin where that of the re-fitted one has ended.
+
+    Args:
+        models: by what they are called; the one that is exported comes last.
+        dataset: records to replay.
+        train: records that the models were fitted to; None: nothing is fitted anew.
+        horizon: how long the free runs are.
+
+    Raises:
+        InputError: MuJoCo is not installed, or an exported model is unstable there.
+    """
+    found: dict[str, InTarget] = {}
+    for label, system in models.items():
+        known = None if label == NOMINAL else train
+        starts = [found[REFITTED].system] if REFITTED in found else []
+        found[label] = in_mujoco(system, dataset, train=known, horizon=horizon, starts=starts)
+    return TargetErrors(found, dataset.outputs, horizon)
 
 
 def in_mujoco(
@@ -122,44 +176,42 @@ def _refit(system: System, train: Dataset, horizon: Horizon, starts: Sequence[Sy
         return np.concatenate([_weighted(run, one) for run, one in zip(runs, replays, strict=True)])
 
     own = errors(system)
-    if np.linalg.norm(own) <= WORSE * np.linalg.norm(here):
+    size = float(np.linalg.norm(own))
+    if size <= WORSE * np.linalg.norm(here):
         return system
+    estimated = [system.table[row] for row in system.estimated]
     moving = [
         info
-        for info in (system.table[row] for row in system.estimated)
-        if np.linalg.norm(errors(system.with_values({info.name: _probed(info.spec)})) - own)
-        > MOVED * np.linalg.norm(own)
+        for info in estimated
+        if np.linalg.norm(errors(system.with_values({info.name: _probed(info.spec)})) - own) > MOVED * size
     ]
-    if not moving:
-        return system
+    return _fitted(system, moving, starts, errors) if moving else system
+
+
+def _fitted(
+    system: System,
+    moving: Sequence[ParameterInfo],
+    starts: Sequence[System],
+    errors: Callable[[System], np.ndarray],
+) -> System:
+    """The system with some parameters fitted to the fewest errors, priors among them, from the best of all starts."""
 
     def at(x: np.ndarray) -> System:
         return system.with_values({info.name: float(v) for info, v in zip(moving, x, strict=True)})
 
     def residual(x: np.ndarray) -> np.ndarray:
-        priors = [
-            (v - i.spec.prior_mean) / i.spec.prior_std
-            for i, v in zip(moving, x, strict=True)
-            if i.spec.prior_std
-        ]
-        return np.concatenate([errors(at(x)), priors])
+        pairs = [(v, i.spec) for i, v in zip(moving, x, strict=True) if i.spec.prior_std]
+        return np.concatenate([errors(at(x)), [(v - spec.prior_mean) / spec.prior_std for v, spec in pairs]])
 
-    known = [{info.name: info.spec.value for info in one.table} for one in (system, *starts)]
-    begins = [np.array([values.get(info.name, info.spec.value) for info in moving]) for values in known]
     low, high = np.array([(info.spec.lower, info.spec.upper) for info in moving]).T
-    begins = [np.clip(begin, low, high) for begin in begins]
+    known = [{info.name: info.spec.value for info in one.table} for one in (system, *starts)]
+    begins = [
+        np.clip([values.get(info.name, info.spec.value) for info in moving], low, high) for values in known
+    ]
     best = min(begins, key=lambda x: float(np.linalg.norm(residual(x))))
-    fit = least_squares(
-        residual,
-        best,
-        bounds=(low, high),
-        x_scale="jac",
-        diff_step=STEP,
-        ftol=1e-3,
-        xtol=1e-4,
-        max_nfev=STEPS,
-    )
-    if np.linalg.norm(residual(best)) <= WORSE * np.linalg.norm(residual(fit.x)):  # nothing won but scatter
+    settings = {"x_scale": "jac", "diff_step": STEP, "ftol": 1e-3, "xtol": 1e-4, "max_nfev": STEPS}
+    fit = least_squares(residual, best, bounds=(low, high), **settings)
+    if np.linalg.norm(residual(best)) <= WORSE * np.linalg.norm(fit.fun):  # nothing won but scatter
         return system if best is begins[0] else at(best)
     return at(fit.x)
 

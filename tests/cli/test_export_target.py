@@ -55,8 +55,11 @@ def test_a_corrected_model_is_as_good_as_the_re_fitted_one(run, diagnosed: Path,
     assert corrected["nrmse"] < 1.05 * refitted["nrmse"] < nominal["nrmse"]
     assert corrected["nrmse_here"] < 0.2 * refitted["nrmse_here"]
     assert "F_c" in corrected["refitted"] and "mu" not in corrected["refitted"]
-    line = "normalised RMSE in MuJoCo, mean over 2 test records: nominal"
-    assert line in out.read_text() and line in out.with_suffix(".html").read_text()
+    line = "NRMSE in MuJoCo, mean over 2 test records: nominal"
+    rmse = f"corrected {corrected['rmse']['q_m1'] / 100:.3g} rad at the joint"
+    for text in (out.read_text(), out.with_suffix(".html").read_text()):
+        assert line in text and "RMSE of q_m1: nominal" in text and rmse in text
+    assert rmse in " ".join(done.out.split())
     assert f"{corrected['nrmse']:.3g}" in done.out and "fits the train records best there" in done.out
     level = mujoco.MjModel.from_xml_path(str(out)).dof_frictionloss.max()
     assert level == pytest.approx(100.0 * corrected["refitted"]["F_c"]["after"])
@@ -76,5 +79,35 @@ def test_a_corrected_model_that_stays_worse_is_refused(run, diagnosed: Path, tmp
     done = run("export", tmp_path / "gap" / "refit.yaml", "--to", "mjcf", "--out", out)
     assert done.code == 0, done.err
     done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--force")
+    assert done.code == 2 and "or --overwrite" in done.err, "a file that exists is another question"
+    done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--overwrite")
+    assert done.code == 2 and "re-fitted" in out.read_text() and "corrected" not in out.read_text()
+    done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--overwrite", "--force")
     assert done.code == 0 and "it is written all the same" in done.err
     assert "corrected" in out.read_text()
+
+
+def test_without_its_runs_records_a_corrected_model_is_judged_by_those_of_check(
+    run, diagnosed: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "gap").mkdir()
+    for file in (diagnosed / "gap").iterdir():
+        (tmp_path / "gap" / file.name).write_bytes(file.read_bytes())
+    out = tmp_path / "robot.xml"
+    done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out, "--check", diagnosed / "data")
+    assert done.code == 2 and "nothing is fitted anew" in done.err and "errs by" in done.err
+    done = run("export", tmp_path / "gap", "--to", "mjcf", "--out", out)
+    assert done.code == 0 and "give --check DATASET" in done.out and not out.with_suffix(".html").exists()
+
+
+def test_a_model_outside_its_run_is_said_to_be_compared_with_nothing(
+    run, diagnosed: Path, tmp_path: Path
+) -> None:
+    model = tmp_path / "model.yaml"
+    model.write_bytes((diagnosed / "gap" / "model.yaml").read_bytes())
+    done = run(
+        "export", model, "--to", "mjcf", "--out", tmp_path / "robot.xml", "--check", diagnosed / "data"
+    )
+    assert done.code == 0 and "neither compared with a re-fitted model nor fitted anew" in done.err
+    told = json.loads((tmp_path / "robot.json").read_text())["in_mujoco"]
+    assert list(told["models"]) == ["exported"]

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.components import PositionDependent
-from hybrid_id.export.target import in_mujoco
+from hybrid_id.export.target import in_mujoco, target_errors
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.reporting.target import error_lines
 from hybrid_id.systems import System
 
 pytest.importorskip("mujoco")
@@ -50,3 +52,28 @@ def test_what_mujoco_carries_stays_as_it_was_identified() -> None:
     found = in_mujoco(rigid_drive(), only(data, "test"), train=only(data, "train"))
     assert found.refitted == {} and found.rows == found.before
     assert found.summary.role == "test" and found.summary.by_output == {"q_m1": found.summary.there}
+
+
+def test_errors_are_said_by_output_in_the_unit_that_was_logged() -> None:
+    data = recorded(rigid_drive(), noise=0.3)
+    data = replace(data, outputs=(replace(data.outputs[0], logged="deg"),))
+    system = rigid_drive()
+    found = target_errors({"exported": system}, data)
+    (ratio,) = system.own_ratios
+    rmse = found.exported.summary.rmse["q_m1"]
+    assert rmse == pytest.approx(0.3, rel=0.1) and found.exported.summary.n_records == 1
+    first, second = error_lines(found)
+    assert first.startswith("NRMSE in MuJoCo, mean over 1 test record: exported ")
+    assert second == f"RMSE of q_m1: exported {np.degrees(rmse) / ratio:.3g} deg at the joint"
+
+
+def test_worse_is_a_corrected_model_beside_a_better_re_fitted_one() -> None:
+    data = only(recorded(rigid_drive()), "test")
+    off = rigid_drive().with_values({"F_c": 2 * rigid_drive().parameter("F_c").spec.value})
+    pairs = [
+        ({"re-fitted": rigid_drive(), "corrected": off}, True),
+        ({"re-fitted": rigid_drive(), "corrected": rigid_drive()}, False),
+        ({"re-fitted": off, "corrected": rigid_drive()}, False),
+        ({"nominal": rigid_drive(), "identified": off}, False),
+    ]
+    assert [target_errors(models, data).worse for models, _ in pairs] == [worse for _, worse in pairs]
