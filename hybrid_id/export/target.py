@@ -29,8 +29,10 @@ from hybrid_id.systems.chain import System
 NOMINAL, REFITTED, CORRECTED = "nominal", "re-fitted", "corrected"
 """What the models of a diagnosis are called."""
 WORSE = 1.02
-"""Ratio of errors from which the larger one is worse: MuJoCo's against the package's, a model's against another's.
-Fits of one model that differ in nothing but the treatment of the first states differ by less on test records."""
+"""Ratio of errors in MuJoCo from which a corrected model is worse than the re-fitted one."""
+SCATTER = 1.05
+"""Ratio of errors up to which a re-fit in MuJoCo has nothing to win: a smaller gain on train records is none on test
+records. Fits of one model that differ in nothing but the treatment of the first states differ by less."""
 STEPS = 15
 """Steps of a re-fit at most."""
 STEP = 1e-4
@@ -177,7 +179,7 @@ def _refit(system: System, train: Dataset, horizon: Horizon, starts: Sequence[Sy
 
     own = errors(system)
     size = float(np.linalg.norm(own))
-    if size <= WORSE * np.linalg.norm(here):
+    if size <= SCATTER * np.linalg.norm(here):
         return system
     estimated = [system.table[row] for row in system.estimated]
     moving = [
@@ -211,7 +213,7 @@ def _fitted(
     best = min(begins, key=lambda x: float(np.linalg.norm(residual(x))))
     settings = {"x_scale": "jac", "diff_step": STEP, "ftol": 1e-3, "xtol": 1e-4, "max_nfev": STEPS}
     fit = least_squares(residual, best, bounds=(low, high), **settings)
-    if np.linalg.norm(residual(best)) <= WORSE * np.linalg.norm(fit.fun):  # nothing won but scatter
+    if np.linalg.norm(residual(best)) <= SCATTER * np.linalg.norm(fit.fun):  # nothing won but scatter
         return system if best is begins[0] else at(best)
     return at(fit.x)
 
