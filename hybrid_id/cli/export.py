@@ -227,14 +227,17 @@ def _in_mujoco(system: "System", file: Path, check: Path | None) -> "TargetError
 
     run = _run_of(file)
     own = None if run is None else _own_records(run[0])
-    if check is None and own is not None and find_spec("mujoco") is None:
+    if check is not None:
+        judges = records_to_replay(check)
+    elif own is None:
+        return None
+    elif find_spec("mujoco") is None:
         remark(
             "MuJoCo is not installed: how this model errs there is not known; pip install 'hybrid-id[blind]'"
         )
         return None
-    judges = left_out(own) if check is None and own is not None else check and records_to_replay(check)
-    if judges is None:
-        return None
+    else:
+        judges = left_out(own)
     if run is None:
         return target_errors({"exported": system}, judges)
     (config, horizon), label = run, _label(file)

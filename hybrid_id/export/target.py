@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -104,7 +105,8 @@ def target_errors(
 ) -> TargetErrors:
     """Models replayed in MuJoCo, all but the nominal one fitted anew there where they lose by the way.
 
-    The re-fit of a corrected model may begin where that of the re-fitted one has ended.
+    The re-fit of a corrected model may begin where that of the re-fitted one has ended. A model beside the exported one
+    that is unstable there is passed over.
 
     Args:
         models: by what they are called; the one that is exported comes last.
@@ -113,13 +115,14 @@ def target_errors(
         horizon: how long the free runs are.
 
     Raises:
-        InputError: MuJoCo is not installed, or an exported model is unstable there.
+        InputError: MuJoCo is not installed, or the exported model is unstable there.
     """
-    found: dict[str, InTarget] = {}
+    found, last = dict[str, InTarget](), list(models)[-1]
     for label, system in models.items():
         known = None if label == NOMINAL else train
         starts = [found[REFITTED].system] if REFITTED in found else []
-        found[label] = in_mujoco(system, dataset, train=known, horizon=horizon, starts=starts)
+        with suppress(InputError) if label != last else nullcontext():
+            found[label] = in_mujoco(system, dataset, train=known, horizon=horizon, starts=starts)
     return TargetErrors(found, dataset.outputs, horizon)
 
 
