@@ -59,7 +59,7 @@ def arm(folder: Path) -> tuple[System, System]:
     (folder / "model.yaml").write_text("robot: {file: arm.xml}\n")
     nominal = load_model(folder / "model.yaml")
     values = {"J_m_lift": 0.025, "J_m_elbow": 0.012, "F_c_lift": 0.13, "F_c_elbow": 0.04, "F_v_wrist": 0.07}
-    true = nominal.with_values(values).with_component("elbow/transmission", LinearSpring(k=15.0, d=0.05))
+    true = nominal.with_values(values).with_component("joint2/transmission", LinearSpring(k=15.0, d=0.05))
     return nominal, true
 
 
