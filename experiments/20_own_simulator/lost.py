@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.stats import t as student
+from unseen import ratio
 
 from hybrid_id import Channel, Dataset, Record, Stribeck, identify, load_model, one_link, replay
 from hybrid_id.components import LinearSpring, LoadDependent
@@ -111,14 +111,11 @@ def main(names: list[str]) -> None:
             for label, start in (("re-fitted", before), ("corrected", true)):
                 models[label] = identify(train, start, pooled=True).selected_model
             errors = target_errors(models, test, train=train)
-            ratio = np.log(by_record(errors, "re-fitted") / by_record(errors, "corrected"))
-            half = student.ppf(0.975, ratio.size - 1) * ratio.std(ddof=1) / np.sqrt(ratio.size)
-            low, middle, high = np.exp(ratio.mean() + half * np.array([-1, 0, 1]))
             print(f"{name}:", *error_lines(errors), sep="\n  ")
             before_refit = np.mean([row.there for row in errors.exported.before])
             print(f"  corrected, not fitted in MuJoCo: {before_refit:.3g}; worse: {errors.worse}")
-            won = f"above 1 on {(ratio > 0).sum()} of {ratio.size}"
-            print(f"  re-fitted / corrected {middle:.3g} ({low:.3g} to {high:.3g}), {won}", flush=True)
+            pair = (by_record(errors, label) for label in ("re-fitted", "corrected"))
+            print(f"  re-fitted / corrected {ratio(*pair)}", flush=True)
 
 
 if __name__ == "__main__":
