@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.stats import t as student
 
 from robots import JOINTS  # isort: skip
@@ -40,7 +41,7 @@ def run(
     return angles
 
 
-def ratio(before: Sequence[float], after: Sequence[float]) -> str:
+def ratio(before: ArrayLike, after: ArrayLike) -> str:
     """Ratio of two models' errors on the same motions: geometric mean, 95 % interval, on how many it is above 1."""
     found = np.log(before) - np.log(after)
     half = student.ppf(0.975, found.size - 1) * found.std(ddof=1) / np.sqrt(found.size)
