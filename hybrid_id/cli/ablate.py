@@ -9,7 +9,7 @@ import typer
 
 from hybrid_id.cli.console import counting, remark, show
 from hybrid_id.cli.folder import EVENTS, added_results, refuse_foreign, required, sole_writer
-from hybrid_id.cli.inputs import check_windows, checked_records, load_system, refuse_arm
+from hybrid_id.cli.inputs import check_windows, checked_records, load_system
 from hybrid_id.cli.options import (
     Backend,
     BackendOption,
@@ -24,7 +24,7 @@ from hybrid_id.cli.options import (
     use_threads,
 )
 from hybrid_id.cli.results import files_in, write_last, write_report
-from hybrid_id.cli.train import check_network
+from hybrid_id.cli.train import check_network, say_how_long
 from hybrid_id.config import Ablation, Hybrid, StudyConfig
 from hybrid_id.errors import InputError
 from hybrid_id.records.files import make_folder
@@ -67,7 +67,7 @@ def ablate(
     dataset = checked_records(config)
     use_threads(1)
     system = load_system(config, dataset)
-    refuse_arm(system, config.model, "ablate")
+    say_how_long(system)
     task, cells = planned(config, dataset, system)
     make_folder(home / CELLS)
     with sole_writer(home):
@@ -122,12 +122,15 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
 def _check_arms(task: "Task", config: StudyConfig, cells: "Sequence[Cell]") -> None:
     """Build every arm once; a refusal of the model names the key that asks for it."""
     from hybrid_id.study.ablation_plan import without_parts
+    from hybrid_id.systems.by_joint import numbered
 
     wish, first = config.ablation or Ablation(), "hybrid.networks[0]"
     places = {f"ablation.place[{k}]": where for k, where in enumerate(wish.place or [])}
     for key, where in (places or {f"{first}.place": [p for cell in cells for p in cell.arm.places]}).items():
         for place in [where] if isinstance(where, str) else where:
-            check_network(task.system, config, (key, place), (f"{first}.inputs", task.inputs))
+            check_network(
+                task.system, config, (key, numbered(task.system, place)), (f"{first}.inputs", task.inputs)
+            )
     for k, taken in enumerate(wish.physics):
         with config.at(f"ablation.physics[{k}]"):
             without_parts(task.system, taken)

@@ -90,7 +90,7 @@ def diagnose(
         remark_uneven(dataset)
         use_threads(1)
         system = load_system(config, dataset)
-        refuse_arm(system, config.model, "diagnose")
+        refuse_arm(system, config.model)
         remark_start_values(dataset, system)
         diagnosis = run(dataset, system, config, kept)
         with results_folder(home, force=True) as folder:  # kept_fits has asked

@@ -110,17 +110,17 @@ def read_model(path: Path) -> "System":
 
 
 MOST_JOINTS = 2
-"""Joints of an arm up to which a diagnosis or an ablation ends within minutes."""
+"""Joints of an arm up to which a diagnosis or a training ends within minutes."""
 
 
-def refuse_arm(system: "System", model: Path, command: str) -> None:
-    """Refuse an arm of more joints than a command can do, where it would seem to run for ever, and coupled motors."""
+def refuse_arm(system: "System", model: Path) -> None:
+    """Refuse an arm of more joints than a diagnosis can do, which would seem to run for ever, and coupled motors."""
     if system.tree is not None and len(system.joints) > MOST_JOINTS:
         raise InputError(
-            f"{model}: '{command}' takes {MOST_JOINTS} joints at most so far, this arm has {len(system.joints)}; "
-            "check, identify, train, simulate, compare and export take all of them."
+            f"{model}: 'diagnose' takes {MOST_JOINTS} joints at most so far, this arm has {len(system.joints)}; "
+            "check, identify, train, ablate, simulate, compare and export take all of them."
         )
-    if system.tree is not None and system.tree.couplings and command == "diagnose":
+    if system.tree is not None and system.tree.couplings:
         raise InputError(f"{model}: 'diagnose' does not know couplings of motors yet; identify takes them.")
 
 

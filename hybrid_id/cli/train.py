@@ -78,7 +78,7 @@ def train(
         dataset = checked_records(config)
         use_threads(threads)
         system = load_system(config, dataset)
-        _say_how_long(system)
+        say_how_long(system)
         if any(c.name.startswith("tau_a") for c in dataset.outputs) and any(system.dry):
             raise InputError(
                 f"{config.dataset}: 'train' smooths dry friction, with which the torque at the link (tau_a) jumps; "
@@ -112,12 +112,12 @@ def train(
                 raise typer.Exit(130)
 
 
-def _say_how_long(system: "System") -> None:
+def say_how_long(system: "System") -> None:
     """Say that an arm of many joints takes its time: its training has no compiled steps."""
     if system.tree is not None and len(system.joints) > MOST_JOINTS:
         remark(
             f"training {len(system.joints)} joints takes minutes for a few seconds of record and joint; Ctrl-C keeps "
-            "what it has, --resume goes on, and 'identify' is much faster where no network is to be trained"
+            "what it has, and 'identify' is much faster where no network is to be trained"
         )
 
 

@@ -17,7 +17,7 @@ from hybrid_id.diagnosis.locate import Location
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.screen import SelectionStep, log_odds, log_odds_at, needed_fall
 from hybrid_id.diagnosis.select import Selection, accepted_ones, chances, refitted_without
-from hybrid_id.diagnosis.validation import DRAWS, Validation, mean_square
+from hybrid_id.diagnosis.validation import Validation, mean_square
 
 Interval = tuple[float, float]
 
@@ -34,8 +34,9 @@ class RatedEffect:
         parameters: estimate and standard error of each parameter that it brings, by symbol; a fixed one that belongs
             to the answer has the error 0.
         share: of the gap that it explains where it is added after those before it; None of one that is not selected.
-        share_interval: 95 % interval of that; every draw of blocks chooses again among the rivals of its step.
+        share_interval: 95 % interval of that; every draw of records chooses again among the rivals of its step.
         alone: share of the gap that it explains when it stands alone beside the nominal model.
+        sure: whether its share is above 0 in draws of short blocks, which what helps by chance is not.
     """
 
     name: str
@@ -47,6 +48,7 @@ class RatedEffect:
     share: float | None = None
     share_interval: Interval | None = None
     alone: float | None = None
+    sure: bool = True
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class Grade:
         effects: every effect that was tried, the selected ones by share, then the others by probability.
         remainder: structural share of the gap that stays unexplained.
         remainder_interval: 95 % interval, for the chosen model as it is: its draws know no rivals.
-        unknown: whether what remains is at least a tenth of the gap and as much as all that is explained.
+        unknown: whether what remains is at least a tenth of the gap and surely as much as all that is explained.
         gap: mean square of weighted errors, in noise variances.
 
     The floor is ``(1 - structural) * error`` of the chosen model.
@@ -115,22 +117,28 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     first, last = models[0].validation, models[-1].validation
     floor = last.error * (1.0 - structural)
     gap = max(first.error - floor, 1e-12 * max(first.error, 1e-300))
-    draws = _nested(models, steps, structural, seed)
-    names = [added_effect(b, a) for a, b in pairwise(models)]
+    generator = np.random.default_rng(seed)
+    # what a model leaves differs more from record to record than within one: blocks would make shares too sure
+    draws = _nested(models, steps, structural, first.drawn(generator, records=True))
+    chance = np.quantile(
+        _nested(models, steps, structural, first.drawn(generator, records=False)), 0.025, axis=0
+    )
     shares = {
-        name: ((a.error - b.error) / gap, _interval(draws[:, k]))
-        for k, (name, a, b) in enumerate(zip(names, models[:-1], models[1:], strict=True))
+        added_effect(b, a): ((a.error - b.error) / gap, _interval(draws[:, k]), bool(chance[k] > 0.0))
+        for k, (a, b) in enumerate(pairwise(models))
     }
     rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
     rated.sort(key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability))
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
-    unknown = structural > CRITERIA.coloured and remainder >= CRITERIA.substantial and remainder >= explained
-    return Grade(tuple(rated), remainder, _interval(draws[:, -1]), unknown, gap)
+    interval = _interval(draws[:, -1])
+    # a remainder that other records could have made the smaller part says nothing of the catalogue
+    surely = remainder >= CRITERIA.substantial and interval[0] >= explained
+    return Grade(tuple(rated), remainder, interval, surely and structural > CRITERIA.coloured, gap)
 
 
 def _with_share(
-    one: RatedEffect, shares: dict[Name, tuple[float, Interval]], found: Selection, gap: float
+    one: RatedEffect, shares: dict[Name, tuple[float, Interval, bool]], found: Selection, gap: float
 ) -> RatedEffect:
     base = found.base.validation.error
     measurable = gap > CRITERIA.least_fall * base  # shares of next to nothing say nothing
@@ -144,8 +152,8 @@ def _with_share(
         ),
         None,
     )
-    share, interval = shares.get((one.name, one.where), (None, None))
-    return replace(one, share=share, share_interval=interval, alone=alone)
+    share, interval, sure = shares.get((one.name, one.where), (None, None, True))
+    return replace(one, share=share, share_interval=interval, alone=alone, sure=sure)
 
 
 def together(one: RatedEffect, everyone: Sequence[RatedEffect]) -> float:
@@ -160,11 +168,7 @@ def doubtful(found: Grade) -> list[Name]:
     return [
         (c.name, c.where)
         for c in found.effects
-        if c.selected
-        and (
-            together(c, found.effects) < CRITERIA.least_probability
-            or (c.share_interval is not None and c.share_interval[0] <= 0.0)
-        )
+        if c.selected and (together(c, found.effects) < CRITERIA.least_probability or not c.sure)
     ]
 
 
@@ -199,10 +203,16 @@ def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[Selec
 
 
 def _nested(
-    models: Sequence[FittedModel], steps: Sequence[SelectionStep], structural: float, seed: int
+    models: Sequence[FittedModel], steps: Sequence[SelectionStep], structural: float, weights: np.ndarray
 ) -> np.ndarray:
-    """Draws of the shares ``(draws, n + 1)``, the remainder last: shares choose among rivals, too; it does not."""
-    generator, n = np.random.default_rng(seed), len(models[0].validation.blocks)
+    """Draws of the shares ``(draws, n + 1)``, the remainder last: shares choose among rivals, too; it does not.
+
+    Args:
+        models: from the nominal one, an effect more each.
+        steps: in which each was found.
+        structural: share of what the last one leaves that has a cause.
+        weights: of the blocks in each draw, ``(draws, blocks)``.
+    """
     ends = [one.validation for one in models]
     rivals = []
     for before, after, step in zip(models[:-1], models[1:], steps, strict=False):
@@ -210,12 +220,11 @@ def _nested(
         shift = after.error / max(step.best.error, 1e-300) if step.best is not None else 1.0
         some = [(after.validation, 1.0), *((e.validation, shift) for e in _leaders(step, after)[1:])]
         rivals.append((before.validation, some))
-    found = np.zeros((DRAWS // 4, len(models)))
-    for draw in found:
-        count = np.bincount(generator.integers(0, n, n), minlength=n)
+    found = np.zeros((len(weights), len(models)))
+    for draw, weight in zip(found, weights, strict=True):
 
-        def over(one: Validation, count: np.ndarray = count) -> float:
-            return float(count @ one.blocks / (count @ one.sizes))
+        def over(one: Validation, weight: np.ndarray = weight) -> float:
+            return float(weight @ one.blocks / (weight @ one.sizes))
 
         left = structural * over(ends[-1])
         gap = max(over(ends[0]) - over(ends[-1]) + left, 1e-300)

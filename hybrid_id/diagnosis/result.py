@@ -47,8 +47,8 @@ class Diagnosis:
         verdict: ``effects``, ``parameters_only``, ``no_gap``, ``outside_catalogue`` or ``inconclusive``.
         effects: every effect that was tried, the selected ones first, by their share of the gap.
         ties: groups of effects that these records cannot distinguish.
-        unknown: whether something that the catalogue lacks explains at least a tenth of the gap and as much as all
-            selected effects.
+        unknown: whether something that the catalogue lacks explains at least a tenth of the gap and surely as much as
+            all selected effects.
         remainder: structural share of the gap that stays unexplained, on records left out.
         remainder_interval: 95 % interval.
         horizon: how long the free runs are over which models were fitted and compared, here and on the test records.

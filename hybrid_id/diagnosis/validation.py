@@ -56,6 +56,17 @@ class Validation:
         """The same with the errors of each record times a weight, ``(R,)``."""
         return replace(self, blocks=self.blocks * weights[self.record])
 
+    def drawn(self, generator: np.random.Generator, *, records: bool) -> np.ndarray:
+        """Weights of the blocks, ``(DRAWS / 4, n)``, in draws of the blocks alone or of the records and their blocks.
+
+        Weights are exponential (D. B. Rubin, The Bayesian Bootstrap, Annals of Statistics 9, 1981), so that no draw
+        lacks the one record in which an effect acts.
+        """
+        weights = generator.exponential(size=(DRAWS // 4, len(self.blocks)))
+        if not records:
+            return weights
+        return weights * generator.exponential(size=(DRAWS // 4, int(self.record.max()) + 1))[:, self.record]
+
     @property
     def error(self) -> float:
         """Mean square of the weighted errors of prediction, in noise variances."""

@@ -34,7 +34,7 @@ from hybrid_id.study.replays import batch_of, weighted_errors
 from hybrid_id.study.training import scalars
 from hybrid_id.systems.builders import black_box
 from hybrid_id.systems.chain import System
-from hybrid_id.systems.model_file import describe_model
+from hybrid_id.systems.model_file import SKELETON, describe_model
 
 FAILED, DONE = "failed", "done"
 # JSON holds neither infinite numbers nor NaN: both are null in a file
@@ -81,7 +81,7 @@ class CellResult:
         gradients: of the whole training.
         seconds: that it took.
         history: of the training by tag, (gradient, value) each.
-        model: the chosen model as a model file holds it.
+        model: the chosen model as a model file holds it; empty of a network alone that no model file can hold.
     """
 
     cell: Cell
@@ -212,9 +212,11 @@ def run_cell(task: Task, cell: Cell) -> CellResult:
         if cell.arm.residual == BLACK_BOX:  # its first rung, a constant acceleration, is no arm of its own
             rungs, chosen, best = rungs[-1:], 0, result.rungs[-1].system
     steps = [step for step, _ in history.history.get("loss/train", [])]
+    # a network alone that stands for an arm has no description that a model file could name
+    described = best.tree is not None or best.name in SKELETON
     return CellResult(
         cell, DONE, "", split, tuple(rungs), chosen, max(steps, default=0), time.perf_counter() - start,
-        history.history, describe_model(best),
+        history.history, describe_model(best) if described else {},
     )  # fmt: skip
 
 
@@ -297,7 +299,8 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
         plain = as_plain(result)
         content = {"program": f"hybrid_id {__version__}", "key": key, "seal": _seal(plain), "result": plain}
         (new / CELL).write_text(json.dumps(content), encoding="utf-8")
-        write_yaml(new / MODEL, result.model)
+        if result.model:
+            write_yaml(new / MODEL, result.model)
         if place.exists():
             place.replace(Path(temporary) / "old")
         new.replace(place)

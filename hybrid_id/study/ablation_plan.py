@@ -11,6 +11,7 @@ import numpy as np
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, listed
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.systems.by_joint import numbered
 from hybrid_id.systems.chain import System
 
 NONE, STATIC, MEMORY, BLACK_BOX = "none", "static", "memory", "black box"
@@ -22,7 +23,7 @@ class Arm:
 
     Attributes:
         residual: none, static, memory or black box.
-        places: where its networks act; empty without a residual network.
+        places: where its networks act, joints numbered or named as the robot does; empty without a residual network.
         width: neurons of the hidden layer; 0 without a network.
         without: components and parameters that are taken out of the physics on purpose.
     """
@@ -185,7 +186,7 @@ def without_parts(system: System, taken: Sequence[str]) -> System:
     for name in taken:
         where, slash, kind = name.rpartition("/")
         if slash:
-            system = system.without_component(where, kind)
+            system = system.without_component(numbered(system, where), kind)
             continue
         spec = system.parameter(name).spec
         if not spec.lower <= 0.0 <= spec.upper:
@@ -205,5 +206,5 @@ def with_arm(
         part = ResidualNetwork(
             inputs=inputs, hidden=(arm.width,), memory=states, lipschitz=lipschitz, seed=seed
         )
-        system = system.with_component(where, part)
+        system = system.with_component(numbered(system, where), part)
     return system

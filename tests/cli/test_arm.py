@@ -9,10 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hybrid_id.cli.ablate import planned
+from hybrid_id.cli.options import config_of
+from hybrid_id.errors import InputError
 from hybrid_id.machines.twin.desk_arm import write_arm
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
+from hybrid_id.study.ablation import load_cell, run_cell, save_cell
 from hybrid_id.study.replays import replay
 from hybrid_id.systems.model_file import load_model
 
@@ -60,14 +64,44 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("command", ["diagnose", "ablate"])
-def test_a_command_that_would_not_end_is_refused(run, arm: Path, tmp_path: Path, command: str) -> None:
-    done = run(command, arm, "--model", arm / "model.yaml", "--out", tmp_path / "out")
+def test_a_diagnosis_that_would_not_end_is_refused(run, arm: Path, tmp_path: Path) -> None:
+    done = run("diagnose", arm, "--model", arm / "model.yaml", "--out", tmp_path / "out")
     assert done.code == 2, done.out
-    assert f"'{command}' takes 2 joints at most so far, this arm has 3; check, identify" in " ".join(
+    assert "'diagnose' takes 2 joints at most so far, this arm has 3; check, identify" in " ".join(
         done.err.split()
     )
     assert not list(tmp_path.iterdir())
+
+
+def test_an_ablation_names_joints_as_the_robot_does(arm: Path, tmp_path: Path) -> None:
+    study = tmp_path / "study.yaml"
+    text = (
+        f"dataset: {arm}\nmodel: {arm / 'model.yaml'}\n"
+        "training: {max_iterations: 1, windows: [[0.2, 8]], width: 0.5, fine: 2}\n"
+        "hybrid: {prices: [0.1], windows: [[0.2, 8]], max_iterations: 1, patience: 1}\n"
+        "ablation:\n  residual: [static, black_box]\n  place: [['joint 1/x/motor', tip/motor]]\n"
+        "  physics: [[tip/motor_friction/coulomb_friction]]\n  width: [2]\n  black_box_width: 2\n"
+    )
+    study.write_text(text)
+    config = config_of(study, None, None)
+    dataset, system = Dataset.load(arm), load_model(arm / "model.yaml")
+    several = [replace(dataset.records[0], name=f"run_{k}") for k in range(3)]
+    dataset = replace(dataset, records=tuple(several))
+    task, cells = planned(config, dataset, system)
+    hybrid, bare, alone = cells[1], cells[2], cells[4]
+    assert "joint 1/x/motor and tip/motor" in hybrid.arm.name
+    networks = [key for key in task.model(hybrid).components if "residual" in key]
+    assert networks == ["joint2/motor/residual_network", "joint3/motor/residual_network"]
+    left = [key for key in task.model(bare).components if "coulomb" in key]
+    assert left == ["joint1/motor_friction/coulomb_friction", "joint2/motor_friction/coulomb_friction"]
+    found = run_cell(task, alone)
+    assert found.status == "done" and not found.model  # for no model file holds a network in an arm's place
+    save_cell(tmp_path, found, "key")
+    assert load_cell(tmp_path, alone, "key") is not None
+
+    study.write_text(text.replace("tip/motor]", "tp/motor]"))
+    with pytest.raises(InputError, match=r"key 'ablation.place\[0\]': Place 'tp/motor' is not known"):
+        planned(config_of(study, None, None), dataset, system)
 
 
 def test_an_arm_is_trained_with_a_network_at_a_joint_by_its_name(run, arm: Path, tmp_path: Path) -> None:

@@ -225,3 +225,14 @@ def test_white_noise_has_no_colour_and_what_is_smooth_is_all_colour(rng: np.rand
 
 def test_a_run_that_diverged_is_no_noise() -> None:
     assert autocorrelation([np.array([[0.1], [np.nan], [0.2]])]) == 1.0
+
+
+def test_a_draw_of_records_weighs_them_whole_and_lacks_none() -> None:
+    one, generator = from_blocks(np.ones(ROWS * BLOCKS)), np.random.default_rng(3)
+    for records, spread in (
+        (True, 1.0 + 2.0 / BLOCKS),
+        (False, 1.0 / BLOCKS),
+    ):  # variances of a record's mean weight
+        draws = one.drawn(generator, records=records).reshape(-1, ROWS, BLOCKS)
+        assert draws.min() > 0.0 and draws.mean() == pytest.approx(1.0, abs=0.05)
+        assert draws.mean(2).var(0).mean() == pytest.approx(spread, rel=0.2)

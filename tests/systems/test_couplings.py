@@ -328,9 +328,9 @@ def test_what_else_is_refused(tmp_path: Path) -> None:
         alone(system, 2)
     alone(system, 0)
     with pytest.raises(InputError, match="'diagnose' takes 2 joints"):
-        refuse_arm(system, tmp_path, "diagnose")
+        refuse_arm(system, tmp_path)
     with pytest.raises(InputError, match="does not know couplings"):
-        refuse_arm(robot(planar()), tmp_path, "diagnose")
+        refuse_arm(robot(planar()), tmp_path)
     file = tmp_path / "flat.yaml"
     file.write_text(
         "system: one_link\ngear_ratio: [1]\ncouplings: [{joints: [a, b], matrix: [[1, 0], [1, 1]]}]\n"
