@@ -229,6 +229,7 @@ def _weighted(run: FreeRun, outputs: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def _probed(spec: Bounded) -> float:
-    """A value a little off the present one, within the bounds."""
+    """A value a little off the present one, within the bounds: on the side where there is more room."""
     change = PROBE * abs(spec.value) or PROBE**3
-    return spec.value + change if spec.value + change <= spec.upper else spec.value - change
+    up, down = min(spec.value + change, spec.upper), max(spec.value - change, spec.lower)
+    return up if up - spec.value >= spec.value - down else down
