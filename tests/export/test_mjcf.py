@@ -117,6 +117,7 @@ LEFT_OUT: dict[str, tuple[str, Component]] = {
     "--to torch": ("motor", ResidualNetwork()),
     "in time": ("input", SensorDelay()),
     "whole number": ("motor", Cogging(n=2.5)),
+    "has 6 periods per turn there, not 5.9998": ("motor", Cogging(n=5.9998)),
     "motor has one": ("motor", Cogging(n=2.0, T_c2=1e-4, n_2=4.0)),
 }
 
