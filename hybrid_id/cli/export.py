@@ -2,23 +2,33 @@
 
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import RESULT, refuse_file, result_file
-from hybrid_id.cli.inputs import read_model, records_to_replay
+from hybrid_id.cli.folder import DIAGNOSIS, RESULT, refuse_file, result_file
+from hybrid_id.cli.inputs import load_records, read_model, records_to_replay
 from hybrid_id.cli.options import JsonOption, use_threads
 from hybrid_id.cli.results import write_last
+from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
-    from hybrid_id.export.replay import Agreement
+    from rich.console import RenderableType
+
+    from hybrid_id.export.target import TargetErrors
+    from hybrid_id.records.dataset import Dataset
+    from hybrid_id.reporting.page import Page
+    from hybrid_id.study import Horizon
     from hybrid_id.systems.chain import System
 
+REFIT = "refit.yaml"
+"""The nominal model, re-fitted, beside the corrected one."""
 SAMPLE_TIME, WIDTH = 0.002, 0.5
 """Defaults of the torch program: its step [s], and the speed over which it smooths dry friction [rad/s]."""
 
@@ -29,6 +39,23 @@ class Format(StrEnum):
     mjcf = "mjcf"
     ranges = "ranges"
     torch = "torch"
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a format comes to.
+
+    Attributes:
+        described: what is said of it, as plain data.
+        words: what the screen says of it.
+        content: of its file; None where that is the description itself.
+        page: beside it; None where there is none.
+    """
+
+    described: dict[str, Any]
+    words: "Sequence[RenderableType]" = ()
+    content: bytes | None = None
+    page: "Page | None" = None
 
 
 def export(
@@ -47,7 +74,10 @@ def export(
     out: Annotated[Path, typer.Option("--out", "-o", help="File to write.", show_default=False)],
     check: Annotated[
         Path | None,
-        typer.Option(help="Dataset to replay in MuJoCo and here, side by side.", show_default=False),
+        typer.Option(
+            help="Dataset to replay in MuJoCo and here; by default the run's test records.",
+            show_default=False,
+        ),
     ] = None,
     sample_time: Annotated[
         float | None,
@@ -63,102 +93,202 @@ def export(
             show_default=str(WIDTH),
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace the file.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")] = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Write a corrected model that is worse in MuJoCo than the re-fitted one."
+        ),
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write a model for MuJoCo, parameter ranges for domain randomisation, or one step as a torch program.
 
     What the format cannot carry is said in one sentence an effect, here and in the file (beside a torch program: in the
-    JSON of the same name). With --check, records are replayed through the exported MuJoCo model and through ours, and
-    the difference is stated as normalised RMSE.
+    JSON of the same name). A model in its folder of results is replayed in MuJoCo on the run's test records, or on
+    those of --check, beside the nominal and the re-fitted model; what it loses there is fitted anew in MuJoCo, and a
+    corrected model that stays worse than the re-fitted one is refused.
     """
-    _refuse_foreign_options(to, check, sample_time, width)
-    refuse_file(out, force=force)
-    beside = _description_beside(out, to)
-    if beside is not None:
-        refuse_file(beside, force=force)
+    _refuse_foreign_options(to, check, sample_time, width, force=force)
+    refuse_file(out, force=overwrite, option="--overwrite")
+    files = _files(out, to)
+    for one in files[1:]:
+        refuse_file(one, force=overwrite, option="--overwrite")
     use_threads(1)
     from hybrid_id.reporting.results import as_json as to_json
 
     file = model / "model.yaml" if model.is_dir() else model
     system = read_model(file)
-    rows: list[Agreement] = []
     if to is Format.ranges:
-        described, content = _ranges(system, model), b""
+        made = _ranges(system, model, out)
     elif to is Format.mjcf:
-        content, described, rows = _mjcf(system, check, out)
+        made = _mjcf(system, file, check, out, force=force)
     else:
-        content, described = _program(system, sample_time or SAMPLE_TIME, width or WIDTH)
+        made = _program(system, out, sample_time or SAMPLE_TIME, width or WIDTH)
     about = {"model": str(model), "format": to.value}
-    if beside is not None:
+    if made.content is not None:
         about |= {"model": str(file), "file": out.name}
-    text = to_json("export", about | described)
-    _write(out, beside, content, text, force=force)
+    text = to_json("export", about | made.described)
+    _write(files, made, text, overwrite=overwrite)
     if as_json:
         return show(text)
-    for note in described.get("left_out", []):
+    left_out = made.described.get("left_out", [])
+    for note in left_out:
         remark(f"{note}.")
-    if beside is None:
-        return show(f"a range for each parameter is in {out}")
-    if to is Format.torch:
-        words = f"{described['difference']:.1e} of the largest state"
-        show(f"{out}, read back, differs from the model's own step by {words}")
-    elif rows:
-        _show_agreement(rows)
-    else:
-        show("give --check DATASET to see how closely MuJoCo replays your records")
-    left_out = f"what it leaves out in {beside}" if described["left_out"] else "nothing is left out"
-    show(f"the model is in {out}, {left_out}")
+    show(*made.words)
+    if made.content is not None:
+        show(
+            f"the model is in {out}, {f'what it leaves out in {files[1]}' if left_out else 'nothing is left out'}"
+        )
 
 
 def _refuse_foreign_options(
-    to: Format, check: Path | None, sample_time: float | None, width: float | None
+    to: Format, check: Path | None, sample_time: float | None, width: float | None, *, force: bool
 ) -> None:
     """Refuse an option of another format than the one asked for."""
     if check is not None and to is not Format.mjcf:
         raise InputError("--check replays records in MuJoCo; give it with --to mjcf, or leave it out")
+    if force and to is not Format.mjcf:
+        raise InputError(
+            "--force writes a model that is worse in MuJoCo; leave it out, --overwrite replaces files that exist"
+        )
     if to is not Format.torch and (sample_time, width) != (None, None):
         raise InputError(
             "--sample-time and --width are of the torch program; leave them out, or take --to torch"
         )
 
 
-def _description_beside(out: Path, to: Format) -> Path | None:
-    """The JSON file beside an exported model; None for ranges, which are JSON themselves."""
-    if to is Format.ranges:
-        return None
-    beside = out.with_suffix(".json")
-    if beside == out:
-        raise InputError(f"{out} would also be the name of the description beside it; take another ending")
-    return beside
+def _files(out: Path, to: Format) -> list[Path]:
+    """The file to write, then its description and its page; ranges are JSON themselves."""
+    endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
+    beside = [out.with_suffix(ending) for ending in endings]
+    if out in beside:
+        raise InputError(
+            f"{out} would also be the name of the {'page' if out.suffix == '.html' else 'description'} beside it; take "
+            "another ending"
+        )
+    return [out, *beside]
 
 
-def _write(out: Path, beside: Path | None, content: bytes, text: str, *, force: bool) -> None:
-    """Write the model and its description beside it, both or none; without a second file the description alone."""
-    with ExitStack() as files:
-        main = files.enter_context(result_file(out, force=force))
-        if beside is None:
-            write_last(main, text)
-        else:
-            main.write_bytes(content)
-            write_last(files.enter_context(result_file(beside, force=force)), text)
+def _write(files: Sequence[Path], made: Made, text: str, *, overwrite: bool) -> None:
+    """Write the model, its description and its page, all or none; the description comes in last."""
+    with ExitStack() as stack:
+        kept = files if made.page is not None else files[:2]
+        out, *beside = (stack.enter_context(result_file(one, force=overwrite)) for one in kept)
+        if made.content is None:
+            return write_last(out, text)
+        out.write_bytes(made.content)
+        if made.page is not None:
+            made.page.write(beside[1])
+        write_last(beside[0], text)
 
 
-def _mjcf(system: "System", check: Path | None, out: Path) -> "tuple[bytes, dict[str, Any], list[Agreement]]":
+def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, force: bool) -> Made:
     from hybrid_id.export.mjcf import to_mjcf
-    from hybrid_id.export.replay import agreement
+    from hybrid_id.export.target import with_comment
+    from hybrid_id.reporting import target
 
-    exported = to_mjcf(system)
+    errors = _in_mujoco(system, file, check)
+    exported = to_mjcf(system) if errors is None else errors.exported.exported
     if exported.home is not None and out.parent.resolve() != exported.home:
         remark(
             f"meshes and includes are named as seen from {exported.home}: MuJoCo finds them where {out.name} lies there"
         )
-    rows = [] if check is None else agreement(system, exported, records_to_replay(check))
-    checked = None if check is None else [vars(row) for row in rows]
-    return exported.text.encode(), {"left_out": list(exported.notes), "check": checked}, rows
+    described: dict[str, Any] = {"left_out": list(exported.notes), "check": None, "in_mujoco": None}
+    if errors is None:
+        words = ["give --check DATASET to see how closely MuJoCo replays your records"]
+        return Made(described, words, exported.text.encode())
+    if errors.worse and not force:
+        raise InputError(
+            f"{file}: {target.worse_words(errors)}; nothing is written: export {file.with_name(REFIT)}, or give "
+            "--force to write it all the same"
+        )
+    if errors.worse:
+        remark(f"{target.worse_words(errors)}; it is written all the same")
+    if (missed := errors.exported.summary.strange) is not None:
+        remark(
+            f"this model misses these records by {missed:.2g} of their spread; are they of the same robot?"
+        )
+    described |= {
+        "check": [vars(row) for row in errors.exported.rows],
+        "in_mujoco": target.target_result(errors),
+    }
+    content = with_comment(exported, target.error_lines(errors)).text.encode()
+    return Made(described, target.on_screen(errors), content, target.target_page(errors, out.name))
 
 
-def _program(system: "System", sample_time: float, width: float) -> tuple[bytes, dict[str, Any]]:
+def _in_mujoco(system: "System", file: Path, check: Path | None) -> "TargetErrors | None":
+    """The model in MuJoCo, behind those that it is to be better than; None where there are no records.
+
+    The records of --check judge, else those of the run that the model comes from; that run's own train records fit.
+    """
+    from hybrid_id.export.replay import left_out
+    from hybrid_id.export.target import NOMINAL, REFITTED, target_errors
+
+    run = _run_of(file)
+    own = None if run is None else _own_records(run[0])
+    if check is not None:
+        judges = records_to_replay(check)
+    elif own is None:
+        return None
+    elif find_spec("mujoco") is None:
+        remark(
+            "MuJoCo is not installed: how this model errs there is not known; pip install 'hybrid-id[blind]'"
+        )
+        return None
+    else:
+        judges = left_out(own)
+    if run is None:
+        return target_errors({"exported": system}, judges)
+    (config, horizon), label = run, _label(file)
+    models = {NOMINAL: read_model(config.model)} if config.model.exists() else {}
+    refit = file.with_name(REFIT)
+    if label != REFITTED and refit.exists():
+        models[REFITTED] = read_model(refit)
+    remark(
+        "replaying in MuJoCo; what it cannot carry is fitted there to the train records, which may take minutes"
+    )
+    train = replace(own, records=own.train) if own is not None and own.train else None
+    return target_errors(models | {label: system}, judges, train=train, horizon=horizon)
+
+
+def _run_of(file: Path) -> "tuple[StudyConfig, Horizon] | None":
+    """Settings and horizon of the run whose folder a model lies in; None where it lies in none."""
+    from hybrid_id.export.ranges import read_result
+    from hybrid_id.study import Horizon
+
+    settings = file.with_name("config.yaml")
+    result = next((one for name in (DIAGNOSIS, RESULT) if (one := file.with_name(name)).exists()), None)
+    if result is None or not settings.exists():
+        remark(
+            f"{file} lies in no folder of results: it is neither compared with a re-fitted model nor fitted anew to "
+            "what MuJoCo can carry"
+        )
+        return None
+    horizon = read_result(result).get("horizon") or {}
+    return load_config(settings), Horizon(horizon.get("kind", "whole"), horizon.get("seconds") or 0.0)
+
+
+def _own_records(config: StudyConfig) -> "Dataset | None":
+    """Records of a run; None where they are gone."""
+    if config.dataset.exists():
+        return load_records(config.dataset, config)
+    remark(
+        f"{config.dataset}, the records of this run, is not there: nothing is fitted anew in MuJoCo's terms"
+    )
+    return None
+
+
+def _label(file: Path) -> str:
+    """What the model of a run is called."""
+    from hybrid_id.export.target import CORRECTED, REFITTED
+
+    if file.name == REFIT:
+        return REFITTED
+    return CORRECTED if file.with_name(DIAGNOSIS).exists() else "identified"
+
+
+def _program(system: "System", out: Path, sample_time: float, width: float) -> Made:
     from hybrid_id.export.program import to_program
 
     program = to_program(system, sample_time=sample_time, width=width)
@@ -170,10 +300,11 @@ def _program(system: "System", sample_time: float, width: float) -> tuple[bytes,
     if any(joint.drive.encoders or joint.gear.errors for joint in system.joints):
         left_out.append("what encoders read (offset, dead time, error of a gear): the states are true angles")
     about = {"interface": program.interface, "difference": program.difference, "left_out": left_out}
-    return program.content, about
+    differs = f"{out}, read back, differs from the model's own step by {program.difference:.1e} of the largest state"
+    return Made(about, [differs], program.content)
 
 
-def _ranges(system: "System", model: Path) -> dict[str, Any]:
+def _ranges(system: "System", model: Path, out: Path) -> Made:
     from hybrid_id.export.ranges import read_result, to_ranges
 
     file = (model if model.is_dir() else model.parent) / RESULT
@@ -184,26 +315,4 @@ def _ranges(system: "System", model: Path) -> dict[str, Any]:
     found = to_ranges(system, read_result(file) if file.is_file() else None)
     if lost := [name for name, one in found["parameters"].items() if one["from"] == "unknown"]:
         remark(f"nothing says how far {', '.join(lost)} may be off: their ranges are one value; give priors")
-    return found
-
-
-def _show_agreement(rows: "Sequence[Agreement]") -> None:
-    """How closely MuJoCo replays the records, and whether they may be of another robot."""
-    from hybrid_id.export.replay import summarise
-    from hybrid_id.reporting.tables import table
-
-    heads = ("record", "role", "output", "MuJoCo - ours>", "measured - ours>", "measured - MuJoCo>")
-    cells = (
-        (r.record, r.role, r.output, *(f"{value:.5f}" for value in (r.apart, r.here, r.there))) for r in rows
-    )
-    found = summarise(rows)
-    show("normalised RMSE, over the same records:", table(heads, cells))
-    show(
-        f"MuJoCo replays these records within {found.worst:.2g} of ours (normalised RMSE)",
-        f"measured against MuJoCo {found.there:.3g}, against ours {found.here:.3g} (mean over the "
-        f"{f'{found.role} records'.strip()})",
-    )
-    if found.strange is not None:
-        remark(
-            f"this model misses these records by {found.strange:.2g} of their spread; are they of the same robot?"
-        )
+    return Made(found, [f"a range for each parameter is in {out}"])

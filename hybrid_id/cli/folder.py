@@ -201,13 +201,13 @@ def result_file(path: Path, *, force: bool) -> Iterator[Path]:
         Path(temporary).unlink(missing_ok=True)
 
 
-def refuse_file(path: Path, *, force: bool) -> None:
+def refuse_file(path: Path, *, force: bool, option: str = "--force") -> None:
     """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays."""
     if path.is_dir() or (path.exists() and not force):
         what = (
             "is a folder; give the name of a file"
             if path.is_dir()
-            else "exists; give another name, or --force"
+            else f"exists; give another name, or {option}"
         )
         raise InputError(f"{path} {what}")
     if path.name in (*RESULTS, "model.yaml") and path.exists():

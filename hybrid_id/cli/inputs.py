@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from hybrid_id.systems.chain import System
 
 UNEVEN = 1.5
-ABSURD = ("slow_step", "fast_step")
-"""Codes of findings whose errors no simulation may meet: it would not end."""
 MAX_WARNINGS = 5  # said before a fit; `check` says them all
 
 
@@ -63,11 +61,10 @@ def refuse_errors(findings: "list[Finding]") -> None:
 
 def records_to_replay(path: Path) -> "Dataset":
     """Load records for a simulation, which is no fit and takes gaps; a step that cannot be meant ends the command."""
-    from hybrid_id.records.quality import check_sampling
+    from hybrid_id.records.quality import absurd_steps
 
     dataset = load_records(path)
-    steps = [one for record in dataset for one in check_sampling(record) if one.code in ABSURD]
-    refuse_errors(steps)
+    refuse_errors(absurd_steps(dataset))
     return dataset
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,11 +16,15 @@ from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.errors import InputError
 from hybrid_id.export.drives import Mjcf
 from hybrid_id.export.own_file import mujoco_model
+from hybrid_id.identification.horizons import WHOLE, Horizon, free_runs
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.statistics.fit import known_mean, nrmse
-from hybrid_id.study.replays import replay
+from hybrid_id.simulation.compiled import compiled_for
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.solvers import stable_engine
+from hybrid_id.simulation.step import Engine
+from hybrid_id.statistics.fit import known_mean, nrmse, rmse
+from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
@@ -42,6 +47,7 @@ class Agreement:
         apart: MuJoCo against the package's own replay.
         here: the package's replay against what was measured.
         there: MuJoCo against what was measured.
+        rmse: MuJoCo against what was measured, not normalised: in the output's SI unit.
     """
 
     record: str
@@ -50,6 +56,7 @@ class Agreement:
     apart: float
     here: float
     there: float
+    rmse: float
 
 
 @dataclass(frozen=True)
@@ -58,74 +65,171 @@ class Summary:
 
     Attributes:
         worst: largest difference between MuJoCo and the package's own replay.
-        role: of the records that judge: test where there are any, else all.
+        role: of the records that judge, those left out: test where there are any, else validation, else all ("").
+        n_records: how many these are.
         there, here: MuJoCo, and the package's own replay, against what was measured: means over those records.
+        by_output: MuJoCo against what was measured, for each output its mean over those records.
+        rmse: the same, not normalised: in the output's SI unit.
         strange: mean of the package's own replay over all records where it is so large that they may be of another
             robot; None otherwise.
     """
 
     worst: float
     role: str
+    n_records: int
     there: float
     here: float
+    by_output: dict[str, float]
+    rmse: dict[str, float]
     strange: float | None
+
+
+def judging_role(roles: Iterable[str]) -> str:
+    """Role of the records that judge, which no fit has seen: test, else validation, else all (the empty word)."""
+    known = set(roles)
+    return next((role for role in ("test", "validation") if role in known), "")
+
+
+def left_out(dataset: Dataset) -> Dataset:
+    """The records that judge: all where no role leaves any out."""
+    role = judging_role(record.role for record in dataset)
+    return replace(dataset, records=tuple(one for one in dataset if role in ("", one.role)))
 
 
 def summarise(rows: Sequence[Agreement]) -> Summary:
     """The agreement of all records and outputs in a few figures."""
-    test = [row for row in rows if row.role == "test"]
-    there, here = (known_mean(getattr(row, name) for row in test or rows) for name in ("there", "here"))
+    role = judging_role(row.role for row in rows)
+    judges = [row for row in rows if role in ("", row.role)]
+    there, here = (known_mean(getattr(row, name) for row in judges) for name in ("there", "here"))
+    by_output, by_unit = (
+        {
+            name: known_mean(getattr(row, of) for row in judges if row.output == name)
+            for name in dict.fromkeys(row.output for row in judges)
+        }
+        for of in ("there", "rmse")
+    )
     missed = known_mean(row.here for row in rows)
     worst = max((row.apart for row in rows if not math.isnan(row.apart)), default=math.nan)
-    return Summary(worst, "test" if test else "", there, here, missed if missed > STRANGE else None)
+    n_records = len({row.record for row in judges})
+    strange = missed if missed > STRANGE else None
+    return Summary(worst, role, n_records, there, here, by_output, by_unit, strange)
 
 
-def agreement(system: System, exported: Mjcf, dataset: Dataset) -> list[Agreement]:
+@dataclass(frozen=True, eq=False)
+class FreeRun:
+    """A free run of the package over a record or a piece of one, which MuJoCo repeats from the same start.
+
+    Attributes:
+        record: the piece, ``(T,)`` samples.
+        start: the package's first state, ``(n_x,)``.
+        outputs: what the package simulates, ``(T,)`` each.
+        weight: 1 / standard deviation of each measurement, ``(T,)`` by output.
+    """
+
+    record: Record
+    start: list[float]
+    outputs: Mapping[str, np.ndarray]
+    weight: Mapping[str, np.ndarray]
+
+
+def free_runs_of(system: System, dataset: Dataset, horizon: Horizon = WHOLE) -> list[FreeRun]:
+    """The package's own free runs of every record, pieces of a record one after the other.
+
+    Args:
+        system: the model.
+        dataset: the records.
+        horizon: where the free runs begin anew from a measured state.
+
+    Raises:
+        InputError: a channel that the model needs is missing.
+    """
+    batch = batch_of(dataset, system, dataset.records)
+    engine = stable_engine(system, compiled_for(system, Engine()), batch)
+    part = horizon.cut(system, engine, batch)
+    run = simulate(system, engine, part) if part is batch else free_runs(system, engine, part)
+    records = {record.name: record for record in dataset.records}
+    first, found = dict.fromkeys(records, 0), []
+    for row, name in enumerate(part.names):
+        whole, samples = records[name], int((part.weight[row] > 0).any(1).sum())
+        here = slice(first[name], first[name] + samples)
+        first[name] = here.stop
+        inputs, outputs = ({k: v[here] for k, v in one.items()} for one in (whole.inputs, whole.outputs))
+        piece = replace(whole, time=whole.time[here], inputs=inputs, outputs=outputs)
+        simulated, weight = (of[row, :samples].numpy().T for of in (run.y, part.weight))
+        own, weights = (dict(zip(part.outputs, of, strict=True)) for of in (simulated, weight))
+        found.append(FreeRun(piece, run.x[row, 0].tolist(), own, weights))
+    return found
+
+
+def agreement(
+    system: System, exported: Mjcf, dataset: Dataset, horizon: Horizon = WHOLE, *, there: System | None = None
+) -> list[Agreement]:
     """Replay every record in MuJoCo and here.
+
+    Args:
+        system: the model.
+        exported: what has become of it.
+        dataset: the records.
+        horizon: where the free runs begin anew from a measured state, there and here.
+        there: the model with the values that were exported, where these are others.
 
     Raises:
         InputError: MuJoCo is not installed, or a record has what MuJoCo cannot follow.
     """
-    found, noise = [], {channel.name: channel.noise_std for channel in dataset.outputs}
-    for record, own in zip(dataset.records, replay(dataset, system), strict=True):
-        there = mujoco_replay(system, exported, record, noise_std=noise)
-        for name, values in own.outputs.items():
-            if name in there:
-                measured = record.signal(name)
-                pairs = (values, there[name]), (measured, values), (measured, there[name])
-                scores = [float(nrmse(*pair)) for pair in pairs]
-                found.append(Agreement(record.name, record.role, name, *scores))
+    runs = free_runs_of(system, dataset, horizon)
+    both = list(zip(runs, mujoco_replays(there or system, exported, runs), strict=True))
+    found = []
+    for record in dataset.records:
+        mine = [(run, replayed) for run, replayed in both if run.record.name == record.name]
+        for name in (name for name in mine[0][0].outputs if name in mine[0][1]):
+            pieces = [(run.record.signal(name), run.outputs[name], replayed[name]) for run, replayed in mine]
+            measured, ours, theirs = (np.concatenate(one) for one in zip(*pieces, strict=True))
+            pairs = (ours, theirs), (measured, ours), (measured, theirs)
+            scores = [float(nrmse(*pair)) for pair in pairs]
+            found.append(
+                Agreement(record.name, record.role, name, *scores, rmse=float(rmse(measured, theirs)))
+            )
     return found
 
 
-def mujoco_replay(
-    system: System, exported: Mjcf, record: Record, *, noise_std: Mapping[str, float | None] | None = None
-) -> Mapping[str, np.ndarray]:
-    """Outputs of the exported model under a record's commands, ``(T,)`` each, from the package's own start state.
+def mujoco_replays(system: System, exported: Mjcf, runs: Sequence[FreeRun]) -> list[Mapping[str, np.ndarray]]:
+    """Outputs of the exported model from the starts and under the commands of free runs, ``(T,)`` each.
 
     MuJoCo gives true angles; they are read through the model's own encoders, whose zero may be elsewhere.
     MuJoCo's motors have no switch. One that is off is given the voltage that it induces itself, beyond its limits if
     need be, so that no current flows: an open circuit.
+
+    Raises:
+        InputError: MuJoCo is not installed, or the exported model is unstable there.
     """
     try:
-        import mujoco
+        import mujoco  # noqa: F401
     except ImportError:
         raise InputError("MuJoCo is not installed; pip install 'hybrid-id[blind]' brings it") from None
     model = mujoco_model(exported)
+    return [_mujoco_replay(copy.copy(model), system, exported, run.record, run.start) for run in runs]
+
+
+def _mujoco_replay(
+    model: Any, system: System, exported: Mjcf, record: Record, start: Sequence[float]
+) -> Mapping[str, np.ndarray]:
+    """One record through MuJoCo's model, which is changed where motors are switched."""
+    import mujoco
+
     data = mujoco.MjData(model)  # type: ignore[attr-defined]
-    start = make_batch(system, [record], noise_std=noise_std).x[0, 0].tolist()
     for joint in system.joints:
         name = exported.joints[joint.number - 1]
         turning = joint.motors or [(joint, 1.0 / joint.gear_ratio)]
         state = {name: [sum(share * start[m.positions[0] + k] for m, share in turning) for k in (0, 1)]}
         if not joint.rigid:
             rotor, link = state[name], start[joint.positions[1] : joint.positions[1] + 2]
-            state[f"gear{joint.number}"] = [b - a for a, b in zip(rotor, link, strict=True)]
+            gear = _gear(model, joint)
+            state |= {gear: [b - a for a, b in zip(rotor, link, strict=True)]} if gear else {name: link}
         for hinge, (angle, speed) in state.items():
             data.joint(hinge).qpos[:], data.joint(hinge).qvel[:] = angle, speed
     motors = [model.actuator(name).id for name in exported.motors]
     commands = [
-        _Command(system, joint, exported, record, model.opt.timestep, bool(model.actuator_biastype[motor]))
+        _Command(system, joint, exported, record, model, bool(model.actuator_biastype[motor]))
         for joint, motor in zip(system.joints, motors, strict=True)
     ]
     for command, motor in zip(commands, motors, strict=True):
@@ -133,28 +237,32 @@ def mujoco_replay(
             model.actuator_delay[motor] = 0.0
         else:
             _fill_delay(mujoco, model, data, motor, command(0, data))
+    switched = any((command.on != 1.0).any() for command in commands)
     limited = model.actuator_ctrllimited[motors].copy()
     pulls = [(matrix, matrix[motors].copy()) for matrix in (model.actuator_gainprm, model.actuator_biasprm)]
-    found: dict[str, list[float]] = {n: [] for n in record.outputs if _channel(n)[0] in READ}
+    read = {n: _reading(model, system, exported, n) for n in record.outputs if _channel(n)[0] in READ}
+    states = np.empty((record.n_samples, model.nq + model.nv))
     ticks = np.rint((record.time - record.time[0]) / model.opt.timestep).astype(int)
     for k in range(record.n_samples):
-        for name, values in found.items():
-            values.append(_output(system, exported, data, name))
-        for tick in range(ticks[k + 1] - ticks[k] if k + 1 < record.n_samples else 0):
-            if tick == 0:
-                model.actuator_ctrllimited[motors] = limited * [command.on[k] == 1.0 for command in commands]
-                for matrix, own in pulls:  # a servo that is off lets go
-                    matrix[motors] = [c.pull(k) * row for c, row in zip(commands, own, strict=True)]
-            if tick == 0 or any(command.follows(k) for command in commands):
-                data.ctrl[motors] = [command(k, data) for command in commands]
-            mujoco.mj_step(model, data)  # type: ignore[attr-defined]
+        states[k] = np.concatenate([data.qpos, data.qvel])
+        if k + 1 == record.n_samples:
+            break
+        if switched:
+            model.actuator_ctrllimited[motors] = limited * [command.on[k] == 1.0 for command in commands]
+            for matrix, own in pulls:  # a servo that is off lets go
+                matrix[motors] = [c.pull(k) * row for c, row in zip(commands, own, strict=True)]
+        left = int(ticks[k + 1] - ticks[k])
+        at_once = 1 if any(command.follows(k) for command in commands) else left
+        for _ in range(0, left, max(at_once, 1)):
+            data.ctrl[motors] = [command(k, data) for command in commands]
+            mujoco.mj_step(model, data, at_once)  # type: ignore[attr-defined]
     kinds = mujoco.mjtWarning  # type: ignore[attr-defined]
     if any(data.warning[int(getattr(kinds, name))].number for name in BROKEN):
         raise InputError(
             f"the exported model is unstable in MuJoCo on record '{record.name}': a spring is too stiff for steps of "
             f"{1e3 * model.opt.timestep:g} ms; shorten 'timestep' in the file"
         )
-    return {name: _read(system, name, np.array(values)) for name, values in found.items()}
+    return {name: _read(system, name, states @ one) for name, one in read.items()}
 
 
 def _read(system: System, name: str, true: np.ndarray) -> np.ndarray:
@@ -177,15 +285,30 @@ def _fill_delay(mujoco: Any, model: Any, data: Any, motor: int, first: float) ->
         mujoco.mj_initCtrlHistory(model, data, motor, times, np.full(samples, first))
 
 
-def _output(system: System, exported: Mjcf, data: Any, name: str) -> float:
-    """A measured angle or speed: the sensors' values lag a step behind the state."""
+def _reading(model: Any, system: System, exported: Mjcf, name: str) -> np.ndarray:
+    """An output as a sum over MuJoCo's positions and speeds, ``(n_q + n_v,)``: its sensors lag a step."""
     channel, number = _channel(name)
     joint = system.joints[number]
-    field = "qvel" if channel[0] == "v" else "qpos"
-    rotor = getattr(data.joint(exported.joints[number]), field)[0]
+    found = np.zeros(model.nq + model.nv)
+
+    def add(hinge: str, share: float) -> None:
+        known = model.joint(hinge)
+        found[int(known.dofadr[0]) + model.nq if channel[0] == "v" else int(known.qposadr[0])] += share
+
     if channel[2] == "m":
-        return _shaft(exported, joint, data, field)
-    return rotor if joint.rigid else rotor + getattr(data.joint(f"gear{joint.number}"), field)[0]
+        for link, turns in joint.links:
+            add(exported.joints[link.number - 1], turns)
+        return found
+    add(exported.joints[number], 1.0)
+    if gear := _gear(model, joint):
+        add(gear, 1.0)
+    return found
+
+
+def _gear(model: Any, joint: Joint) -> str:
+    """Name of the hinge that is a gear's deflection in MuJoCo; empty where the gear is rigid there."""
+    name = f"gear{joint.number}"
+    return name if not joint.rigid and name in {model.joint(k).name for k in range(model.njnt)} else ""
 
 
 def _shaft(exported: Mjcf, joint: Joint, data: Any, field: str) -> float:
@@ -204,7 +327,7 @@ class _Command:
     """
 
     def __init__(
-        self, system: System, joint: Joint, exported: Mjcf, record: Record, tick: float, servo: bool
+        self, system: System, joint: Joint, exported: Mjcf, record: Record, model: Any, servo: bool
     ) -> None:
         key, self._source = joint.drive.input
         self._exported, self._joint = exported, joint
@@ -219,7 +342,7 @@ class _Command:
         self._encoders = [(part, part.view()) for _, part in joint.drive.encoders]
         self.servo = servo = servo and self._source.at_joint
         self._closed = not servo and (isinstance(self._source, PositionLoop) or self._source.at_joint)
-        self._tick = tick
+        self._tick, self._gear = model.opt.timestep, _gear(model, joint)
         self._time, delay = record.time - record.time[0], joint.drive.delay
         self._late = 0.0 if delay is None else delay[1].specs["T_d"].value
         zero = torch.zeros(1, dtype=torch.float64)
@@ -269,7 +392,7 @@ class _Command:
         if not self._source.at_joint:
             return angle, speed
         r = self._joint.gear_ratio
-        gear = None if self._joint.rigid else data.joint(f"gear{self._joint.number}")
+        gear = data.joint(self._gear) if self._gear else None
         twist, rate = (0.0, 0.0) if gear is None else (gear.qpos[0], gear.qvel[0])
         return angle / r + twist, speed / r + rate
 

@@ -260,6 +260,12 @@ STAMPS = ((1e2, "ms", "unit: ms"), (1e5, "us", "unit: us"), (np.inf, "ns", "scal
 UNEQUAL = 10.0  # ratio of two records' steps
 
 
+def absurd_steps(dataset: Dataset) -> list[Finding]:
+    """Find steps that cannot be meant: no simulation may meet them, it would not end."""
+    found = [finding for record in dataset for finding in check_sampling(record)]
+    return [one for one in found if one.severity == "error" and one.code in ("slow_step", "fast_step")]
+
+
 def check_sampling(record: Record) -> Iterator[Finding]:
     """Check one record's stamps."""
     name, step = record.name, record.sample_time

@@ -19,8 +19,9 @@ def test_mjcf_with_check(run, drive: Path, tmp_path: Path) -> None:
     assert max(row["apart"] for row in told["check"]) < 2e-3
     assert len(told["check"]) == 4
     (test,) = (row for row in told["check"] if row["role"] == "test")
-    gap = f"measured against MuJoCo {test['there']:.3g}, against ours {test['here']:.3g} (mean over the test records"
-    assert gap in " ".join(done.out.split()) and "nothing is left out" in done.out
+    words = " ".join(done.out.split())
+    assert f"exported {test['there']:.3g} {test['here']:.3g}" in words and "mean over 1 test record:" in words
+    assert "nothing is left out" in done.out and (tmp_path / "robot.html").exists()
 
 
 def test_ranges_as_json(run, drive: Path, tmp_path: Path) -> None:
@@ -46,7 +47,9 @@ def test_torch_program(run, drive: Path, tmp_path: Path) -> None:
     [
         (["--to", "torch", "--check", "x"], "--check replays records in MuJoCo"),
         (["--to", "mjcf", "--sample-time", "0.01"], "are of the torch program"),
-        (["--to", "mjcf", "--out", "{}/m.json"], "take another ending"),
+        (["--to", "mjcf", "--out", "{}/m.json"], "description beside it; take another ending"),
+        (["--to", "mjcf", "--out", "{}/m.html"], "page beside it; take another ending"),
+        (["--to", "ranges", "--force"], "--force writes a model that is worse in MuJoCo"),
         (["--to", "urdf"], "'urdf' is not one of"),
         (["--to", "mjcf", "--out", "{}"], "is a folder"),
     ],
@@ -60,11 +63,15 @@ def test_wrong_input(run, drive: Path, tmp_path: Path, options: list[str], words
     assert not list(tmp_path.iterdir())
 
 
-def test_file_is_kept_without_force(run, drive: Path, tmp_path: Path) -> None:
+def test_file_is_kept_unless_it_may_be_overwritten(run, drive: Path, tmp_path: Path) -> None:
     (tmp_path / "ranges.json").write_text("mine")
     done = run("export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json")
-    assert done.code == 2 and "--force" in done.err
+    assert done.code == 2 and "--overwrite" in done.err
     assert (tmp_path / "ranges.json").read_text() == "mine"
+    done = run(
+        "export", drive / "model.yaml", "--to", "ranges", "--out", tmp_path / "ranges.json", "--overwrite"
+    )
+    assert done.code == 0 and "parameters" in (tmp_path / "ranges.json").read_text()
 
 
 def test_an_export_replaces_neither_results_nor_its_own_input(run, drive: Path, tmp_path: Path) -> None:
@@ -73,7 +80,7 @@ def test_an_export_replaces_neither_results_nor_its_own_input(run, drive: Path, 
     (folder / "model.yaml").write_text((drive / "model.yaml").read_text())
     (folder / "result.json").write_text("{}")
     for out in ("result.xml", "model.yaml"):
-        done = run("export", folder, "--to", "mjcf", "--out", folder / out, "--force")
+        done = run("export", folder, "--to", "mjcf", "--out", folder / out, "--overwrite")
         assert done.code == 2 and "belongs to earlier results" in done.err
     assert (folder / "result.json").read_text() == "{}"
     for out in (".", "/"):

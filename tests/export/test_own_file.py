@@ -165,6 +165,23 @@ components:
     assert any(note.startswith("lift/sensor") for note in to_mjcf(held).notes)
 
 
+def test_a_compliant_gear_is_rigid_there_and_replays_all_the_same(tmp_path: Path) -> None:
+    spring = (
+        "components:\n  - {place: elbow/transmission, kind: linear_spring, parameters: {k: %g, d: 0.05}}\n"
+    )
+    far = []
+    for stiffness in (5.0, 500.0):
+        system = arm(tmp_path, "robot: {file: arm.xml}\n" + spring % stiffness)
+        assert not system.joints[1].rigid
+        exported = to_mjcf(system)
+        assert any("the joint stays rigid" in note for note in exported.notes)
+        data = waves(system, [0.5, 0.0], ["goal1", "tau2"])
+        rows = agreement(system, exported, data)
+        assert [row.output for row in rows] == ["q_m1", "q_m2"]
+        far.append(max(row.apart for row in rows))
+    assert far[1] < 0.02 < far[0], "what is left out matters where the spring is soft"
+
+
 def test_twelve_joints(tmp_path: Path) -> None:
     bodies = "".join(
         f'<body pos="0 0 {-0.1 if k else 0}"><joint name="j{k}" axis="{k % 2} {1 - k % 2} 0" armature="0.02" '

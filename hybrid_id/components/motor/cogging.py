@@ -11,6 +11,9 @@ from hybrid_id.parameters import Parameter
 FIRST_SHARES = (1.0, 0.3)
 """Of the cogging that a linear estimate asks for: beside so much, the rotor may stop elsewhere than it did."""
 
+NEAR = 0.02
+"""Periods per turn by which a number may miss the whole one that stands for it in MuJoCo: a record has few turns."""
+
 
 class Cogging(RotorTorque):
     """``tau = T_c cos(n q) + T_s sin(n q)`` with the rotor's angle q, zero on average over a turn.
@@ -76,10 +79,10 @@ class Cogging(RotorTorque):
     def mjcf(self, p):
         # MuJoCo's is amplitude sin(periods q + phase)
         periods, cosine, sine = float(p.n), float(p.T_c), float(p.T_s)
-        if periods != round(periods):
+        whole = round(periods)
+        if abs(periods - whole) > NEAR:
             return {}, f"is left out, MuJoCo's has a whole number of periods per turn, not {periods:g}"
-        two = float(p.T_c2) or float(p.T_s2)
-        wave = (math.hypot(cosine, sine), round(periods), math.atan2(cosine, sine))
-        return {
-            "cogging": wave
-        }, "has a second wave, which is left out, MuJoCo's motor has one" if two else ""
+        said = [] if periods == whole else [f"has {whole} periods per turn there, not {periods:.6g}"]
+        if float(p.T_c2) or float(p.T_s2):
+            said.append("has a second wave, which is left out, MuJoCo's motor has one")
+        return {"cogging": (math.hypot(cosine, sine), whole, math.atan2(cosine, sine))}, "; it ".join(said)

@@ -1,0 +1,235 @@
+"""Models in MuJoCo: their errors there on records left out, and the re-fit there of what MuJoCo cannot carry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from hybrid_id.errors import InputError
+from hybrid_id.export.drives import Mjcf
+from hybrid_id.export.mjcf import to_mjcf
+from hybrid_id.export.replay import (
+    READ,
+    Agreement,
+    FreeRun,
+    Summary,
+    agreement,
+    free_runs_of,
+    mujoco_replays,
+    summarise,
+)
+from hybrid_id.identification.horizons import WHOLE, Horizon
+from hybrid_id.parameters import Bounded, ParameterInfo
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.systems.chain import System
+
+NOMINAL, REFITTED, CORRECTED = "nominal", "re-fitted", "corrected"
+"""What the models of a diagnosis are called."""
+WORSE = 1.02
+"""Ratio of errors in MuJoCo from which a corrected model is worse than the re-fitted one."""
+SCATTER = 1.05
+"""Ratio of errors up to which a re-fit in MuJoCo has nothing to win: a smaller gain on train records is none on test
+records. Fits of one model that differ in nothing but the treatment of the first states differ by less."""
+STEPS = 15
+"""Steps of a re-fit at most."""
+STEP = 1e-4
+"""Relative change of a parameter for its derivative."""
+PROBE, MOVED = 1e-2, 1e-4
+"""Relative change of a parameter, and that of the errors by which it shows that MuJoCo has it: more than rounding."""
+LOST = 1e6
+"""Weighted error of a sample that MuJoCo cannot reach: it has become unstable."""
+
+
+@dataclass(frozen=True, eq=False)
+class InTarget:
+    """A model in MuJoCo.
+
+    Attributes:
+        system: the model, at the values that are exported.
+        exported: the file, and what it leaves out.
+        rows: replays there and, of the model as it was before any re-fit there, here.
+        refitted: value before and after of each parameter that was fitted anew there; empty where none was.
+        before: the same replays of the model as it was; its own where nothing was fitted anew.
+    """
+
+    system: System
+    exported: Mjcf
+    rows: tuple[Agreement, ...]
+    refitted: Mapping[str, tuple[float, float]]
+    before: tuple[Agreement, ...]
+
+    @property
+    def summary(self) -> Summary:
+        """Errors on the records that judge."""
+        return summarise(self.rows)
+
+
+@dataclass(frozen=True, eq=False)
+class TargetErrors:
+    """Models in MuJoCo, replayed there on the same records.
+
+    Attributes:
+        models: by what they are called; the one that is exported comes last.
+        outputs: channels of the records.
+        horizon: how long the free runs are.
+    """
+
+    models: Mapping[str, InTarget]
+    outputs: tuple[Channel, ...]
+    horizon: Horizon
+
+    @property
+    def label(self) -> str:
+        """What the exported model is called."""
+        return list(self.models)[-1]
+
+    @property
+    def exported(self) -> InTarget:
+        """The model that is exported."""
+        return self.models[self.label]
+
+    @property
+    def worse(self) -> bool:
+        """Whether a corrected model errs more in MuJoCo than the re-fitted one, on the records that judge both."""
+        if self.label != CORRECTED or REFITTED not in self.models:
+            return False
+        return not self.exported.summary.there <= WORSE * self.models[REFITTED].summary.there
+
+
+def target_errors(
+    models: Mapping[str, System], dataset: Dataset, *, train: Dataset | None = None, horizon: Horizon = WHOLE
+) -> TargetErrors:
+    """Models replayed in MuJoCo, all but the nominal one fitted anew there where they lose by the way.
+
+    The re-fit of a corrected model may begin where that of the re-fitted one has ended. A model beside the exported one
+    that is unstable there is passed over.
+
+    Args:
+        models: by what they are called; the one that is exported comes last.
+        dataset: records to replay.
+        train: records that the models were fitted to; None: nothing is fitted anew.
+        horizon: how long the free runs are.
+
+    Raises:
+        InputError: MuJoCo is not installed, or the exported model is unstable there.
+    """
+    found, last = dict[str, InTarget](), list(models)[-1]
+    for label, system in models.items():
+        known = None if label == NOMINAL else train
+        starts = [found[REFITTED].system] if REFITTED in found else []
+        with suppress(InputError) if label != last else nullcontext():
+            found[label] = in_mujoco(system, dataset, train=known, horizon=horizon, starts=starts)
+    return TargetErrors(found, dataset.outputs, horizon)
+
+
+def in_mujoco(
+    system: System,
+    dataset: Dataset,
+    *,
+    train: Dataset | None = None,
+    horizon: Horizon = WHOLE,
+    starts: Sequence[System] = (),
+) -> InTarget:
+    """A model in MuJoCo: replayed, and fitted anew there where it loses by the way.
+
+    What MuJoCo lacks is not looked up but measured: where its replays of the train records are surely worse than the
+    package's, the parameters that move them are fitted in MuJoCo to these records.
+
+    Args:
+        system: the model.
+        dataset: records to replay.
+        train: records that the model was fitted to; None: nothing is fitted anew.
+        horizon: how long the free runs are.
+        starts: models whose values the re-fit may begin with, too, where they have the same parameters.
+
+    Raises:
+        InputError: MuJoCo is not installed, or the exported model is unstable there.
+    """
+    exported = to_mjcf(system)
+    before = tuple(agreement(system, exported, dataset, horizon))
+    fitted = system if train is None else _refit(system, train, horizon, starts)
+    if fitted is system:
+        return InTarget(system, exported, before, {}, before)
+    exported = to_mjcf(fitted)
+    rows = tuple(agreement(system, exported, dataset, horizon, there=fitted))
+    pairs = zip(system.table, system.theta().tolist(), fitted.theta().tolist(), strict=True)
+    return InTarget(
+        fitted, exported, rows, {i.name: (old, new) for i, old, new in pairs if old != new}, before
+    )
+
+
+def with_comment(exported: Mjcf, words: Sequence[str]) -> Mjcf:
+    """The exported system with sentences as a comment at the end of the file."""
+    lines = "\n  ".join(words).replace("--", "- -")
+    return replace(exported, text=f"{exported.text.rstrip()}\n<!-- {lines} -->\n")
+
+
+def _refit(system: System, train: Dataset, horizon: Horizon, starts: Sequence[System]) -> System:
+    """The system with those parameters that MuJoCo has fitted there; itself where there is nothing to win."""
+    runs = free_runs_of(system, train, horizon)
+    here = np.concatenate([_weighted(run, run.outputs) for run in runs])
+
+    def errors(there: System) -> np.ndarray:
+        try:
+            replays = mujoco_replays(there, to_mjcf(there), runs)
+        except InputError:
+            return np.full(here.shape, LOST)
+        return np.concatenate([_weighted(run, one) for run, one in zip(runs, replays, strict=True)])
+
+    own = errors(system)
+    size = float(np.linalg.norm(own))
+    if size <= SCATTER * np.linalg.norm(here):
+        return system
+    estimated = [system.table[row] for row in system.estimated]
+    moving = [
+        info
+        for info in estimated
+        if np.linalg.norm(errors(system.with_values({info.name: _probed(info.spec)})) - own) > MOVED * size
+    ]
+    return _fitted(system, moving, starts, errors) if moving else system
+
+
+def _fitted(
+    system: System,
+    moving: Sequence[ParameterInfo],
+    starts: Sequence[System],
+    errors: Callable[[System], np.ndarray],
+) -> System:
+    """The system with some parameters fitted to the fewest errors, priors among them, from the best of all starts."""
+
+    def at(x: np.ndarray) -> System:
+        return system.with_values({info.name: float(v) for info, v in zip(moving, x, strict=True)})
+
+    def residual(x: np.ndarray) -> np.ndarray:
+        pairs = [(v, i.spec) for i, v in zip(moving, x, strict=True) if i.spec.prior_std]
+        return np.concatenate([errors(at(x)), [(v - spec.prior_mean) / spec.prior_std for v, spec in pairs]])
+
+    low, high = np.array([(info.spec.lower, info.spec.upper) for info in moving]).T
+    known = [{info.name: info.spec.value for info in one.table} for one in (system, *starts)]
+    begins = [
+        np.clip([values.get(info.name, info.spec.value) for info in moving], low, high) for values in known
+    ]
+    best = min(begins, key=lambda x: float(np.linalg.norm(residual(x))))
+    settings = {"x_scale": "jac", "diff_step": STEP, "ftol": 1e-3, "xtol": 1e-4, "max_nfev": STEPS}
+    fit = least_squares(residual, best, bounds=(low, high), **settings)
+    if np.linalg.norm(residual(best)) <= SCATTER * np.linalg.norm(fit.fun):  # nothing won but scatter
+        return system if best is begins[0] else at(best)
+    return at(fit.x)
+
+
+def _weighted(run: FreeRun, outputs: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Errors of a free run's outputs, of those that MuJoCo has, over the standard deviation of their measurement."""
+    names = [name for name in run.outputs if name[:3] in READ]
+    found = np.concatenate([(outputs[name] - run.record.signal(name)) * run.weight[name] for name in names])
+    return np.nan_to_num(found, nan=LOST, posinf=LOST, neginf=-LOST)
+
+
+def _probed(spec: Bounded) -> float:
+    """A value a little off the present one, within the bounds: on the side where there is more room."""
+    change = PROBE * abs(spec.value) or PROBE**3
+    up, down = min(spec.value + change, spec.upper), max(spec.value - change, spec.lower)
+    return up if up - spec.value >= spec.value - down else down

@@ -1,0 +1,132 @@
+"""Exported models as sentences, tables and a page: how they err in the simulator that they were exported to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.console import RenderableType
+from rich.table import Table
+
+from hybrid_id.export.replay import Agreement, summarise
+from hybrid_id.export.target import CORRECTED, REFITTED, InTarget, TargetErrors
+from hybrid_id.reporting.page import Page, how_made
+from hybrid_id.reporting.tables import count, table
+from hybrid_id.reporting.units import in_unit, symbols_line
+
+
+def errors_table(errors: TargetErrors) -> Table:
+    """Errors of each model in MuJoCo, beside those of the package's own replay."""
+    found = {label: one.summary for label, one in errors.models.items()}
+    rows = ((label, f"{one.there:.3g}", f"{one.here:.3g}") for label, one in found.items())
+    return table(("model", "in MuJoCo>", "here>"), rows)
+
+
+def judged_on(errors: TargetErrors) -> str:
+    """On which records the errors are, and how long the model runs free there, in words."""
+    found = errors.exported.summary
+    horizon = "" if errors.horizon.kind == "whole" else f", {errors.horizon}"
+    return count(found.n_records, f"{found.role} record".strip()) + horizon
+
+
+def error_lines(errors: TargetErrors) -> list[str]:
+    """The errors in sentences: of all models, by output in the unit logged, and what was fitted anew in MuJoCo."""
+    words = ", ".join(f"{label} {one.summary.there:.3g}" for label, one in errors.models.items())
+    lines = [f"NRMSE in MuJoCo, mean over {judged_on(errors)}: {words}"]
+    lines += [_output_line(errors, output) for output in errors.exported.summary.rmse]
+    return lines + [line for label, one in errors.models.items() for line in _refit_lines(label, one)]
+
+
+def _output_line(errors: TargetErrors, output: str) -> str:
+    """The error of one output in the unit that was logged, and normalised where there are several outputs."""
+    found = [one.summary for one in errors.models.values()]
+    rmse = [one.rmse[output] for one in found]
+    *values, unit = in_unit(output, rmse, errors.outputs, errors.exported.system)
+    words = ", ".join(f"{label} {value}" for label, value in zip(errors.models, values, strict=True))
+    normalised = ", ".join(f"{one.by_output[output]:.3g}" for one in found)
+    return f"RMSE of {output}: {words} {unit}" + (f" (NRMSE {normalised})" if len(found[0].rmse) > 1 else "")
+
+
+def _refit_lines(label: str, one: InTarget) -> list[str]:
+    """What was fitted anew in MuJoCo, in a sentence; none where nothing was."""
+    if not one.refitted:
+        return []
+    infos = [(one.system.parameter(name), old, new) for name, (old, new) in one.refitted.items()]
+    values = ", ".join(f"{i.name} {old:.4g} to {new:.4g} {i.spec.unit}" for i, old, new in infos)
+    return [
+        f"{label}: MuJoCo lacks some of it (error {summarise(one.before).there:.3g} as it is), so its file holds what "
+        f"fits the train records best there: {values}",
+        *symbols_line([info for info, *_ in infos], values),
+    ]
+
+
+def worse_words(errors: TargetErrors) -> str:
+    """By how much the corrected model is worse in MuJoCo than the re-fitted one."""
+    corrected, refitted = (errors.models[label].summary.there for label in (CORRECTED, REFITTED))
+    return (
+        f"in MuJoCo the corrected model errs by {corrected:.3g}, the re-fitted one by {refitted:.3g} (NRMSE, mean over "
+        f"{judged_on(errors)})"
+    )
+
+
+def replays_table(rows: Sequence[Agreement]) -> Table:
+    """How far MuJoCo, the package and the measurements are apart, for each record and output."""
+    heads = ("record", "role", "output", "MuJoCo - ours>", "measured - ours>", "measured - MuJoCo>")
+    cells = (
+        (r.record, r.role, r.output, *(f"{value:.5f}" for value in (r.apart, r.here, r.there))) for r in rows
+    )
+    return table(heads, cells)
+
+
+def on_screen(errors: TargetErrors) -> list[RenderableType]:
+    """The replays of the exported model, then the errors of all models."""
+    rows = errors.exported.rows
+    return [
+        "NRMSE, over the same records:",
+        replays_table(rows),
+        f"MuJoCo replays these records within {summarise(rows).worst:.2g} of ours (NRMSE)",
+        f"NRMSE, mean over {judged_on(errors)}:",
+        errors_table(errors),
+        *error_lines(errors)[1:],
+    ]
+
+
+def target_result(errors: TargetErrors) -> dict[str, Any]:
+    """The errors in MuJoCo as plain data."""
+    return {
+        "role": errors.exported.summary.role or None,
+        "horizon": str(errors.horizon),
+        "models": {
+            label: {
+                "nrmse": one.summary.there,
+                "by_output": one.summary.by_output,
+                "rmse": one.summary.rmse,
+                "nrmse_here": one.summary.here,
+                "nrmse_before_refit": summarise(one.before).there if one.refitted else None,
+                "refitted": {
+                    name: {"before": old, "after": new} for name, (old, new) in one.refitted.items()
+                },
+            }
+            for label, one in errors.models.items()
+        },
+    }
+
+
+def target_page(errors: TargetErrors, name: str) -> Page:
+    """The page beside an exported file.
+
+    Args:
+        errors: of the models in MuJoCo.
+        name: of the file.
+    """
+    summary, *lines = error_lines(errors)
+    page = Page(f"{name}: the {errors.label} model in MuJoCo", summary)
+    page.section("Errors in MuJoCo").add(
+        f"NRMSE, mean over {judged_on(errors)}; 'here' is the package's own replay.",
+        errors_table(errors),
+        *lines,
+    )
+    notes = errors.exported.exported.notes or ("nothing",)
+    page.section("Left out").add(*(f"{note}." for note in notes))
+    page.section("Replays of the exported model").add(replays_table(errors.exported.rows))
+    return how_made(page, "export")
