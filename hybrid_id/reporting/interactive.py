@@ -32,6 +32,8 @@ INK = "@ink"
 """Stands for the page's own colour of writing, light or dark."""
 PANEL, BETWEEN = 300, 80
 """Height of a panel and of the gap below it [px]; panels stand one below the other, which also fits a phone."""
+LEAST_PANEL, ROW = 90, 30
+"""Height of a panel whose rows have names, at least, and that of a row [px]."""
 _DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
 _MARKERS = {
     "o": "circle",
@@ -89,14 +91,14 @@ def interactive(figure: Figure) -> Plot:
                  "xanchor": "left", "yanchor": "bottom", "showarrow": False}
             )  # fmt: skip
         top -= (height + BETWEEN) / total
-    if any(_names(axes.yaxis) for axes in panels):
-        layout["meta"] = {"wide": True}  # names of rows leave a phone no room for the rows
     _one_entry_a_label(data)
     return {"data": data, "layout": layout | ({"shapes": shapes} if shapes else {})}
 
 
 def _height(axes: Axes) -> int:
-    """Height of a panel [px]: half where the figure makes its row less than half as high as the highest."""
+    """Height of a panel [px]: by its rows where they have names; half where the figure makes it less than half as high."""
+    if (rows := _names(axes.yaxis)) is not None:
+        return max(LEAST_PANEL, ROW * len(rows))
     spec = axes.get_subplotspec()
     ratios = None if spec is None else spec.get_gridspec().get_height_ratios()
     if spec is None or ratios is None:

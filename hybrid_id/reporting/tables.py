@@ -160,6 +160,21 @@ def comparison_table(comparison: Comparison) -> Table:
     return found
 
 
+def model_means_table(comparison: Comparison) -> Table:
+    """Errors of every model in every output, means of the records; the RMSE is in the unit that was logged."""
+    units = {channel.name: channel.shown for channel in comparison.outputs}
+    found = {measure: comparison.table(measure) for measure in ("nrmse", "fit", "rmse")}
+    rows = []
+    for label in comparison.replays:
+        for column, signal in enumerate(comparison.signals):
+            unit, factor = units.get(signal, ("", 1.0))
+            means = [values[label][:, column] for values in found.values()]
+            means[2] = factor * means[2]
+            cells = (_mean(mean, form) for mean, form in zip(means, (".4f", ".2f", ".3g"), strict=True))
+            rows.append((label, *cells, signal, unit))
+    return table(("model", "NRMSE>", "fit [%]>", "RMSE>", "output", "unit"), rows)
+
+
 def truth_table(study: Study, truth: Mapping[str, float]) -> Table:
     """Known values beside the estimates of the selected set."""
     from hybrid_id.study.truth import against_truth

@@ -41,7 +41,7 @@ def test_lines_bars_and_names_of_rows(figure: Figure) -> None:
     assert layout["xaxis"]["type"] == "log" and layout["yaxis"]["range"] == [1.5, -0.5]
     assert layout["yaxis"]["ticktext"] == ["physics only<br>without F_v", "f<sub>11</sub>"]
     assert layout["xaxis"]["title"]["text"] == layout["xaxis2"]["title"]["text"] == "error"
-    assert layout["annotations"][0]["text"] == "test" and layout["meta"] == {"wide": True}
+    assert layout["annotations"][0]["text"] == "test"
     line, band = layout["shapes"]
     assert (line["xref"], line["yref"], line["x0"], line["name"]) == ("x", "y domain", 1.0, "noise")
     assert (band["type"], band["xref"], band["x0"], band["x1"]) == ("rect", "x2", -3.0, 3.0)
