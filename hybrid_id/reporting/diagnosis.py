@@ -85,13 +85,13 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
         interval = "" if one.share_interval is None else f" ({range_percent(one.share_interval)})"
         rows.append(
             (
-                words_of(one.name), f"{one.probability:.3f}",
-                "" if one.share is None else percent(one.share) + interval,
+                words_of(one.name), "" if one.share is None else percent(one.share) + interval,
+                f"{one.probability:.3f}",
                 f"{joint_words(one.where)}, {place_words(one.where)}",
                 Text("selected", style="green") if one.selected else Text(others),
             )
         )  # fmt: skip
-    return table(("effect", "probability>", "share of the gap>", "where", ""), rows)
+    return table(("effect", "share of the gap>", "probability>", "where", ""), rows)
 
 
 def parameters_table(diagnosis: Diagnosis) -> Table:
@@ -148,7 +148,7 @@ _INTERVALS = (
 )
 _CAPTIONS = {
     "shares": "How the gap divides, on records left out: what each effect explains when it is added in this order, and "
-    "what remains. Black: 95 % interval.",
+    "what remains. The line: 95 % interval.",
     "gap": "NRMSE of free runs over the test records (1: as good as the signal's mean), and record by record. Dashed: "
     "the noise floor.",
     "missing_torque": "The torque that would explain the residual, over the signals that explain most; above "
@@ -156,13 +156,13 @@ _CAPTIONS = {
     "recorded, torques are known up to the factor that the nominal values fix.",
     "location": "Part of the residual of each model that a torque over one signal, at one side of a joint, explains on "
     "records left out. The rows overlap: speed, angle and command go together in most records.",
-    "candidates": "Left: RMS error on records left out with one effect added, over the re-fitted model's. Right: "
-    "probability.",
+    "candidates": "RMS error on records left out with one effect added, over the re-fitted model's, and the probability "
+    "of each.",
     "torque_map": "The missing torque over angle and speed, where the records have been; above each map the part of "
     "the residual that such a torque explains on records left out (chance: none). What changes along the "
     "speed is friction or the motor, what changes along the angle a load or the gear; a step at speed 0 is dry "
     "friction. What the model's own parameters could do (a slope over the speed, say) is not shown. A right model's "
-    "map is pale.",
+    "map is without colour.",
     "reversals": "Error of free runs after the joint has reversed, mean of all reversals in all records with its "
     "standard error; positive where the machine is ahead in its new direction. Play, stiction and friction with memory "
     "begin anew at each reversal, so they show here; a right model stays at 0, about.",

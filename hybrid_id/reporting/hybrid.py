@@ -242,7 +242,7 @@ def hybrid_page(
     networks.add(role_table(study.roles))
     for name, picture in pictures.items():
         if name.startswith("map_"):
-            networks.figure(picture, "Output over speed and angle; black: where the records have been.")
+            networks.figure(picture, "Output over speed and angle; dots: where the records have been.")
     page.section("Ladder of prices").add(_LADDER, ladder_table(study))
     page.section("Errors").add(error_table(study, dataset))
     role = "test" if dataset.test else "train"

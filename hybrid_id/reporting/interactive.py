@@ -28,8 +28,6 @@ Plot = dict[str, Any]
 """A plotly figure as plain data."""
 POINTS = 2000
 """Points of one curve at most, so that a page stays small."""
-INK = "@ink"
-"""Stands for the page's own colour of writing, light or dark."""
 PANEL, BETWEEN = 300, 80
 """Height of a panel and of the gap below it [px]; panels stand one below the other, which also fits a phone."""
 LEAST_PANEL, ROW = 90, 30
@@ -142,8 +140,7 @@ def _line(axes: Axes, line: Line2D) -> Plot:
             label.removeprefix("_")
         )  # "_" keeps a name from the picture's legend only
     if marker:
-        over_map = any(isinstance(mesh, QuadMesh) for mesh in axes.collections)
-        colour = to_hex(line.get_color()) if over_map else _colour(line.get_color())
+        colour = to_hex(line.get_color())
         edge = 2 if marker.endswith("-open") else 0
         trace["marker"] = {"color": colour, "symbol": marker, "size": max(3.0, 1.6 * line.get_markersize())}
         trace["marker"]["line"] = {"width": edge, "color": colour}
@@ -172,7 +169,7 @@ def _bar(axes: Axes, bars: BarContainer) -> Plot:
     trace |= {"textposition": "none"}
     if not (label := str(bars.get_label())).startswith("_"):
         trace["name"] = without_tex(label)
-    trace["marker"] = {"color": [_colour(p.get_facecolor()) for p in patches]}
+    trace["marker"] = {"color": [to_hex(p.get_facecolor()) for p in patches]}
     return trace | _hover(axes, x, y)
 
 
@@ -213,7 +210,7 @@ def _shapes(axes: Axes) -> list[Plot]:
         if isinstance(patch, Rectangle) and id(patch) not in bars:
             box = patch.get_bbox()
             ends = {"x0": box.x0, "x1": box.x1, "y0": box.y0, "y1": box.y1}
-            colour = {"fillcolor": _colour(patch.get_facecolor()), "opacity": patch.get_alpha() or 1.0}
+            colour = {"fillcolor": to_hex(patch.get_facecolor()), "opacity": patch.get_alpha() or 1.0}
             look = colour | {"line": {"width": 0}, "layer": "below"}
             found.append({"type": "rect", **ends, **_refs((box.y0, box.y1) == (0.0, 1.0)), **look})
     return found
@@ -254,14 +251,9 @@ def _one_entry_a_label(data: list[Plot]) -> None:
             seen.add(name)
 
 
-def _colour(colour: Any) -> str:
-    found = to_hex(colour)
-    return INK if found == "#000000" else found
-
-
 def _style(line: Line2D) -> Plot:
     dash = _DASHES.get(str(line.get_linestyle()), "solid")
-    return {"color": _colour(line.get_color()), "width": max(1.0, 1.3 * line.get_linewidth()), "dash": dash}
+    return {"color": to_hex(line.get_color()), "width": max(1.0, 1.3 * line.get_linewidth()), "dash": dash}
 
 
 @functools.cache

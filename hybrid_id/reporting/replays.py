@@ -43,10 +43,10 @@ def replay_page(
     title = f"{labels[0]} on {dataset.name}" if len(labels) == 1 else f"{len(labels)} models on {dataset.name}"
     page = Page(title, _lead(comparison))
     page.section("Errors").add(model_means_table(comparison), _HOW)
+    page.section("Record by record").add(comparison_table(comparison))
     pictures = page.section("Measured and simulated")
     for name, figure in figures.items():
         pictures.figure(figure, f"Record {name}.")
-    page.section("Record by record").add(comparison_table(comparison))
     records = page.section("Records").add(records_table(dataset))
     if findings:
         records.add(findings_list(findings))

@@ -165,14 +165,13 @@ def model_means_table(comparison: Comparison) -> Table:
     units = {channel.name: channel.shown for channel in comparison.outputs}
     found = {measure: comparison.table(measure) for measure in ("nrmse", "fit", "rmse")}
     rows = []
-    for label in comparison.replays:
-        for column, signal in enumerate(comparison.signals):
-            unit, factor = units.get(signal, ("", 1.0))
-            means = [values[label][:, column] for values in found.values()]
-            means[2] = factor * means[2]
-            cells = (_mean(mean, form) for mean, form in zip(means, (".4f", ".2f", ".3g"), strict=True))
-            rows.append((label, *cells, signal, unit))
-    return table(("model", "NRMSE>", "fit [%]>", "RMSE>", "output", "unit"), rows)
+    for column, signal in enumerate(comparison.signals):
+        unit, factor = units.get(signal, ("", 1.0))
+        for label in comparison.replays:
+            error, fit, plain = (values[label][:, column] for values in found.values())
+            cells = (_mean(error, ".4f"), _mean(fit, ".2f"), _mean(factor * plain, ".3g"))
+            rows.append((signal, label, *cells, unit))
+    return table(("output", "model", "NRMSE>", "fit [%]>", "RMSE>", "unit"), rows)
 
 
 def truth_table(study: Study, truth: Mapping[str, float]) -> Table:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from hybrid_id.reporting.interactive import INK, as_script, drawn, interactive
+from hybrid_id.reporting.interactive import as_script, drawn, interactive
 from hybrid_id.reporting.style import COLOURS, journal, new_figure, symbol
 
 
@@ -32,7 +32,7 @@ def test_lines_bars_and_names_of_rows(figure: Figure) -> None:
     plot = interactive(figure)
     repeats, mean, bars, more = plot["data"]
     assert repeats["x"] == [1.0, 10.0] and repeats["mode"] == "markers" and repeats["name"] == "repeats"
-    assert mean["x"] == [2.0, None] and mean["line"]["dash"] == "dash" and mean["line"]["color"] == INK
+    assert mean["x"] == [2.0, None] and mean["line"]["dash"] == "dash" and mean["line"]["color"] == "#000000"
     assert repeats["text"] == ["physics only<br>without F_v", "f<sub>11</sub>"]
     assert (bars["type"], bars["orientation"], bars["x"], bars["y"]) == ("bar", "h", [-2.0, 3.0], [0.0, 1.0])
     assert [trace["showlegend"] for trace in (repeats, mean, more)] == [True, False, False]
