@@ -23,11 +23,13 @@ CLICK = """<script>(async () => {
   await wait(300);
   const drawn = figure => figure.querySelector(".plot .trace, .plot .hm, .plot canvas") !== null;
   const wide = [...document.querySelectorAll(".plot")].filter(plot => plot.scrollWidth > plot.clientWidth);
-  const second = [...document.querySelectorAll("th:nth-child(2)")].filter(th => th.getBoundingClientRect().right > innerWidth);
-  const dark = [...document.querySelectorAll("img, .plot")].filter(one => getComputedStyle(one).filter.startsWith("invert"));
+  const second = [...document.querySelectorAll("th:nth-child(2)")];
+  const gone = second.filter(th => th.getBoundingClientRect().right > innerWidth).map(th => th.textContent);
+  const inverted = one => getComputedStyle(one).filter.startsWith("invert");
+  const dark = [...document.querySelectorAll("img, .plot")].filter(inverted);
   parent.postMessage(["seen", buttons.length, buttons.filter(b => drawn(b.closest("figure"))).length,
     document.querySelectorAll(".frame[hidden]").length, [...document.images].filter(i => !i.naturalWidth).length,
-    document.documentElement.scrollWidth > innerWidth || wide.length > 0, second.map(th => th.textContent).join(),
+    document.documentElement.scrollWidth > innerWidth || wide.length > 0, gone.join(),
     dark.length, getComputedStyle(document.body).backgroundColor].join("|"), "*");
 })()</script></body>"""
 

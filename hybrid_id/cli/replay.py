@@ -61,7 +61,7 @@ def compare(
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
-    """Put models side by side on the same records: fit and normalised RMSE in report.html and comparison.csv, pictures."""
+    """Put models side by side on the same records: report.html, comparison.csv (fit, RMSE, normalised too), pictures."""
     window = window or "auto"
     _replay("compare", dataset, model, out, window=window, force=force, as_json=as_json, threads=threads)
 
@@ -116,7 +116,9 @@ def _replay(
 
     if comparison.horizon.kind != "whole":
         show(f"horizon: {comparison.horizon}")
-    show(comparison_table(comparison), f"results are in {out}: report.html, comparison.csv, pictures, {RESULT}")
+    show(
+        comparison_table(comparison), f"results are in {out}: report.html, comparison.csv, pictures, {RESULT}"
+    )
 
 
 def _labels(models: list[Path]) -> dict[Path, str]:

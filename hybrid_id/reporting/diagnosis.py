@@ -156,8 +156,8 @@ _CAPTIONS = {
     "recorded, torques are known up to the factor that the nominal values fix.",
     "location": "Part of the residual of each model that a torque over one signal, at one side of a joint, explains on "
     "records left out. The rows overlap: speed, angle and command go together in most records.",
-    "candidates": "RMS error on records left out with one effect added, over the re-fitted model's, and the probability "
-    "of each.",
+    "candidates": "RMS error on records left out with one effect added, over the re-fitted model's, and its "
+    "probability.",
     "torque_map": "The missing torque over angle and speed, where the records have been; above each map the part of "
     "the residual that such a torque explains on records left out (chance: none). What changes along the "
     "speed is friction or the motor, what changes along the angle a load or the gear; a step at speed 0 is dry "

@@ -40,7 +40,9 @@ def replay_page(
         findings: what the check of the records remarked.
     """
     labels = list(comparison.replays)
-    title = f"{labels[0]} on {dataset.name}" if len(labels) == 1 else f"{len(labels)} models on {dataset.name}"
+    title = (
+        f"{labels[0]} on {dataset.name}" if len(labels) == 1 else f"{len(labels)} models on {dataset.name}"
+    )
     page = Page(title, _lead(comparison))
     page.section("Errors").add(model_means_table(comparison), _HOW)
     page.section("Record by record").add(comparison_table(comparison))
