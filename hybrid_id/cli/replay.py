@@ -61,7 +61,7 @@ def compare(
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
-    """Put models side by side on the same records: report.html, comparison.csv (fit, RMSE, normalised too), pictures."""
+    """Put models side by side on the same records: report.html, comparison.csv (fit, normalised RMSE), pictures."""
     window = window or "auto"
     _replay("compare", dataset, model, out, window=window, force=force, as_json=as_json, threads=threads)
 

@@ -28,6 +28,7 @@ from hybrid_id.reporting.diagnosis_words import (
     place_words,
     range_percent,
     rejected_lines,
+    thinned_line,
     tie_lines,
     value_lines,
     varying_lines,
@@ -74,6 +75,7 @@ def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> Ren
         *caution_lines(diagnosis, max_effects),
     )
     parts += [Text(line, style="yellow") for line in remarks]
+    parts += [Text(line) for line in (thinned_line(diagnosis),) if line]
     return Group(*parts)
 
 
@@ -241,6 +243,8 @@ def diagnosis_page(
     ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis)]
     page.section("Ties and next experiment").add(*map(_sentence, ties or [_NO_TIES]))
     records = page.section("Records").add(records_table(dataset))
+    if words := thinned_line(diagnosis):
+        records.add(_sentence(words))
     if findings:
         records.add(findings_list(findings))
     return page

@@ -94,7 +94,7 @@ def interactive(figure: Figure) -> Plot:
 
 
 def _height(axes: Axes) -> int:
-    """Height of a panel [px]: by its rows where they have names; half where the figure's row is less than half as high."""
+    """Height of a panel [px]: by its rows where they have names; half where its row in the figure is less than half."""
     if (rows := _names(axes.yaxis)) is not None:
         return max(LEAST_PANEL, ROW * len(rows))
     spec = axes.get_subplotspec()
