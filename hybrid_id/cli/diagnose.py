@@ -32,8 +32,8 @@ from hybrid_id.config import Identification, StudyConfig
 
 if TYPE_CHECKING:
     from hybrid_id.diagnosis.result import Diagnosis
-    from hybrid_id.identification.keep import Kept
     from hybrid_id.records.dataset import Dataset
+    from hybrid_id.study import Kept
     from hybrid_id.systems.chain import System
 
 

@@ -15,7 +15,7 @@ from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
-    from hybrid_id.identification.keep import Kept
+    from hybrid_id.study import Kept
 
 RESULT = "result.json"
 DIAGNOSIS = "diagnosis.json"
@@ -233,8 +233,8 @@ def kept_fits(
     Raises:
         InputError: the results cannot go there, or --resume is missing.
     """
-    from hybrid_id.identification.keep import Kept
     from hybrid_id.reporting.provenance import program
+    from hybrid_id.study import Kept
 
     fits = home / FITS
     kind = _kind(fits)

@@ -30,9 +30,8 @@ from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
-    from hybrid_id.identification.keep import Kept
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.study import Study
+    from hybrid_id.study import Kept, Study
     from hybrid_id.systems.chain import System
 
 
