@@ -39,7 +39,7 @@ CASES = 5
 """Of a blind run."""
 REPEATS = 2
 """Of an ablation."""
-SETS = 6
+SETS = 12
 """Of an identification."""
 SAMPLES = 300
 """Of a record."""
