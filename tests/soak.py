@@ -39,8 +39,8 @@ CASES = 5
 """Of a blind run."""
 REPEATS = 2
 """Of an ablation."""
-SETS = 12
-"""Of an identification."""
+SETS, LONG = 12, 60
+"""Of an identification, and how many times as long its records are."""
 SAMPLES = 300
 """Of a record."""
 QUIET = {"report": False, "figures": False, "tensorboard": False}
@@ -129,7 +129,7 @@ def make_robot(folder: Path, records: int) -> None:
         '<inertial mass="0.1" pos="0 0 -0.05" diaginertia="1e-4 1e-4 1e-4"/></body></worldbody></mujoco>'
     )
     write_yaml(folder / "model.yaml", {"robot": {"file": "arm.xml"}, "gear_ratio": [2]})
-    time, noise = 0.01 * np.arange(SAMPLES), np.random.default_rng(0)
+    time, noise = 0.01 * np.arange(LONG * SAMPLES), np.random.default_rng(0)
     blanks = tuple(
         Record(f"run_{k}", time, {"tau1": 0.1 * np.sin((3 + k) * time)}, {"q_m1": 0.0 * time})
         for k in range(records)
@@ -137,7 +137,7 @@ def make_robot(folder: Path, records: int) -> None:
     channels = (Channel("tau1", "N m"),), (Channel("q_m1", "rad", 1e-3),)
     model = load_model(folder / "model.yaml")
     runs = replay(Dataset("robot", *channels, blanks, 0.01), model)
-    outputs = [{"q_m1": run.outputs["q_m1"] + 1e-3 * noise.standard_normal(SAMPLES)} for run in runs]
+    outputs = [{"q_m1": run.outputs["q_m1"] + 1e-3 * noise.standard_normal(len(time))} for run in runs]
     made = tuple(replace(one, outputs=y) for one, y in zip(blanks, outputs, strict=True))
     Dataset("robot", *channels, made, 0.01).save(folder / "records")
     damping = next(info for info in model.table if info.symbol == "F_v")
@@ -152,7 +152,7 @@ def identification(folder: Path) -> Job:
     )
 
     def command(out: Path) -> list[str]:
-        more = ["--resume"] if (out / "fits").exists() else []
+        more = ["--resume"] if (out / "fits").exists() else ["--force"] if out.exists() else []
         return ["identify", str(folder / "study.yaml"), "--window", "whole", "--out", str(out), *more]
 
     return Job(

@@ -72,6 +72,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(soak, "SAMPLES", 150)
         patch.setattr(soak, "SETS", 3)
+        patch.setattr(soak, "LONG", 1)
         soak.identification(folder)
     return folder / "study.yaml"
 

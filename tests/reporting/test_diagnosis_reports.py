@@ -324,6 +324,13 @@ def test_the_missing_torque_stands_beside_the_sentence_that_it_supports(diagnose
     assert section == ["Location"] and said < shown
 
 
+def test_records_that_were_thinned_are_said(diagnosed, figures) -> None:
+    found, words = diagnosed[2], "ecords thinned to what the drive needs: fitted at 10 ms instead of 5 ms"
+    thin = replace(found, sample_time=0.01)
+    assert words in " ".join(summary(thin).split()) and words in diagnosis_page(thin, figures).html()
+    assert "thinned" not in summary(found) and "thinned" not in diagnosis_page(found, figures).html()
+
+
 def test_events_hold_errors_shares_probabilities_and_pictures(diagnosed, figures, tmp_path) -> None:
     images = {name: figure.image for name, figure in figures.items()}
     write_diagnosis_events(tmp_path, diagnosed[2], images)
