@@ -189,7 +189,7 @@ def _map(mesh: QuadMesh) -> Plot:
 
 
 def _shapes(axes: Axes) -> list[Plot]:
-    """Lines and bands across the whole panel."""
+    """Lines and bands across the whole panel, and frames around cells."""
     found: list[Plot] = []
     across, up = axes.get_xaxis_transform(which="grid"), axes.get_yaxis_transform(which="grid")
     for line in axes.lines:
@@ -210,6 +210,10 @@ def _shapes(axes: Axes) -> list[Plot]:
         if isinstance(patch, Rectangle) and id(patch) not in bars:
             box = patch.get_bbox()
             ends = {"x0": box.x0, "x1": box.x1, "y0": box.y0, "y1": box.y1}
+            if not patch.get_fill():  # a frame around a cell
+                edge = {"color": to_hex(patch.get_edgecolor()), "width": patch.get_linewidth()}
+                found.append({"type": "rect", **ends, "xref": "x{}", "yref": "y{}", "line": edge})
+                continue
             colour = {"fillcolor": to_hex(patch.get_facecolor()), "opacity": patch.get_alpha() or 1.0}
             look = colour | {"line": {"width": 0}, "layer": "below"}
             found.append({"type": "rect", **ends, **_refs((box.y0, box.y1) == (0.0, 1.0)), **look})

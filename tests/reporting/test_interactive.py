@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from hybrid_id.reporting.interactive import as_script, drawn, interactive
 from hybrid_id.reporting.style import COLOURS, journal, new_figure, symbol
@@ -45,6 +46,17 @@ def test_lines_bars_and_names_of_rows(figure: Figure) -> None:
     line, band = layout["shapes"]
     assert (line["xref"], line["yref"], line["x0"], line["name"]) == ("x", "y domain", 1.0, "noise")
     assert (band["type"], band["xref"], band["x0"], band["x1"]) == ("rect", "x2", -3.0, 3.0)
+
+
+def test_a_frame_stays_a_frame_around_its_cell() -> None:
+    with journal():
+        made = new_figure(2.0)
+        made.subplots().add_patch(Rectangle((-0.5, 1.5), 1, 1, fill=False, ec="black", lw=1.4))
+    (frame,) = interactive(made)["layout"]["shapes"]
+    assert (frame["xref"], frame["yref"], frame["x0"], frame["x1"], frame["y0"], frame["y1"]) == (
+        "x", "y", -0.5, 0.5, 1.5, 2.5,
+    )  # fmt: skip
+    assert "fillcolor" not in frame and frame["line"] == {"color": "#000000", "width": 1.4}
 
 
 def test_panels_stand_below_each_other_and_do_not_overlap(figure: Figure) -> None:
