@@ -15,7 +15,7 @@ CONTRIBUTING = Path(__file__).parents[1] / "CONTRIBUTING.md"
 STAGES = {
     "hybrid_id.diagnosis.diagnose": "search settle Answer test Tested report",
     "hybrid_id.diagnosis.fits": "Fits",
-    "hybrid_id.diagnosis.keep": "Kept",
+    "hybrid_id.identification.keep": "Kept",
     "hybrid_id.diagnosis.screen": "screen SelectionStep",
     "hybrid_id.diagnosis.select": "select Selection",
     "hybrid_id.diagnosis.grade": "grade Grade RatedEffect",

@@ -7,22 +7,37 @@ from pathlib import Path
 
 import pytest
 
-VIEWS = {"desk": ("1280,900", "light", "rgb(255, 255, 255)"), "phone": ("390,844", "dark", "rgb(21, 25, 30)")}
-"""Window, colour scheme, and the background that shows it."""
+VIEWS = {"desk": (1280, "light", "rgb(255, 255, 255)"), "phone": (390, "dark", "rgb(21, 25, 30)")}
+"""Width, colour scheme, and the background that shows it."""
+FRAME = """<style>:root { color-scheme: light dark; } body { margin: 0; }</style><title>not answered</title>
+<script>addEventListener("message", said => document.title = said.data)</script>
+<iframe src="opened.html" width="WIDTH" height="844"></iframe>"""
+"""Holds the page, for a window is never as narrow as a phone."""
 
 CLICK = """<script>(async () => {
   const buttons = [...document.querySelectorAll("button.live")], wait = ms => new Promise(done => setTimeout(done, ms));
-  for (const button of buttons) { button.click(); while (button.disabled) await wait(50); }
+  for (const button of buttons) {
+    if (button.getAttribute("aria-pressed") === "false") button.click();
+    while (button.disabled) await wait(50);
+  }
   await wait(300);
   const drawn = figure => figure.querySelector(".plot .trace, .plot .hm, .plot canvas") !== null;
-  document.title = ["seen", buttons.length, buttons.filter(b => drawn(b.closest("figure"))).length,
+  const wide = [...document.querySelectorAll(".plot")].filter(plot => plot.scrollWidth > plot.clientWidth);
+  const second = [...document.querySelectorAll("th:nth-child(2)")];
+  const gone = second.filter(th => th.getBoundingClientRect().right > innerWidth).map(th => th.textContent);
+  const inverted = one => getComputedStyle(one).filter.startsWith("invert");
+  const dark = [...document.querySelectorAll("img, .plot")].filter(inverted);
+  parent.postMessage(["seen", buttons.length, buttons.filter(b => drawn(b.closest("figure"))).length,
     document.querySelectorAll(".frame[hidden]").length, [...document.images].filter(i => !i.naturalWidth).length,
-    document.documentElement.scrollWidth > innerWidth, getComputedStyle(document.body).backgroundColor].join("|");
+    document.documentElement.scrollWidth > innerWidth || wide.length > 0, gone.join(),
+    dark.length, getComputedStyle(document.body).backgroundColor].join("|"), "*");
 })()</script></body>"""
 
 
 def look_at(report: Path, folder: Path, *, figures: int) -> None:
     """Open a page as on a desk and as on a phone at night, call up all of its figures, and find nothing wrong.
+
+    Nothing scrolls sideways but tables, whose first two columns are on the screen; at night all pictures are dark.
 
     Args:
         report: the page.
@@ -33,20 +48,25 @@ def look_at(report: Path, folder: Path, *, figures: int) -> None:
     if browser is None:
         pytest.skip("needs Chromium")
     opened = folder / "opened.html"
-    opened.write_text(report.read_text(encoding="utf-8").replace("</body>", CLICK), encoding="utf-8")
-    for name, (size, scheme, back) in VIEWS.items():
+    page = report.read_text(encoding="utf-8")
+    pictures = page.count("<img ")
+    opened.write_text(page.replace("</body>", CLICK), encoding="utf-8")
+    outer = folder / "outer.html"
+    for name, (width, scheme, back) in VIEWS.items():
+        outer.write_text(FRAME.replace("WIDTH", str(width)), encoding="utf-8")
         options = ["--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr", "--dump-dom"]
         options += [
-            f"--window-size={size}",
+            f"--window-size={width},900",
             f"--blink-settings=preferredColorScheme={int(scheme == 'light')}",
         ]
         options += ["--virtual-time-budget=30000", f"--user-data-dir={folder / 'profile'}"]
         done = subprocess.run(
-            [browser, *options, opened.as_uri()], capture_output=True, text=True, timeout=120
+            [browser, *options, outer.as_uri()], capture_output=True, text=True, timeout=120
         )
         title = re.search(r"<title>(.*?)</title>", done.stdout)
         assert title is not None, done.stderr[-500:]
-        assert title[1] == f"seen|{figures}|{figures}|{figures}|0|false|{back}", (
+        dark = (figures + pictures) * (scheme == "dark")
+        assert title[1] == f"seen|{figures}|{figures}|{figures}|0|false||{dark}|{back}", (
             name,
             title[1],
             done.stderr[-500:],

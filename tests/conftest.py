@@ -15,8 +15,8 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
-    from hybrid_id.diagnosis.keep import Kept
     from hybrid_id.diagnosis.result import Diagnosis
+    from hybrid_id.identification.keep import Kept
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.systems.chain import System
 
@@ -49,7 +49,7 @@ def rng() -> np.random.Generator:
 @pytest.fixture(scope="session")
 def kept(tmp_path_factory: pytest.TempPathFactory) -> "Kept":
     """Fits that one process of pytest-xdist has made and the others read: the same to the last bit."""
-    from hybrid_id.diagnosis.keep import Kept
+    from hybrid_id.identification.keep import Kept
 
     home = tmp_path_factory.getbasetemp()
     folder = (home.parent if "PYTEST_XDIST_WORKER" in os.environ else home) / "fits"

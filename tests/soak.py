@@ -1,8 +1,9 @@
 """`make soak`: what is killed (SIGKILL) at random moments and run again ends as if nobody had touched it.
 
-Trainings are resumed from their checkpoint, ablations and blind runs from the cells and cases that they have kept. The
-processes are killed between their start and the time that a whole run takes; a run that is done before its kill counts
-as a trial that met none. Prints one line a trial and a summary for each kind; exit code 1 where a result differs.
+Trainings are resumed from their checkpoint, identifications from their fits, ablations and blind runs from the cells
+and cases that they have kept. The processes are killed between their start and the time that a whole run takes; a run
+that is done before its kill counts as a trial that met none. Prints one line a trial and a summary for each kind; exit
+code 1 where a result differs.
 """
 
 import argparse
@@ -17,6 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -24,7 +26,10 @@ from drives import make_records, multisine, rigid_drive
 
 from hybrid_id.cli.blind_runs import make_sealed
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.systems.model_file import save_model
+from hybrid_id.records.record import Record
+from hybrid_id.records.yaml_file import write_yaml
+from hybrid_id.study import replay
+from hybrid_id.systems.model_file import load_model, save_model
 
 MOST_KILLS = 3
 """After so many a trial's run is left alone."""
@@ -34,6 +39,8 @@ CASES = 5
 """Of a blind run."""
 REPEATS = 2
 """Of an ablation."""
+SETS, LONG = 12, 60
+"""Of an identification, and how many times as long its records are."""
 SAMPLES = 300
 """Of a record."""
 QUIET = {"report": False, "figures": False, "tensorboard": False}
@@ -114,7 +121,46 @@ def blind(folder: Path) -> Job:
     return Job(lambda out: ["blind", "run", str(cases), "--out", str(out), "--method", "sparse"], result)
 
 
-JOBS = {"train": training, "ablate": ablation, "blind": blind}
+def make_robot(folder: Path, records: int) -> None:
+    """Records of a robot's joint, each of which is fitted by itself, and a model whose values are off."""
+    folder.mkdir(parents=True)
+    (folder / "arm.xml").write_text(
+        '<mujoco><worldbody><body><joint name="tip" axis="0 1 0" armature="0.01" damping="0.1" frictionloss="0.01"/>'
+        '<inertial mass="0.1" pos="0 0 -0.05" diaginertia="1e-4 1e-4 1e-4"/></body></worldbody></mujoco>'
+    )
+    write_yaml(folder / "model.yaml", {"robot": {"file": "arm.xml"}, "gear_ratio": [2]})
+    time, noise = 0.01 * np.arange(LONG * SAMPLES), np.random.default_rng(0)
+    blanks = tuple(
+        Record(f"run_{k}", time, {"tau1": 0.1 * np.sin((3 + k) * time)}, {"q_m1": 0.0 * time})
+        for k in range(records)
+    )
+    channels = (Channel("tau1", "N m"),), (Channel("q_m1", "rad", 1e-3),)
+    model = load_model(folder / "model.yaml")
+    runs = replay(Dataset("robot", *channels, blanks, 0.01), model)
+    outputs = [{"q_m1": run.outputs["q_m1"] + 1e-3 * noise.standard_normal(len(time))} for run in runs]
+    made = tuple(replace(one, outputs=y) for one, y in zip(blanks, outputs, strict=True))
+    Dataset("robot", *channels, made, 0.01).save(folder / "records")
+    damping = next(info for info in model.table if info.symbol == "F_v")
+    save_model(model.with_values({damping.name: 1.5 * damping.spec.value}), folder / "model.yaml")
+
+
+def identification(folder: Path) -> Job:
+    """Sets of a robot's records; the result is `result.json` and every set's model, to the last byte."""
+    make_robot(folder, SETS)
+    (folder / "study.yaml").write_text(
+        yaml.safe_dump({"dataset": "records", "model": "model.yaml", "output": QUIET})
+    )
+
+    def command(out: Path) -> list[str]:
+        more = ["--resume"] if (out / "fits").exists() else ["--force"] if out.exists() else []
+        return ["identify", str(folder / "study.yaml"), "--window", "whole", "--out", str(out), *more]
+
+    return Job(
+        command, lambda out: [p.read_bytes() for p in (out / "result.json", *sorted(out.glob("models/*")))]
+    )
+
+
+JOBS = {"train": training, "identify": identification, "ablate": ablation, "blind": blind}
 
 
 def run(job: Job, out: Path, longest: float, draw: random.Random, most: int = MOST_KILLS) -> int:

@@ -12,6 +12,8 @@ from hybrid_id.machines import grading
 def test_killed_and_run_again_ends_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(soak, "CASES", 2)
     monkeypatch.setattr(soak, "REPEATS", 1)
+    monkeypatch.setattr(soak, "SETS", 3)
+    monkeypatch.setattr(soak, "LONG", 1)
     monkeypatch.setattr(soak, "SAMPLES", 150)
     monkeypatch.setattr(plans, "LENGTHS", (700, 900))
     monkeypatch.setattr(grading, "FACTORS", np.geomspace(0.2, 8.0, 5))

@@ -13,7 +13,7 @@ from hybrid_id import __version__
 from hybrid_id.cli.ablate import ablate
 from hybrid_id.cli.blind import blind
 from hybrid_id.cli.check import check
-from hybrid_id.cli.console import printable
+from hybrid_id.cli.console import printable, terminated_as_interrupted
 from hybrid_id.cli.demo import demo
 from hybrid_id.cli.diagnose import diagnose
 from hybrid_id.cli.doctor import doctor
@@ -45,9 +45,10 @@ class Commands(TyperGroup):
     """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
-        """Run a command; Ctrl-C says what is kept."""
+        """Run a command; Ctrl-C says what is kept, and so does SIGTERM."""
         try:
-            return super().invoke(ctx)  # type: ignore[arg-type]
+            with terminated_as_interrupted():
+                return super().invoke(ctx)  # type: ignore[arg-type]
         except KeyboardInterrupt as stop:
             raise typer.Exit(_refuse(str(stop) or "stopped; no results were written", 130)) from None
 

@@ -21,6 +21,11 @@ from rich.progress import (
 )
 
 WIDTH = 120  # where the output goes into a file or a pipe
+TIMED = 10
+"""Fits by whose time that of a search is guessed."""
+ONE, EACH, LONG = 2.0, 4.0, 60.0
+"""Time of a whole step, and of a search's step for each effect, over that of its fits if all took as long as the first
+ones (seen on three machines: 2.0 to 3.6, and 0.7 to 4); seconds from which a search is long."""
 STAGES = {"windows": "short windows", "records": "whole records"}
 
 
@@ -73,6 +78,24 @@ def doing() -> Iterator[Callable[[str], None]]:
     with bar(TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn()) as shown:
         task = shown.add_task("", total=None)
         yield lambda words: shown.update(task, description=words)
+
+
+@contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """Let SIGTERM, by which machines and schedulers end a program, do what Ctrl-C does at that moment."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def terminate(_signal: int, frame: FrameType | None) -> None:
+        answer = signal.getsignal(signal.SIGINT)
+        (answer if callable(answer) else signal.default_int_handler)(signal.SIGINT, frame)
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class FitProgress:
@@ -157,9 +180,17 @@ class FitProgress:
 
 
 class SearchProgress:
-    """Bar on stderr while the catalogue is searched; an instance is what `diagnose` takes as `progress`."""
+    """Bar on stderr while the catalogue is searched; an instance is what `diagnose` takes as `progress`.
 
-    def __init__(self) -> None:
+    Once some fits are timed, it says how long a long search will take.
+
+    Args:
+        max_effects: effects that are searched for at most.
+        clock: tells the time [s].
+    """
+
+    def __init__(self, max_effects: int, clock: Callable[[], float] = time.monotonic) -> None:
+        self._most, self._clock, self._since, self._told = max_effects, clock, 0.0, False
         self._bar = bar(
             TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn(), TimeRemainingColumn()
         )
@@ -176,7 +207,29 @@ class SearchProgress:
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show how many fits of a stage are done."""
         if stage != self._stage:
-            self._stage = stage
+            self._stage, self._since = stage, self._clock()
             self._bar.reset(self._task, total=total)
+        if done == TIMED + 1 and total > TIMED and not self._told:
+            self._told = True
+            self._say_how_long(total * (self._clock() - self._since) / TIMED)
         words = f"{stage}, fit {done} of at most {total}" if total > 1 else stage
         self._bar.update(self._task, description=words, completed=done)
+
+    def _say_how_long(self, seconds: float) -> None:
+        """Say how long the search will take, if its first step's fits took so many seconds when all were short."""
+        least, most = ONE * seconds, EACH * self._most * seconds
+        if most > LONG:
+            self._bar.console.print(
+                f"the search will take about {_rough(least)} if one effect explains the gap, and up to about "
+                f"{_rough(most)} if it goes on to {self._most}: a guess by its first {TIMED} fits; Ctrl-C keeps "
+                "what is found",
+                style="dim", markup=False, soft_wrap=True,
+            )  # fmt: skip
+
+
+def _rough(seconds: float) -> str:
+    """A time as one says it."""
+    for unit, size in (("h", 3600.0), ("min", 60.0)):
+        if seconds >= 1.5 * size:
+            return f"{seconds / size:.2g} {unit}" if seconds < 10 * size else f"{seconds / size:.0f} {unit}"
+    return f"{max(seconds, 1.0):.0f} s"

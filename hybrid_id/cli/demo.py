@@ -75,7 +75,7 @@ def demo(
     show("", *_conclusion(study, truth, out))
     if progress.stopped:
         last = "the sets are those of the last iteration, and claim no interval"
-        remark(f"stopped by Ctrl-C: {last if progress.cut else 'the sets are complete'}")
+        remark(f"stopped: {last if progress.cut else 'the sets are complete'}")
         raise typer.Exit(130)
 
 

@@ -1,8 +1,5 @@
 """`diagnose`: where records and the nominal model disagree, which effects explain how much of it, and what remains."""
 
-import signal
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -34,9 +31,9 @@ from hybrid_id.cli.results import files_in, write_last, write_report
 from hybrid_id.config import Identification, StudyConfig
 
 if TYPE_CHECKING:
-    from hybrid_id.diagnosis.keep import Kept
     from hybrid_id.diagnosis.result import Diagnosis
     from hybrid_id.records.dataset import Dataset
+    from hybrid_id.study import Kept
     from hybrid_id.systems.chain import System
 
 
@@ -74,7 +71,7 @@ def diagnose(
         identification__seed=seed,
     )  # fmt: skip
     home = required(config.output.folder)
-    with kept_fits(home, force=force, resume=resume, reads=config.reads) as kept:
+    with kept_fits(home, "diagnosis", force=force, resume=resume, reads=config.reads) as kept:
         said, plain = config.identification, Identification()
         if idle := [
             k
@@ -125,7 +122,7 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept")
     from hybrid_id.diagnosis.diagnose import diagnose as find
     from hybrid_id.study import Horizon
 
-    with SearchProgress() as progress, terminated_as_interrupted():
+    with SearchProgress(config.gap.max_effects) as progress:
         return find(
             dataset,
             system,
@@ -138,16 +135,6 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept")
             kept=kept,
             progress=progress,
         )
-
-
-@contextmanager
-def terminated_as_interrupted() -> Iterator[None]:
-    """Let SIGTERM end a search as Ctrl-C does."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis") -> str:

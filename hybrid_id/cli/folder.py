@@ -15,14 +15,14 @@ from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
-    from hybrid_id.diagnosis.keep import Kept
+    from hybrid_id.study import Kept
 
 RESULT = "result.json"
 DIAGNOSIS = "diagnosis.json"
 CHECKPOINT = "checkpoint.pt"
 EVENTS = "tensorboard"
 FITS = "fits"
-"""Folder of the fits that an unfinished diagnosis keeps."""
+"""Folder of the fits that an unfinished diagnosis or identification keeps."""
 ABOUT = "about.json"
 """Says in that folder who has made it."""
 BEGUN = ".begun"
@@ -215,14 +215,17 @@ def refuse_file(path: Path, *, force: bool, option: str = "--force") -> None:
 
 
 @contextmanager
-def kept_fits(home: Path, *, force: bool, resume: bool, reads: Iterable[Path] = ()) -> Iterator["Kept"]:
-    """Yield where the fits of a search are kept, in the folder of its results.
+def kept_fits(
+    home: Path, noun: str, *, force: bool, resume: bool, reads: Iterable[Path] = ()
+) -> Iterator["Kept"]:
+    """Yield where the fits of a long run are kept, in the folder of its results.
 
     The folder of fits goes with the earlier results when new ones take their place. It stays where a run is stopped,
     unless nothing has been fitted.
 
     Args:
         home: folder of the results.
+        noun: diagnosis or identification.
         force: whether results of an earlier run may be replaced.
         resume: whether to go on with fits that an earlier run has kept.
         reads: files and folders that the command reads.
@@ -230,20 +233,23 @@ def kept_fits(home: Path, *, force: bool, resume: bool, reads: Iterable[Path] = 
     Raises:
         InputError: the results cannot go there, or --resume is missing.
     """
-    from hybrid_id.diagnosis.keep import Kept
     from hybrid_id.reporting.provenance import program
+    from hybrid_id.study import Kept
 
     fits = home / FITS
+    kind = _kind(fits)
     if resume and fits.is_dir():
         refuse_foreign(home, FITS, ABOUT)
+        if kind not in (noun, ""):
+            raise InputError(f"{home} holds an unfinished {kind}; give another folder")
     else:
-        if (fits / ABOUT).exists() and not force:
+        if kind and not force:
             raise InputError(
-                f"{home} holds an unfinished diagnosis; --resume goes on with it, or give another folder, or --force "
-                "to replace what is in it"
+                f"{home} holds an unfinished {kind}; --resume goes on with it, or give another folder, or --force to "
+                "replace what is in it"
             )
-        if resume and not force and (home / DIAGNOSIS).exists():
-            raise InputError(f"{home} holds a complete diagnosis; there is nothing to resume")
+        if resume and not force and any((home / name).exists() for name in RESULTS):
+            raise InputError(f"{home} holds complete results; there is nothing to resume")
         refuse_taken(home, force=force, reads=reads)
     made = [home, *make_parents(home)]
     fits.mkdir(parents=True, exist_ok=True)
@@ -252,7 +258,7 @@ def kept_fits(home: Path, *, force: bool, resume: bool, reads: Iterable[Path] = 
             for file in fits.glob("*.npz"):
                 file.unlink()
         (fits / ABOUT).write_text(
-            json.dumps({"program": f"hybrid_id {__version__}"}) + "\n", encoding="utf-8"
+            json.dumps({"program": f"hybrid_id {__version__}", "kind": noun}) + "\n", encoding="utf-8"
         )
         kept = Kept(fits, program())
         try:
@@ -270,6 +276,14 @@ def kept_fits(home: Path, *, force: bool, resume: bool, reads: Iterable[Path] = 
             if not kept.count:
                 shutil.rmtree(fits, ignore_errors=True)
                 remove_empty(made)
+
+
+def _kind(fits: Path) -> str:
+    """What has kept fits in a folder: diagnosis or identification; empty where nothing has."""
+    try:
+        return str(json.loads((fits / ABOUT).read_text(encoding="utf-8")).get("kind", "diagnosis"))
+    except (OSError, ValueError):
+        return ""
 
 
 def keep_after(home: Path, folder: Path) -> None:
@@ -290,7 +304,7 @@ def resumable(path: Path) -> Iterator[None]:
 
 def stopped(path: Path) -> str:
     """What to say of a training that Ctrl-C has ended with results."""
-    return f"stopped by Ctrl-C; {go_on(path)} from here"
+    return f"stopped; {go_on(path)} from here"
 
 
 def leave_without_checkpoint(path: Path, *, interrupted: bool) -> None:

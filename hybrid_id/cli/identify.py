@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from hybrid_id.cli.console import FitProgress, remark
-from hybrid_id.cli.folder import RESULT, refuse_taken, required, results_folder
+from hybrid_id.cli.folder import RESULT, keep_after, kept_fits, required, results_folder
 from hybrid_id.cli.inputs import check_window, checked_records, load_system, one_joint, remark_start_values
 from hybrid_id.cli.options import (
     DeviceOption,
@@ -17,6 +17,7 @@ from hybrid_id.cli.options import (
     OutOption,
     PooledOption,
     ProcessesOption,
+    ResumeOption,
     SeedOption,
     SourceArgument,
     ThreadsOption,
@@ -30,7 +31,7 @@ from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
-    from hybrid_id.study import Study
+    from hybrid_id.study import Kept, Study
     from hybrid_id.systems.chain import System
 
 
@@ -57,13 +58,15 @@ def identify(
         ),
     ] = None,
     jobs: ProcessesOption = 1,
+    resume: ResumeOption = False,
     force: ForceOption = False,
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
     """Identify one parameter set for each train record (or one over all): variation, cross-validation, reliability.
 
-    Writes report.html, result.json, parameters.csv, model.yaml, pictures and TensorBoard events.
+    Writes report.html, result.json, parameters.csv, model.yaml, pictures and TensorBoard events. Ctrl-C ends it with
+    what it has, --resume goes on: sets that are complete are not fitted again.
     Prefer train for residual networks beside the physics, and for another ODE solver.
     """
     config = config_of(
@@ -72,38 +75,45 @@ def identify(
         statistics__profile=profile or None,
     )  # fmt: skip
     home = required(config.output.folder)
-    refuse_taken(home, force=force, reads=config.reads)
-    if config.hybrid is not None:
-        remark("'train' uses the section 'hybrid' of this study; identify fits the physics alone")
-    if jobs > 1 and config.identification.pooled:
-        raise InputError(
-            "--jobs shares records between processes, but --pooled needs all in one; leave one of them out"
-        )
-    dataset = checked_records(config)
-    with config.at("identification.window"):
-        check_window(config.identification.window, dataset.records)
-    use_threads(threads)
-    from hybrid_id.cli.results import show_study, write_study
-    from hybrid_id.study.checks import check_names
+    with kept_fits(home, "identification", force=force, resume=resume, reads=config.reads) as kept:
+        if config.hybrid is not None:
+            remark("'train' uses the section 'hybrid' of this study; identify fits the physics alone")
+        if jobs > 1 and config.identification.pooled:
+            raise InputError(
+                "--jobs shares records between processes, but --pooled needs all in one; leave one of them out"
+            )
+        dataset = checked_records(config)
+        with config.at("identification.window"):
+            check_window(config.identification.window, dataset.records)
+        use_threads(threads)
+        from hybrid_id.cli.results import show_study, write_study
+        from hybrid_id.study.checks import check_names
 
-    system = load_system(config, dataset)
-    if joint is not None:
-        dataset, system = one_joint(dataset, system, joint)
-    remark_start_values(dataset, system)
-    if unused := len(dataset.validation):
-        those = "1 validation record is" if unused == 1 else f"{unused} validation records are"
-        remark(f"{those} neither fitted nor scored by identify; 'hybrid-id diagnose' chooses models by them")
-    use_device(config.identification.device)
-    check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
-    study, progress = run(dataset, system, config, jobs=jobs)
-    leave_earlier(home, progress)
-    with results_folder(home, force=force) as folder:
-        text = write_study(folder, home, "identify", config, dataset, study)
+        system = load_system(config, dataset)
+        if joint is not None:
+            dataset, system = one_joint(dataset, system, joint)
+        remark_start_values(dataset, system)
+        if unused := len(dataset.validation):
+            those = "1 validation record is" if unused == 1 else f"{unused} validation records are"
+            remark(
+                f"{those} neither fitted nor scored by identify; 'hybrid-id diagnose' chooses models by them"
+            )
+        use_device(config.identification.device)
+        check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
+        study, progress = run(dataset, system, config, jobs=jobs, kept=kept)
+        leave_earlier(home, progress)
+        left = progress.cut or (progress.stopped and bool(config.statistics.profile))
+        count = kept.count if left else 0
+        with results_folder(home, force=True) as folder:  # kept_fits has asked
+            text = write_study(folder, home, "identify", config, dataset, study)
+            if count:
+                keep_after(home, folder)
     show_study(study, config, home, text, as_json=as_json)
     if progress.stopped:
         sets = "the sets are those of the last iteration, and result.json says which"
-        whole = "the sets are complete" + (", the profiles are cut off" if config.statistics.profile else "")
-        remark(f"stopped by Ctrl-C: {sets if progress.cut else whole}")
+        whole = "the sets are complete" + (", the profiles are cut off" if left else "")
+        more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
+        remark(f"stopped: {sets if progress.cut else whole}{more}")
         raise typer.Exit(130)
 
 
@@ -114,7 +124,7 @@ def leave_earlier(home: Path, progress: FitProgress) -> None:
 
 
 def run(
-    dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int = 1
+    dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int = 1, kept: "Kept | None" = None
 ) -> "tuple[Study, FitProgress]":
     """Fit and assess as the config says; the progress knows whether the user has stopped that."""
     from dataclasses import replace
@@ -125,7 +135,7 @@ def run(
     wish, settings = config.identification, fit_settings(config)
     n_sets = (1 if wish.pooled else len(dataset.train)) * wish.starts
     with FitProgress(n_sets, wish.max_iterations) as progress:
-        study = identify(dataset, system, jobs=jobs, progress=progress, **settings)
+        study = identify(dataset, system, jobs=jobs, kept=kept, progress=progress, **settings)
         if config.statistics.profile and not progress.stopped:
 
             def say(words: str) -> None:

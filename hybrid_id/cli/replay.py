@@ -36,7 +36,7 @@ def simulate(
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
-    """Replay records through a model: one CSV a record with measured and simulated outputs, and pictures."""
+    """Replay records through a model: report.html, one CSV a record with measured and simulated outputs, pictures."""
     _replay(
         "simulate",
         dataset,
@@ -61,7 +61,7 @@ def compare(
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
-    """Put models side by side on the same records: fit and normalised RMSE, and pictures."""
+    """Put models side by side on the same records: report.html, comparison.csv (fit, normalised RMSE), pictures."""
     window = window or "auto"
     _replay("compare", dataset, model, out, window=window, force=force, as_json=as_json, threads=threads)
 
@@ -108,7 +108,7 @@ def _replay(
         },
     )
     with results_folder(out, force=force) as folder:
-        _write(folder, command, dataset, comparison)
+        _write(folder, command, dataset, comparison, {"dataset": path, "models": ", ".join(files.values())})
         write_last(folder / RESULT, result)
     if as_json:
         return show(result)
@@ -116,7 +116,9 @@ def _replay(
 
     if comparison.horizon.kind != "whole":
         show(f"horizon: {comparison.horizon}")
-    show(comparison_table(comparison), f"pictures and numbers are in {out}")
+    show(
+        comparison_table(comparison), f"results are in {out}: report.html, comparison.csv, pictures, {RESULT}"
+    )
 
 
 def _labels(models: list[Path]) -> dict[Path, str]:
@@ -128,14 +130,21 @@ def _labels(models: list[Path]) -> dict[Path, str]:
     return {model: str(model) for model in models}
 
 
-def _write(folder: Path, command: str, dataset: "Dataset", comparison: "Comparison") -> None:
+def _write(
+    folder: Path, command: str, dataset: "Dataset", comparison: "Comparison", settings: dict[str, object]
+) -> None:
+    from hybrid_id.records.quality import remarks
+    from hybrid_id.reporting.page import how_made
+    from hybrid_id.reporting.replays import replay_figures, replay_page
     from hybrid_id.reporting.results import write_comparison, write_replay
-    from hybrid_id.reporting.study_figures import comparison_figure
     from hybrid_id.reporting.style import save
 
     write_comparison(folder / "comparison.csv", comparison)
     if command == "simulate":
         for replay in next(iter(comparison.replays.values())):
             write_replay(folder / f"{replay.record.name}.csv", replay)
-    for name in comparison.records:
-        save(comparison_figure(dataset, comparison, name), folder / f"{name}.png")
+    figures = replay_figures(dataset, comparison)
+    for name, figure in figures.items():
+        save(figure.image, folder / f"{name}.png")
+    page = replay_page(dataset, comparison, figures, findings=remarks(dataset))
+    how_made(page, command, settings=settings).write(folder / "report.html")

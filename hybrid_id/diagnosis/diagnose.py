@@ -26,7 +26,6 @@ from hybrid_id.diagnosis.grade import (
     tied_models,
     tied_sets,
 )
-from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.next_experiment import next_experiment
@@ -49,6 +48,7 @@ from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import make_bounds
 from hybrid_id.identification.horizons import Horizon, window_errors
+from hybrid_id.identification.keep import Kept
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.quality import beyond, confounded_signals
 from hybrid_id.records.skew import Skew, find_skews

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -14,7 +15,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.keep import Kept
+from hybrid_id.diagnosis.keep import kept_model
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.plausibility import NUISANCE
 from hybrid_id.diagnosis.validation import Validation, autocorrelation, validation
@@ -28,6 +29,7 @@ from hybrid_id.identification.finite_differences import (
 )
 from hybrid_id.identification.fit import fit, make_bounds
 from hybrid_id.identification.horizons import WHOLE, Horizon, astray, free_runs, windows
+from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import LeastSquares, Options, minimise
 from hybrid_id.identification.leave_one_out import folds, leave_one_out, started_without
 from hybrid_id.identification.restarts import confirmed, perturbed_restarts
@@ -278,7 +280,8 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel
     records = (fits.dataset.train, fits.dataset.validation, fits.dataset.outputs)
     asked = (fits.horizon, fits.signal_share, fits.weights, task, iterations, halting, fits.engine)
     made_from = (records, *asked, CRITERIA.white, CRITERIA.coloured)
-    return fits.kept.of(made_from, task.effects, task.system, lambda: _fit(fits, task, iterations, halting))
+    make = partial(_fit, fits, task, iterations, halting)
+    return kept_model(fits.kept, made_from, task.effects, task.system, make)
 
 
 def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | None:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import (
     Bounds,
     LeastSquares,
@@ -282,9 +283,10 @@ def fit_records(
     engine: Engine,
     numbers: Sequence[int] | None = None,
     progress: Progress | None = None,
+    kept: Kept | None = None,
     **settings: Any,
 ) -> list[FitResult]:
-    """One parameter set for each record, arguments as of :func:`fit`.
+    """One parameter set for each record, arguments as of :func:`fit`; ``kept`` are those of an earlier run.
 
     Compiled steps gain nothing by company, but the stiffest record would give its sub-steps to all: with them each
     record is fitted by itself, unless a gear's start needs all of them.
@@ -292,7 +294,7 @@ def fit_records(
     records = list(dict.fromkeys(batch.names))
     drawn_as = list(numbers or range(len(records)))
     if not engine.compiled or hidden_links(system, batch):
-        return fit(system, batch, engine=engine, numbers=drawn_as, progress=progress, **settings)
+        return kept_fit(kept, system, batch, engine=engine, numbers=drawn_as, progress=progress, **settings)
     costs = torch.full((len(records),), math.inf, dtype=torch.float64)
     found: list[FitResult] = []
 
@@ -306,8 +308,20 @@ def fit_records(
     for record, number in zip(records, drawn_as, strict=True):
         rows = torch.tensor([row for row, name in enumerate(batch.names) if name == record])
         part = batch.take(rows.to(batch.x.device))
-        found += fit(system, part, engine=engine, numbers=[number], progress=report, **settings)
+        found += kept_fit(kept, system, part, engine=engine, numbers=[number], progress=report, **settings)
     return found
+
+
+def kept_fit(
+    kept: Kept | None, system: System, batch: Batch, *, progress: Progress | None = None, **settings: Any
+) -> list[FitResult]:
+    """:func:`fit`, read where an earlier run has kept it."""
+    if kept is None:
+        return fit(system, batch, progress=progress, **settings)
+    made_from = batch, str(batch.x.device), settings
+    return kept.results(
+        made_from, system, lambda watched: fit(system, batch, progress=watched, **settings), progress
+    )
 
 
 def make_bounds(system: System, free: Sequence[int], device: torch.device | str = "cpu") -> Bounds:

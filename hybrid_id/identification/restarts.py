@@ -15,7 +15,8 @@ from hybrid_id.identification.finite_differences import (
     eliminated,
     finite_difference_fit,
 )
-from hybrid_id.identification.fit import Progress, fit
+from hybrid_id.identification.fit import Progress, kept_fit
+from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import NO_ESTIMATE, FitResult
 from hybrid_id.simulation.batch import Batch
@@ -47,6 +48,7 @@ def confirmed(
     *,
     options: Options | None = None,
     seed: int = 0,
+    kept: Kept | None = None,
     progress: Progress | None = None,
 ) -> FitResult:
     """The fit, or a better one that a restart beside it has led to; its status is "converged" only if no restart did.
@@ -60,6 +62,7 @@ def confirmed(
         batch: the rows that it was fitted to.
         options: settings of the fit.
         seed: of the sides.
+        kept: fits of an earlier run.
         progress: as in :func:`hybrid_id.identification.fit.fit`.
     """
     options, generator = options or Options(), np.random.default_rng(seed)
@@ -71,10 +74,10 @@ def confirmed(
         if start is None:
             return result
         settings = {"pooled": True, "engine": result.engine, "warm": False, "progress": progress}
-        again = fit(start, batch, options=brief, **settings)[0]
+        again = kept_fit(kept, start, batch, options=brief, **settings)[0]
         if again.status in NO_ESTIMATE or not again.cost < (1.0 - FALL) * result.cost:
             return result
-        further = fit(again.system, batch, options=options, **settings)[0]
+        further = kept_fit(kept, again.system, batch, options=options, **settings)[0]
         result = further if further.cost <= again.cost else again
     return replace(result, status="max_iterations")
 

@@ -50,12 +50,17 @@ def worst_first(findings: list[Finding]) -> list[Finding]:
 
 
 SPIKE = 12.0  # times noise or quantisation step
+RESTS = 3.0
+"""Standard deviation of an output over its noise or quantisation step up to which its joint stands still."""
 
 
 def check_record(record: Record) -> list[Finding]:
     """Check one record's sampling, inputs and outputs; worst findings first."""
     findings = [*check_sampling(record), *_excitation(record)]
+    still = resting(record)
     for name, values in record.outputs.items():
+        if name in still:
+            continue  # of a joint that is at rest while others move, no fault of its signal is worth a line
         findings += [
             Finding(severity, code, f"{record.name}, {name}: {words}", record.name, name)
             for severity, code, words in _output(record, name, values)
@@ -77,7 +82,43 @@ def check_dataset(dataset: Dataset) -> list[Finding]:
         Finding("warning", "skew", skew.message, channel=skew.channel) for skew in find_skews(dataset)
     ]
     findings += _merged([finding for record in dataset for finding in check_record(record)])
+    findings += _resting(dataset)
     return worst_first(findings)
+
+
+def resting(record: Record) -> tuple[str, ...]:
+    """Outputs of joints that stand still in a record while another joint moves: none spreads beyond its noise."""
+
+    def still(values: np.ndarray) -> bool:
+        fine = max(estimate_noise(values), quantisation_step(values)) if np.ptp(values) else 0.0
+        return float(values.std()) <= RESTS * fine
+
+    joints: dict[str, list[str]] = {}
+    for name in record.outputs:
+        joints.setdefault(name[len(stem(name)) :], []).append(name)
+    rest = [names for names in joints.values() if all(still(record.outputs[name]) for name in names)]
+    return () if len(rest) == len(joints) else tuple(name for names in rest for name in names)
+
+
+def _resting(dataset: Dataset) -> Iterator[Finding]:
+    """One sentence on all joints that stand still somewhere, with the records."""
+    where: dict[str, list[str]] = {}
+    for record in dataset:
+        for name in resting(record):
+            where.setdefault(name, []).append(record.name)
+    if not where:
+        return
+    at = {name: tuple(records) for name, records in where.items()}
+    said = []
+    for records in dict.fromkeys(at.values()):
+        names = ", ".join(name for name, found in at.items() if found == records)
+        few = ", ".join(records[:3]) + (", ..." if len(records) > 3 else "")
+        said.append(f"{names} in {'every record' if len(records) == len(dataset.records) else few}")
+    words = (
+        f"joints stand still while others move, so that nothing is learnt of their friction there: {'; '.join(said)}; "
+        "if one has moved, check its column"
+    )
+    yield Finding("warning", "rests", words)
 
 
 def remarks(dataset: Dataset) -> list[Finding]:

@@ -28,6 +28,7 @@ from hybrid_id.reporting.diagnosis_words import (
     place_words,
     range_percent,
     rejected_lines,
+    thinned_line,
     tie_lines,
     value_lines,
     varying_lines,
@@ -37,7 +38,7 @@ from hybrid_id.reporting.diagnosis_words import (
 from hybrid_id.reporting.interactive import Drawn
 from hybrid_id.reporting.page import Page, Section
 from hybrid_id.reporting.residuals import residual_blocks
-from hybrid_id.reporting.study import JUDGED, LEGEND, combinations_table, reliability_cells
+from hybrid_id.reporting.study import LEGEND, combinations_table, reliability_cells
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import shown_unit
 from hybrid_id.study import Study
@@ -74,6 +75,7 @@ def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> Ren
         *caution_lines(diagnosis, max_effects),
     )
     parts += [Text(line, style="yellow") for line in remarks]
+    parts += [Text(line) for line in (thinned_line(diagnosis),) if line]
     return Group(*parts)
 
 
@@ -85,28 +87,30 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
         interval = "" if one.share_interval is None else f" ({range_percent(one.share_interval)})"
         rows.append(
             (
-                "" if one.share is None else percent(one.share) + interval, f"{one.probability:.3f}",
-                words_of(one.name), f"{joint_words(one.where)}, {place_words(one.where)}",
+                words_of(one.name), "" if one.share is None else percent(one.share) + interval,
+                f"{one.probability:.3f}",
+                f"{joint_words(one.where)}, {place_words(one.where)}",
                 Text("selected", style="green") if one.selected else Text(others),
             )
         )  # fmt: skip
-    return table(("share of the gap>", "probability>", "effect", "where", ""), rows)
+    return table(("effect", "share of the gap>", "probability>", "where", ""), rows)
 
 
 def parameters_table(diagnosis: Diagnosis) -> Table:
     """Every estimated parameter in the nominal, the re-fitted and the corrected model, with intervals."""
     nominal, studies = diagnosis.details.nominal, diagnosis.details.studies
     last = studies[-1]
-    heads = [h for name in diagnosis.fitted for h in (f"{name}>", f"{100 * last.level:g} % interval")]
+    heads = [h for name in diagnosis.fitted for h in (f"{name}>", f"{100 * last.level:g} % interval>")]
     rows = []
     models = (nominal, *(one.selected_model for one in studies))
     infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
     for name, info in infos.items():
         unit, factor = shown_unit(info.spec.unit, last.outputs)
         cells = [cell for one in studies for cell in _estimate(one, name, factor)]
-        grades = reliability_cells(last, name) if name in last.names else []
-        rows.append((name, info.doc, _value(nominal, name, factor), *cells, unit, *grades))
-    return table(("parameter", "meaning", "nominal>", *heads, "unit", *JUDGED), rows)
+        word, *more = reliability_cells(last, name) if name in last.names else [""]
+        rows.append((name, word, _value(nominal, name, factor), *cells, unit, info.doc, *more))
+    judged = ("unit", "meaning", "lower bound>", "upper bound>", "why")
+    return table(("parameter", "reliability", "nominal>", *heads, *judged), rows)
 
 
 def _estimate(study: Study, name: str, factor: float) -> tuple[str, str]:
@@ -124,6 +128,8 @@ def _value(system: System, name: str, factor: float) -> str:
         return ""
 
 
+_TORQUES = ("missing_torque", "torque_map")
+"""Pictures of what is missing: beside the sentence that names it, the effects or else the place."""
 SHOWN = 6
 """Effects that the table shows at least."""
 _HOW = (
@@ -144,7 +150,7 @@ _INTERVALS = (
 )
 _CAPTIONS = {
     "shares": "How the gap divides, on records left out: what each effect explains when it is added in this order, and "
-    "what remains. Black: 95 % interval.",
+    "what remains. The line: 95 % interval.",
     "gap": "NRMSE of free runs over the test records (1: as good as the signal's mean), and record by record. Dashed: "
     "the noise floor.",
     "missing_torque": "The torque that would explain the residual, over the signals that explain most; above "
@@ -152,13 +158,13 @@ _CAPTIONS = {
     "recorded, torques are known up to the factor that the nominal values fix.",
     "location": "Part of the residual of each model that a torque over one signal, at one side of a joint, explains on "
     "records left out. The rows overlap: speed, angle and command go together in most records.",
-    "candidates": "Left: RMS error on records left out with one effect added, over the re-fitted model's. Right: "
+    "candidates": "RMS error on records left out with one effect added, over the re-fitted model's, and its "
     "probability.",
     "torque_map": "The missing torque over angle and speed, where the records have been; above each map the part of "
     "the residual that such a torque explains on records left out (chance: none). What changes along the "
     "speed is friction or the motor, what changes along the angle a load or the gear; a step at speed 0 is dry "
     "friction. What the model's own parameters could do (a slope over the speed, say) is not shown. A right model's "
-    "map is pale.",
+    "map is without colour.",
     "reversals": "Error of free runs after the joint has reversed, mean of all reversals in all records with its "
     "standard error; positive where the machine is ahead in its new direction. Play, stiction and friction with memory "
     "begin anew at each reversal, so they show here; a right model stays at 0, about.",
@@ -202,7 +208,10 @@ def diagnosis_page(
     effects = page.section("Effects")
     picture(effects, "shares")
     values = value_lines(diagnosis)
-    effects.add(effects_table(diagnosis, shown), *map(_sentence, (*values, *remarks)))
+    effects.add(effects_table(diagnosis, shown), *map(_sentence, values))
+    for name in _TORQUES if diagnosis.selected else ():
+        picture(effects, name)
+    effects.add(*map(_sentence, remarks))
     others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
     if others:
         effects.add(_sentence(f"also tried, each less probable: {', '.join(others)}."))
@@ -211,9 +220,11 @@ def diagnosis_page(
     picture(effects, "candidates")
     effects.add(_HOW)
     location = page.section("Location").add(_sentence(where_line(diagnosis) or _NOWHERE))
+    for name in () if diagnosis.selected else _TORQUES:
+        picture(location, name)
     if words := disturbance_line(diagnosis):
         location.add(_sentence(words))
-    for name in ("missing_torque", "location", "torque_map", "reversals"):
+    for name in ("location", "reversals"):
         picture(location, name)
     tests = page.section("Test records").add(*map(_sentence, error_lines(diagnosis)))
     picture(tests, "gap")
@@ -232,6 +243,8 @@ def diagnosis_page(
     ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis)]
     page.section("Ties and next experiment").add(*map(_sentence, ties or [_NO_TIES]))
     records = page.section("Records").add(records_table(dataset))
+    if words := thinned_line(diagnosis):
+        records.add(_sentence(words))
     if findings:
         records.add(findings_list(findings))
     return page

@@ -180,6 +180,17 @@ def disturbance_line(diagnosis: Diagnosis) -> str:
     )
 
 
+def thinned_line(diagnosis: Diagnosis) -> str:
+    """To which sample time the records were thinned for the search; empty where they were not."""
+    logged, fitted = diagnosis.details.dataset.sample_time, diagnosis.sample_time
+    if logged is None or fitted is None or fitted < 1.5 * logged:
+        return ""
+    return (
+        f"records thinned to what the drive needs: fitted at {1e3 * fitted:.3g} ms instead of {1e3 * logged:.3g} ms; "
+        "what the steps between say of the outputs is within their noise, and the nominal model runs alike."
+    )
+
+
 def error_lines(diagnosis: Diagnosis) -> list[str]:
     """NRMSE of each output on the test records, nominal to corrected, and the shrink; then what contradicts that."""
     nominal, refit, gap = diagnosis.nominal, diagnosis.refit, diagnosis.shrink

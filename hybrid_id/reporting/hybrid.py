@@ -23,8 +23,6 @@ from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
 from hybrid_id.study.hybrid import DRIFT, HybridStudy, NetworkRole
 
-FULL = ("reliability, physics alone", "lower bound>", "upper bound>", "what speaks against it")
-
 
 def hybrid_result(study: HybridStudy) -> dict[str, Any]:
     """Everything that a hybrid training says, as plain data."""
@@ -92,12 +90,13 @@ def drift_table(study: HybridStudy, alone: Study | None = None) -> Table:
         if alone is not None:
             word, *_, why = reliability_cells(alone, name)
             against = [*study.against(name), *([str(why)] if str(why) else [])]
-            row += [word, *bound_cells(study.result.system, name), "; ".join(against)]
+            row = [name, word, *row[1:], *bound_cells(study.result.system, name), "; ".join(against)]
         rows.append(row)
-    full = FULL if alone is not None else ()
-    return table(
-        ("parameter", "physics alone>", heads[0], "hybrid>", heads[1], "unit", "drift [σ]>", *full), rows
-    )
+    values = ("physics alone>", heads[0], "hybrid>", heads[1], "unit", "drift [σ]>")
+    if alone is None:
+        return table(("parameter", *values), rows)
+    judged = ("lower bound>", "upper bound>", "what speaks against it")
+    return table(("parameter", "reliability, physics alone", *values, *judged), rows)
 
 
 def ladder_table(study: HybridStudy) -> Table:
@@ -243,7 +242,7 @@ def hybrid_page(
     networks.add(role_table(study.roles))
     for name, picture in pictures.items():
         if name.startswith("map_"):
-            networks.figure(picture, "Output over speed and angle; black: where the records have been.")
+            networks.figure(picture, "Output over speed and angle; dots: where the records have been.")
     page.section("Ladder of prices").add(_LADDER, ladder_table(study))
     page.section("Errors").add(error_table(study, dataset))
     role = "test" if dataset.test else "train"

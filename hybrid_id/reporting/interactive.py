@@ -28,10 +28,10 @@ Plot = dict[str, Any]
 """A plotly figure as plain data."""
 POINTS = 2000
 """Points of one curve at most, so that a page stays small."""
-INK = "@ink"
-"""Stands for the page's own colour of writing, light or dark."""
 PANEL, BETWEEN = 300, 80
 """Height of a panel and of the gap below it [px]; panels stand one below the other, which also fits a phone."""
+LEAST_PANEL, ROW = 90, 30
+"""Height of a panel whose rows have names, at least, and that of a row [px]."""
 _DASHES = {"-": "solid", "--": "dash", ":": "dot", "-.": "dashdot"}
 _MARKERS = {
     "o": "circle",
@@ -89,14 +89,14 @@ def interactive(figure: Figure) -> Plot:
                  "xanchor": "left", "yanchor": "bottom", "showarrow": False}
             )  # fmt: skip
         top -= (height + BETWEEN) / total
-    if any(_names(axes.yaxis) for axes in panels):
-        layout["meta"] = {"wide": True}  # names of rows leave a phone no room for the rows
     _one_entry_a_label(data)
     return {"data": data, "layout": layout | ({"shapes": shapes} if shapes else {})}
 
 
 def _height(axes: Axes) -> int:
-    """Height of a panel [px]: half where the figure makes its row less than half as high as the highest."""
+    """Height of a panel [px]: by its rows where they have names; half where its row in the figure is less than half."""
+    if (rows := _names(axes.yaxis)) is not None:
+        return max(LEAST_PANEL, ROW * len(rows))
     spec = axes.get_subplotspec()
     ratios = None if spec is None else spec.get_gridspec().get_height_ratios()
     if spec is None or ratios is None:
@@ -140,8 +140,7 @@ def _line(axes: Axes, line: Line2D) -> Plot:
             label.removeprefix("_")
         )  # "_" keeps a name from the picture's legend only
     if marker:
-        over_map = any(isinstance(mesh, QuadMesh) for mesh in axes.collections)
-        colour = to_hex(line.get_color()) if over_map else _colour(line.get_color())
+        colour = to_hex(line.get_color())
         edge = 2 if marker.endswith("-open") else 0
         trace["marker"] = {"color": colour, "symbol": marker, "size": max(3.0, 1.6 * line.get_markersize())}
         trace["marker"]["line"] = {"width": edge, "color": colour}
@@ -170,7 +169,7 @@ def _bar(axes: Axes, bars: BarContainer) -> Plot:
     trace |= {"textposition": "none"}
     if not (label := str(bars.get_label())).startswith("_"):
         trace["name"] = without_tex(label)
-    trace["marker"] = {"color": [_colour(p.get_facecolor()) for p in patches]}
+    trace["marker"] = {"color": [to_hex(p.get_facecolor()) for p in patches]}
     return trace | _hover(axes, x, y)
 
 
@@ -190,7 +189,7 @@ def _map(mesh: QuadMesh) -> Plot:
 
 
 def _shapes(axes: Axes) -> list[Plot]:
-    """Lines and bands across the whole panel."""
+    """Lines and bands across the whole panel, and frames around cells."""
     found: list[Plot] = []
     across, up = axes.get_xaxis_transform(which="grid"), axes.get_yaxis_transform(which="grid")
     for line in axes.lines:
@@ -211,7 +210,11 @@ def _shapes(axes: Axes) -> list[Plot]:
         if isinstance(patch, Rectangle) and id(patch) not in bars:
             box = patch.get_bbox()
             ends = {"x0": box.x0, "x1": box.x1, "y0": box.y0, "y1": box.y1}
-            colour = {"fillcolor": _colour(patch.get_facecolor()), "opacity": patch.get_alpha() or 1.0}
+            if not patch.get_fill():  # a frame around a cell
+                edge = {"color": to_hex(patch.get_edgecolor()), "width": patch.get_linewidth()}
+                found.append({"type": "rect", **ends, "xref": "x{}", "yref": "y{}", "line": edge})
+                continue
+            colour = {"fillcolor": to_hex(patch.get_facecolor()), "opacity": patch.get_alpha() or 1.0}
             look = colour | {"line": {"width": 0}, "layer": "below"}
             found.append({"type": "rect", **ends, **_refs((box.y0, box.y1) == (0.0, 1.0)), **look})
     return found
@@ -252,14 +255,9 @@ def _one_entry_a_label(data: list[Plot]) -> None:
             seen.add(name)
 
 
-def _colour(colour: Any) -> str:
-    found = to_hex(colour)
-    return INK if found == "#000000" else found
-
-
 def _style(line: Line2D) -> Plot:
     dash = _DASHES.get(str(line.get_linestyle()), "solid")
-    return {"color": _colour(line.get_color()), "width": max(1.0, 1.3 * line.get_linewidth()), "dash": dash}
+    return {"color": to_hex(line.get_color()), "width": max(1.0, 1.3 * line.get_linewidth()), "dash": dash}
 
 
 @functools.cache

@@ -32,7 +32,6 @@ LEGEND = (
     "reliability: good where the ways to compute the error agree (the plain covariance alone may be too confident), "
     "doubtful where they disagree or std/mean is 30 % or more, not on its own where the value must not be used alone"
 )
-JUDGED = ("reliability", "lower bound>", "upper bound>", "why")
 _STYLE = {"good": "green", "doubtful": "yellow", "not on its own": "red"}
 
 
@@ -40,24 +39,29 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
     """Parameters of the selected set with intervals, their variation and reliability, and what follows.
 
     With ``full`` also the reasons of the reliability and, in a table of its own, what the fit started from (nominal
-    value, prior, bounds), for which a terminal has no room.
+    value, prior, bounds), for which a terminal has no room; what matters most comes first, for a phone has no more.
     """
     intervals, spread = study.intervals(), study.variation
-    heads = ["parameter", "meaning", "pooled set>" if study.pooled else f"set {study.selection.name}>"]
-    heads += [f"{100 * study.level:g} % interval>", "unit"]
-    heads += [] if spread is None else ["mean of sets>", "std/mean>"]
+    value_heads = ["pooled set>" if study.pooled else f"set {study.selection.name}>"]
+    value_heads += [f"{100 * study.level:g} % interval>", "unit"]
+    spread_heads = [] if spread is None else ["mean of sets>", "std/mean>"]
     rows = []
     for k, name in enumerate(study.names):
         info = study.selected_model.parameter(name)
         unit, factor = shown_unit(info.spec.unit, study.outputs)
-        value = factor * study.selected.values[k]
-        row = [name, info.doc, f"{value:.5g}", interval_words(*(factor * intervals[k])), unit]
+        value = [f"{factor * study.selected.values[k]:.5g}", interval_words(*(factor * intervals[k])), unit]
+        varies = []
         if spread is not None:
             colour = "" if spread.acceptable[k] or spread.held[k] else "red"
-            row += [f"{factor * spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
+            varies = [f"{factor * spread.mean[k]:.5g}", Text(f"{spread.percent[k]:.2f} %", style=colour)]
         word, *_, why = reliability_cells(study, name)
-        rows.append([*row, word, why] if full else [*row, word])
-    found = table([*heads, "reliability", "why"] if full else [*heads, "reliability"], rows)
+        rows.append(
+            [name, word, *value, info.doc, *varies, why] if full else [name, info.doc, *value, *varies, word]
+        )
+    heads = ["parameter", "meaning", *value_heads, *spread_heads, "reliability"]
+    if full:
+        heads = ["parameter", "reliability", *value_heads, "meaning", *spread_heads, "why"]
+    found = table(heads, rows)
     starts = [start_table(study)] if full else []
     return Group(found, *combinations_table(study), *starts, *(Text(line) for line in _remarks(study)))
 

@@ -323,6 +323,7 @@ SYMBOLS = ("circle", "diamond", "square", "cross")
 """Marks of parameters in their interactive picture."""
 MAX_INPUTS = 3
 MAX_LABEL = 32
+LEGEND_COLUMNS = 3
 
 
 def fit_figure(dataset: Dataset, replay: Replay, title: str = "") -> Figure:
@@ -383,7 +384,8 @@ def _overlay(dataset: Dataset, replays: Mapping[str, Replay], title: str) -> Fig
     panels = np.ravel(figure.subplots(len(heights), 1, sharex=True, height_ratios=heights))
     for k, channel in enumerate(signals):
         _signal(panels[2 * k], panels[2 * k + 1], record.time, channel, replays)
-    panels[0].set_title(title, loc="left")
+    rows = math.ceil((1 + len(replays)) / LEGEND_COLUMNS)  # one beside the title; more push it up
+    panels[0].set_title(title, loc="left", pad=None if rows == 1 else 4 + 11 * rows)
     units = {channel.name: channel.unit for channel in dataset.inputs}
     for axes, name in zip(panels[2 * len(signals) :], inputs, strict=True):
         axes.step(
@@ -423,7 +425,7 @@ def _signal(
         below.plot(time, measured - simulated, color=colour, lw=0.6, alpha=0.9, label=f"_residual, {name}")
     main.set_ylabel(label(channel.name, unit))
     pad(main)
-    main.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=3, borderaxespad=0.0)
+    main.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=LEGEND_COLUMNS, borderaxespad=0.0)
     below.set_ylabel("residual\n" + label(channel.name, unit).split(" ")[-1])
     pad(below)
 

@@ -1,6 +1,7 @@
 """The main job: from records and a model to parameter sets with their statistics, and models side by side."""
 
 from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.keep import Kept
 from hybrid_id.study.base_parameters import BaseParameterCheck, check_base_parameters
 from hybrid_id.study.checks import (
     check_fit,
@@ -20,6 +21,7 @@ __all__ = [
     "Combinations",
     "Comparison",
     "Horizon",
+    "Kept",
     "ModelCheck",
     "Replay",
     "Study",

@@ -65,10 +65,11 @@ def whole_pool(advice: str = "give fewer --jobs") -> Iterator[None]:
 
 
 def leave_ctrl_c_to_the_first() -> None:
-    """In a process of a pool, let the first one answer Ctrl-C, which a terminal sends to all of them."""
+    """In a process of a pool, let the first one answer Ctrl-C and SIGTERM, which often go to all of them."""
     first = threading.main_thread()  # a worker of Dask, or of a pool in a pool, works in another thread
     if multiprocessing.parent_process() is not None and threading.current_thread() is first:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
 
 
 def _attempt(work: Work, shared: Any, number: int, piece: Any) -> tuple[int, Any]:

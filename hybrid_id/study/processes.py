@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,7 +14,7 @@ from hybrid_id.identification.fit import fit_records
 from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.study.fan_out import whole_pool
+from hybrid_id.study.fan_out import leave_ctrl_c_to_the_first, whole_pool
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
@@ -84,7 +83,7 @@ def fit_share(
     signal_share: float,
 ) -> list[FitResult]:
     """The share of one process, train records by number; it ends early when the file `stop` is there."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends Ctrl-C to all; the first process decides
+    leave_ctrl_c_to_the_first()
     torch.set_num_threads(1)
     # all records first: the weight of an output that stands still in one is known from the others
     batch = batch_of(dataset, system, dataset.train, signal_share, "cpu").take(torch.tensor(share))

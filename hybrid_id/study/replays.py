@@ -208,6 +208,11 @@ class Comparison:
             for label, replays in self.replays.items()
         }
 
+    @property
+    def mean_error(self) -> dict[str, float]:
+        """NRMSE of each model, mean of records and outputs; infinite where a run diverged."""
+        return {label: _mean_error(replays) for label, replays in self.replays.items()}
+
 
 def replay(
     dataset: Dataset, system: System, *, engine: Engine | None = None, horizon: Horizon = WHOLE
@@ -275,7 +280,7 @@ def compare(
             raise InputError(f"{label}: {lost}")
     if horizon is not None:
         return Comparison(replays, horizon, dataset.outputs)
-    errors = {label: _mean_error(runs) for label, runs in replays.items()}
+    errors = Comparison(replays).mean_error
     best = models[min(errors, key=lambda label: errors[label])]
     horizon = Horizon(reason="they follow the records")
     if min(errors.values()) > FOLLOWED:

@@ -10,8 +10,9 @@ from typing import Any, Literal
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import Progress, fit, fit_records
+from hybrid_id.identification.fit import Progress, fit_records, kept_fit
 from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
+from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.restarts import confirmed
 from hybrid_id.identification.result import FitResult
@@ -53,6 +54,7 @@ def identify(
     horizon: Horizon | None = None,
     level: float = 0.95,
     jobs: int = 1,
+    kept: Kept | None = None,
     progress: Progress | None = None,
 ) -> Study:
     """Identify one parameter set for each train record, or one over all, with the paper's statistics.
@@ -71,6 +73,7 @@ def identify(
             they follow them, otherwise see :func:`hybrid_id.identification.horizons.choose_horizon`).
         level: confidence of the intervals.
         jobs: processes that share the records; one where they share a parameter set.
+        kept: fits that an earlier run has kept, and where those of this one are kept.
         progress: see :func:`hybrid_id.identification.fit.fit`; with several processes its method ``watch``, where it
             has one, gets the file that ends them all.
 
@@ -85,6 +88,7 @@ def identify(
             "options": options or Options(),
             "starts": starts,
             "seed": seed,
+            "kept": kept,
         }
         sets, horizon = fit_in_processes(
             dataset, system, settings, jobs=jobs, device=device, signal_share=signal_share, horizon=horizon,
@@ -108,9 +112,9 @@ def identify(
         part = horizon.cut(model, engine, batch)
         settings: dict[str, Any] = {"engine": engine, "options": options, "seed": seed, "progress": progress}
         if not pooled:
-            return fit_records(model, part, starts=starts, **settings)
-        (found,) = fit(model, part, pooled=True, starts=starts, **settings)
-        return [confirmed(found, part, options=options, seed=seed, progress=progress)]
+            return fit_records(model, part, starts=starts, kept=kept, **settings)
+        (found,) = kept_fit(kept, model, part, pooled=True, starts=starts, **settings)
+        return [confirmed(found, part, options=options, seed=seed, kept=kept, progress=progress)]
 
     sets = fitted(horizon or WHOLE)
     if horizon is None:

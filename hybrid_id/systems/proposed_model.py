@@ -86,7 +86,9 @@ def _ratios(sheet: MotorSheet, joints: int) -> list[float]:
     found = [] if given is None else [given] * joints if isinstance(given, int | float) else list(given)
     if found and (len(found) != joints or min(found) <= 0):
         raise InputError(
-            f"gear_ratio {given} of the motor's sheet must be positive: one number, or one for each of {joints} joints"
+            f"gear_ratio {given} of the motor's sheet must be positive: one number, or one for each of {joints} "
+            "joints; of a gear that turns the joint the other way round, leave out the sign, and give the motor's "
+            "angle and its command 'scale: -1' in dataset.yaml"
         )
     return [float(one) for one in found]
 

@@ -344,6 +344,10 @@ def test_simulate_writes_what_the_model_says(
     (of_model,) = result.values()
     assert of_model["run_3"]["nrmse"]["q_m1"] == pytest.approx(error, rel=0.2)
     assert error < 0.01
+    assert "results are in" in outcome.out and "report.html" in outcome.out
+    look_at(out / "report.html", tmp_path, figures=4)
+    text = (out / "report.html").read_text()
+    assert "<h1>model.yaml on" in text and '<p class="lead">model.yaml: NRMSE 0.0' in text
 
 
 def test_compare_ranks_the_models(run, drive: Path, identified: tuple[Path, str], tmp_path: Path) -> None:
@@ -358,6 +362,14 @@ def test_compare_ranks_the_models(run, drive: Path, identified: tuple[Path, str]
     rows = pd.read_csv(tmp_path / "out" / "comparison.csv")
     assert len(rows) == 2 * 4
     assert "mean" in run("compare", drive, *arguments, "--out", tmp_path / "table").out
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert re.search(
+        r'class="lead">small/model.yaml: NRMSE 0.0\d+, mean of records; drive/model.yaml 0', text
+    )
+    assert text.index('<td class="">drive/model.yaml') < text.index(
+        '<td class="">small/model.yaml'
+    )  # as given
+    assert str(models[0]) in text and text.count("data:image/png") == 4
 
 
 def test_force_replaces_results_only_when_the_new_ones_are_complete(run, drive: Path, tmp_path: Path) -> None:
@@ -564,7 +576,8 @@ def test_interrupted_fit_is_written_and_says_so(run, plain: Path, tmp_path: Path
     )
     outcome = run("identify", plain, "--out", tmp_path / "out")
     assert outcome.code == 130
-    assert "stopped by Ctrl-C" in outcome.err
+    assert "stopped: the sets are" in outcome.err
+    assert "are kept" not in outcome.err and not (tmp_path / "out" / "fits").exists()  # nothing was complete
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert {one["status"] for one in result["sets"]} == {"interrupted"}
 

@@ -251,14 +251,6 @@ def test_results_of_an_interrupted_search_are_written_and_it_resumes(
     assert json.loads((out / "diagnosis.json").read_text())["interrupted"] is False
 
 
-def test_terminated_is_interrupted() -> None:
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(KeyboardInterrupt), command.terminated_as_interrupted():
-        os.kill(os.getpid(), signal.SIGTERM)
-        time.sleep(1.0)
-    assert signal.getsignal(signal.SIGTERM) is before
-
-
 @pytest.mark.parametrize(
     ("options", "most", "window"),
     [

@@ -213,6 +213,9 @@ def test_an_empty_folder_and_a_wrong_sheet_are_refused(run, tmp_path: Path, moti
     (tmp_path / "sheet.yaml").write_text("gear: 3\n")
     refused = run("init", folder, "--motor", tmp_path / "sheet.yaml")
     assert refused.code == 2 and "gear" in refused.err and not list(folder.glob("*.yaml"))
+    (tmp_path / "sheet.yaml").write_text("gear_ratio: -3\n")
+    refused = run("init", folder, "--motor", tmp_path / "sheet.yaml")
+    assert refused.code == 2 and "leave out the sign" in refused.err and "'scale: -1'" in refused.err
 
 
 def swing(seed: int, samples: int = 600, step: float = 0.02) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from hybrid_id import Dataset, Diagnosis, load_model
 from hybrid_id.components import REGISTRY
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.diagnose import diagnose
-from hybrid_id.diagnosis.keep import Kept
+from hybrid_id.identification.keep import Kept
 
 ON_DEMAND = "HYBRID_ID_DEVELOPMENT_CASES"
 """Environment variable with which the development cases are diagnosed twice each, which takes minutes a case."""

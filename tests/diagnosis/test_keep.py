@@ -9,8 +9,8 @@ import pytest
 import hybrid_id.diagnosis.select as selection
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.fits import FULL, Fits, Task
-from hybrid_id.diagnosis.keep import Kept
 from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.keep import Kept
 
 HALF = Horizon("windows", 0.5)
 

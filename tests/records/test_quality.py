@@ -222,3 +222,40 @@ def test_what_many_records_share_is_said_once() -> None:
     assert "likewise in 3 more records: b, c, d" in noise[0].message
     twice = list(_merged([Finding("warning", "clipped", "cut", name, "u1") for name in "aabbc"]))
     assert len(twice) == 1 and "likewise in 2 more records: b, c" in twice[0].message
+
+
+def arm_record(name: str, *, still: tuple[int, ...], noise: float = 1e-3) -> Record:
+    """A record of six joints, some of which stand still but for the noise of their encoders."""
+    random = np.random.default_rng(0)
+    outputs = {
+        f"q_m{k}": (0.2 if k in still else 1.0) * (0.4 + (k not in still) * motion())
+        + noise * random.normal(size=T)
+        for k in range(1, 7)
+    }
+    return Record(name, TIME, {f"u{k}": VOLTAGE + k for k in range(1, 7)}, outputs)
+
+
+def arm_dataset(*records: Record) -> Dataset:
+    numbers = range(1, 7)
+    channels = (
+        tuple(Channel(f"u{k}", "V") for k in numbers),
+        tuple(Channel(f"q_m{k}", "rad") for k in numbers),
+    )
+    return Dataset("arm", *channels, records)
+
+
+def test_joints_that_stand_still_are_named_in_one_sentence() -> None:
+    records = [arm_record(f"r{k}", still=(2, 5) if k else (2, 5, 6)) for k in range(3)]
+    findings = check_dataset(arm_dataset(*records))
+    (one,) = (finding for finding in findings if finding.code == "rests")
+    assert "q_m2, q_m5 in every record; q_m6 in r0" in one.message
+    assert not {f.channel for f in findings if f.severity != "info"} & {"q_m2", "q_m5"}
+
+
+def test_a_dead_sensor_beside_one_that_moves_is_no_joint_at_rest() -> None:
+    two = Record("a", TIME, {"u1": VOLTAGE}, {"q_m1": motion(), "q_a1": np.full(T, 0.3)})
+    assert "constant" in codes(check_record(two))
+    slow = arm_record("r", still=())
+    assert not [f for f in check_dataset(arm_dataset(slow)) if f.code == "rests"]
+    moved = {**slow.outputs, "q_m3": slow.outputs["q_m3"] * 0.02}  # small, but more than noise
+    assert not [f for f in check_dataset(arm_dataset(replace(slow, outputs=moved))) if f.code == "rests"]

@@ -235,11 +235,11 @@ def test_tables_hold_every_effect_and_parameter(diagnosed) -> None:
     names = list(table.columns[0].cells)
     assert {"J", "F_c", "k_s", "q_s"} <= set(names)
     heads = [str(column.header) for column in table.columns]
-    assert heads[:3] == ["parameter", "meaning", "nominal"] and heads[7] == "unit"
+    assert heads[:3] == ["parameter", "reliability", "nominal"] and heads[7:9] == ["unit", "meaning"]
     row = names.index("k_s")
     cells = {name: [str(list(column.cells)[k]) for column in table.columns] for k, name in enumerate(names)}
     assert cells["k_s"][2:5] == ["", "", ""]  # the nominal model lacks it
-    assert names.index("k_s") == row and cells["k_s"][1] == "stiffness of what pulls"
+    assert names.index("k_s") == row and cells["k_s"][8] == "stiffness of what pulls"
     assert cells["k_s"][6] == "none"  # in voltage and angle no torque has a scale
     low, high = map(float, cells["q_s"][6].split(" to "))
     assert low < float(cells["q_s"][5]) < high
@@ -302,6 +302,33 @@ def test_page_has_the_headline_first_and_every_picture(diagnosed, figures) -> No
     assert text.count('<td class="">joint 1') < len(
         found.effects
     )  # the improbable ones are named in a sentence
+
+
+def test_the_missing_torque_stands_beside_the_sentence_that_it_supports(diagnosed, figures) -> None:
+    """Under the values of the named effect; where none is named, under the sentence that says where something lacks."""
+
+    def order(found) -> tuple[list[str], int, int]:
+        text = re.sub(
+            r'"data:image[^"]*"|<script.*?</script>', "", diagnosis_page(found, figures).html(), flags=re.S
+        )
+        section = [
+            part.split("</h2>")[0] for part in text.split("<h2>") if "The missing torque over angle" in part
+        ]
+        sentence = value_lines(found)[0][1:20] if found.selected else "Residual before (mean square"
+        return section, text.index(sentence), text.index("The missing torque over angle")
+
+    section, said, shown = order(diagnosed[2])
+    assert section == ["Effects"] and said < shown
+    nothing = tuple(replace(one, selected=False) for one in diagnosed[2].effects)
+    section, said, shown = order(replace(diagnosed[2], effects=nothing, verdict="outside_catalogue"))
+    assert section == ["Location"] and said < shown
+
+
+def test_records_that_were_thinned_are_said(diagnosed, figures) -> None:
+    found, words = diagnosed[2], "ecords thinned to what the drive needs: fitted at 10 ms instead of 5 ms"
+    thin = replace(found, sample_time=0.01)
+    assert words in " ".join(summary(thin).split()) and words in diagnosis_page(thin, figures).html()
+    assert "thinned" not in summary(found) and "thinned" not in diagnosis_page(found, figures).html()
 
 
 def test_events_hold_errors_shares_probabilities_and_pictures(diagnosed, figures, tmp_path) -> None:

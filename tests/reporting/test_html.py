@@ -105,3 +105,20 @@ def test_a_fault_in_a_page_is_seen(tmp_path: Path) -> None:
     file.write_text(live_page().html().replace("</footer>", "</footer><script>nothing()</script>"), "utf-8")
     with pytest.raises(AssertionError, match="nothing is not defined"):
         look_at(file, tmp_path, figures=2)
+
+
+def test_what_a_phone_would_have_to_scroll_for_is_seen(tmp_path: Path) -> None:
+    file = tmp_path / "page.html"
+    wide = "<div style='width: 700px'>wide</div>"
+    file.write_text(live_page().html().replace("</footer>", f"</footer>{wide}"), "utf-8")
+    with pytest.raises(AssertionError, match="phone"):
+        look_at(file, tmp_path, figures=2)
+
+
+def test_a_second_column_that_a_phone_does_not_show_is_seen(tmp_path: Path) -> None:
+    file = tmp_path / "page.html"
+    file.write_text(
+        live_page().html().replace(">parameter<", " style='min-width: 30rem'>parameter<"), "utf-8"
+    )
+    with pytest.raises(AssertionError, match="phone"):
+        look_at(file, tmp_path, figures=2)

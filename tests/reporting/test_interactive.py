@@ -5,8 +5,9 @@ import json
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
-from hybrid_id.reporting.interactive import INK, as_script, drawn, interactive
+from hybrid_id.reporting.interactive import as_script, drawn, interactive
 from hybrid_id.reporting.style import COLOURS, journal, new_figure, symbol
 
 
@@ -32,7 +33,7 @@ def test_lines_bars_and_names_of_rows(figure: Figure) -> None:
     plot = interactive(figure)
     repeats, mean, bars, more = plot["data"]
     assert repeats["x"] == [1.0, 10.0] and repeats["mode"] == "markers" and repeats["name"] == "repeats"
-    assert mean["x"] == [2.0, None] and mean["line"]["dash"] == "dash" and mean["line"]["color"] == INK
+    assert mean["x"] == [2.0, None] and mean["line"]["dash"] == "dash" and mean["line"]["color"] == "#000000"
     assert repeats["text"] == ["physics only<br>without F_v", "f<sub>11</sub>"]
     assert (bars["type"], bars["orientation"], bars["x"], bars["y"]) == ("bar", "h", [-2.0, 3.0], [0.0, 1.0])
     assert [trace["showlegend"] for trace in (repeats, mean, more)] == [True, False, False]
@@ -41,10 +42,21 @@ def test_lines_bars_and_names_of_rows(figure: Figure) -> None:
     assert layout["xaxis"]["type"] == "log" and layout["yaxis"]["range"] == [1.5, -0.5]
     assert layout["yaxis"]["ticktext"] == ["physics only<br>without F_v", "f<sub>11</sub>"]
     assert layout["xaxis"]["title"]["text"] == layout["xaxis2"]["title"]["text"] == "error"
-    assert layout["annotations"][0]["text"] == "test" and layout["meta"] == {"wide": True}
+    assert layout["annotations"][0]["text"] == "test"
     line, band = layout["shapes"]
     assert (line["xref"], line["yref"], line["x0"], line["name"]) == ("x", "y domain", 1.0, "noise")
     assert (band["type"], band["xref"], band["x0"], band["x1"]) == ("rect", "x2", -3.0, 3.0)
+
+
+def test_a_frame_stays_a_frame_around_its_cell() -> None:
+    with journal():
+        made = new_figure(2.0)
+        made.subplots().add_patch(Rectangle((-0.5, 1.5), 1, 1, fill=False, ec="black", lw=1.4))
+    (frame,) = interactive(made)["layout"]["shapes"]
+    assert (frame["xref"], frame["yref"], frame["x0"], frame["x1"], frame["y0"], frame["y1"]) == (
+        "x", "y", -0.5, 0.5, 1.5, 2.5,
+    )  # fmt: skip
+    assert "fillcolor" not in frame and frame["line"] == {"color": "#000000", "width": 1.4}
 
 
 def test_panels_stand_below_each_other_and_do_not_overlap(figure: Figure) -> None:

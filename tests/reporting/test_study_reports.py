@@ -27,7 +27,7 @@ from hybrid_id.reporting.study_figures import (
     truth_figure,
 )
 from hybrid_id.reporting.style import pixels, power_of_ten, save, scaled_unit, symbol, unit
-from hybrid_id.reporting.tables import comparison_table, identifiability_table, truth_table
+from hybrid_id.reporting.tables import comparison_table, identifiability_table, model_means_table, truth_table
 from hybrid_id.statistics.identifiability import identifiability
 from hybrid_id.study import (
     Comparison,
@@ -114,6 +114,10 @@ def test_axes_are_scaled_by_powers_of_a_thousand(largest: float, exponent: int) 
 def test_pictures_have_labels_with_units(dataset: Dataset, study: Study, tmp_path: Path) -> None:
     before = dict(matplotlib.rcParams)
     comparison = compare(dataset, {"start": study.system, "identified": study.selected_model})
+    means = comparison.mean_error
+    assert means["start"] == pytest.approx(np.mean(comparison.table("nrmse")["start"]))
+    assert means["identified"] < means["start"]
+    assert model_means_table(comparison).row_count == 2 * len(comparison.signals)
     figures = {
         "parameters": parameter_figure(study),
         "cross_validation": cross_validation_figure(study),

@@ -1,0 +1,182 @@
+"""Fits that are kept in a folder, so that a long run which was stopped goes on where it was."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from torch import Tensor
+
+from hybrid_id.components.base import Component
+from hybrid_id.identification.result import FitResult
+from hybrid_id.records.files import write_whole
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
+
+Arrays = dict[str, np.ndarray]
+Found = TypeVar("Found")
+Report = Callable[..., bool | None]
+"""What a fit calls after each iteration (:func:`hybrid_id.identification.fit.fit`): where it is true, the fit ends."""
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Fits in a folder, a file each, under the digest of all that they were made from.
+
+    Attributes:
+        folder: where they are; it exists.
+        program: version and commit: what another program has fitted is fitted again.
+    """
+
+    folder: Path
+    program: str
+
+    @property
+    def count(self) -> int:
+        """Number of fits that are kept."""
+        return sum(1 for _ in self.folder.glob("*.npz"))
+
+    def of(
+        self,
+        made_from: object,
+        make: Callable[[], Found],
+        pack: Callable[[Found], Arrays | None],
+        unpack: Callable[[Mapping[str, np.ndarray]], Found],
+    ) -> Found:
+        """What was made: read if it is kept, otherwise made and kept.
+
+        Args:
+            made_from: all that decides it.
+            make: makes it.
+            pack: what is written of it; None for what is not kept.
+            unpack: reads that again.
+        """
+        digest = hashlib.sha256()
+        _digest(digest, (self.program, made_from))
+        path = self.folder / f"{digest.hexdigest()[:32]}.npz"
+        if path.exists():
+            with np.load(path) as arrays:
+                return unpack(arrays)
+        found = make()
+        arrays = pack(found)
+        if arrays is None:
+            return found
+        file = io.BytesIO()
+        np.savez_compressed(file, allow_pickle=False, **arrays)
+        write_whole(path, file.getvalue())
+        file.seek(0)
+        with np.load(file) as written:  # what is read again is the same to the last bit
+            return unpack(written)
+
+    def results(
+        self,
+        made_from: object,
+        start: System,
+        make: Callable[[Report], Sequence[FitResult]],
+        progress: Report | None = None,
+    ) -> list[FitResult]:
+        """Fits of one system, read or made; what the progress has cut off is not kept.
+
+        Args:
+            made_from: all that decides them beside the system.
+            start: the system that they start from.
+            make: makes them; what it gets ends a fit as the progress does.
+            progress: see :func:`hybrid_id.identification.fit.fit`.
+        """
+        cut = False
+
+        def watched(*now: Any) -> bool:
+            nonlocal cut
+            cut |= bool(progress is not None and progress(*now))
+            return cut
+
+        def pack(found: Sequence[FitResult]) -> Arrays | None:
+            if cut or not all(same_but_for_values(one, start) for one in found):
+                return None
+            parts = [pack_result(one).items() for one in found]
+            return {f"{k}_{name}": array for k, part in enumerate(parts) for name, array in part}
+
+        def unpack(arrays: Mapping[str, np.ndarray]) -> list[FitResult]:
+            parts: dict[int, Arrays] = {}
+            for key in arrays:
+                number, _, name = key.partition("_")
+                parts.setdefault(int(number), {})[name] = arrays[key]
+            return [unpack_result(parts[k], start) for k in sorted(parts)]
+
+        return self.of((start, made_from), lambda: list(make(watched)), pack, unpack)
+
+
+def pack_result(result: FitResult) -> Arrays:
+    """A fit as arrays, but for what its system has beside the estimated values."""
+    about = {
+        "names": result.names, "units": result.units, "status": result.status, "records": result.records,
+        "cost": result.cost, "n_samples": result.n_samples, "iterations": result.iterations,
+        "engine": asdict(result.engine), "history": result.history, "rows": len(result.residual),
+    }  # fmt: skip
+    arrays = {"about": np.array(json.dumps(about)), "values": result.values, "x0": result.x0}
+    arrays["prior_precision"] = result.prior_precision
+    for k, (jacobian, residual) in enumerate(zip(result.jacobian, result.residual, strict=True)):
+        arrays |= {f"jacobian_{k}": jacobian, f"residual_{k}": residual}
+    return arrays
+
+
+def unpack_result(arrays: Mapping[str, np.ndarray], start: System) -> FitResult:
+    """The fit again, of the system that it started from."""
+    about = json.loads(str(arrays["about"]))
+    names, values = tuple(about["names"]), arrays["values"]
+    return FitResult(
+        system=start.with_values(dict(zip(names, values.tolist(), strict=True))),
+        names=names,
+        values=values,
+        units=tuple(about["units"]),
+        status=about["status"],
+        records=tuple(about["records"]),
+        cost=about["cost"],
+        n_samples=about["n_samples"],
+        iterations=about["iterations"],
+        jacobian=tuple(arrays[f"jacobian_{k}"] for k in range(about["rows"])),
+        residual=tuple(arrays[f"residual_{k}"] for k in range(about["rows"])),
+        prior_precision=arrays["prior_precision"],
+        x0=arrays["x0"],
+        engine=Engine(**about["engine"]),
+        history=tuple(about["history"]),
+    )
+
+
+def same_but_for_values(result: FitResult, start: System) -> bool:
+    """Whether a fit's system is the one that it started from with other values, as it is when it is read."""
+    values = dict(zip(result.names, result.values.tolist(), strict=True))
+    digests = [hashlib.sha256() for _ in range(2)]
+    for digest, system in zip(digests, (result.system, start.with_values(values)), strict=True):
+        _digest(digest, system)
+    return digests[0].digest() == digests[1].digest()
+
+
+def _digest(digest: Any, value: Any) -> None:
+    """Feed a value into a digest: arrays and systems by their content, dataclasses field by field."""
+    if isinstance(value, System):
+        components = cast("dict[str, Component]", dict(value.components.items()))
+        parts = {key: (part.kind, part.specs, part.options()) for key, part in components.items()}
+        arm = (value.tree, value.seats)
+        _digest(digest, (value.name, value.gear_ratio, value.aliases, parts, arm, value.state_dict()))
+    elif isinstance(value, Tensor):
+        _digest(digest, value.detach().cpu().numpy())
+    elif isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype}{value.shape}".encode())
+        digest.update(np.ascontiguousarray(value).tobytes())
+    elif is_dataclass(value):
+        _digest(digest, {one.name: getattr(value, one.name) for one in fields(value)})
+    elif isinstance(value, Mapping):
+        _digest(digest, [(key, value[key]) for key in value])
+    elif isinstance(value, tuple | list):
+        digest.update(f"[{len(value)}".encode())
+        for one in value:
+            _digest(digest, one)
+    else:
+        digest.update(f"{type(value).__name__} {value!r};".encode())

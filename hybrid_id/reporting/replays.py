@@ -1,0 +1,72 @@
+"""Records replayed through models as one page: which follows them best, then record by record."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.quality import Finding
+from hybrid_id.reporting.interactive import Drawn, drawn
+from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.study_figures import comparison_figure
+from hybrid_id.reporting.tables import (
+    comparison_table,
+    count,
+    findings_list,
+    model_means_table,
+    records_table,
+)
+from hybrid_id.study import Comparison
+
+
+def replay_figures(dataset: Dataset, comparison: Comparison) -> dict[str, Drawn]:
+    """A picture a record, by its name, with its interactive form."""
+    return {name: drawn(comparison_figure(dataset, comparison, name)) for name in comparison.records}
+
+
+def replay_page(
+    dataset: Dataset,
+    comparison: Comparison,
+    figures: Mapping[str, Drawn],
+    *,
+    findings: Sequence[Finding] = (),
+) -> Page:
+    """The page of `simulate` (one model) and `compare` (several).
+
+    Args:
+        dataset: the records.
+        comparison: free runs of the models over them.
+        figures: a picture a record, by its name.
+        findings: what the check of the records remarked.
+    """
+    labels = list(comparison.replays)
+    title = (
+        f"{labels[0]} on {dataset.name}" if len(labels) == 1 else f"{len(labels)} models on {dataset.name}"
+    )
+    page = Page(title, _lead(comparison))
+    page.section("Errors").add(model_means_table(comparison), _HOW)
+    page.section("Record by record").add(comparison_table(comparison))
+    pictures = page.section("Measured and simulated")
+    for name, figure in figures.items():
+        pictures.figure(figure, f"Record {name}.")
+    records = page.section("Records").add(records_table(dataset))
+    if findings:
+        records.add(findings_list(findings))
+    return page
+
+
+_HOW = (
+    "NRMSE: RMSE over the standard deviation of what was measured (0: exact, 1: as good as the signal's mean). Fit: "
+    "100 % less the NRMSE in percent. All are means of the records."
+)
+
+
+def _lead(comparison: Comparison) -> str:
+    """How well each model follows the records, the best one first."""
+    errors = comparison.mean_error
+    best, *others = sorted(errors, key=lambda label: errors[label])
+    of = "records and outputs" if len(comparison.signals) > 1 else "records"
+    first = f"{best}: NRMSE {errors[best]:.3g}, mean of {of}"
+    after = "".join(f"; {label} {errors[label]:.3g}" for label in others)
+    records = count(len(comparison.records), "record")
+    return f"{first}{after} ({records}, horizon: {comparison.horizon})."
