@@ -22,8 +22,8 @@ class Plant(Protocol):
         """Joint angles at the links as they are [rad], ``(n_joints, B)``."""
         ...
 
-    def step(self, voltage: np.ndarray) -> None:
-        """Hold voltages [V], ``(n_joints, B)``, for one sample."""
+    def step(self, command: np.ndarray) -> None:
+        """Hold commands, ``(n_joints, B)``, for one sample."""
         ...
 
 
@@ -34,12 +34,12 @@ class Tracking:
     Attributes:
         reference: the desired motion.
         angle: joint angles at the links [rad], ``(T, n_joints, B)``.
-        voltage: [V], ``(T, n_joints, B)``.
+        command: voltages, currents or torques as commanded [V, A or N m], ``(T, n_joints, B)``.
     """
 
     reference: Reference
     angle: np.ndarray
-    voltage: np.ndarray
+    command: np.ndarray
 
     @property
     def error(self) -> np.ndarray:
@@ -73,13 +73,13 @@ def track(
     keep = np.exp(-2 * np.pi * cutoff * step)
     last = plant.measure() - controller.planned(0)[0]
     drift = np.zeros_like(last)
-    angles, voltages = [], []
+    angles, commands = [], []
     for k in range(len(reference.time)):
         angles.append(plant.true_angles())
         measured = plant.measure()
         angle, speed = controller.planned(k)
         drift = keep * drift + (1.0 - keep) * (measured - angle - last) / step
         last = measured - angle
-        voltages.append(controller.voltage(k, measured, speed + drift))
-        plant.step(voltages[-1])
-    return Tracking(reference, np.stack(angles), np.stack(voltages))
+        commands.append(controller.command(k, measured, speed + drift))
+        plant.step(commands[-1])
+    return Tracking(reference, np.stack(angles), np.stack(commands))

@@ -1,11 +1,15 @@
-"""Computed torque: the identified model, turned round, says which voltages a motion needs."""
+"""Computed torque: the identified model, turned round, says which voltages or torques a motion needs."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from hybrid_id.components.input.current_command import CurrentCommand
+from hybrid_id.components.input.torque_command import TorqueCommand
 from hybrid_id.components.input.voltage import Voltage
 from hybrid_id.control.reference import Reference
 from hybrid_id.errors import InputError
@@ -16,7 +20,7 @@ SMOOTHING = 0.01
 
 
 class ComputedTorque:
-    """``u = (M (a_d + K_v e_v + K_p e_q) + c + friction) / (torque per volt)``, for many models at once.
+    """``u = (M (a_d + K_v e_v + K_p e_q) + c + friction) / (torque per unit of u)``, for many models at once.
 
     Angles and speeds are the motors'. Behind a rigid gear M and c are taken at the measured state, so that with the
     right model the error obeys ``e'' + K_v e' + K_p e = 0``; dry friction is taken at the desired speed, which does
@@ -27,15 +31,15 @@ class ComputedTorque:
     Automatic Control 25(3), 1980.
 
     Args:
-        system: the identified model; every joint is commanded by a voltage.
+        system: the identified model, of any number of joints; each is commanded by a voltage, current or torque.
         reference: desired motion at the links.
         bandwidth: of the error's dynamics [rad/s]: ``K_p = bandwidth^2``, ``K_v = 2 bandwidth``.
-        limit: largest voltage of each motor [V].
+        limit: largest command of every motor, or one for each [V, A or N m, as it is commanded].
         theta: parameters of B variants of the model in table order, ``(n_p, B)``; the system's own, B = 1, by default.
         width: desired speed at which dry friction is compensated to 76 % [rad/s, motor].
 
     Raises:
-        InputError: a joint that is not commanded by a voltage, or a reference with another number of joints.
+        InputError: a joint that is commanded otherwise, or a reference with another number of joints.
     """
 
     def __init__(
@@ -44,7 +48,7 @@ class ComputedTorque:
         reference: Reference,
         *,
         bandwidth: float,
-        limit: float,
+        limit: float | Sequence[float],
         theta: Tensor | None = None,
         width: float = 1.0,
     ) -> None:
@@ -56,15 +60,18 @@ class ComputedTorque:
             raise InputError("The model's motors are coupled, of which computed torque knows no inverse.")
         remembering = {system.state_names[row] for row in system.memory_rows}
         for joint in system.joints:
-            if not isinstance(joint.drive.input[1], Voltage):
-                raise InputError(f"{joint.name} is not commanded by a voltage, which computed torque needs.")
+            if not isinstance(joint.drive.input[1], Voltage | CurrentCommand | TorqueCommand):
+                raise InputError(
+                    f"{joint.name} is not commanded by a voltage, current or torque, which computed torque needs."
+                )
             drive = joint.drive
             if drive.windings or drive.maps or drive.delay or remembering.intersection(joint.state_names):
                 raise InputError(
                     f"{joint.name} has a delay, a limit, a dead band or a state that remembers, of which computed "
                     "torque knows no inverse; leave these out of the controller's model."
                 )
-        self.system, self.limit, self.width = system, limit, width
+        self.system, self.width = system, width
+        self.limit = torch.as_tensor(limit, dtype=torch.float64).expand(len(system.joints))[:, None]
         self.kp, self.kv = bandwidth**2, 2.0 * bandwidth
         theta = system.theta().detach()[:, None] if theta is None else theta
         self.lanes = theta.shape[1]
@@ -78,8 +85,8 @@ class ComputedTorque:
         return angle, speed
 
     @torch.no_grad()
-    def voltage(self, k: int, angles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
-        """Voltages of sample ``k``, limited.
+    def command(self, k: int, angles: np.ndarray, speeds: np.ndarray) -> np.ndarray:
+        """Commands of sample ``k``, limited.
 
         Args:
             k: number of the sample.
@@ -87,7 +94,7 @@ class ComputedTorque:
             speeds: motor speeds [rad/s].
 
         Returns:
-            ``(n_joints, B)`` in V.
+            ``(n_joints, B)`` in V, A or N m, as each joint is commanded.
         """
         planned = self.plan[k]  # (3, n_speeds, B): angle, speed, acceleration of every rotor and link
         x = [self.plan.new_zeros(self.lanes) for _ in self.system.state_names]
@@ -107,14 +114,14 @@ class ComputedTorque:
     def _inverse(
         self, x: list[Tensor], accelerations: list[Tensor], along: Tensor, rotors: list[int]
     ) -> Tensor:
-        """Voltages with which the rotors accelerate so, ``(n_joints, B)``; dry friction acts along a speed."""
+        """Commands with which the rotors accelerate so, ``(n_joints, B)``; dry friction acts along a speed."""
         zero = torch.zeros(self.lanes, dtype=along.dtype)
         magnitudes, forwards = list(along.abs()), list((along > 0).to(along.dtype))
         idle, driven = (
             self.system.balances(
-                x, {name: zero + volt for name in self.system.input_names}, self.views, magnitudes, forwards
+                x, {name: zero + one for name in self.system.input_names}, self.views, magnitudes, forwards
             )
-            for volt in (0.0, 1.0)
+            for one in (0.0, 1.0)
         )
         reactions = idle.reactions(accelerations)
         found = []

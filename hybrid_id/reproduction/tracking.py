@@ -41,9 +41,9 @@ class TwinPlant:
             return states["q_a1"][None]
         return self._angles(states) / self.ratios[:, None]
 
-    def step(self, voltage: np.ndarray) -> None:
+    def step(self, command: np.ndarray) -> None:
         """Hold the voltages for a sample."""
-        self.reading = self._angles(self.plant.step(voltage))
+        self.reading = self._angles(self.plant.step(command))
 
     def _angles(self, values: Mapping[str, np.ndarray]) -> np.ndarray:
         return np.stack([values[f"q_m{i + 1}"] for i in range(len(self.ratios))])
@@ -90,7 +90,7 @@ def compare_models(
     theta = three_models(system, inertias, plan.inertia_error, seeds)
     control = ComputedTorque(system, reference, bandwidth=plan.bandwidth, limit=plan.limit, theta=theta)
     found = track(control, TwinPlant(config, list(seeds) * len(MODELS)), reference, cutoff=plan.cutoff)
-    return _result(MODELS, plan, reference, found.angle, found.voltage, len(seeds))
+    return _result(MODELS, plan, reference, found.angle, found.command, len(seeds))
 
 
 def compare_gears(

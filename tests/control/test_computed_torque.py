@@ -1,5 +1,7 @@
 """Computed torque turns the model round: with the right model the loop does what the design says."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -9,16 +11,25 @@ from hybrid_id.components import (
     BacklashFlexibility,
     Dahl,
     ElectricalLag,
+    PositionServo,
     Saturation,
-    TorqueCommand,
     TorqueMotor,
 )
 from hybrid_id.control import ComputedTorque, Reference, sines, track
 from hybrid_id.errors import InputError
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible, two_link
+from hybrid_id.systems.model_file import load_model
 
 STEP = 0.004
+ARM = """<mujoco><worldbody>
+<body quat="0 1 0 0"><joint name="pan" axis="0 0 1" armature="0.02" damping="0.1" frictionloss="0.05"/>
+<inertial mass="0.5" pos="0.02 0 0.05" diaginertia="0.001 0.001 0.001"/>
+<body pos="0 0 0.1"><joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
+<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
+<body pos="0 0 0.2"><joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
+<inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/></body></body></body>
+</worldbody></mujoco>"""
 LINK = one_link(156.0, friction=AsymmetricStribeck())
 
 
@@ -41,8 +52,8 @@ class Machine:
         )
 
     @torch.no_grad()
-    def step(self, voltage: np.ndarray) -> None:
-        u = dict(zip(self.system.input_names, torch.as_tensor(voltage), strict=True))
+    def step(self, command: np.ndarray) -> None:
+        u = dict(zip(self.system.input_names, torch.as_tensor(command), strict=True))
         self.x = self.engine.sample(
             self.system, self.x, u, torch.full((1,), STEP, dtype=torch.float64), self.p
         )
@@ -77,7 +88,7 @@ def test_error_decays_as_designed() -> None:
     for k in range(100):
         angles.append(plant.measure().item())
         speed = plant.x[1].numpy()[None]
-        plant.step(control.voltage(k, plant.measure(), speed))
+        plant.step(control.command(k, plant.measure(), speed))
     exact = (1.0 + 20.0 * time) * np.exp(-20.0 * time)  # critically damped
     assert np.abs(np.array(angles) - exact).max() < 0.03  # the loop is closed only every 2 ms
 
@@ -89,12 +100,28 @@ def test_two_links_decouple() -> None:
     rigid = ComputedTorque(arm, reference, bandwidth=25.0, limit=48.0)
     found = track(rigid, Machine(arm), reference, cutoff=1e3)
     assert (found.rms < 2e-3).all()
-    assert (np.abs(found.voltage) < 48.0).all()
+    assert (np.abs(found.command) < 48.0).all()
     if coupled:
         blind = ComputedTorque(
             arm.with_values(dict.fromkeys(coupled, 0.0)), reference, bandwidth=25.0, limit=48.0
         )
         assert (track(blind, Machine(arm), reference, cutoff=1e3).rms > found.rms).all()
+
+
+def test_three_joints_of_a_description_decouple(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "model.yaml").write_text("robot: {file: arm.xml}\ngear_ratio: [2, 3, 4]\n")
+    arm, most = load_model(tmp_path / "model.yaml"), (0.6, 0.4, 0.2)
+    swing = [[(0.4, 0.8)], [(0.3, 1.2)], [(0.3, 1.0)]]
+    reference = sines(swing, duration=1.4, sample_time=STEP, fade=0.5)
+    control = ComputedTorque(arm, reference, bandwidth=25.0, limit=most)
+    found = track(control, Machine(arm), reference, cutoff=1e3)
+    assert (found.rms < 1e-3).all() and (np.abs(found.command).max((0, 2)) < most).all()
+    for name in ("F_v_lift", "J_m_elbow"):  # with a wrong model it is farther off
+        wrong = arm.with_values({name: 3.0 * arm.parameter(name).spec.value})
+        blind = ComputedTorque(wrong, reference, bandwidth=25.0, limit=most)
+        assert track(blind, Machine(arm), reference, cutoff=1e3).rms.max() > 2.0 * found.rms.max()
 
 
 def test_spring_with_play_is_led() -> None:
@@ -125,8 +152,8 @@ def test_lanes_are_variants_of_the_model() -> None:
     many = ComputedTorque(LINK, reference, bandwidth=30.0, limit=24.0, theta=theta)
     alone = ComputedTorque(LINK, reference, bandwidth=30.0, limit=24.0)
     q, v = np.full((1, 3), 0.2), np.full((1, 3), 5.0)
-    found = many.voltage(100, q, v)
-    np.testing.assert_allclose(found[:, 1:2], alone.voltage(100, q[:, :1], v[:, :1]))
+    found = many.command(100, q, v)
+    np.testing.assert_allclose(found[:, 1:2], alone.command(100, q[:, :1], v[:, :1]))
     assert len(set(found.flatten())) == 3
 
 
@@ -134,11 +161,9 @@ def test_what_cannot_be_turned_round_is_named() -> None:
     reference = sines([[(0.3, 0.5)]], duration=0.5, sample_time=STEP)
     with pytest.raises(InputError, match="moves 1 joints, but the model has 2"):
         ComputedTorque(two_link([156.0, 84.0]), reference, bandwidth=30.0, limit=24.0)
-    torque = LINK.with_component("joint1/input", TorqueCommand()).with_component(
-        "joint1/motor", TorqueMotor()
-    )
-    with pytest.raises(InputError, match="joint1 is not commanded by a voltage"):
-        ComputedTorque(torque, reference, bandwidth=30.0, limit=24.0)
+    servo = LINK.with_component("joint1/input", PositionServo()).with_component("joint1/motor", TorqueMotor())
+    with pytest.raises(InputError, match="joint1 is not commanded by a voltage, current or torque"):
+        ComputedTorque(servo, reference, bandwidth=30.0, limit=24.0)
     for where, part in (("input", Saturation()), ("motor", ElectricalLag()), ("motor_friction", Dahl())):
         with pytest.raises(
             InputError, match="joint1 has a delay, a limit, a dead band or a state that remembers"
