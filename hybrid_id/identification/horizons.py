@@ -123,7 +123,7 @@ WHOLE = Horizon()
 
 
 def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Batch:
-    """Windows of whole records, see :meth:`Horizon.cut`; records too short for four windows stay whole.
+    """Windows of whole records, see :meth:`Horizon.cut`; records of which none holds one window stay whole.
 
     Args:
         system: model with the values that its hidden states are simulated with.
@@ -131,10 +131,10 @@ def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Bat
         batch: whole records, prepared for it.
         seconds: length of a window.
     """
-    if window_samples(batch.x.shape[1], batch.sample_time, seconds) is None:
+    if window_samples(batch.x.shape[1], batch.sample_time, seconds, least=1) is None:
         return batch
     batch, hidden = _simulated_hidden(system, engine, batch)
-    cut = measured_windows(system, batch, seconds)
+    cut = measured_windows(system, batch, seconds, least=1)
     if cut is None:
         return batch
     cut[0].x0_std[:, hidden] = 0.0

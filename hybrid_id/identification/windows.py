@@ -12,20 +12,21 @@ SHORTEST = 25
 """Fewest samples of a window or a stroke."""
 
 
-def window_samples(samples: int, step: float, seconds: float) -> int | None:
-    """Samples of a window of so many seconds, 25 at least; None where four do not fit into a record.
+def window_samples(samples: int, step: float, seconds: float, least: int = 4) -> int | None:
+    """Samples of a window of so many seconds, 25 at least; None where fewer than ``least`` fit into a record.
 
     Args:
         samples: of the longest record.
         step: sample time [s].
         seconds: length of the window.
+        least: windows that a record holds.
     """
     length = max(SHORTEST, round(seconds / step))
-    return length if 4 * length <= samples else None
+    return length if least * length <= samples else None
 
 
 def measured_windows(
-    system: System, batch: Batch, seconds: float, every: int = 1
+    system: System, batch: Batch, seconds: float, every: int = 1, least: int = 4
 ) -> tuple[Batch, Tensor] | None:
     """Windows of a batch whose first states are measured and free within their uncertainty, and the row of each.
 
@@ -34,11 +35,12 @@ def measured_windows(
         batch: whole records.
         seconds: length of a window.
         every: use one window in this many.
+        least: windows that the longest record holds.
 
     Returns:
-        None where the records are shorter than four windows.
+        None where it holds fewer.
     """
-    length = window_samples(batch.x.shape[1], batch.sample_time, seconds)
+    length = window_samples(batch.x.shape[1], batch.sample_time, seconds, least)
     if length is None:
         return None
     return batch.windows(length, every * length, measured_spread(system, batch))

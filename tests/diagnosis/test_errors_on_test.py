@@ -67,10 +67,12 @@ def test_a_model_may_do_better_by_chance_than_the_right_one(rng: np.random.Gener
 def test_errors_over_one_window_of_a_whole_record_are_those_of_the_record() -> None:
     dataset, nominal = small_case()
     whole = module.errors(dataset, nominal, engine())
-    # records of less than four windows stay whole
-    same = module.errors(dataset, nominal, engine(), horizon=Horizon("windows", 1.5))
+    length = max(r.time[-1] for r in dataset.test)
+    same = module.errors(dataset, nominal, engine(), horizon=Horizon("windows", 1.1 * length))
     assert whole is not None and same is not None
     assert same.nrmse == whole.nrmse and same.by_record == whole.by_record
+    few = module.errors(dataset, nominal, engine(), horizon=Horizon("windows", 0.4 * length))
+    assert few is not None and few.nrmse < whole.nrmse  # two windows, though fits want four
     short = module.errors(dataset, nominal, engine(), horizon=Horizon("windows", 0.3))
     assert short is not None and short.by_record.keys() == whole.by_record.keys()
     assert short.nrmse < whole.nrmse  # each begins at a measured state
