@@ -257,11 +257,11 @@ def kept_fits(
         if not resume:
             for file in fits.glob("*.npz"):
                 file.unlink()
-        (fits / ABOUT).write_text(
-            json.dumps({"program": f"hybrid_id {__version__}", "kind": noun}) + "\n", encoding="utf-8"
-        )
         kept = Kept(fits, program())
         try:
+            (fits / ABOUT).write_text(
+                json.dumps({"program": f"hybrid_id {__version__}", "kind": noun}) + "\n", encoding="utf-8"
+            )
             yield kept
         except InputError:
             shutil.rmtree(fits)  # the same command would end alike
