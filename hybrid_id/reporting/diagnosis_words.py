@@ -58,6 +58,12 @@ def _effects(diagnosis: Diagnosis) -> str:
     sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
     if diagnosis.unknown:
         sentence += f" More remains than is explained: {_CAUSES}."
+    if vague := [
+        words_of(c.name) for c in chosen if c.share_interval is not None and c.share_interval[0] <= 0.0
+    ]:
+        sentence += (
+            f" How much {joined(vague)} explains differs so from record to record that its size is open."
+        )
     return sentence
 
 

@@ -107,6 +107,16 @@ def test_headline_of_a_whole_explanation(diagnosed) -> None:
     )
 
 
+def test_a_share_of_no_sure_size_is_said_to_be_open(diagnosed) -> None:
+    found = half_explained(diagnosed[2])
+    assert "its size is open" not in headline(found)
+    open_ = replace(found.effects[0], share_interval=(-0.1, 0.8))
+    sentence = headline(replace(found, effects=(open_, *found.effects[1:])))
+    assert sentence.endswith(
+        "How much spring load explains differs so from record to record that its size is open."
+    )
+
+
 def test_no_place_is_named_unless_it_is_identified(diagnosed) -> None:
     two = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 0.68, 1.0))
     assert "unexplained. More remains" in headline(half_explained(diagnosed[2], disturbances=two))
