@@ -103,9 +103,8 @@ def compare_gears(
         theta = system.theta().detach()[:, None].repeat(1, len(seeds))
         control = ComputedTorque(system, reference, bandwidth=plan.bandwidth, limit=plan.limit, theta=theta)
         runs.append(track(control, TwinPlant(config, seeds), reference, cutoff=plan.cutoff))
-    angle, voltage = (
-        np.concatenate([getattr(run, what) for run in runs], 2) for what in ("angle", "voltage")
-    )
+    angle = np.concatenate([run.angle for run in runs], 2)
+    voltage = np.concatenate([run.command for run in runs], 2)
     return _result(tuple(models), plan, reference, angle, voltage, len(seeds))
 
 

@@ -50,10 +50,12 @@ def test_twist_that_nobody_sees_begins_as_in_the_free_run_and_is_held() -> None:
     assert (found.x0_std[:, link : link + 2] == 0).all()
 
 
-def test_records_of_less_than_four_windows_stay_whole() -> None:
+def test_records_that_hold_no_window_stay_whole() -> None:
     dataset, nominal = small_case()
     batch = batch_of(dataset, nominal, dataset.train, 0.004, "cpu")
-    assert windows(nominal, engine(), batch, 0.5) is batch
+    longest = batch.sample_time * batch.x.shape[1]
+    assert windows(nominal, engine(), batch, 1.1 * longest) is batch
+    assert windows(nominal, engine(), batch, 0.4 * longest).rows == 2 * batch.rows
 
 
 def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
