@@ -393,9 +393,12 @@ def save_model(system: System, path: str | Path, home: str | Path | None = None)
     Args:
         system: the system.
         path: file to write.
-        home: folder where the file will lie at last; that of the path by default.
+        home: folder where the file will lie at last; that of the path by default. A description that lies beside or
+            below the path comes along.
     """
-    write_yaml(path, describe_model(system, Path(path).parent if home is None else Path(home)))
+    here = Path(path).parent
+    along = system.tree is not None and Path(system.tree.source).resolve().is_relative_to(here.resolve())
+    write_yaml(path, describe_model(system, here if home is None or along else Path(home)))
 
 
 def _entry(spec: Bounded) -> dict[str, Any]:

@@ -199,5 +199,6 @@ def test_demo_of_a_robot_shows_the_truth_beside_the_estimates(run, tmp_path: Pat
     for name, value, error in zip(names, estimates, errors, strict=True):
         assert abs(value - truth[name]) < max(4.0 * error, 0.03 * truth[name]), name
     assert (tmp_path / "demo" / "truth.png").exists()
+    assert load_model(tmp_path / "demo" / "model.yaml").tree is not None  # its description came along
     refused = run("demo", "--robot", "--settings", tmp_path / "twin.yaml", "--out", tmp_path / "other")
     assert refused.code == 2 and "--settings belongs to the drive" in refused.err
