@@ -122,15 +122,12 @@ def planned(config: StudyConfig, dataset: "Dataset", system: "System") -> "tuple
 def _check_arms(task: "Task", config: StudyConfig, cells: "Sequence[Cell]") -> None:
     """Build every arm once; a refusal of the model names the key that asks for it."""
     from hybrid_id.study.ablation_plan import without_parts
-    from hybrid_id.systems.by_joint import numbered
 
     wish, first = config.ablation or Ablation(), "hybrid.networks[0]"
     places = {f"ablation.place[{k}]": where for k, where in enumerate(wish.place or [])}
     for key, where in (places or {f"{first}.place": [p for cell in cells for p in cell.arm.places]}).items():
         for place in [where] if isinstance(where, str) else where:
-            check_network(
-                task.system, config, (key, numbered(task.system, place)), (f"{first}.inputs", task.inputs)
-            )
+            check_network(task.system, config, (key, place), (f"{first}.inputs", task.inputs))
     for k, taken in enumerate(wish.physics):
         with config.at(f"ablation.physics[{k}]"):
             without_parts(task.system, taken)

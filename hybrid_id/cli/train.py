@@ -244,7 +244,7 @@ def with_networks(system: "System", config: StudyConfig) -> "System":
     wish = config.hybrid or Hybrid()
     for k, network in enumerate([] if system.networks else wish.networks):
         key, place = f"hybrid.networks[{k}]", numbered(system, network.place)
-        check_network(system, config, (f"{key}.place", place), (f"{key}.inputs", network.inputs))
+        check_network(system, config, (f"{key}.place", network.place), (f"{key}.inputs", network.inputs))
         settings = network.model_dump(exclude={"place"})
         part = ResidualNetwork(**settings, seed=config.identification.seed)
         system = system.with_component(place, part)
@@ -256,8 +256,10 @@ def check_network(
 ) -> None:
     """Refuse a place where the system can have no network, and inputs unknown there; each comes with its key."""
     from hybrid_id.components import ResidualNetwork
+    from hybrid_id.systems.by_joint import numbered
 
     (place_key, where), (inputs_key, names) = place, inputs
+    where = numbered(system, where)
     with config.at(place_key):
         system.with_component(where, ResidualNetwork(inputs=["speed"]))  # which is known everywhere
     with config.at(inputs_key):
