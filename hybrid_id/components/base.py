@@ -420,6 +420,8 @@ class Inertia(Component):
 
     places = ("load",)
     single = True
+    carried: float = 0.0
+    """Inertia at the link that a robot's tree adds with all joints at zero [kg m^2]: a scale, not in the motion."""
 
     def rotor(self, p: SimpleNamespace, gear_ratio: float) -> Tensor:
         """Inertia on the motor's side of the gear, at the motor [kg m^2]."""
@@ -432,6 +434,15 @@ class Inertia(Component):
     def total(self, p: SimpleNamespace, gear_ratio: float) -> Tensor:
         """Both, seen at the motor through a rigid gear [kg m^2]."""
         return self.rotor(p, gear_ratio) + self.link(p, gear_ratio) / gear_ratio**2
+
+    def behind_gear(self, p: SimpleNamespace, gear_ratio: float) -> Tensor:
+        """How large the inertia at the link is, what a robot's tree carries there included [kg m^2]."""
+        return self.link(p, gear_ratio) + self.carried
+
+    def in_series(self, p: SimpleNamespace, gear_ratio: float) -> Tensor:
+        """Rotor and link in series, at the link [kg m^2]: with a stiffness it gives a frequency."""
+        rotor, link = self.rotor(p, gear_ratio) * gear_ratio**2, self.behind_gear(p, gear_ratio)
+        return rotor * link / (rotor + link)
 
 
 class LoadTorque(Component):

@@ -141,7 +141,7 @@ def gear_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...]
     a = torch.gradient(v, dim=1)[0] / left.batch.sample_time
     views = {key: c.view() for key, c in system.components.items() if isinstance(c, Component)}
     key, inertia = part.inertia
-    pull = float(inertia.link(views[key], part.gear_ratio).detach()) / part.gear_ratio
+    pull = float(inertia.behind_gear(views[key], part.gear_ratio).detach()) / part.gear_ratio
     stiffness = None if part.rigid else _stiffness(part, left.batch.x, views)
     at_rotor, at_link, periods = [], [], _between(*GEAR_PERIODS, q)
     for n in periods:

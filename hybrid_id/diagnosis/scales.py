@@ -42,8 +42,8 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         command = joint.drive.command(states, channels, views).detach()
         torque = float(joint.drive.torque(states, channels, views).square().mean().sqrt())
         key, inertia = joint.inertia
-        total = float(inertia.total(views[key], joint.gear_ratio))
         rotor = float(inertia.rotor(views[key], joint.gear_ratio))
+        total = rotor + float(inertia.behind_gear(views[key], joint.gear_ratio)) / joint.gear_ratio**2
         fastest, forward = torch.full_like(v[:1], float(v.abs().max())), torch.ones_like(v[:1])
         level = joint.dry_level("motor_friction", views, fastest, forward, states)
         if joint.rigid:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import reduce
+from functools import cached_property, reduce
 from typing import Literal
 
 from hybrid_id.errors import InputError, close_match
@@ -285,6 +285,12 @@ class RigidBodyTree:
     def names(self) -> tuple[str, ...]:
         """Names of the joints."""
         return tuple(joint.name for joint in self.joints)
+
+    @cached_property
+    def at_zero(self) -> tuple[float, ...]:
+        """Inertia that each joint moves with all joints at zero [kg m^2 or kg]."""
+        mass = self.mass_matrix(self.poses([0.0] * len(self.joints)), self.inertias())
+        return tuple(_number(mass[k][k]) for k in range(len(self.joints)))
 
     def coupling(self, joint: int) -> GearCoupling | None:
         """The gear that couples a joint's motor with others, by the joint's number from 0; None without one."""

@@ -20,6 +20,8 @@ from hybrid_id.systems.joint import Joint
 
 RESTING = 5
 """Samples at rest from which on a record counts as one that starts at rest, and fewest samples of any record."""
+START = RESTING - 1
+"""Samples over which the acceleration at the start is taken, which a gear's deflection there follows from."""
 SIGNAL_SHARE = 0.004
 """Standard deviation added to each measurement's noise, as a share of the record's: what a good model still misses."""
 STANDING = 10
@@ -185,14 +187,21 @@ def _states(
 def _wind_up(
     system: System, records: Sequence[Record], x: Tensor, x0_std: Tensor, u: Mapping[str, Tensor]
 ) -> None:
-    """Put the hidden side of a gear where the load lets it rest at the start; a fit may move it as far."""
-    for joint in system.joints:
+    """Put the hidden side of a gear where the load puts it at the start; a fit may move it as far.
+
+    In motion that is known of a robot alone, whose description says what the links need.
+    """
+    for number, joint in enumerate(system.joints):
         hidden = _hidden_side(joint, records[0].outputs)
         if hidden is None:
             continue
         still = torch.tensor([rest_samples(record) >= RESTING for record in records])
         first = {name: channel[:, 0] for name, channel in u.items()}
-        twist = _resting_twist(system, joint, list(x[:, 0].unbind(1)), first) * still
+        begun = list(x[:, 0].unbind(1))
+        needed = _needed_at_start(system, records, x, first, still)[number]
+        twist = _loaded_twist(system, joint, begun, first, needed, still)
+        if system.tree is None:
+            twist = twist * still
         turn = twist if hidden == joint.positions[1] else -joint.gear_ratio * twist
         x[:, :, hidden] += turn[:, None]
         std = x0_std[:, hidden]
@@ -287,20 +296,42 @@ def _hidden_side(joint: Joint, outputs: Collection[str]) -> int | None:
 
 
 @torch.no_grad()
-def _resting_twist(system: System, joint: Joint, x: list[Tensor], u: Channels) -> Tensor:
-    """Link angle less the rotor's over the ratio [rad], ``(B,)``, at which a resting joint's spring carries its load.
+def _needed_at_start(
+    system: System, records: Sequence[Record], x: Tensor, u: Channels, still: Tensor
+) -> list[Tensor]:
+    """Torque at each link of a robot [N m], ``(R,)``, that its motion at the start needs, where it is still at rest.
 
-    0 where dry friction at the link can hold the load, and where no twist carries it. Loads of the joint's own count,
-    not what an arm's links do to each other.
+    Zeros without a description.
+    """
+    steps = torch.tensor([record.sample_time for record in records])
+    accelerations = [
+        torch.where(still, 0.0, (x[:, START, row] - x[:, 0, row]) / (START * steps))
+        for row in (joint.positions[-1] + 1 for joint in system.joints)
+    ]
+    p = system.views(list(system.theta()[:, None]))
+    found = system.arm.needed(list(x[:, 0].unbind(1)), accelerations, u, p)
+    return [torch.as_tensor(torque).to(x).expand(len(records)) for torque in found]
+
+
+@torch.no_grad()
+def _loaded_twist(
+    system: System, joint: Joint, x: list[Tensor], u: Channels, needed: Tensor, still: Tensor
+) -> Tensor:
+    """Link angle less the rotor's over the ratio [rad], ``(B,)``, at which a joint's spring carries its load.
+
+    0 where dry friction at the link can hold a load at rest, and where no twist carries it. Of an arm without a
+    description only loads of the joint's own count, not what its links do to each other.
 
     Args:
         system: of the joint.
         joint: with a compliant gear.
-        x: state rows at rest, ``(B,)`` each, the link where the rotor is.
+        x: state rows, ``(B,)`` each, the link where the rotor is.
         u: channels, ``(B,)`` each.
+        needed: torque that the link's motion in a robot's tree needs [N m], ``(B,)``.
+        still: whether it is at rest, ``(B,)``.
     """
     nothing = torch.zeros_like(x[0])
-    if not (joint.loads or joint.logged or joint.gear.errors):
+    if system.tree is None and not (joint.loads or joint.logged or joint.gear.errors):
         return nothing
     p = system.views(list(system.theta().to(x[0])[:, None]))
     link = joint.positions[1]
@@ -309,9 +340,10 @@ def _resting_twist(system: System, joint: Joint, x: list[Tensor], u: Channels) -
         """Torque on the link that twists it further."""
         rows = list(x)
         rows[link] = x[link] + twist
-        return joint.spring_torque(rows, p) - joint.load_torque(rows[link], nothing, u, p)
+        return joint.spring_torque(rows, p) - joint.load_torque(rows[link], nothing, u, p) - needed
 
     held = pull(nothing).abs() <= joint.dry_level("link_friction", p, nothing, nothing, x) + 1e-12
+    held = held & still
     reach = torch.full_like(nothing, SMALLEST)
     while float(reach.max()) < LARGEST and bool(((pull(reach) > 0) | (pull(-reach) < 0)).any()):
         reach = 2.0 * reach

@@ -16,7 +16,7 @@ from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
-from hybrid_id.robots.rows import ZERO, Vector
+from hybrid_id.robots.rows import ZERO, Matrix, Vector
 from hybrid_id.robots.tree import Body, Point, RigidBodyTree, SpatialInertia
 from hybrid_id.systems.balance import Balances, SpeedBalance
 from hybrid_id.systems.joint import Joint
@@ -62,6 +62,9 @@ class Arm:
             raise InputError(
                 f"The robot has {len(tree.joints)} joints and the system {len(joints)}; describe a drive for each."
             )
+        if tree is not None:
+            for seat, joint in zip(self.seats, joints, strict=True):
+                joint.inertia[1].carried = tree.at_zero[seat]
         self._couple_gears()
         self.contacts = [(key, part) for key, part in components.items() if isinstance(part, FloorContact)]
         self.masses = [
@@ -219,9 +222,25 @@ class Arm:
         u: Mapping[str, Tensor],
         p: Views,
     ) -> tuple[Mass, list[Tensor | float]]:
+        poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * len(angles), u, p)
+        whole, n = tree.mass_matrix(poses, inertias), len(angles)
+        pairs = {(i, j): whole[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
+        mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
+        return mass, torques
+
+    def _needed(
+        self,
+        tree: RigidBodyTree,
+        angles: Sequence[Tensor],
+        rates: Sequence[Tensor],
+        accelerations: Sequence[Tensor | float],
+        u: Mapping[str, Tensor],
+        p: Views,
+    ) -> tuple[list[tuple[Matrix, Vector]], list[SpatialInertia], list[Tensor | float]]:
+        """Poses and inertias of the tree, and the torque that each of the system's links needs to move so."""
         seat = {number: k for k, number in enumerate(self.seats)}
         every: list[list[Tensor | float]] = []
-        for name, own in zip(MOTION, (angles, rates, [0.0] * len(angles)), strict=True):
+        for name, own in zip(MOTION, (angles, rates, accelerations), strict=True):
             every.append(
                 [own[seat[j]] if j in seat else u[f"{name}{j + 1}"] for j in range(len(tree.joints))]
             )
@@ -230,12 +249,26 @@ class Arm:
         for key, part in self.contacts:
             point = tree.points[part.point]
             pushes.append((point, (0.0, 0.0, part.force(p[key], tree.place(poses, point)[2]))))
-        whole = tree.mass_matrix(poses, inertias)
         torques = tree.inverse_dynamics(poses, inertias, every[1], every[2], pushes)
-        n = len(angles)
-        pairs = {(i, j): whole[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
-        mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
-        return mass, [torques[number] for number in self.seats]
+        return poses, inertias, [torques[number] for number in self.seats]
+
+    def needed(
+        self, x: Sequence[Tensor], accelerations: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
+    ) -> list[Tensor | float]:
+        """Torque [N m], ``(B,)`` or a number, that a robot's links need to move as they do; 0 without a tree.
+
+        Args:
+            x: state rows, ``(B,)`` each.
+            accelerations: of the links [rad/s^2], ``(B,)`` each.
+            u: channels, ``(B,)`` each.
+            p: parameter views.
+        """
+        if self.tree is None:
+            return [0.0] * len(self.joints)
+        links = [_link_motion(joint, x, p) for joint in self.joints]
+        return self._needed(
+            self.tree, [link[0] for link in links], [link[1] for link in links], accelerations, u, p
+        )[2]
 
     def guard(self, p: Views) -> None:
         """Make the coupling's inertia not a number wherever the mass matrix is not positive definite for every angle.

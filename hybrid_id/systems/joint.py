@@ -108,10 +108,8 @@ class Gear:
     ) -> Tensor:
         """Torque of a compliant gear's spring at the link [N m], ``(B,)``."""
         (key, part), (spring_key, spring) = inertia, self.transmission
-        sides = part.rotor(p[key], self.ratio) * self.ratio**2, part.link(p[key], self.ratio)
-        series = sides[0] * sides[1] / (sides[0] + sides[1])
         deflection, rate = self.deflection(rotor, link, p)
-        return spring.torque(p[spring_key], deflection, rate, series)
+        return spring.torque(p[spring_key], deflection, rate, part.in_series(p[key], self.ratio))
 
     def loaded(self, angle: Tensor, p: Views) -> Tensor | None:
         """Angle of the link [rad] with the spring fully loaded, None where zero load will do."""

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hybrid_id.components import FloorContact, Stribeck
+from hybrid_id.components import FloorContact, JointFlexibility, LinearSpring, Stribeck
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
@@ -130,3 +130,47 @@ def test_what_was_found_of_a_joint_goes_back_into_the_robot(tmp_path: Path) -> N
     found = load_model(tmp_path / "found.yaml")
     assert found.tree == system.tree
     assert found.parameter("F_c_lift").spec.value == 0.07
+
+
+def flexible(folder: Path) -> System:
+    """The arm whose lift has a spring in its gear that twists by some hundredths of a radian."""
+    return arm(folder).with_component("joint2/transmission", LinearSpring(k=25.0, d=0.05))
+
+
+@pytest.mark.parametrize("measured", ["q_m2", "q_a2"])
+def test_a_hidden_side_of_a_gear_begins_in_motion_where_the_links_wind_it_up(
+    tmp_path: Path, measured: str
+) -> None:
+    system = flexible(tmp_path)
+    time, phase = STEP * np.arange(750), np.array([0.3, 1.2, 2.1])
+    inputs = {f"goal{j + 1}": 0.4 * np.sin(4.0 * time + phase[j]) - 0.4 * np.sin(phase[j]) for j in range(3)}
+    blank = Record("run", time, inputs, {f"q_m{j}": 0.0 * time for j in (1, 2, 3)})
+    x = simulate(system, ENGINE, make_batch(system, [blank], noise_std={"q_m1": 1e-6})).x[0].numpy()
+    rows = {name: k for k, name in enumerate(system.state_names)}
+    seen = {"q_m1": "q_m1", measured: measured, "q_m3": "q_m3"}
+    outputs = {name: x[:, rows[state]] for name, state in seen.items()}
+    hidden = rows["q_a2" if measured == "q_m2" else "q_m2"]
+    twist = x[:, rows["q_a2"]] - x[:, rows["q_m2"]]
+    twist = twist if measured == "q_m2" else -twist
+    off: dict[str, list[float]] = {"whole": [], "alone": []}
+    for first in (60, 120, 260, 350, 430, 600):
+        cut = [{n: v[first:] for n, v in channels.items()} for channels in (inputs, outputs)]
+        later = Record("later", time[first:] - time[first], *cut)
+        data = Dataset("arm", tuple(Channel(n, "rad") for n in inputs),
+                       tuple(Channel(n, "rad") for n in outputs), (later,), STEP)  # fmt: skip
+        for name, own, one in (
+            ("whole", data, system),
+            ("alone", with_others_measured(data, system, 1), alone(system, 1)),
+        ):
+            row = hidden if name == "whole" else 2 * (measured == "q_m2")
+            found = make_batch(one, own.records, noise_std={n: 1e-5 for n in own.records[0].outputs}).x
+            off[name].append((float(found[0, 0, row]) - x[first, hidden]) / np.sqrt(np.mean(twist**2)))
+    for name, errors in off.items():
+        assert np.sqrt(np.mean(np.square(errors))) < 0.2, (name, errors)  # 1 without what the links need
+
+
+def test_a_compliance_of_zero_is_nearly_a_rigid_gear_of_an_arm(tmp_path: Path) -> None:
+    rigid = arm(tmp_path)
+    stiff = rigid.with_component("joint2/transmission", JointFlexibility(compliance=0.0))
+    runs = [records_of(one, 1).records[0].outputs["q_m2"] for one in (rigid, stiff)]
+    assert np.abs(runs[0] - runs[1]).max() < 0.01 * np.ptp(runs[0])
