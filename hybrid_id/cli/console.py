@@ -186,10 +186,14 @@ class SearchProgress:
 
     Args:
         max_effects: effects that are searched for at most.
+        searches: one after the other, of the joints of a robot say.
         clock: tells the time [s].
     """
 
-    def __init__(self, max_effects: int, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, max_effects: int, searches: int = 1, clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._searches = searches
         self._most, self._clock, self._since, self._told = max_effects, clock, 0.0, False
         self._bar = bar(
             TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn(), TimeRemainingColumn()
@@ -217,10 +221,12 @@ class SearchProgress:
 
     def _say_how_long(self, seconds: float) -> None:
         """Say how long the search will take, if its first step's fits took so many seconds when all were short."""
+        seconds *= self._searches
         least, most = ONE * seconds, EACH * self._most * seconds
         if most > LONG:
+            of = "" if self._searches == 1 else f" of {self._searches} joints"
             self._bar.console.print(
-                f"the search will take about {_rough(least)} if one effect explains the gap, and up to about "
+                f"the search{of} will take about {_rough(least)} if one effect explains the gap, and up to about "
                 f"{_rough(most)} if it goes on to {self._most}: a guess by its first {TIMED} fits; Ctrl-C keeps "
                 "what is found",
                 style="dim", markup=False, soft_wrap=True,

@@ -1,5 +1,6 @@
 """`diagnose`: where records and the nominal model disagree, which effects explain how much of it, and what remains."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,10 +9,10 @@ import typer
 from hybrid_id.cli.console import SearchProgress, remark, show
 from hybrid_id.cli.folder import DIAGNOSIS, keep_after, kept_fits, required, results_folder
 from hybrid_id.cli.inputs import (
+    MOST_JOINTS,
     check_window,
     checked_records,
     load_system,
-    refuse_arm,
     remark_start_values,
     remark_uneven,
 )
@@ -29,8 +30,10 @@ from hybrid_id.cli.options import (
 )
 from hybrid_id.cli.results import files_in, write_last, write_report
 from hybrid_id.config import Identification, StudyConfig
+from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
+    from hybrid_id.diagnosis.arm import ArmDiagnosis
     from hybrid_id.diagnosis.result import Diagnosis
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.study import Kept
@@ -39,6 +42,8 @@ if TYPE_CHECKING:
 
 NEXT = "next_experiment.csv"
 """Commands of the record that would distinguish tied effects."""
+RESERVED = ("tensorboard", "models")
+"""Folders of results that no joint's may be called like."""
 LONG, MOST_JOBS = 200_000, 4
 """Samples from which a fit may need a gigabyte, and processes that are started without being asked for."""
 
@@ -49,6 +54,13 @@ def diagnose(
     out: OutOption = None,
     max_effects: Annotated[int | None, typer.Option(help="Effects at most.", min=1, show_default="3")] = None,
     most: Annotated[int | None, typer.Option(hidden=True, min=1)] = None,
+    joint: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Joint of a robot to diagnose by itself, the others moving as they were measured; may be given "
+            "several times. Of a robot of more than two joints all that move are.",
+        ),
+    ] = None,
     window: WindowOption = None,
     jobs: Annotated[
         int | None,
@@ -63,8 +75,9 @@ def diagnose(
 
     Train records fit; records left out, or validation records, choose; the test records only measure. Writes
     report.html, diagnosis.json, model.yaml (with the effects), refit.yaml (the nominal model, re-fitted),
-    next_experiment.csv (where effects are tied: what to command next), pictures and TensorBoard events. Ctrl-C ends the
-    search with what it has found, --resume goes on.
+    next_experiment.csv (where effects are tied: what to command next), pictures and TensorBoard events; of a robot of
+    many joints the same for each joint in a folder of its name, and for the whole robot. Ctrl-C ends the search with
+    what it has found, --resume goes on.
     """
     config = config_of(
         source, model, out, window, gap__max_effects=most if max_effects is None else max_effects, gap__jobs=jobs,
@@ -87,22 +100,33 @@ def diagnose(
         remark_uneven(dataset)
         use_threads(1)
         system = load_system(config, dataset)
-        refuse_arm(system, config.model)
+        by_joint = takes_by_joint(system, config.model, joint)
         remark_start_values(dataset, system)
-        diagnosis = run(dataset, system, config, kept)
+        from hybrid_id.reporting.arm_diagnosis import arm_table
+        from hybrid_id.reporting.diagnosis import diagnosis_table
+
         with results_folder(home, force=True) as folder:  # kept_fits has asked
-            text = write_diagnosis(folder, home, config, diagnosis)
-            if diagnosis.interrupted:
+            if by_joint:
+                arm = run_arm(dataset, system, config, kept, joint)
+                text, shown, interrupted = (
+                    write_arm(folder, home, config, arm),
+                    arm_table(arm),
+                    arm.interrupted,
+                )
+                further = [f"{name}/" for name in joint_folders(arm).values()]
+            else:
+                one = run(dataset, system, config, kept)
+                text, interrupted = write_diagnosis(folder, home, config, one), one.interrupted
+                shown = diagnosis_table(one, config.gap.max_effects)
+                further = [NEXT] if (folder / NEXT).exists() else []
+            if interrupted:
                 keep_after(home, folder)
     if as_json:
         show(text)
     else:
-        from hybrid_id.reporting.diagnosis import diagnosis_table
-
-        further = [NEXT] if (home / NEXT).exists() else []
-        show(diagnosis_table(diagnosis, config.gap.max_effects))
+        show(shown)
         show(files_in(home, config, DIAGNOSIS, "model.yaml", "refit.yaml", *further))
-    if diagnosis.interrupted:
+    if interrupted:
         remark(
             "stopped: the results are those of the steps that were complete; the same command with --resume goes on"
         )
@@ -135,6 +159,88 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept")
             kept=kept,
             progress=progress,
         )
+
+
+def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> bool:
+    """Whether a robot is diagnosed joint by joint; what can be diagnosed in neither way is refused."""
+    if joints or (system.tree is not None and len(system.joints) > MOST_JOINTS):
+        if system.tree is None:
+            raise InputError(f"{model}: --joint takes a joint of a robot, whose description the model names")
+        return True
+    if system.tree is not None and system.tree.couplings:
+        raise InputError(f"{model}: 'diagnose' does not know couplings of motors yet; identify takes them.")
+    return False
+
+
+def run_arm(
+    dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept", joints: list[str] | None
+) -> "ArmDiagnosis":
+    """Diagnose a robot joint by joint as the config says, with a bar on stderr."""
+    from hybrid_id.diagnosis.arm import diagnose_arm, joints_to_diagnose
+    from hybrid_id.study import Horizon
+
+    searches = len(joints or joints_to_diagnose(dataset, system)[0])
+    with SearchProgress(config.gap.max_effects, searches) as progress:
+        return diagnose_arm(
+            dataset,
+            system,
+            joints=joints,
+            max_effects=config.gap.max_effects,
+            horizon=Horizon.of(config.identification.window),
+            jobs=config.gap.jobs or fitting_jobs(dataset),
+            seed=config.identification.seed,
+            level=config.statistics.level,
+            signal_share=config.preprocessing.signal_share,
+            kept=kept,
+            progress=progress,
+        )
+
+
+def joint_folders(found: "ArmDiagnosis") -> dict[str, str]:
+    """Names of the folders of the joints' own results, by joint: what a path does not bear is replaced."""
+    return {
+        joint: re.sub(r"[^\w.-]+|^\.+", "_", joint) + (f"_{k}" if joint in RESERVED else "")
+        for k, joint in enumerate(found.joints, 1)
+    }
+
+
+def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosis") -> str:
+    """Write all files of a robot's diagnosis, those of each joint in a folder of its own.
+
+    Args:
+        folder: where to write.
+        home: where the folder will be at last.
+        config: what was asked for.
+        found: the result.
+
+    Returns:
+        The result as JSON.
+    """
+    from hybrid_id.records.quality import remarks
+    from hybrid_id.reporting.arm_diagnosis import PAGE, arm_figures, arm_page
+    from hybrid_id.reporting.results import as_json
+    from hybrid_id.systems.model_file import save_model
+
+    seed, folders = {"seed": config.identification.seed}, joint_folders(found)
+    for joint, name in folders.items():
+        (folder / name).mkdir()
+        write_diagnosis(folder / name, home / name, config, found.joints[joint])
+    text = as_json("diagnose", seed | found.as_dict())
+    save_model(found.model, folder / "model.yaml", home)
+    save_model(found.refit, folder / "refit.yaml", home)
+    pages = {joint: f"{name}/{PAGE}" for joint, name in folders.items()} if config.output.report else {}
+    records = next(iter(found.joints.values())).details.dataset
+    write_report(
+        folder,
+        home,
+        config,
+        "diagnose",
+        figures=lambda: arm_figures(found),
+        page=lambda figures: arm_page(found, figures, pages, findings=remarks(records)),
+        settings=seed,
+    )
+    write_last(folder / DIAGNOSIS, text)
+    return text
 
 
 def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis") -> str:

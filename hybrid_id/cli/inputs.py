@@ -110,18 +110,7 @@ def read_model(path: Path) -> "System":
 
 
 MOST_JOINTS = 2
-"""Joints of an arm up to which a diagnosis or a training ends within minutes."""
-
-
-def refuse_arm(system: "System", model: Path) -> None:
-    """Refuse an arm of more joints than a diagnosis can do, which would seem to run for ever, and coupled motors."""
-    if system.tree is not None and len(system.joints) > MOST_JOINTS:
-        raise InputError(
-            f"{model}: 'diagnose' takes {MOST_JOINTS} joints at most so far, this arm has {len(system.joints)}; "
-            "check, identify, train, ablate, simulate, compare and export take all of them."
-        )
-    if system.tree is not None and system.tree.couplings:
-        raise InputError(f"{model}: 'diagnose' does not know couplings of motors yet; identify takes them.")
+"""Joints of an arm up to which a search or a training of all at once ends within minutes."""
 
 
 def load_system(config: StudyConfig, dataset: "Dataset") -> "System":

@@ -210,7 +210,7 @@ class Diagnosis:
         )
 
     def _content(self) -> dict[str, Any]:
-        gap, unknown_at = self.shrink, acts_at(self.disturbances) if self.unknown else None
+        unknown_at = acts_at(self.disturbances) if self.unknown else None
         return {
             "case": self.case,
             "verdict": self.verdict,
@@ -222,24 +222,8 @@ class Diagnosis:
             "remainder": {"share": self.remainder, "interval": list(self.remainder_interval)},
             "horizon": {"kind": self.horizon.kind, "seconds": self.horizon.seconds, "words": str(self.horizon)},
             "sample_time": self.sample_time,
-            "gap": {
-                "nominal": None if self.nominal is None else self.nominal.nrmse,
-                "refit": None if gap is None else gap.refit,
-                "with_effect": None if gap is None else gap.with_effect,
-                "noise_floor": None if gap is None else gap.floor,
-                "floor_by_repeats": gap is not None and gap.repeated,
-                "shrink": None if gap is None else gap.share,
-                "shrink_interval": None if gap is None else list(gap.interval),
-                "by_output": {
-                    name: {"nominal": self.nominal.by_output[name], "refit": value,
-                           "with_effect": self.with_effect.by_output[name],
-                           "rmse": {"nominal": self.nominal.rmse[name], "refit": self.refit.rmse[name],
-                                    "with_effect": self.with_effect.rmse[name]}}
-                    for name, value in self.refit.by_output.items()
-                } if self.nominal and self.refit and self.with_effect else {},
-                "contradiction": self.contradiction,
-                "rest_positions_differ": self.rest_differs,
-            },
+            "gap": gap_entry(self.nominal, self.refit, self.with_effect, self.shrink, self.contradiction)
+            | {"rest_positions_differ": self.rest_differs},
             "location": [
                 _location(one) | {"profile": {"signal": one.grid.tolist(), "torque": one.torque.tolist()}}
                 for one in self.location[:6]
@@ -270,6 +254,32 @@ class Diagnosis:
                 if e.distinguishes
             ],
         }  # fmt: skip
+
+
+def gap_entry(
+    nominal: Errors | None,
+    refit: Errors | None,
+    with_effect: Errors | None,
+    gap: Shrink | None,
+    contradiction: str,
+) -> dict[str, Any]:
+    """The entry ``gap`` of ``diagnosis.json``: errors of the three models on the test records, and the shrink."""
+    return {
+        "nominal": None if nominal is None else nominal.nrmse,
+        "refit": None if gap is None else gap.refit,
+        "with_effect": None if gap is None else gap.with_effect,
+        "noise_floor": None if gap is None else gap.floor,
+        "floor_by_repeats": gap is not None and gap.repeated,
+        "shrink": None if gap is None else gap.share,
+        "shrink_interval": None if gap is None else list(gap.interval),
+        "by_output": {
+            name: {"nominal": nominal.by_output[name], "refit": value, "with_effect": with_effect.by_output[name],
+                   "rmse": {"nominal": nominal.rmse[name], "refit": refit.rmse[name],
+                            "with_effect": with_effect.rmse[name]}}
+            for name, value in refit.by_output.items()
+        } if nominal and refit and with_effect else {},
+        "contradiction": contradiction,
+    }  # fmt: skip
 
 
 def _effect(one: RatedEffect) -> dict[str, Any]:

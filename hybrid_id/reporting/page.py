@@ -34,7 +34,7 @@ Cell = tuple[str, str]
 
 @dataclass(frozen=True)
 class Block:
-    """One thing on the page: ``kind`` is text, table, picture or code; a picture may have an interactive ``plot``."""
+    """One thing on the page, by ``kind``: text, link, table, code, or picture, which may have an interactive ``plot``."""
 
     kind: str
     text: str = ""
@@ -62,6 +62,11 @@ class Section:
             else:
                 text = Text.from_markup(thing) if isinstance(thing, str) else thing
                 self.blocks.append(Block("text", str(text), _style(text)))
+        return self
+
+    def link(self, text: str, place: str) -> Section:
+        """Append a line that leads to another page."""
+        self.blocks.append(Block("link", text, source=place))
         return self
 
     def code(self, text: str, caption: str) -> Section:

@@ -68,7 +68,12 @@ def alone(system: System, joint: int) -> System:
 
 def together(one: System) -> System:
     """The whole robot with the drive that :func:`alone` took out of it, as it is now."""
-    (whole,), here = one.whole, f"joint{(one.seats or (0,))[0] + 1}/"
+    return with_drive(one.whole[0], one)
+
+
+def with_drive(whole: System, one: System) -> System:
+    """A robot with the drive of one joint, which :func:`alone` took out of it, instead of its own."""
+    here = f"joint{(one.seats or (0,))[0] + 1}/"
     floors = {
         key.split("/", 1)[1]: key for key, part in whole.components.items() if isinstance(part, FloorContact)
     }
@@ -94,12 +99,14 @@ def with_others_measured(dataset: Dataset, system: System, joint: int) -> Datase
         InputError: an angle of another joint was not measured.
     """
     own = str(joint + 1)
-    inputs = tuple(replace(c, name=_renamed(c.name, own)) for c in dataset.inputs if _number(c.name) == own)
-    outputs = tuple(replace(c, name=_renamed(c.name, own)) for c in dataset.outputs if _number(c.name) == own)
+    inputs = tuple(replace(c, name=_renamed(c.name, own)) for c in dataset.inputs if number_of(c.name) == own)
+    outputs = tuple(
+        replace(c, name=_renamed(c.name, own)) for c in dataset.outputs if number_of(c.name) == own
+    )
     records = []
     for record in dataset.records:
-        given = {_renamed(n, own): v for n, v in record.inputs.items() if _number(n) == own}
-        measured = {_renamed(n, own): v for n, v in record.outputs.items() if _number(n) == own}
+        given = {_renamed(n, own): v for n, v in record.inputs.items() if number_of(n) == own}
+        measured = {_renamed(n, own): v for n, v in record.outputs.items() if number_of(n) == own}
         records.append(replace(record, inputs={**given, **_others(record, system, joint)}, outputs=measured))
     motion = tuple(
         Channel(f"{name}{k + 1}", unit)
@@ -177,7 +184,8 @@ def _tree(system: System) -> RigidBodyTree:
     return system.tree
 
 
-def _number(channel: str) -> str:
+def number_of(channel: str) -> str:
+    """The number that a channel's name ends with: that of its joint."""
     return channel[len(channel.rstrip("0123456789")) :]
 
 

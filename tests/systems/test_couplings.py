@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from hybrid_id.cli.inputs import refuse_arm
+from hybrid_id.cli.diagnose import takes_by_joint
 from hybrid_id.components.friction.coulomb import Coulomb
 from hybrid_id.components.friction.load_dependent import LoadDependent
 from hybrid_id.components.friction.viscous import Viscous
@@ -327,10 +327,9 @@ def test_what_else_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="motor of roll is coupled with bend"):
         alone(system, 2)
     alone(system, 0)
-    with pytest.raises(InputError, match="'diagnose' takes 2 joints"):
-        refuse_arm(system, tmp_path)
+    assert takes_by_joint(system, tmp_path, None)
     with pytest.raises(InputError, match="does not know couplings"):
-        refuse_arm(robot(planar()), tmp_path)
+        takes_by_joint(robot(planar()), tmp_path, None)
     file = tmp_path / "flat.yaml"
     file.write_text(
         "system: one_link\ngear_ratio: [1]\ncouplings: [{joints: [a, b], matrix: [[1, 0], [1, 1]]}]\n"

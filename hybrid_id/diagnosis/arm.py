@@ -1,0 +1,378 @@
+"""A robot of many joints, diagnosed joint by joint: each with the others as measured, then the whole robot corrected.
+
+What a joint lacks shows in its own motion where that of the others is given: the search is linear in the joints, and
+where something is missing needs no search. Then all joints are simulated: the corrected robot is fitted once more as a
+whole, and the test records measure it, driven by the commands alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from hybrid_id.diagnosis.criteria import CRITERIA
+from hybrid_id.diagnosis.diagnose import diagnose
+from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
+from hybrid_id.diagnosis.fits import engine
+from hybrid_id.diagnosis.grade import RatedEffect
+from hybrid_id.diagnosis.result import Diagnosis, gap_entry
+from hybrid_id.diagnosis.screen import Progress
+from hybrid_id.diagnosis.select import MAX_EFFECTS
+from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.keep import Kept
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.derivatives import noise_level
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.study.replays import batch_of
+from hybrid_id.systems.by_joint import alone, joint_number, number_of, with_drive, with_others_measured
+from hybrid_id.systems.chain import System
+
+COUPLED = 10
+"""Iterations of the fit of the whole robot, which begins where the joints' own fits have ended."""
+VERDICTS = ("effects", "outside_catalogue", "parameters_only", "inconclusive", "no_gap")
+STILL = 6.0
+"""Range of an angle, in standard deviations of its noise, up to which a joint has not moved."""
+
+
+@dataclass(frozen=True)
+class CommonSize:
+    """An effect that several joints have, and whether its size is one for all of them.
+
+    Attributes:
+        effect, symbol, unit: which parameter of which effect.
+        joints: that have it.
+        value, std: its size if it is one for all of them, with its standard error.
+        chance: probability that sizes of one value would be found as far apart (Cochran's Q; W. G. Cochran, The
+            combination of estimates from different experiments, Biometrics 10, 1954).
+    """
+
+    effect: str
+    symbol: str
+    unit: str
+    joints: tuple[str, ...]
+    value: float
+    std: float
+    chance: float
+
+    @property
+    def common(self) -> bool:
+        """Whether one size for all is not contradicted."""
+        return self.chance > CRITERIA.wrong_names
+
+
+@dataclass(frozen=True, eq=False)
+class ArmDiagnosis:
+    """Result of :func:`hybrid_id.diagnose_arm`.
+
+    Attributes:
+        case: name of the dataset.
+        joints: the diagnosis of each joint by the joint's name, the others moving as they were measured.
+        skipped: joints that were not diagnosed, each with the reason.
+        parts: what share of the re-fitted robot's error each diagnosed joint has, on train records, all joints
+            simulated (mean squares over the signal's variance).
+        common: parameters of effects that several joints have.
+        refit, model: the whole robot, re-fitted and corrected.
+        nominal_errors, refit_errors, model_errors: on the test records, all joints simulated; None without.
+        shrink: how far the gap shrinks there.
+        contradiction: where the test records contradict the answer, in a sentence; empty elsewhere.
+        interrupted: whether the search was stopped, so that some joints lack.
+    """
+
+    case: str
+    joints: Mapping[str, Diagnosis]
+    skipped: Mapping[str, str]
+    parts: Mapping[str, float]
+    common: tuple[CommonSize, ...]
+    refit: System
+    model: System
+    nominal_errors: Errors | None
+    refit_errors: Errors | None
+    model_errors: Errors | None
+    shrink: Shrink | None
+    contradiction: str
+    interrupted: bool
+
+    @property
+    def effects(self) -> tuple[RatedEffect, ...]:
+        """Every effect that was tried, the selected ones first, by share: of the whole robot's gap."""
+        every = [
+            replace(
+                one,
+                where=_placed(one.where, joint),
+                tied_with=tuple(_placed(tie, joint) for tie in one.tied_with),
+                share=None if one.share is None else one.share * self.parts[joint],
+                share_interval=one.share_interval and (
+                    one.share_interval[0] * self.parts[joint], one.share_interval[1] * self.parts[joint]
+                ),
+                alone=None if one.alone is None else one.alone * self.parts[joint],
+            )
+            for joint, found in self.joints.items()
+            for one in found.effects
+        ]  # fmt: skip
+        return tuple(sorted(every, key=lambda one: (not one.selected, -(one.share or 0.0), -one.probability)))
+
+    @property
+    def selected(self) -> tuple[RatedEffect, ...]:
+        """The effects that the diagnosis asserts."""
+        return tuple(one for one in self.effects if one.selected)
+
+    @property
+    def remainder(self) -> float:
+        """Structural share of the robot's gap that stays unexplained."""
+        return sum(self.parts[joint] * found.remainder for joint, found in self.joints.items())
+
+    @property
+    def unknown(self) -> bool:
+        """Whether what the catalogue lacks explains a substantial share of the robot's gap at any joint."""
+        return any(
+            found.unknown and self.parts[joint] >= CRITERIA.substantial
+            for joint, found in self.joints.items()
+        )
+
+    @property
+    def verdict(self) -> str:
+        """What the whole robot's is: the first that any joint has, in the order of :data:`VERDICTS`."""
+        found = {one.verdict for one in self.joints.values()}
+        return next(verdict for verdict in VERDICTS if verdict in found)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The content of ``diagnosis.json``: the keys of one joint's, and each joint's own under ``joints``."""
+        selected = {(one.name, one.where): one for one in self.effects}
+        joints = {joint: found.as_dict() for joint, found in self.joints.items()}
+        effects = [
+            entry | {"where": where, "joint": joint, "share": one.share,
+                     "share_interval": one.share_interval and list(one.share_interval),
+                     "share_of_joint": entry["share"], "tied_with": list(one.tied_with)}
+            for joint, said in joints.items()
+            for entry in said["effects"]
+            for where in [_placed(entry["where"], joint)]
+            for one in [selected[entry["name"], where]]
+        ]  # fmt: skip
+        effects.sort(key=lambda one: (not one["selected"], -(one["share"] or 0.0), -one["probability"]))
+        return {
+            "case": self.case,
+            "verdict": self.verdict,
+            "interrupted": self.interrupted,
+            "unknown": self.unknown,
+            "no_gap": self.verdict in ("no_gap", "parameters_only"),
+            "effects": effects,
+            "ties": [
+                [_placed(name, j) for name in tie] for j, one in self.joints.items() for tie in one.ties
+            ],
+            "remainder": {"share": self.remainder},
+            "gap": gap_entry(
+                self.nominal_errors, self.refit_errors, self.model_errors, self.shrink, self.contradiction
+            ),
+            "location": [
+                {"joint": joint, "side": None, "share_of_gap": part} for joint, part in self._by_part()
+            ],
+            "common_sizes": [
+                vars(one) | {"joints": list(one.joints), "common": one.common} for one in self.common
+            ],
+            "skipped": dict(self.skipped),
+            "joints": joints,
+        }
+
+    def _by_part(self) -> list[tuple[str, float]]:
+        return sorted(self.parts.items(), key=lambda one: -one[1])
+
+
+def _placed(where: str, joint: str) -> str:
+    """``joint1/motor`` or ``play@joint1/motor``, as a joint by itself has it, with the joint's name."""
+    return where.replace("joint1/", f"{joint}/")
+
+
+def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dict[str, str]]:
+    """Names of the joints of a robot that can be diagnosed, and of the others, each with the reason.
+
+    Args:
+        dataset: of the whole robot.
+        system: a robot with a tree.
+    """
+    taken, skipped = [], {}
+    for k, name in enumerate(() if system.tree is None else system.tree.names):
+        measured = [n for n in (f"q_m{k + 1}", f"q_a{k + 1}") if any(n in r.outputs for r in dataset.train)]
+        seen = [r.outputs[n] for n in measured for r in dataset.train if n in r.outputs]
+        if system.tree is not None and system.tree.coupling(k) is not None:
+            skipped[name] = "its motor turns other joints, too"
+        elif not measured:
+            skipped[name] = "its angle was not measured"
+        elif not any(np.ptp(one) > STILL * max(noise_level(one), 1e-12) for one in seen):
+            skipped[name] = "it does not move"
+        else:
+            taken.append(name)
+    return taken, skipped
+
+
+def diagnose_arm(
+    dataset: Dataset,
+    system: System,
+    *,
+    joints: Sequence[str] | None = None,
+    horizon: Horizon | None = None,
+    max_effects: int = MAX_EFFECTS,
+    jobs: int = 1,
+    seed: int = 0,
+    level: float = 0.95,
+    signal_share: float = SIGNAL_SHARE,
+    kept: Kept | None = None,
+    progress: Progress | None = None,
+) -> ArmDiagnosis:
+    """Find out why records of a robot and its simulator disagree, joint by joint.
+
+    Args:
+        dataset: train records, validation records if there are any, and test records, of the whole robot.
+        system: the nominal model, of a description.
+        joints: names of the joints to diagnose; None for all that move.
+        horizon: how long free runs of a joint are; None for what its records ask for.
+        max_effects: effects of a joint at most.
+        jobs: processes.
+        seed: of the resampling.
+        level: confidence of the parameters' intervals.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        kept: fits that an earlier run has kept, and where those of this one are kept.
+        progress: called with (stage, done, total); a stage begins with its joint's name.
+
+    Ctrl-C ends it with what it has found.
+
+    Raises:
+        InputError: no joint can be diagnosed, or there is none of a name; and see :func:`hybrid_id.diagnose`.
+        KeyboardInterrupt: stopped before the first joint's search has found anything.
+    """
+    able, skipped = joints_to_diagnose(dataset, system)
+    for name in joints or ():
+        joint_number(system, name)
+        if name in skipped:
+            raise InputError(f"Joint '{name}' cannot be diagnosed by itself: {skipped[name]}.")
+    names = [name for name in able if joints is None or name in joints]
+    skipped |= {name: "it was not asked for" for name in able if name not in names}
+    if not names:
+        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
+        raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
+    found: dict[str, Diagnosis] = {}
+    stopped = False
+    for name in names:
+        k = joint_number(system, name)
+
+        def say(stage: str, done: int, total: int, name: str = name) -> None:
+            if progress is not None:
+                progress(f"{name}: {stage}", done, total)
+
+        try:
+            found[name] = diagnose(
+                with_others_measured(dataset, system, k), alone(system, k), horizon=horizon,
+                max_effects=max_effects, jobs=jobs, seed=seed, level=level, signal_share=signal_share, kept=kept,
+                progress=say,
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            if not found:
+                raise
+            stopped = True
+        if stopped or found[name].interrupted:
+            skipped |= {later: "the search was stopped" for later in names if later not in found}
+            stopped = True
+            break
+    if progress is not None:
+        progress("the whole robot", 0, 1)
+    return _of_whole_robot(dataset, system, found, skipped, stopped, seed, signal_share)
+
+
+def _of_whole_robot(
+    dataset: Dataset,
+    nominal: System,
+    found: Mapping[str, Diagnosis],
+    skipped: Mapping[str, str],
+    stopped: bool,
+    seed: int,
+    signal_share: float,
+) -> ArmDiagnosis:
+    """What the joints' diagnoses make of the robot: both of its models, and the test records that measure them."""
+    refit = model = nominal
+    for one in found.values():
+        refit, model = with_drive(refit, one.search.base.system), with_drive(model, one.model)
+    refit = fitted_coupled(dataset, refit, signal_share)
+    named = any(one.search.chosen.effects for one in found.values())
+    model = fitted_coupled(dataset, model, signal_share) if named else refit
+    trained = errors(dataset, refit, engine(), dataset.train, signal_share=signal_share)
+    tested = [errors(dataset, one, engine(), signal_share=signal_share) for one in (nominal, refit, model)]
+    before, after, gap, contradiction = tested[1], tested[2], None, ""
+    if before is not None and after is not None:
+        rest = after.nrmse * float(np.sqrt(1.0 - min(max(after.autocorrelation, 0.0), 1.0)))
+        gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
+        if named and gap.interval[1] <= 0.0:
+            contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
+    return ArmDiagnosis(
+        dataset.name, found, skipped, _parts(dataset, found, nominal, trained), common_sizes(found), refit, model,
+        tested[0], before, after, gap, contradiction, stopped,
+    )  # fmt: skip
+
+
+def fitted_coupled(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE) -> System:
+    """A robot fitted to train and validation records, all joints simulated; as it was where that errs no less.
+
+    One joint by itself takes the motion of the others with its noise; the whole robot does not.
+
+    Args:
+        dataset: of the whole robot.
+        system: the robot, from whose values the fit starts.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    """
+    records = [record for record in dataset.records if record.role != "test"]
+    with suppress(InputError, RuntimeError, np.linalg.LinAlgError):
+        batch = batch_of(dataset, system, records, signal_share, "cpu")
+        options = Options(max_iterations=COUPLED)
+        again = fit(system, batch, pooled=True, engine=engine(), options=options, warm=False)[0].system
+        both = [errors(dataset, s, engine(), records, signal_share=signal_share) for s in (system, again)]
+        if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
+            return again
+    return system
+
+
+def _parts(
+    dataset: Dataset, found: Mapping[str, Diagnosis], system: System, trained: Errors | None
+) -> dict[str, float]:
+    """Share of each diagnosed joint in the errors of the re-fitted robot on train records, beyond the noise."""
+    size = dict.fromkeys(found, 0.0)
+    errors_of = {} if trained is None else trained.rmse
+    for name in found:
+        for channel in dataset.outputs:
+            error = errors_of.get(channel.name, 0.0)
+            if number_of(channel.name) == str(joint_number(system, name) + 1) and error > 0.0:
+                noise = min((channel.noise_std or 0.0) / error, 1.0)
+                relative = trained.by_output[channel.name] if trained else 0.0
+                size[name] += relative**2 * (1.0 - noise**2)
+    whole = sum(size.values())
+    return {name: value / whole if whole > 0.0 else 1.0 / len(size) for name, value in size.items()}
+
+
+def common_sizes(found: Mapping[str, Diagnosis]) -> tuple[CommonSize, ...]:
+    """Parameters of effects that several joints have at the same place, each as if one size were theirs."""
+    sizes: dict[tuple[str, str, str], list[tuple[str, float, float]]] = {}
+    for joint, one in found.items():
+        for effect in one.selected:
+            for symbol, (value, std) in effect.parameters.items():
+                if std > 0.0 and np.isfinite(std):
+                    sizes.setdefault((effect.name, effect.where, symbol), []).append((joint, value, std))
+    result = []
+    for (name, where, symbol), each in sizes.items():
+        if len(each) < 2:
+            continue
+        values, weights = np.array([v for _, v, _ in each]), np.array([s for *_, s in each]) ** -2.0
+        mean = float((weights * values).sum() / weights.sum())
+        q = float((weights * (values - mean) ** 2).sum())
+        model = found[each[0][0]].model
+        unit = next(
+            (i.spec.unit for i in model.table if i.component.startswith(where) and i.symbol == symbol), ""
+        )
+        joints = tuple(joint for joint, *_ in each)
+        chance = float(chi2.sf(q, len(each) - 1))
+        result.append(CommonSize(name, symbol, unit, joints, mean, float(weights.sum() ** -0.5), chance))
+    return tuple(result)

@@ -1,0 +1,242 @@
+"""The diagnosis of a robot: the headline, which joint lacks what, and how well the whole robot is simulated then."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from matplotlib.figure import Figure
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize
+from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.records.quality import Finding
+from hybrid_id.reporting.diagnosis_figures import MODELS
+from hybrid_id.reporting.diagnosis_words import (
+    capital,
+    headline,
+    joined,
+    percent,
+    place_words,
+    range_percent,
+    values_of,
+    words_of,
+)
+from hybrid_id.reporting.interactive import Drawn, drawn
+from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
+from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
+from hybrid_id.reporting.units import in_unit
+from hybrid_id.systems.by_joint import number_of
+
+PAGE = "report.html"
+LIKELY = 0.2
+"""Probability below which an effect that is not asserted stands in no table of a joint."""
+MAX_NAME = 16
+_VERDICTS = {
+    "parameters_only": "nothing; other parameter values",
+    "no_gap": "nothing",
+    "outside_catalogue": "something outside the catalogue",
+    "inconclusive": "inconclusive",
+}
+_HOW = (
+    "Each joint is searched by itself while the others move as they were measured, so that what a joint lacks shows in "
+    "its own motion. Shares and probabilities are those of the joint's own page. Then all joints are simulated, driven "
+    "by their commands alone: the re-fitted and the corrected robot are fitted once more as a whole, and the test "
+    "records measure them."
+)
+_CAPTION = (
+    "RMSE on the test records, all joints simulated from their commands, of the nominal, the re-fitted and the "
+    "corrected robot, joint by joint."
+)
+
+
+def arm_headline(found: ArmDiagnosis) -> str:
+    """What the diagnosis states of the whole robot, what is known first."""
+    named = found.selected
+    if named:
+        said = [
+            f"{words_of(one.name)} at {one.where.split('/')[0]}{' explains' if k == 0 else ''} "
+            f"{percent(one.share or 0.0)} (probability {_probability(one.probability)})"
+            for k, one in enumerate(named)
+        ]
+        sentence = f"{capital(joined(said))} of the gap; "
+        rest = found.remainder
+        sentence += f"{percent(rest)} remains unexplained." if rest >= 0.01 else "nothing structural remains."
+    else:
+        one = next(one for one in found.joints.values() if one.verdict == found.verdict)
+        sentence = {
+            "outside_catalogue": "No effect of the catalogue surely explains any of the gap, and something structural "
+            f"remains at {joined(_joints_of(found, 'outside_catalogue'))}.",
+            "parameters_only": "Wrong parameter values explain the gap, and no effect is missing at any joint.",
+            "no_gap": "There is no gap: no effect predicts records left out surely better than the nominal robot.",
+        }.get(found.verdict, headline(one))
+    if found.interrupted:
+        sentence += f" The search was interrupted: {joined(list(found.skipped))} was not diagnosed."
+    return sentence
+
+
+def _probability(value: float) -> str:
+    return "above 0.99" if value > 0.99 else f"{value:.2f}"
+
+
+def _joints_of(found: ArmDiagnosis, verdict: str) -> list[str]:
+    return [joint for joint, one in found.joints.items() if one.verdict == verdict]
+
+
+def lacks(one: Diagnosis) -> str:
+    """What a joint lacks, in words."""
+    if not one.selected:
+        return _VERDICTS[one.verdict]
+    return "; ".join(
+        f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {place_words(e.where)}"
+        for e in one.selected
+    )
+
+
+def joints_table(found: ArmDiagnosis) -> Table:
+    """A row a joint: its part of the gap, what it lacks, how surely, what remains, and its errors."""
+    rows = []
+    for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
+        one = found.joints[joint]
+        sure = "; ".join(f"{e.probability:.2f}" for e in one.selected)
+        explained = "; ".join(
+            percent(e.share or 0.0) + (f" ({range_percent(e.share_interval)})" if e.share_interval else "")
+            for e in one.selected
+        )
+        left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
+        rows.append((joint, lacks(one), percent(part), explained, sure, left, _errors_cell(found, joint)))
+    heads = ("joint", "lacks", "part of the gap>", "explains of it>", "probability>", "unexplained>",
+             "RMSE nominal, re-fitted, corrected>")  # fmt: skip
+    return table(heads, rows)
+
+
+def _errors_cell(found: ArmDiagnosis, joint: str) -> str:
+    """RMSE of a joint on the test records, all joints simulated, in the unit that was logged."""
+    models = [
+        one for one in (found.nominal_errors, found.refit_errors, found.model_errors) if one is not None
+    ]
+    channels = found.joints[joint].details.dataset.outputs
+    number = str((found.model.tree.names if found.model.tree else ()).index(joint) + 1)
+    cells = []
+    for channel in channels:
+        name = channel.name[:-1] + number
+        if len(models) == 3 and all(name in one.rmse for one in models):
+            values = [one.rmse[name] for one in (models if found.selected else models[:2])]
+            *shown, unit = in_unit(channel.name, values, channels, found.joints[joint].details.nominal)
+            cells.append(f"{', '.join(shown)} {unit}")
+    return "; ".join(cells)
+
+
+def error_lines(found: ArmDiagnosis) -> list[str]:
+    """Errors of the whole robot on the test records, and the shrink; what contradicts the answer."""
+    nominal, gap = found.nominal_errors, found.shrink
+    if nominal is None or gap is None:
+        return ["no test record moves, so nothing measures the gain: give one the role test."]
+    corrected = f", corrected {gap.with_effect:.3g}" if found.selected else ""
+    lines = [
+        f"NRMSE on {count(len(nominal.by_record), 'test record')}, all joints simulated from their commands, mean of "
+        f"the joints: nominal {nominal.nrmse:.3g}, re-fitted {gap.refit:.3g}{corrected}; noise floor {gap.floor:.3g}."
+    ]
+    if found.selected:
+        low, high = (100 * min(end, 1.0) for end in gap.interval)
+        lines.append(f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %).")
+    if found.contradiction:
+        lines.append(f"contradiction: {found.contradiction}")
+    return lines
+
+
+def remark_lines(found: ArmDiagnosis) -> list[str]:
+    """Sizes of the effects, what several joints have in common, and which joints were left out."""
+    lines = [
+        f"{words_of(effect.name)} at {joint}: {', '.join(values)}."
+        for joint, one in found.joints.items()
+        for effect in one.selected
+        if (values := values_of(one, effect))
+    ]
+    lines += [common_words(one) for one in found.common]
+    lines += [f"{joint}: {one.changes}" for joint, one in found.joints.items() if one.changes]
+    reasons: dict[str, list[str]] = {}
+    for joint, why in found.skipped.items():
+        reasons.setdefault(why, []).append(joint)
+    return lines + [f"not diagnosed: {joined(joints)} ({why})." for why, joints in reasons.items()]
+
+
+def common_words(one: CommonSize) -> str:
+    """Whether a parameter of an effect that several joints have is the same at all of them."""
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    what = f"{words_of(one.effect)} of {joined(list(one.joints))}: {one.symbol}"
+    if not one.common:
+        return f"{what} differs from joint to joint (chance {one.chance:.1g})."
+    ends = interval_words(one.value - 1.96 * one.std, one.value + 1.96 * one.std)
+    return f"{what} may be one for all of them, {one.value:.4g} ({ends}){unit}."
+
+
+def arm_table(found: ArmDiagnosis) -> RenderableType:
+    """What the terminal shows."""
+    parts: list[RenderableType] = [Text(arm_headline(found), style="bold")]
+    parts += map(Text, error_lines(found))
+    parts.append(joints_table(found))
+    parts += [Text(line) for line in remark_lines(found)]
+    return Group(*parts)
+
+
+def arm_figures(found: ArmDiagnosis) -> dict[str, Drawn]:
+    """Every picture by the name of its file."""
+    return {"joints": drawn(joints_figure(found))} if found.model_errors is not None else {}
+
+
+@journal()
+def joints_figure(found: ArmDiagnosis) -> Figure:
+    """RMSE of each joint on the test records, of the three models."""
+    models = {
+        "nominal": found.nominal_errors, "re-fitted": found.refit_errors,
+        "corrected": found.model_errors if found.selected else None,
+    }  # fmt: skip
+    names = () if found.model.tree is None else found.model.tree.names
+    outputs = [] if found.refit_errors is None else list(found.refit_errors.rmse)
+    figure = new_figure(0.27 * len(outputs) + 1.0)
+    axes = figure.subplots()
+    for name, errors in models.items():
+        if errors is not None:
+            values = [1e3 * errors.rmse[output] for output in outputs]
+            axes.plot(values, range(len(outputs)), "o", ms=4.5, color=MODELS[name], label=name)
+    for row, output in enumerate(outputs):
+        values = [1e3 * errors.rmse[output] for errors in models.values() if errors is not None]
+        axes.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
+    labels = [shortened(names[int(number_of(output)) - 1], MAX_NAME) for output in outputs]
+    axes.set_yticks(range(len(outputs)), labels)
+    axes.set(xscale="log", xlabel="RMSE on the test records [1e-3 rad or m]", ylim=(len(outputs) - 0.5, -0.5))
+    plain_logarithm(axes.xaxis)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 0.99), ncols=3, borderaxespad=0.0)
+    return figure
+
+
+def arm_page(
+    found: ArmDiagnosis,
+    figures: Mapping[str, Drawn],
+    pages: Mapping[str, str],
+    *,
+    findings: Sequence[Finding] = (),
+) -> Page:
+    """The page of the whole robot.
+
+    Args:
+        found: the result.
+        figures: its pictures by name.
+        pages: where each joint's own page is, as seen from this one.
+        findings: what the check of the records remarked.
+    """
+    page = Page(f"Diagnosis of {found.case}", arm_headline(found))
+    joints = page.section("Joints").add(joints_table(found))
+    for joint, place in pages.items():
+        joints.link(f"{joint}: {capital(headline(found.joints[joint]))}", place)
+    joints.add(*(Text(capital(line)) for line in remark_lines(found)), _HOW)
+    tests = page.section("Test records").add(*(Text(capital(line)) for line in error_lines(found)))
+    if "joints" in figures:
+        tests.figure(figures["joints"], _CAPTION)
+    records = page.section("Records").add(records_table(next(iter(found.joints.values())).details.dataset))
+    if findings:
+        records.add(findings_list(findings))
+    return page
