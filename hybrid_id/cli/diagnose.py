@@ -27,7 +27,7 @@ from hybrid_id.cli.options import (
     config_of,
     use_threads,
 )
-from hybrid_id.cli.results import files_in, write_last, write_report
+from hybrid_id.cli.results import UNDRAWN, files_in, write_last, write_report
 from hybrid_id.config import Identification, StudyConfig
 
 if TYPE_CHECKING:
@@ -91,8 +91,8 @@ def diagnose(
         remark_start_values(dataset, system)
         diagnosis = run(dataset, system, config, kept)
         with results_folder(home, force=True) as folder:  # kept_fits has asked
-            text = write_diagnosis(folder, home, config, diagnosis)
-            if diagnosis.interrupted:
+            text, whole = write_diagnosis(folder, home, config, diagnosis)
+            if diagnosis.interrupted or not whole:
                 keep_after(home, folder)
     if as_json:
         show(text)
@@ -102,10 +102,11 @@ def diagnose(
         further = [NEXT] if (home / NEXT).exists() else []
         show(diagnosis_table(diagnosis, config.gap.max_effects))
         show(files_in(home, config, DIAGNOSIS, "model.yaml", "refit.yaml", *further))
-    if diagnosis.interrupted:
-        remark(
-            "stopped: the results are those of the steps that were complete; the same command with --resume goes on"
-        )
+    lacks = ["the results are those of the steps that were complete"] if diagnosis.interrupted else []
+    lacks += [] if whole else [UNDRAWN]
+    if lacks:
+        kept_in = "" if diagnosis.interrupted else f"the diagnosis is complete and in {DIAGNOSIS}, "
+        remark(f"stopped: {kept_in}{', '.join(lacks)}; the same command with --resume goes on")
         raise typer.Exit(130)
 
 
@@ -137,7 +138,9 @@ def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept")
         )
 
 
-def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis") -> str:
+def write_diagnosis(
+    folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis"
+) -> tuple[str, bool]:
     """Write all files of a diagnosis.
 
     Args:
@@ -147,7 +150,7 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
         diagnosis: the result.
 
     Returns:
-        The result as JSON.
+        The result as JSON, and whether all files are written: see `write_report`.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.diagnosis import diagnosis_page
@@ -167,7 +170,7 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
 
         best = diagnosis.experiments[0]
         DataFrame({"t": best.time, **best.inputs}).to_csv(folder / NEXT, index=False, float_format="%.6g")
-    write_report(
+    whole = write_report(
         folder,
         home,
         config,
@@ -180,4 +183,4 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
         settings=seed,
     )  # fmt: skip
     write_last(folder / DIAGNOSIS, text)
-    return text
+    return text, whole
