@@ -92,7 +92,8 @@ def diagnose(
         diagnosis = run(dataset, system, config, kept)
         with results_folder(home, force=True) as folder:  # kept_fits has asked
             text, whole = write_diagnosis(folder, home, config, diagnosis)
-            if diagnosis.interrupted or not whole:
+            count = 0 if whole and not diagnosis.interrupted else kept.count
+            if count:
                 keep_after(home, folder)
     if as_json:
         show(text)
@@ -105,8 +106,9 @@ def diagnose(
     lacks = ["the results are those of the steps that were complete"] if diagnosis.interrupted else []
     lacks += [] if whole else [UNDRAWN]
     if lacks:
-        kept_in = "" if diagnosis.interrupted else f"the diagnosis is complete and in {DIAGNOSIS}, "
-        remark(f"stopped: {kept_in}{', '.join(lacks)}; the same command with --resume goes on")
+        there = "" if diagnosis.interrupted else f"the diagnosis is complete and in {DIAGNOSIS}, "
+        more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
+        remark(f"stopped: {there}{', '.join(lacks)}{more}")
         raise typer.Exit(130)
 
 
