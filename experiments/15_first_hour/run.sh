@@ -12,7 +12,9 @@ step hybrid-id check bench
 cp "$here/dataset.yaml" "$here/model.yaml" bench
 step hybrid-id check bench
 step hybrid-id identify bench --pooled --out runs/identify --force
-step hybrid-id diagnose bench --out runs/gap --force
+step hybrid-id diagnose bench --jobs 1 --out runs/gap --force
+step hybrid-id diagnose bench --jobs 1 --window 2 --out runs/window --force
+step hybrid-id compare bench --model runs/gap/model.yaml --model runs/window/model.yaml --window whole --out runs/both --force
 rm -f ./*.xml ./*.json
-step hybrid-id export runs/gap/refit.yaml --to mjcf --out before.xml --check bench
-step hybrid-id export runs/gap --to mjcf --out after.xml --check bench
+step hybrid-id export runs/window/refit.yaml --to mjcf --out before.xml --check bench
+step hybrid-id export runs/window --to mjcf --out after.xml --check bench

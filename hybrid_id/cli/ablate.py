@@ -220,9 +220,11 @@ def _write(home: Path, config: StudyConfig, dataset: "Dataset", outcome: "Outcom
 
     text = as_json("ablate", {"dataset": dataset.name} | ablation_result(outcome))
     with added_results(home, RESULT, [*(f"{name}.png" for name in PICTURES), "report.html"]) as folder:
-        write_report(
+        whole = write_report(
             folder, home, config, "ablate", figures=lambda: ablation_pictures(outcome),
             page=lambda pictures: ablation_page(dataset, outcome, pictures),
         )  # fmt: skip
+        if not whole:
+            raise KeyboardInterrupt  # the cells are kept
         write_last(folder / RESULT, text)
     return text

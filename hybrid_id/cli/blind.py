@@ -11,6 +11,7 @@ import typer
 from hybrid_id.cli import blind_runs as work
 from hybrid_id.cli.console import show
 from hybrid_id.cli.options import (
+    ABOVE,
     Backend,
     BackendOption,
     JsonOption,
@@ -127,7 +128,9 @@ AppendOption = Annotated[Path | None, typer.Option("--append", hidden=True)]
 
 @blind.command()
 def make(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the cases.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help=f"Folder for the cases. {ABOVE}", show_default=False)
+    ],
     answers: Annotated[
         Path | None,
         typer.Option(
@@ -165,7 +168,9 @@ def make(
 
 @blind.command()
 def reproduce(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for all of it.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help=f"Folder for all of it. {ABOVE}", show_default=False)
+    ],
     cases: CountOption = 24,
     first: FirstOption = 1,
     seed: SeedOption = "0",
@@ -207,7 +212,9 @@ def reproduce(
 @blind.command()
 def run(
     cases: CasesArgument,
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for the diagnoses.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", "-o", help=f"Folder for the diagnoses. {ABOVE}", show_default=False)
+    ],
     method: MethodsOption = None,
     train_records: RecordsOption = None,
     command: CommandOption = None,

@@ -9,7 +9,7 @@ import typer
 from hybrid_id.cli.console import remark
 from hybrid_id.cli.console import show as print_all
 from hybrid_id.cli.folder import refuse_taken, results_folder
-from hybrid_id.cli.options import ForceOption, JsonOption, ThreadsOption, use_threads
+from hybrid_id.cli.options import ABOVE, ForceOption, JsonOption, ThreadsOption, use_threads
 from hybrid_id.config import study_config
 from hybrid_id.errors import InputError
 
@@ -21,7 +21,7 @@ DATA = "data"
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for records and results.")] = Path(
+    out: Annotated[Path, typer.Option("--out", "-o", help=f"Folder for records and results. {ABOVE}")] = Path(
         "runs/demo"
     ),
     robot: Annotated[
@@ -51,7 +51,7 @@ def demo(
         if not as_json:
             print_all(*parts)  # type: ignore[arg-type]
 
-    from hybrid_id.cli.identify import leave_earlier, run
+    from hybrid_id.cli.identify import leave_earlier, left_out, run
     from hybrid_id.cli.results import show_study, write_study
     from hybrid_id.reporting.study_figures import truth_figure
     from hybrid_id.reporting.style import save
@@ -66,16 +66,16 @@ def demo(
         leave_earlier(out, progress)
         home = out.absolute()
         placed = config.model_copy(update={"dataset": home / DATA, "model": home / DATA / config.model.name})
-        text = write_study(folder, home, "demo", placed, dataset, study)
+        draw = progress.cut or not progress.stopped
+        text, whole = write_study(folder, home, "demo", placed, dataset, study, draw=draw)
         truth = truths[study.selected.records[0]]
         save(truth_figure(study, truth), folder / "truth.png")
     show_study(study, config, out, text, as_json=as_json)
     show("", f"The truth of {'the arm' if robot else study.selected.records[0]} beside its estimates:")
     show(truth_table(study, truth))
     show("", *_conclusion(study, truth, out))
-    if progress.stopped:
-        last = "the sets are those of the last iteration, and claim no interval"
-        remark(f"stopped: {last if progress.cut else 'the sets are complete'}")
+    if words := left_out(config, progress, whole=whole):
+        remark(f"stopped: {words}")
         raise typer.Exit(130)
 
 

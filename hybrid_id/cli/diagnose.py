@@ -28,7 +28,7 @@ from hybrid_id.cli.options import (
     config_of,
     use_threads,
 )
-from hybrid_id.cli.results import files_in, write_last, write_report
+from hybrid_id.cli.results import UNDRAWN, files_in, write_last, write_report
 from hybrid_id.config import Identification, StudyConfig
 from hybrid_id.errors import InputError
 
@@ -102,34 +102,35 @@ def diagnose(
         system = load_system(config, dataset)
         by_joint = takes_by_joint(system, config.model, joint)
         remark_start_values(dataset, system)
+        from hybrid_id.diagnosis.arm import ArmDiagnosis
         from hybrid_id.reporting.arm_diagnosis import arm_table
         from hybrid_id.reporting.diagnosis import diagnosis_table
 
+        found = (
+            run_arm(dataset, system, config, kept, joint) if by_joint else run(dataset, system, config, kept)
+        )
         with results_folder(home, force=True) as folder:  # kept_fits has asked
-            if by_joint:
-                arm = run_arm(dataset, system, config, kept, joint)
-                text, shown, interrupted = (
-                    write_arm(folder, home, config, arm),
-                    arm_table(arm),
-                    arm.interrupted,
-                )
-                further = [f"{name}/" for name in joint_folders(arm).values()]
+            if isinstance(found, ArmDiagnosis):
+                (text, whole), shown = write_arm(folder, home, config, found), arm_table(found)
+                further = [f"{name}/" for name in joint_folders(found).values()]
             else:
-                one = run(dataset, system, config, kept)
-                text, interrupted = write_diagnosis(folder, home, config, one), one.interrupted
-                shown = diagnosis_table(one, config.gap.max_effects)
+                text, whole = write_diagnosis(folder, home, config, found)
+                shown = diagnosis_table(found, config.gap.max_effects)
                 further = [NEXT] if (folder / NEXT).exists() else []
-            if interrupted:
+            count = 0 if whole and not found.interrupted else kept.count
+            if count:
                 keep_after(home, folder)
     if as_json:
         show(text)
     else:
         show(shown)
         show(files_in(home, config, DIAGNOSIS, "model.yaml", "refit.yaml", *further))
-    if interrupted:
-        remark(
-            "stopped: the results are those of the steps that were complete; the same command with --resume goes on"
-        )
+    lacks = ["the results are those of the steps that were complete"] if found.interrupted else []
+    lacks += [] if whole else [UNDRAWN]
+    if lacks:
+        there = "" if found.interrupted else f"the diagnosis is complete and in {DIAGNOSIS}, "
+        more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
+        remark(f"stopped: {there}{', '.join(lacks)}{more}")
         raise typer.Exit(130)
 
 
@@ -204,7 +205,7 @@ def joint_folders(found: "ArmDiagnosis") -> dict[str, str]:
     }
 
 
-def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosis") -> str:
+def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosis") -> tuple[str, bool]:
     """Write all files of a robot's diagnosis, those of each joint in a folder of its own.
 
     Args:
@@ -214,7 +215,7 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
         found: the result.
 
     Returns:
-        The result as JSON.
+        The result as JSON, and whether all files are written: see `write_report`.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.arm_diagnosis import PAGE, arm_figures, arm_page
@@ -222,15 +223,11 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
     from hybrid_id.systems.model_file import save_model
 
     seed, folders = {"seed": config.identification.seed}, joint_folders(found)
-    for joint, name in folders.items():
-        (folder / name).mkdir()
-        write_diagnosis(folder / name, home / name, config, found.joints[joint])
-    text = as_json("diagnose", seed | found.as_dict())
     save_model(found.model, folder / "model.yaml", home)
     save_model(found.refit, folder / "refit.yaml", home)
     pages = {joint: f"{name}/{PAGE}" for joint, name in folders.items()} if config.output.report else {}
     records = next(iter(found.joints.values())).details.dataset
-    write_report(
+    whole = write_report(
         folder,
         home,
         config,
@@ -239,11 +236,17 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
         page=lambda figures: arm_page(found, figures, pages, findings=remarks(records)),
         settings=seed,
     )
+    for joint, name in folders.items():
+        (folder / name).mkdir()
+        whole = write_diagnosis(folder / name, home / name, config, found.joints[joint], draw=whole)[1]
+    text = as_json("diagnose", seed | found.as_dict())
     write_last(folder / DIAGNOSIS, text)
-    return text
+    return text, whole
 
 
-def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis") -> str:
+def write_diagnosis(
+    folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis", *, draw: bool = True
+) -> tuple[str, bool]:
     """Write all files of a diagnosis.
 
     Args:
@@ -251,9 +254,10 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
         home: where the folder will be at last.
         config: what was asked for.
         diagnosis: the result.
+        draw: whether to draw its pictures and page.
 
     Returns:
-        The result as JSON.
+        The result as JSON, and whether all files are written: see `write_report`.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.diagnosis import diagnosis_page
@@ -273,7 +277,7 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
 
         best = diagnosis.experiments[0]
         DataFrame({"t": best.time, **best.inputs}).to_csv(folder / NEXT, index=False, float_format="%.6g")
-    write_report(
+    whole = write_report(
         folder,
         home,
         config,
@@ -284,6 +288,7 @@ def write_diagnosis(folder: Path, home: Path, config: StudyConfig, diagnosis: "D
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
         settings=seed,
+        draw=draw,
     )  # fmt: skip
     write_last(folder / DIAGNOSIS, text)
-    return text
+    return text, whole

@@ -10,7 +10,7 @@ import typer
 
 from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import result_file
-from hybrid_id.cli.options import JsonOption
+from hybrid_id.cli.options import ABOVE, JsonOption
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def excite(
         typer.Option(
             "--out",
             "-o",
-            help="CSV file to write: columns t (s) and u1, of a robot goal1, goal2 ...",
+            help=f"CSV file to write: columns t (s) and u1, of a robot goal1, goal2 ... {ABOVE}",
             show_default=False,
         ),
     ],
@@ -118,7 +118,7 @@ def excite(
     }  # fmt: skip
     with ExitStack() as files:
         table = files.enter_context(result_file(file, force=force))
-        words = files.enter_context(result_file(file.with_suffix(".json"), force=force))
+        words = files.enter_context(result_file(file.with_suffix(".json"), force=force, beside=file))
         picture = files.enter_context(result_file(plot, force=force)) if plot else None
         if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
             raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hybrid_id.cli.console import remark, show
-from hybrid_id.cli.folder import DIAGNOSIS, RESULT, refuse_file, result_file
+from hybrid_id.cli.folder import DIAGNOSIS, RESULT, kind_of, refuse_file, result_file
 from hybrid_id.cli.inputs import load_records, read_model, records_to_replay
-from hybrid_id.cli.options import JsonOption, use_threads
+from hybrid_id.cli.options import ABOVE, JsonOption, use_threads
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
@@ -71,7 +71,7 @@ def export(
             help="mjcf: a MuJoCo model; ranges: for domain randomisation; torch: one step as a program."
         ),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", help="File to write.", show_default=False)],
+    out: Annotated[Path, typer.Option("--out", "-o", help=f"File to write. {ABOVE}", show_default=False)],
     check: Annotated[
         Path | None,
         typer.Option(
@@ -113,14 +113,14 @@ def export(
     refuse_file(out, force=overwrite, option="--overwrite")
     files = _files(out, to)
     for one in files[1:]:
-        refuse_file(one, force=overwrite, option="--overwrite")
+        refuse_file(one, force=overwrite, option="--overwrite", beside=out)
     use_threads(1)
     from hybrid_id.reporting.results import as_json as to_json
 
     file = model / "model.yaml" if model.is_dir() else model
     system = read_model(file)
     if to is Format.ranges:
-        made = _ranges(system, model, out)
+        made = _ranges(system, file, out)
     elif to is Format.mjcf:
         made = _mjcf(system, file, check, out, force=force)
     else:
@@ -163,10 +163,7 @@ def _files(out: Path, to: Format) -> list[Path]:
     endings = {Format.ranges: (), Format.mjcf: (".json", ".html"), Format.torch: (".json",)}[to]
     beside = [out.with_suffix(ending) for ending in endings]
     if out in beside:
-        raise InputError(
-            f"{out} would also be the name of the {'page' if out.suffix == '.html' else 'description'} beside it; take "
-            "another ending"
-        )
+        raise InputError(f"{out} would also be the name of the {kind_of(out)} beside it; take another ending")
     return [out, *beside]
 
 
@@ -280,12 +277,16 @@ def _own_records(config: StudyConfig) -> "Dataset | None":
 
 
 def _label(file: Path) -> str:
-    """What the model of a run is called."""
+    """What the model of a run is called; a diagnosis that asserts no effect has corrected none."""
+    from hybrid_id.export.ranges import read_result
     from hybrid_id.export.target import CORRECTED, REFITTED
 
+    diagnosis = file.with_name(DIAGNOSIS)
     if file.name == REFIT:
         return REFITTED
-    return CORRECTED if file.with_name(DIAGNOSIS).exists() else "identified"
+    if not diagnosis.exists():
+        return "identified"
+    return CORRECTED if any(one["selected"] for one in read_result(diagnosis)["effects"]) else REFITTED
 
 
 def _program(system: "System", out: Path, sample_time: float, width: float) -> Made:
@@ -304,15 +305,20 @@ def _program(system: "System", out: Path, sample_time: float, width: float) -> M
     return Made(about, [differs], program.content)
 
 
-def _ranges(system: "System", model: Path, out: Path) -> Made:
+def _ranges(system: "System", file: Path, out: Path) -> Made:
     from hybrid_id.export.ranges import read_result, to_ranges
 
-    file = (model if model.is_dir() else model.parent) / RESULT
-    if not file.is_file():
+    if file.with_name(DIAGNOSIS).is_file():
+        raise InputError(
+            f"{file.parent} holds a diagnosis, whose one parameter set says nothing of how records differ; "
+            f"fit it to them by 'hybrid-id identify DATASET --model {file} --out DIR', and export DIR"
+        )
+    result = file.with_name(RESULT)
+    if not result.is_file():
         remark(
             "there is no result of an identification beside this model: only its priors say how far it may be off"
         )
-    found = to_ranges(system, read_result(file) if file.is_file() else None)
+    found = to_ranges(system, read_result(result) if result.is_file() else None)
     if lost := [name for name, one in found["parameters"].items() if one["from"] == "unknown"]:
         remark(f"nothing says how far {', '.join(lost)} may be off: their ranges are one value; give priors")
     return Made(found, [f"a range for each parameter is in {out}"])

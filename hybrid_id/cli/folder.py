@@ -10,7 +10,10 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 from hybrid_id import __version__
+from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
 
@@ -28,6 +31,8 @@ ABOUT = "about.json"
 BEGUN = ".begun"
 """Marks a training that is not complete; says whether it has put earlier results aside."""
 RESULTS = (RESULT, DIAGNOSIS)
+MADE = {"identification": ("identify", RESULT), "diagnosis": ("diagnose", DIAGNOSIS)}
+"""Commands whose fits are kept, and the file that says that all is written."""
 ASIDE = "earlier results are aside"
 FOREIGN = "files that are no results of hybrid-id; give another folder"
 
@@ -187,10 +192,10 @@ def remove_empty(folders: list[Path]) -> None:
 
 
 @contextmanager
-def result_file(path: Path, *, force: bool) -> Iterator[Path]:
-    """Yield a temporary file that takes the name `path` when it is written."""
-    refuse_file(path, force=force)
-    make_parents(path)
+def result_file(path: Path, *, force: bool, beside: Path | None = None) -> Iterator[Path]:
+    """Yield a temporary file that takes the name `path` when it is written; see `refuse_file` for ``beside``."""
+    refuse_file(path, force=force, beside=beside)
+    made = make_parents(path)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}.", suffix=path.suffix)
     os.close(handle)
     try:
@@ -199,19 +204,34 @@ def result_file(path: Path, *, force: bool) -> Iterator[Path]:
         os.replace(temporary, path)
     finally:
         Path(temporary).unlink(missing_ok=True)
+        remove_empty(made)
 
 
-def refuse_file(path: Path, *, force: bool, option: str = "--force") -> None:
-    """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays."""
-    if path.is_dir() or (path.exists() and not force):
-        what = (
-            "is a folder; give the name of a file"
-            if path.is_dir()
-            else f"exists; give another name, or {option}"
+def refuse_file(path: Path, *, force: bool, option: str = "--force", beside: Path | None = None) -> None:
+    """Raise InputError where a result cannot take the name of a file; what belongs to a folder of results stays.
+
+    Args:
+        path: the file.
+        force: whether it may be replaced.
+        option: that allows it.
+        beside: the file that the user has named, where this one, of the same name, goes with it.
+    """
+    named = beside or path
+    which = f"{path}" if beside is None else f"{path}, the {kind_of(path)} that goes with {beside.name},"
+    if path.is_dir():
+        raise InputError(
+            f"{which} is a folder; give {'the name of a file' if beside is None else 'another name'}"
         )
-        raise InputError(f"{path} {what}")
+    if path.exists() and not force:
+        both = "" if beside is None else " to replace both"
+        raise InputError(f"{which} exists; give another name than {named.name}, or {option}{both}")
     if path.name in (*RESULTS, "model.yaml") and path.exists():
         raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")
+
+
+def kind_of(path: Path) -> str:
+    """What a file is that goes with another one of its name."""
+    return "page" if path.suffix == ".html" else "description"
 
 
 @contextmanager
@@ -221,7 +241,7 @@ def kept_fits(
     """Yield where the fits of a long run are kept, in the folder of its results.
 
     The folder of fits goes with the earlier results when new ones take their place. It stays where a run is stopped,
-    unless nothing has been fitted.
+    unless nothing has been fitted. Going on with a run that is complete ends the command, and is no fault.
 
     Args:
         home: folder of the results.
@@ -232,12 +252,13 @@ def kept_fits(
 
     Raises:
         InputError: the results cannot go there, or --resume is missing.
+        typer.Exit: the run to resume is complete.
     """
     from hybrid_id.reporting.provenance import program
     from hybrid_id.study import Kept
 
     fits = home / FITS
-    kind = _kind(fits)
+    kind, (command, file) = _kind(fits), MADE[noun]
     if resume and fits.is_dir():
         refuse_foreign(home, FITS, ABOUT)
         if kind not in (noun, ""):
@@ -248,8 +269,12 @@ def kept_fits(
                 f"{home} holds an unfinished {kind}; --resume goes on with it, or give another folder, or --force to "
                 "replace what is in it"
             )
-        if resume and not force and any((home / name).exists() for name in RESULTS):
-            raise InputError(f"{home} holds complete results; there is nothing to resume")
+        if resume and not force and _command(home / file) == command:
+            remark(
+                f"{home} holds a complete {noun} ({file}), by the settings in its config.yaml: nothing is left to "
+                "resume; --force makes it anew"
+            )
+            raise typer.Exit
         refuse_taken(home, force=force, reads=reads)
     made = [home, *make_parents(home)]
     fits.mkdir(parents=True, exist_ok=True)
@@ -258,6 +283,8 @@ def kept_fits(
             for file in fits.glob("*.npz"):
                 file.unlink()
         kept = Kept(fits, program())
+        if resume and not kept.count:
+            remark(f"no fit is kept in {home}, so this {noun} starts anew")
         try:
             (fits / ABOUT).write_text(
                 json.dumps({"program": f"hybrid_id {__version__}", "kind": noun}) + "\n", encoding="utf-8"
@@ -284,6 +311,11 @@ def _kind(fits: Path) -> str:
         return str(json.loads((fits / ABOUT).read_text(encoding="utf-8")).get("kind", "diagnosis"))
     except (OSError, ValueError):
         return ""
+
+
+def _command(file: Path) -> str:
+    """The command that has written a result; empty where there is none."""
+    return str(json.loads(file.read_text(encoding="utf-8")).get("command", "")) if _is_ours(file) else ""
 
 
 def keep_after(home: Path, folder: Path) -> None:
@@ -371,7 +403,7 @@ def _until_complete(path: Path, aside: Path | None, made: list[Path]) -> Iterato
 
 @contextmanager
 def added_results(
-    path: Path, last: str = RESULT, stale: Iterable[str] = ("*.png", "models/*")
+    path: Path, last: str = RESULT, stale: Iterable[str] = ("*.png", "report.html", "models/*")
 ) -> Iterator[Path]:
     """Yield an empty folder whose files go into the folder `path` when all are written.
 

@@ -26,6 +26,7 @@ from hybrid_id.cli.options import (
     use_device,
     use_threads,
 )
+from hybrid_id.cli.results import UNDRAWN
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError
 
@@ -102,19 +103,36 @@ def identify(
         check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
         study, progress = run(dataset, system, config, jobs=jobs, kept=kept)
         leave_earlier(home, progress)
-        left = progress.cut or (progress.stopped and bool(config.statistics.profile))
-        count = kept.count if left else 0
+        draw = progress.cut or not progress.stopped  # who ends complete sets waits for no pictures
         with results_folder(home, force=True) as folder:  # kept_fits has asked
-            text = write_study(folder, home, "identify", config, dataset, study)
+            text, whole = write_study(folder, home, "identify", config, dataset, study, draw=draw)
+            words = left_out(config, progress, whole=whole)
+            count = kept.count if words else 0
             if count:
                 keep_after(home, folder)
     show_study(study, config, home, text, as_json=as_json)
-    if progress.stopped:
-        sets = "the sets are those of the last iteration, and result.json says which"
-        whole = "the sets are complete" + (", the profiles are cut off" if left else "")
+    if words:
         more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
-        remark(f"stopped: {sets if progress.cut else whole}{more}")
+        remark(f"stopped: {words}{more}")
         raise typer.Exit(130)
+
+
+def left_out(config: StudyConfig, progress: FitProgress, *, whole: bool) -> str:
+    """What Ctrl-C has left out of the results, in words; empty where all of them are there.
+
+    Args:
+        config: what was asked for.
+        progress: of the fits.
+        whole: whether pictures and page are written.
+    """
+    lacks = [] if whole else [UNDRAWN]
+    if progress.cut:
+        lacks.insert(0, "the sets are those of the last iteration, and result.json says which")
+    elif progress.stopped and config.statistics.profile:
+        lacks.insert(0, "the profiles are cut off")
+    if lacks and not progress.cut:
+        lacks.insert(0, f"the sets are complete and in {RESULT}")
+    return ", ".join(lacks)
 
 
 def leave_earlier(home: Path, progress: FitProgress) -> None:

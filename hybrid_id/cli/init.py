@@ -13,7 +13,7 @@ import yaml
 
 from hybrid_id.cli.console import printable, remark, show, show_json
 from hybrid_id.cli.folder import RESULTS
-from hybrid_id.cli.options import JsonOption
+from hybrid_id.cli.options import ABOVE, JsonOption
 from hybrid_id.cli.schema import schema_line, schema_text
 from hybrid_id.errors import InputError
 
@@ -55,7 +55,7 @@ def init(
         typer.Option(
             "--out",
             "-o",
-            help="Folder for the files; the logs' own by default, else the logs are copied.",
+            help=f"Folder for the files; the logs' own by default, else the logs are copied. {ABOVE}",
             show_default=False,
         ),
     ] = None,

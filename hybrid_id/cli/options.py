@@ -10,6 +10,9 @@ from hybrid_id.config import StudyConfig, study_config
 from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError
 
+ABOVE = "Folders above it are made."
+"""The rule of every --out, for its help."""
+
 DatasetArgument = Annotated[
     Path,
     typer.Argument(
@@ -27,7 +30,7 @@ ModelOption = Annotated[
     typer.Option("--model", "-m", help="Model file; DATASET/model.yaml by default.", show_default=False),
 ]
 OutOption = Annotated[
-    Path | None, typer.Option("--out", "-o", help="Folder for the results.", show_default=False)
+    Path | None, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}", show_default=False)
 ]
 ForceOption = Annotated[
     bool, typer.Option("--force", help="Replace results of an earlier run, once the new ones are complete.")

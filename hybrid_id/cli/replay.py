@@ -9,6 +9,7 @@ from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import RESULT, refuse_taken, results_folder
 from hybrid_id.cli.inputs import check_window, read_model, records_to_replay
 from hybrid_id.cli.options import (
+    ABOVE,
     DatasetArgument,
     ForceOption,
     JsonOption,
@@ -25,7 +26,9 @@ if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
     from hybrid_id.study import Comparison
 
-Folder = Annotated[Path, typer.Option("--out", "-o", help="Folder for the results.", show_default=False)]
+Folder = Annotated[
+    Path, typer.Option("--out", "-o", help=f"Folder for the results. {ABOVE}", show_default=False)
+]
 
 
 def simulate(

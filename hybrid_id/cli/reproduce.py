@@ -7,7 +7,7 @@ import typer
 
 from hybrid_id.cli.console import FitProgress, remark, show
 from hybrid_id.cli.folder import RESULT, refuse_foreign, sole_writer
-from hybrid_id.cli.options import JsonOption, ThreadsOption, use_threads
+from hybrid_id.cli.options import ABOVE, JsonOption, ThreadsOption, use_threads
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import Identification
 from hybrid_id.records.files import make_folder
@@ -18,7 +18,8 @@ PARTS = "parts"
 
 def reproduce(
     out: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder for the page and its parts.", show_default=False)
+        Path,
+        typer.Option("--out", "-o", help=f"Folder for the page and its parts. {ABOVE}", show_default=False),
     ],
     quick: Annotated[
         bool, typer.Option("--quick", help="Two short records a stage: a look at everything.")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
     from hybrid_id.reporting.page import Page
     from hybrid_id.study import Study
 
+UNDRAWN = "pictures and page are not written"
+"""What is said where Ctrl-C has ended the drawing."""
+
 
 def write_report(
     folder: Path,
@@ -29,8 +33,11 @@ def write_report(
     page: Callable[[dict[str, Drawn]], Page],
     events: Callable[[Path, Mapping[str, np.ndarray]], None] | None = None,
     settings: Mapping[str, object] | None = None,
-) -> None:
+    draw: bool = True,
+) -> bool:
     """Write the study file, and the pictures, TensorBoard events and page that it asks for.
+
+    Ctrl-C ends the drawing: pictures, events and page are then left out, all of them, and what is computed is kept.
 
     Args:
         folder: where to write.
@@ -41,23 +48,36 @@ def write_report(
         page: makes the page of them.
         events: writes event files with the images into a folder.
         settings: what the page says of how it was made, beside versions and study file.
+        draw: whether to draw; not where the user has already asked for the end.
+
+    Returns:
+        Whether all that the study file asks for is written.
     """
     config.save(folder / "config.yaml", home=home)
     wish = config.output
     if not (wish.figures or wish.tensorboard or wish.report):
-        return
-    from hybrid_id.reporting.page import how_made
-    from hybrid_id.reporting.style import save
+        return True
+    if not draw:
+        return False
+    try:
+        with tempfile.TemporaryDirectory(dir=folder) as temporary:
+            from hybrid_id.reporting.page import how_made
+            from hybrid_id.reporting.style import save
 
-    drawn = figures()
-    if wish.figures:
-        for name, figure in drawn.items():
-            save(figure.image, folder / f"{name}.png")
-    if wish.tensorboard and events is not None:
-        events(folder / EVENTS, {name: figure.image for name, figure in drawn.items()})
-    if wish.report:
-        words = (folder / "config.yaml").read_text(encoding="utf-8")
-        how_made(page(drawn), command, words, settings).write(folder / "report.html")
+            new, drawn = Path(temporary), figures()
+            if wish.figures:
+                for name, figure in drawn.items():
+                    save(figure.image, new / f"{name}.png")
+            if wish.tensorboard and events is not None:
+                events(new / EVENTS, {name: figure.image for name, figure in drawn.items()})
+            if wish.report:
+                words = (folder / "config.yaml").read_text(encoding="utf-8")
+                how_made(page(drawn), command, words, settings).write(new / "report.html")
+            for made in new.iterdir():
+                made.replace(folder / made.name)
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def write_last(file: Path, text: str) -> None:
@@ -66,19 +86,26 @@ def write_last(file: Path, text: str) -> None:
 
 
 def files_in(home: Path, config: StudyConfig, *names: str) -> str:
-    """Where the results are, and which: those that the study asks for among them."""
-    page = ("report.html",) if config.output.report else ()
-    pictures = ("pictures",) if config.output.figures else ()
+    """Where the results are, and which: those that the study asks for and Ctrl-C has not left out."""
+    page = ("report.html",) if config.output.report and (home / "report.html").exists() else ()
+    pictures = ("pictures",) if config.output.figures and any(home.glob("*.png")) else ()
     return f"results are in {home}: {', '.join((*page, *names, *pictures, 'config.yaml'))}"
 
 
 def write_study(
-    folder: Path, home: Path, command: str, config: StudyConfig, dataset: Dataset, study: Study
-) -> str:
+    folder: Path,
+    home: Path,
+    command: str,
+    config: StudyConfig,
+    dataset: Dataset,
+    study: Study,
+    *,
+    draw: bool = True,
+) -> tuple[str, bool]:
     """Write all files of a study; arguments as in `write_report`.
 
     Returns:
-        The result as JSON.
+        The result as JSON, and whether all files are written.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.residuals import residual_result
@@ -101,7 +128,7 @@ def write_study(
         runs = replay(dataset, study.selected.system, engine=study.selected.engine, horizon=study.horizon)
         return study_figures(dataset, study, runs)
 
-    write_report(
+    whole = write_report(
         folder,
         home,
         config,
@@ -110,9 +137,10 @@ def write_study(
         page=lambda drawn: study_page(dataset, study, drawn, findings=remarks(dataset), residuals=residuals),
         events=lambda place, images: write_study_events(place, study, images, curves=command != "train"),
         settings={"seed": config.identification.seed},
+        draw=draw,
     )
     write_last(folder / RESULT, text)
-    return text
+    return text, whole
 
 
 def show_study(study: Study, config: StudyConfig, home: Path, text: str, *, as_json: bool) -> None:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from hybrid_id.cli.console import remark, show
+from hybrid_id.cli.options import ABOVE
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -22,7 +23,9 @@ def schema(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="File to write; the screen by default.", show_default=False),
+        typer.Option(
+            "--out", "-o", help=f"File to write; the screen by default. {ABOVE}", show_default=False
+        ),
     ] = None,
 ) -> None:
     """Write the JSON schema of a settings file, for editors: they complete keys, say what they mean and mark faults.

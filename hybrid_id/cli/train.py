@@ -153,14 +153,14 @@ def _physics(
         level=config.statistics.level,
     )
     with added_results(home) as folder:
-        text = write_study(folder, home, "train", config, dataset, study)
+        text, whole = write_study(folder, home, "train", config, dataset, study)
     show_study(study, config, home, text, as_json=as_json)
     if any(system.dry):
         remark(
             f"dry friction was smoothed over ±{config.training.width:g} rad/s, as the adjoint needs; 'identify' takes "
             "it as it is, so small differences between their estimates are the smoothing's"
         )
-    return interrupted
+    return interrupted or not whole
 
 
 def _hybrid(
@@ -188,7 +188,7 @@ def _hybrid(
     with added_results(home) as folder:
         save_model(study.result.system, folder / "model.yaml", home)
         save_model(study.result.physics.system, folder / "physics.yaml", home)
-        write_report(
+        whole = write_report(
             folder,
             home,
             config,
@@ -203,7 +203,7 @@ def _hybrid(
     else:
         show(hybrid_tables(study, dataset))
         show(files_in(home, config, RESULT, "model.yaml", "physics.yaml"))
-    return study.result.interrupted
+    return study.result.interrupted or not whole
 
 
 def _trained(

@@ -27,7 +27,7 @@ from hybrid_id.identification.finite_differences import (
     finite_difference_fit,
     slopes_at,
 )
-from hybrid_id.identification.fit import fit, make_bounds
+from hybrid_id.identification.fit import fit, kept_fit, make_bounds
 from hybrid_id.identification.horizons import WHOLE, Horizon, astray, free_runs, windows
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import LeastSquares, Options, minimise
@@ -162,7 +162,7 @@ class Fits:
         """
         batch = self.records(system)
         options = Options(max_iterations=BEGINNING, closed=False)
-        near = fit(system, batch, pooled=True, engine=engine(), options=options)[0]
+        near = kept_fit(self.kept, system, batch, pooled=True, engine=engine(), options=options)[0]
         most = max(round(SUBSTEP_RATE * batch.sample_time), 2 * near.engine.substeps, 1)
         self.engine = replace(engine(), most_substeps=min(most, MAX_SUBSTEPS))
         best = self._best([system, near.system])
@@ -173,7 +173,9 @@ class Fits:
         if not (best.no_structure or free):
             best = self._base_with_priors(system, best) or best
         # a fit that has stopped early would lend its gap to the first effect that frees it
-        again = confirmed(best.result, self.batch(best.system), options=Options(tolerance=0.05))
+        again = confirmed(
+            best.result, self.batch(best.system), options=Options(tolerance=0.05), kept=self.kept
+        )
         ends = (best.result,) if again is best.result else (best.result, again)
         judged = [self.run([Task((), end.system, x0=end.x0)], FULL)[0] for end in ends]
         best = min((e for e in judged if e is not None), key=lambda e: e.result.cost, default=best)

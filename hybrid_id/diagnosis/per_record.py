@@ -11,7 +11,7 @@ from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, without_priors
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.starts import at_nominal
 from hybrid_id.diagnosis.validation import autocorrelation, mean_square
-from hybrid_id.identification.fit import fit
+from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.statistics.cross_validation import select
@@ -66,7 +66,7 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     options = Options(max_iterations=FULL, tolerance=0.05)
     start = without_priors(at_nominal(system, nominal) or system, nominal)
     try:
-        sets = fit(start, batch, pooled=False, engine=engine(), options=options)
+        sets = kept_fit(fits.kept, start, batch, pooled=False, engine=engine(), options=options)
     except RuntimeError:  # one of them breaks off
         return None
     if any(one.status == "diverged" for one in sets):

@@ -123,6 +123,11 @@ class Diagnosis:
         return tuple(s for s in self.effects if s.selected)
 
     @property
+    def corrected(self) -> bool:
+        """Whether there is a corrected model: with effects, beside the re-fitted one."""
+        return "corrected" in self.fitted
+
+    @property
     def model(self) -> System:
         """The nominal model, re-fitted, with the selected effects."""
         return self.search.chosen.system
@@ -178,12 +183,12 @@ class Diagnosis:
         """What a page says below the effects."""
         lines = [f"implausible: {one}" for one in self.implausible]
         if self.nominal is not None and self.shrink is not None:
-            gap, low, high = self.shrink, *self.shrink.interval
+            gap, (low, high) = self.shrink, (f"{100 * end:.0f}" for end in self.shrink.interval)
+            closed = f", corrected {gap.with_effect:.3g}; shrink {100 * gap.share:.0f} % ({low}-{high} %)"
             lines.insert(
                 0,
                 f"NRMSE on the test records, mean of the outputs: nominal {self.nominal.nrmse:.3g}, re-fitted "
-                f"{gap.refit:.3g}, corrected {gap.with_effect:.3g}; shrink {100 * gap.share:.0f} % "
-                f"({100 * low:.0f}-{100 * high:.0f} %)",
+                f"{gap.refit:.3g}{closed if self.corrected else '; there is no corrected model'}",
             )
         return lines
 

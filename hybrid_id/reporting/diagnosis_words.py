@@ -129,8 +129,8 @@ def _outside(diagnosis: Diagnosis) -> str:
 def _parameters_only(diagnosis: Diagnosis) -> str:
     if diagnosis.varying:
         return (
-            "No effect is missing, but the parameters differ from record to record: per-record fits leave nothing "
-            "but noise, one common set does not."
+            "No effect is missing, but the parameters differ from record to record: per-record fits of the train "
+            "records leave nothing but noise; one common set, whose errors stand below, leaves more."
         )
     sentence = "Wrong parameter values explain the gap, and no effect is missing."
     # which physical change explains the new values
@@ -179,8 +179,9 @@ def disturbance_line(diagnosis: Diagnosis) -> str:
     elsewhere = [one.share for one in diagnosis.disturbances if one.joint != joint]
     if joint is None or not elsewhere:
         return ""
+    model = "corrected" if diagnosis.corrected else "re-fitted"
     return (
-        f"residual after (corrected model): a torque of arbitrary shape in time at {joint_words(joint)} explains "
+        f"residual after ({model} model): a torque of arbitrary shape in time at {joint_words(joint)} explains "
         f"{percent(diagnosis.disturbances[0].share)} of it within short windows (mean square), elsewhere "
         f"{percent(max(*elsewhere, 0.0))} at most."
     )
@@ -198,14 +199,17 @@ def thinned_line(diagnosis: Diagnosis) -> str:
 
 
 def error_lines(diagnosis: Diagnosis) -> list[str]:
-    """NRMSE of each output on the test records, nominal to corrected, and the shrink; then what contradicts that."""
+    """NRMSE of each output on the test records, nominal to corrected, and the shrink; then what contradicts that.
+
+    Where no effect is asserted nothing is corrected, and that is said in place of a shrink.
+    """
     nominal, refit, gap = diagnosis.nominal, diagnosis.refit, diagnosis.shrink
     if nominal is None or refit is None or gap is None:
         return [
             "no test record moves, so nothing measures the gain: give one the role test; models were compared over "
             f"{diagnosis.horizon}."
         ]
-    last = diagnosis.with_effect if "corrected" in diagnosis.fitted or diagnosis.varying else None
+    last = diagnosis.with_effect if diagnosis.corrected else None
     records = count(len(nominal.by_record), "test record")
     models = [one for one in (nominal, refit, last) if one is not None]
     outputs = "; ".join(_errors_words(diagnosis, output, models) for output in nominal.by_output)
@@ -214,6 +218,11 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
     if last is not None:
         low, high = (100 * min(end, 1.0) for end in gap.interval)
         lines.append(f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %).")
+    else:
+        one_set = ", with one set for all records" if diagnosis.varying else ""
+        lines.append(
+            f"there is no corrected model, for no effect is asserted: the nominal one is re-fitted{one_set}."
+        )
     if diagnosis.contradiction:
         lines.append(f"contradiction: {diagnosis.contradiction}")
     if diagnosis.rest_differs:
@@ -391,7 +400,7 @@ def measured(value: float, interval: Sequence[float] | np.ndarray | None, unit: 
 
 def errors_by_name(diagnosis: Diagnosis) -> dict[str, Errors]:
     """Errors on the test records by the name of the model, as far as there are any."""
-    corrected = {"corrected": diagnosis.with_effect} if "corrected" in diagnosis.fitted else {}
+    corrected = {"corrected": diagnosis.with_effect} if diagnosis.corrected else {}
     found = {"nominal": diagnosis.nominal, "re-fitted": diagnosis.refit} | corrected
     return {name: errors for name, errors in found.items() if errors is not None}
 

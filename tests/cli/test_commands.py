@@ -571,9 +571,11 @@ def test_first_interrupt_asks_the_fit_to_end(tmp_path: Path) -> None:
 
 
 def test_interrupted_fit_is_written_and_says_so(run, plain: Path, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(
-        FitProgress, "__call__", lambda self, stage, *_: setattr(self, "stopped", True) or True
-    )
+    def stop(self: FitProgress, *_: object) -> bool:
+        self.stopped = self.cut = True
+        return True
+
+    monkeypatch.setattr(FitProgress, "__call__", stop)
     outcome = run("identify", plain, "--out", tmp_path / "out")
     assert outcome.code == 130
     assert "stopped: the sets are" in outcome.err

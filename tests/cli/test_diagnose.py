@@ -251,6 +251,31 @@ def test_results_of_an_interrupted_search_are_written_and_it_resumes(
     assert json.loads((out / "diagnosis.json").read_text())["interrupted"] is False
 
 
+def test_ctrl_c_while_pictures_are_drawn_keeps_the_diagnosis(
+    run, diagnosed, monkeypatch: pytest.MonkeyPatch, records: Path, tmp_path: Path
+) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    def with_a_fit(dataset, system, config, kept):
+        (kept.folder / "0.npz").write_bytes(b"")
+        return diagnosed[2]
+
+    out = tmp_path / "gap"
+    monkeypatch.setattr(command, "run", with_a_fit)
+    with monkeypatch.context() as patch:
+        patch.setattr("hybrid_id.reporting.diagnosis_figures.diagnosis_figures", stop)
+        cut = run("diagnose", records, "--out", out)
+    assert cut.code == 130
+    assert "the diagnosis is complete and in diagnosis.json, pictures and page are not written" in cut.err
+    assert json.loads((out / "diagnosis.json").read_text())["interrupted"] is False
+    assert {path.name for path in out.iterdir()} == PLAIN | {"fits"} and "--resume goes on" in cut.err
+    assert run("diagnose", records, "--out", out, "--resume").code == 0
+    assert {path.name for path in out.iterdir()} == FILES
+    again = run("diagnose", records, "--out", out, "--resume")
+    assert again.code == 0 and "holds a complete diagnosis (diagnosis.json)" in again.err
+
+
 @pytest.mark.parametrize(
     ("options", "most", "window"),
     [

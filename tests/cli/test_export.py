@@ -1,10 +1,18 @@
 """`export`: the files, what is said about them, and wrong input."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from typer.main import get_command
+
+from hybrid_id.cli.app import app
+from hybrid_id.cli.export import _label as label_of
+from hybrid_id.cli.folder import result_file
+from hybrid_id.cli.options import ABOVE
 
 
 def test_mjcf_with_check(run, drive: Path, tmp_path: Path) -> None:
@@ -61,6 +69,64 @@ def test_wrong_input(run, drive: Path, tmp_path: Path, options: list[str], words
     assert done.code == 2
     assert words in done.err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("ending", "words"), [("json", "the description that goes"), ("html", "the page that goes")]
+)
+def test_a_file_that_nobody_named_is_said_to_go_with_the_named_one(
+    run, drive: Path, tmp_path: Path, ending: str, words: str
+) -> None:
+    (tmp_path / f"robot.{ending}").write_text("mine")
+    done = run("export", drive / "model.yaml", "--to", "mjcf", "--out", tmp_path / "robot.xml")
+    said = " ".join(done.err.split())
+    assert done.code == 2 and f"{words} with robot.xml, exists; give another name than robot.xml" in said
+    assert "or --overwrite to replace both" in said
+    assert [one.name for one in tmp_path.iterdir()] == [f"robot.{ending}"]
+
+
+def test_ranges_of_a_diagnosis_are_refused(run, drive: Path, tmp_path: Path) -> None:
+    """Its one parameter set for all records would pass for what scatters between them."""
+    folder = tmp_path / "gap"
+    folder.mkdir()
+    (folder / "diagnosis.json").write_text("{}")
+    for name in ("model.yaml", "refit.yaml"):
+        (folder / name).write_text((drive / "model.yaml").read_text())
+        done = run("export", folder / name, "--to", "ranges", "--out", tmp_path / "ranges.json")
+        said = " ".join(done.err.split())
+        assert done.code == 2 and "holds a diagnosis" in said
+        assert f"'hybrid-id identify DATASET --model {folder / name} --out DIR'" in said
+    assert run("export", folder, "--to", "ranges", "--out", tmp_path / "ranges.json").code == 2
+    assert not (tmp_path / "ranges.json").exists()
+
+
+@pytest.mark.parametrize(("effects", "words"), [([{"selected": True}], "corrected"), ([], "re-fitted")])
+def test_a_diagnosis_without_effects_has_corrected_no_model(
+    tmp_path: Path, effects: list, words: str
+) -> None:
+    result = {"program": "hybrid_id 1", "effects": effects}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(result))
+    assert label_of(tmp_path / "model.yaml") == words
+    assert label_of(tmp_path / "refit.yaml") == "re-fitted"
+
+
+def test_folders_above_a_file_are_made_and_go_with_it(run, drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a" / "b" / "ranges.json"
+    assert run("export", drive / "model.yaml", "--to", "ranges", "--out", out).code == 0 and out.exists()
+    (tmp_path / "c").mkdir()
+    with pytest.raises(ZeroDivisionError), result_file(tmp_path / "c" / "d" / "e.json", force=False):
+        raise ZeroDivisionError
+    assert not list((tmp_path / "c").iterdir())
+
+
+def test_every_out_says_what_becomes_of_folders_above_it() -> None:
+    def helps(group: Any, path: str = "") -> Iterator[tuple[str, str]]:
+        for name, one in getattr(group, "commands", {}).items():
+            yield from helps(one, f"{path} {name}")
+        yield from ((path, one.help or "") for one in group.params if "--out" in one.opts)
+
+    found = dict(helps(get_command(app)))
+    assert len(found) > 10 and [path for path, words in found.items() if ABOVE not in words] == []
 
 
 def test_file_is_kept_unless_it_may_be_overwritten(run, drive: Path, tmp_path: Path) -> None:

@@ -102,7 +102,72 @@ def test_identify_goes_on_with_the_sets_that_were_complete(
         assert run("identify", robot, "--window", "whole", "--out", out, "--resume").code == 0
     assert begun == ["run_2"]
     assert result(out) == result(tmp_path / "whole") and not (out / "fits").exists()
-    assert "nothing to resume" in run("identify", robot, "--window", "whole", "--out", out, "--resume").err
+    before = result(out)
+    again = run("identify", robot, "--window", "whole", "--out", out, "--resume")
+    assert again.code == 0 and "holds a complete identification (result.json)" in " ".join(again.err.split())
+    assert result(out) == before
+    foreign = run("diagnose", robot, "--window", "whole", "--out", out, "--resume")
+    assert foreign.code == 2 and "is not empty" in foreign.err
+
+
+@pytest.mark.parametrize("polite", [True, False])
+def test_ctrl_c_after_the_fits_keeps_the_result_without_pictures(
+    run, drive: Path, tmp_path: Path, monkeypatch, polite: bool
+) -> None:
+    """Stopped during the statistics nothing is drawn; stopped while drawing, what is drawn is left out."""
+    study, out = tmp_path / "study.yaml", tmp_path / "out"
+    study.write_text(f"dataset: {drive}\noutput: {{tensorboard: false}}\n")
+    with monkeypatch.context() as patch:
+        if polite:
+            leave = FitProgress.__exit__
+
+            def stop(self, *given: object) -> None:
+                self.stopped = True
+                leave(self, *given)
+
+            patch.setattr(FitProgress, "__exit__", stop)
+        else:
+
+            def drawing(*_: object, **__: object) -> None:
+                raise KeyboardInterrupt
+
+            patch.setattr("hybrid_id.reporting.page.how_made", drawing)
+        cut = run("identify", study, "--out", out)
+    said = " ".join(cut.err.split())
+    assert cut.code == 130 and "stopped: the sets are complete and in result.json" in said
+    assert "pictures and page are not written; " in said and "--resume goes on" in said
+    assert "report.html" not in cut.out and "pictures" not in cut.out
+    assert not list(out.glob("*.png")) and not (out / "report.html").exists()
+    first = result(out)
+    assert run("identify", study, "--out", out, "--resume").code == 0
+    assert result(out) == first and (out / "report.html").exists() and list(out.glob("*.png"))
+    assert not (out / "fits").exists()
+
+
+def test_what_is_complete_in_spite_of_ctrl_c_is_no_failure(
+    run, plain: Path, tmp_path: Path, monkeypatch
+) -> None:
+    leave = FitProgress.__exit__
+
+    def stop(self, *given: object) -> None:
+        self.stopped = True
+        leave(self, *given)
+
+    monkeypatch.setattr(FitProgress, "__exit__", stop)
+    assert run("identify", plain, "--out", tmp_path / "out").code == 0
+
+
+@pytest.mark.parametrize(("command", "noun"), [("identify", "identification"), ("diagnose", "diagnosis")])
+def test_resuming_nothing_says_that_it_starts_anew(
+    run, plain: Path, tmp_path: Path, monkeypatch, command: str, noun: str
+) -> None:
+    def stop(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(f"hybrid_id.cli.{command}.checked_records", stop)
+    said = run(command, plain, "--out", tmp_path / "out", "--resume").err
+    assert f"no fit is kept in {tmp_path / 'out'}, so this {noun} starts anew" in " ".join(said.split())
+    assert "starts anew" not in run(command, plain, "--out", tmp_path / "out").err
 
 
 def test_other_settings_and_records_are_fitted_anew(run, robot: Path, tmp_path: Path, monkeypatch) -> None:

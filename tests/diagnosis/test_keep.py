@@ -6,7 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import hybrid_id.diagnosis.fits as search_fits
 import hybrid_id.diagnosis.select as selection
+import hybrid_id.identification.fit as single_fit
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.fits import FULL, Fits, Task
 from hybrid_id.identification.horizons import Horizon
@@ -20,7 +22,7 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Kept:
     return Kept(tmp_path_factory.mktemp("fits"), "this program")
 
 
-def test_a_stopped_search_goes_on_to_the_same_answer(diagnosed, stopped: Kept) -> None:
+def test_a_stopped_search_goes_on_to_the_same_answer(diagnosed, stopped: Kept, monkeypatch) -> None:
     dataset, nominal, whole = diagnosed
 
     def stop(stage: str, done: int, total: int) -> None:
@@ -29,10 +31,16 @@ def test_a_stopped_search_goes_on_to_the_same_answer(diagnosed, stopped: Kept) -
 
     with pytest.raises(KeyboardInterrupt):
         diagnose(dataset, nominal, max_effects=1, kept=stopped, progress=stop)
-    assert 20 <= stopped.count < 30
+    assert 20 <= stopped.count < 40
     again = diagnose(dataset, nominal, max_effects=1, kept=stopped)
     assert json.dumps(again.as_dict()) == json.dumps(whole.as_dict())
     count = stopped.count
+
+    def again_fitted(*_: object, **__: object) -> None:
+        raise AssertionError("a fit that is kept")
+
+    monkeypatch.setattr(search_fits, "_fit", again_fitted)
+    monkeypatch.setattr(single_fit, "fit", again_fitted)  # those of no search, too: before, between and after
     once_more = diagnose(dataset, nominal, max_effects=1, kept=stopped)
     assert json.dumps(once_more.as_dict()) == json.dumps(whole.as_dict()) and stopped.count == count
 

@@ -100,6 +100,15 @@ def test_summary_begins_with_what_is_known_and_is_short(verdict: str, diagnosed,
     assert max(map(len, lines)) <= 120
 
 
+def test_parameters_that_differ_correct_no_model(sound) -> None:
+    found = replace(sound[2], verdict="parameters_only", varying=("F_c by 5.7 %",))
+    said = " ".join(summary(found).split())
+    assert "one common set, whose errors stand below, leaves more" in said
+    assert "there is no corrected model" in said and "with one set for all records" in said
+    for words in (said, " ".join(found.summary().split())):
+        assert not re.search(r"corrected \d|shrink", words)
+
+
 def test_headline_of_a_whole_explanation(diagnosed) -> None:
     sentence = headline(diagnosed[2])
     assert sentence.startswith("Spring load explains 100 % (") and sentence.endswith(
