@@ -274,7 +274,7 @@ def write_models(folder: Path, home: Path, study: Study) -> None:
     if len(study.sets) > 1:
         (folder / "models").mkdir()
         for name, result in zip(study.cross_validation.set_names, study.sets, strict=True):
-            save_model(result.system, folder / "models" / f"{name}.yaml", home / "models")
+            save_model(result.system, folder / "models" / f"{name}.yaml", home / "models", moved=folder)
 
 
 def write_replay(path: Path, replay: Replay) -> None:
