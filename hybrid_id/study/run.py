@@ -37,6 +37,7 @@ from hybrid_id.study.checks import identifiability_of
 from hybrid_id.study.processes import fit_in_processes
 from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_errors
 from hybrid_id.study.result import Study
+from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
 
@@ -198,7 +199,7 @@ def analyse_fits(
     return Study(
         system, tuple(sets), pooled, variations, plain, robust, identifiability, reliability, matrix, selection,
         by_record, engine_error(chosen, batch), horizon=horizon, level=level, test_errors=by_output,
-        outputs=dataset.outputs,
+        outputs=with_joint_names(dataset.outputs, system),
     )  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -39,6 +39,13 @@ def numbered(system: System, place: str) -> str:
     joint, _, where = place.rpartition("/")
     names = () if system.tree is None or system.seats is not None else system.tree.names
     return f"joint{names.index(joint) + 1}/{where}" if joint in names else place
+
+
+def with_joint_names(channels: Sequence[Channel], system: System) -> tuple[Channel, ...]:
+    """Channels that know the name of their joint, where the system is a robot with a description."""
+    names = [] if system.tree is None else [system.tree.names[seat] for seat in system.arm.seats]
+    joints = {str(number): name for number, name in enumerate(names, 1)}
+    return tuple(replace(channel, joint=joints.get(_number(channel.name), "")) for channel in channels)
 
 
 def alone(system: System, joint: int) -> System:
