@@ -146,6 +146,7 @@ def _set_result(study: Study, index: int) -> dict[str, Any]:
         "values": result.values,
         "std_error": study.covariances[index].std_error,
         "robust_std_error": study.robust[index].std_error,
+        "input_std_error": None if study.input_error is None else study.input_error[index],
         "status": result.status,
         "message": result.message,
         "at_bound": result.at_bound,

@@ -33,9 +33,8 @@ LEGEND = (
     "doubtful where they disagree or std/mean is 30 % or more, not on its own where the value must not be used alone"
 )
 ALONE = (
-    "intervals: the motion of the other joints, as measured, is taken as exact; what noise and smoothing do to their "
-    "accelerations is not in the intervals, which can miss the truth by a multiple of their width. Where that counts, "
-    "identify the whole robot, without --joint"
+    "intervals: the motion of the other joints is taken as measured; its noise is {} them{}, and the whole robot, "
+    "identified without --joint, has narrower ones"
 )
 _STYLE = {"good": "green", "doubtful": "yellow", "not on its own": "red"}
 
@@ -135,7 +134,10 @@ def combinations_table(study: Study) -> list[Table]:
 
 
 def _remarks(study: Study) -> list[str]:
-    lines = [LEGEND] if study.system.seats is None else [LEGEND, ALONE]
+    lines = [LEGEND]
+    if study.system.seats is not None:
+        but = ", not in profile likelihoods" if study.profiles else ""
+        lines.append(ALONE.format("not in", "") if study.input_error is None else ALONE.format("in", but))
     lines += [] if study.horizon.kind == "whole" else [f"horizon: {study.horizon}"]
     lines += [f"identifiability: {direction.text}" for direction in study.identifiability.directions]
     failed = [result for result in study.sets if not result.ok]
