@@ -33,8 +33,8 @@ LEGEND = (
     "doubtful where they disagree or std/mean is 30 % or more, not on its own where the value must not be used alone"
 )
 ALONE = (
-    "intervals: the motion of the other joints is taken as measured; its noise is {} them{}, and the whole robot, "
-    "identified without --joint, has narrower ones"
+    "intervals: the motion of the other joints is taken as measured and held over each sample; its noise is {} them{}, "
+    "the holding is not; the whole robot, identified without --joint, has narrower ones"
 )
 _STYLE = {"good": "green", "doubtful": "yellow", "not on its own": "red"}
 
