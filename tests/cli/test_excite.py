@@ -52,7 +52,7 @@ def test_a_short_signal_takes_the_tones_that_it_holds(run, arm: str, tmp_path: P
     short = arm.replace("--tones 4", "--duration 5") + " --speed 3 --torque 2"
     found = run(*short.split())
     assert found.code == 0, found.err
-    assert "10 tones from 0.1 to 2 Hz" in found.out
+    assert "10 tones from 0.2 to 2 Hz" in found.out
     assert json.loads((tmp_path / "u.json").read_text())["tones"] == 10
     asked = run(*short.split(), "--tones", "20", "--force")
     assert asked.code == 2 and "fewer than 20 tones" in asked.err
