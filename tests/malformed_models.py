@@ -138,10 +138,21 @@ def malformed_models() -> list[MalformedModel]:
             ("J", "estimate: false"),
             lambda content: content["parameters"]["J"].update(lower=2.1e-5, upper=2.1e-5),
         ),
-        MalformedModel("misspelt kind", ("'lu_gre'", "'lugre'"), add_component(place=friction, kind="lu_gre")),
+        MalformedModel(
+            "misspelt kind",
+            ("components[1].kind", "'lu_gre'", "'lugre'"),
+            add_component(place=friction, kind="lu_gre"),
+        ),
         MalformedModel("unknown kind", ("'xyz'", "stribeck_friction"), add_component(place=friction, kind="xyz")),
         MalformedModel(
-            "unknown place", ("'joint1/gearbox'", "transmission"), add_component(place="joint1/gearbox", kind="dahl")
+            "unknown place",
+            ("components[1].place", "'joint1/gearbox'", "transmission"),
+            add_component(place="joint1/gearbox", kind="dahl"),
+        ),
+        MalformedModel(
+            "misspelt place without a joint",
+            ("components[1].place", "'motor_frction' names no joint", "JOINT/motor_friction, JOINT one of joint1"),
+            add_component(place="motor_frction", kind="dahl"),
         ),
         MalformedModel("unknown joint", ("'joint2/motor'",), add_component(place="joint2/motor", kind="dc_motor")),
         MalformedModel("wrong place", ("dahl", "joint1/motor"), add_component(place="joint1/motor", kind="dahl")),

@@ -46,7 +46,14 @@ def excite(
     amplitude: Annotated[
         float | None, typer.Option(help="Peak, in the unit of the input (V).", show_default="10")
     ] = None,
-    tones: Annotated[int, typer.Option(help="Number of tones, spread evenly over the band.", min=1)] = 20,
+    tones: Annotated[
+        int | None,
+        typer.Option(
+            help="Number of tones, spread evenly over the band.",
+            min=1,
+            show_default="20, or as many as the duration allows",
+        ),
+    ] = None,
     gear: Annotated[
         Act | None,
         typer.Option(
@@ -108,11 +115,12 @@ def excite(
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
     if file.with_suffix(".json") == file:
         raise InputError(f"{file} would also be the name of the description beside it; take another ending")
-    from hybrid_id.records.excitation import STARTS
+    from hybrid_id.records.excitation import STARTS, usual_tones
     from hybrid_id.reporting.results import as_json as as_json_text
     from hybrid_id.study.arm_excitation import STARTS_A_JOINT
 
     starts = starts or (STARTS if system is None else STARTS_A_JOINT)
+    tones = tones or usual_tones(band, duration)
     asked = {
         "sample_time": sample_time, "duration": duration, "tones": tones, "starts": starts, "seed": seed,
     }  # fmt: skip

@@ -71,7 +71,7 @@ def excite_robot(
         "scale": design.scale, "condition_number": design.condition_number, "std_ratio": design.std_ratio,
     }  # fmt: skip
     size = f"{len(design.time)} samples, {design.time[-1]:.6g} s"
-    lines = [*_summary(design, joints, band, tones), size]
+    lines = [*_summary(design, joints), size]
 
     def figure() -> "Figure":
         from hybrid_id.reporting.study_figures import arm_excitation_figure
@@ -122,11 +122,12 @@ def _described(design: "ArmExcitation") -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _summary(
-    design: "ArmExcitation", joints: list[dict[str, Any]], band: tuple[float, float], tones: int
-) -> list[str]:
+def _summary(design: "ArmExcitation", joints: list[dict[str, Any]]) -> list[str]:
     """What the screen says of a design."""
-    words = [f"{tones} tones from {band[0]:.4g} to {band[1]:.4g} Hz at each joint, positions at the joint:"]
+    tones = design.designs[0].frequencies
+    words = [
+        f"{len(tones)} tones from {tones[0]:.4g} to {tones[-1]:.4g} Hz at each joint, positions at the joint:"
+    ]
     width = max(len(one["joint"]) for one in joints)
     for one in joints:
         (low, high), (least, most) = one["position"], one["position_limits"]

@@ -1,5 +1,6 @@
 """`identify`: from records and a model to parameters with statistics."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -90,9 +91,9 @@ def identify(
         from hybrid_id.cli.results import show_study, write_study
         from hybrid_id.study.checks import check_names
 
-        system = load_system(config, dataset)
+        system, noisier = load_system(config, dataset), list["Dataset"]()
         if joint is not None:
-            dataset, system = one_joint(dataset, system, joint)
+            dataset, system, noisier = one_joint(dataset, system, joint, config.identification.seed)
         remark_start_values(dataset, system)
         if unused := len(dataset.validation):
             those = "1 validation record is" if unused == 1 else f"{unused} validation records are"
@@ -101,7 +102,7 @@ def identify(
             )
         use_device(config.identification.device)
         check_names(config.statistics.profile, [system.table[k].name for k in system.estimated])
-        study, progress = run(dataset, system, config, jobs=jobs, kept=kept)
+        study, progress = run(dataset, system, config, jobs=jobs, kept=kept, noisier=noisier)
         leave_earlier(home, progress)
         draw = progress.cut or not progress.stopped  # who ends complete sets waits for no pictures
         with results_folder(home, force=True) as folder:  # kept_fits has asked
@@ -142,7 +143,13 @@ def leave_earlier(home: Path, progress: FitProgress) -> None:
 
 
 def run(
-    dataset: "Dataset", system: "System", config: StudyConfig, *, jobs: int = 1, kept: "Kept | None" = None
+    dataset: "Dataset",
+    system: "System",
+    config: StudyConfig,
+    *,
+    jobs: int = 1,
+    kept: "Kept | None" = None,
+    noisier: "Sequence[Dataset]" = (),
 ) -> "tuple[Study, FitProgress]":
     """Fit and assess as the config says; the progress knows whether the user has stopped that."""
     from dataclasses import replace
@@ -153,7 +160,9 @@ def run(
     wish, settings = config.identification, fit_settings(config)
     n_sets = (1 if wish.pooled else len(dataset.train)) * wish.starts
     with FitProgress(n_sets, wish.max_iterations) as progress:
-        study = identify(dataset, system, jobs=jobs, kept=kept, progress=progress, **settings)
+        study = identify(
+            dataset, system, jobs=jobs, kept=kept, noisier=noisier, progress=progress, **settings
+        )
         if config.statistics.profile and not progress.stopped:
 
             def say(words: str) -> None:

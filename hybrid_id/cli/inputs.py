@@ -148,12 +148,16 @@ def remark_start_values(dataset: "Dataset", system: "System") -> None:
         remark(f"warning: {finding.message}")
 
 
-def one_joint(dataset: "Dataset", system: "System", name: str) -> "tuple[Dataset, System]":
-    """One joint of a robot by itself, and the records that bring the motion of the others."""
-    from hybrid_id.systems.by_joint import alone, joint_number, with_others_measured
+def one_joint(
+    dataset: "Dataset", system: "System", name: str, seed: int
+) -> "tuple[Dataset, System, list[Dataset]]":
+    """One joint of a robot by itself, the records that bring the motion of the others, and noisier ones."""
+    from hybrid_id.systems.by_joint import NOISIER, alone, joint_number, noisier, with_others_measured
 
     joint = joint_number(system, name)
-    return with_others_measured(dataset, system, joint), alone(system, joint)
+    given = [dataset, *(noisier(dataset, joint, seed + k) for k in range(NOISIER))]
+    first, *others = (with_others_measured(one, system, joint) for one in given)
+    return first, alone(system, joint), others
 
 
 def remark_uneven(records: "Iterable[Record]") -> None:

@@ -119,10 +119,11 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     gap = max(first.error - floor, 1e-12 * max(first.error, 1e-300))
     generator = np.random.default_rng(seed)
     # what a model leaves differs more from record to record than within one: blocks would make shares too sure
-    draws = _nested(models, steps, structural, first.drawn(generator, records=True))
-    chance = np.quantile(
-        _nested(models, steps, structural, first.drawn(generator, records=False)), 0.025, axis=0
+    draws, of_blocks = (
+        _nested(models, steps, structural, first.drawn(generator, records=records))
+        for records in (True, False)
     )
+    chance = np.quantile(of_blocks, 0.025, axis=0)
     shares = {
         added_effect(b, a): ((a.error - b.error) / gap, _interval(draws[:, k]), bool(chance[k] > 0.0))
         for k, (a, b) in enumerate(pairwise(models))

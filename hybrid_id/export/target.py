@@ -25,6 +25,7 @@ from hybrid_id.export.replay import (
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
 NOMINAL, REFITTED, CORRECTED = "nominal", "re-fitted", "corrected"
@@ -123,7 +124,7 @@ def target_errors(
         starts = [found[REFITTED].system] if REFITTED in found else []
         with suppress(InputError) if label != last else nullcontext():
             found[label] = in_mujoco(system, dataset, train=known, horizon=horizon, starts=starts)
-    return TargetErrors(found, dataset.outputs, horizon)
+    return TargetErrors(found, with_joint_names(dataset.outputs, models[last]), horizon)
 
 
 def in_mujoco(

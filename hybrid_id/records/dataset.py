@@ -24,12 +24,14 @@ class Channel:
         unit: SI unit, such as `V` or `rad/s`.
         noise_std: Standard deviation of the sensor's noise, in `unit`; None where it is not known.
         logged: Unit of the files, in which values are shown; empty for `unit`.
+        joint: Name that a robot's description gives to its joint; empty where none does.
     """
 
     name: str
     unit: str
     noise_std: float | None = None
     logged: str = ""
+    joint: str = ""
 
     def __post_init__(self) -> None:
         if not self.name.isidentifier() or self.name == "t":
@@ -49,6 +51,11 @@ class Channel:
             raise InputError(
                 f"channel '{self.name}': noise_std is {self.noise_std}; give one above 0, or none"
             )
+
+    @property
+    def title(self) -> str:
+        """How the signal is called where people read of it: `q_a3 (elbow)`, its name alone where no joint is named."""
+        return f"{self.name} ({self.joint})" if self.joint else self.name
 
     @property
     def shown(self) -> tuple[str, float]:

@@ -21,7 +21,7 @@ from hybrid_id.errors import InputError
 
 _DEGREE = 3
 _HALF_WINDOWS = (2, 3, 4, 6, 8, 11, 15, 20, 27, 36, 48, 64, 88)  # samples
-_THRESHOLD = 1.5  # half-width of the confidence intervals that must intersect, in standard errors
+_THRESHOLD = 1.5
 _MEDIAN = 15  # samples; windows chosen by one odd sample alone do not count
 
 
@@ -41,7 +41,10 @@ def noise_level(y: np.ndarray) -> np.ndarray:
 
 
 def smooth_derivatives(
-    y: np.ndarray, sample_time: float | np.ndarray, noise_std: float | np.ndarray | None = None
+    y: np.ndarray,
+    sample_time: float | np.ndarray,
+    noise_std: float | np.ndarray | None = None,
+    threshold: float = _THRESHOLD,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Value, first and second derivative of noisy samples, each (..., T).
 
@@ -54,6 +57,8 @@ def smooth_derivatives(
         y: Samples (..., T), T >= 5.
         sample_time: [s], or the stamps (T,) [s]; stamps that are not uniform go through linear interpolation.
         noise_std: Standard deviation of the noise on y, (...) or one for all; estimated where absent.
+        threshold: Half-width of the confidence intervals that must intersect, in standard errors: a smaller one leaves
+            more noise and takes less of the motion.
 
     Raises:
         InputError: Fewer than five samples.
@@ -63,7 +68,7 @@ def smooth_derivatives(
     if n_samples < 5:
         raise InputError(f"smoothing: {n_samples} samples are too few; give at least 5")
     if np.ndim(sample_time) == 1:
-        return _on_stamps(y, np.asarray(sample_time, float), noise_std)
+        return _on_stamps(y, np.asarray(sample_time, float), noise_std, threshold)
     step = float(sample_time)
     noise = np.broadcast_to(noise_level(y) if noise_std is None else noise_std, y.shape[:-1])[..., None]
 
@@ -74,7 +79,7 @@ def smooth_derivatives(
     fits = []
     for number, half in enumerate(half_windows):
         fit = _local_polynomial(y, half)
-        reach = _THRESHOLD * noise * fit[1]
+        reach = threshold * noise * fit[1]
         lower = np.maximum(lower, fit[0][0] - reach)
         upper = np.minimum(upper, fit[0][0] + reach)
         chosen[lower <= upper] = number  # the intersection only shrinks, so this ends at the last agreement
@@ -113,14 +118,15 @@ def _local_polynomial(y: np.ndarray, half: int) -> tuple[list[np.ndarray], np.nd
 
 
 def _on_stamps(
-    y: np.ndarray, time: np.ndarray, noise_std: float | np.ndarray | None
+    y: np.ndarray, time: np.ndarray, noise_std: float | np.ndarray | None, threshold: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The same on stamps (T,) that need not be uniform."""
     step = float(np.median(np.diff(time)))
     uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 5))
     rows = y.reshape(-1, y.shape[-1])
     noise = noise_level(y) if noise_std is None else noise_std
-    smooth = smooth_derivatives(np.stack([np.interp(uniform, time, row) for row in rows]), step, noise)
+    even = np.stack([np.interp(uniform, time, row) for row in rows])
+    smooth = smooth_derivatives(even, step, noise, threshold)
     value, slope, curvature = (
         np.stack([np.interp(time, uniform, row) for row in part]).reshape(y.shape) for part in smooth
     )

@@ -14,6 +14,8 @@ _SEARCH_POINTS = 16  # grid points per period of the highest tone while optimisi
 _PEAK_POINTS = 64  # and for the peak that is reported
 _SEARCH_POWERS = (4, 16, 64, 256)
 _REFINE_POWERS = (16, 32, 64, 128, 256, 512, 1024, 2048)
+TONES = 20
+"""Tones of a multisine, unless another number is given or the band holds fewer."""
 STARTS = 150
 """Phase sets that a search starts from, unless another number is given."""
 
@@ -70,7 +72,7 @@ def design_multisine(
     sample_time: float,
     duration: float,
     amplitude_limits: float | tuple[float, float],
-    tones: int = 20,
+    tones: int | None = None,
     spectrum: Literal["flat", "flat rate"] | Sequence[float] | np.ndarray = "flat",
     predicted: Sequence[tuple[Callable[[np.ndarray], np.ndarray], float]] = (),
     starts: int = STARTS,
@@ -89,7 +91,7 @@ def design_multisine(
         sample_time: Sample time of the signal [s].
         duration: Length of the signal [s]; it holds a whole number of periods.
         amplitude_limits: Peak, or (lowest, highest) value of the signal.
-        tones: Number of tones spread over the band.
+        tones: Number of tones spread over the band; None for :func:`usual_tones`.
         spectrum: "flat", "flat rate" for amplitudes as 1 / f, or relative amplitude of each tone (K,).
         predicted: Pairs (response, peak): a linear response ``G(f)`` of the robot, frequencies (K,) [Hz] to
             complex gain (K,), and the peak that ``G u`` (say, the speed) must not exceed. Peaks of input
@@ -146,10 +148,22 @@ def design_multisine(
     )
 
 
+def usual_tones(band: tuple[float, float], duration: float) -> int:
+    """Number of tones where none is asked for: :data:`TONES`, or as many as a band [Hz] holds in a duration [s]."""
+    first, last = _multiples(band, duration)
+    return min(TONES, max(last - first + 1, 1))
+
+
+def _multiples(band: tuple[float, float], period: float) -> tuple[int, int]:
+    """The first and the last multiple of 1 / period in a band; the last is below the first where it holds none."""
+    first, last = int(np.ceil(band[0] * period - 1e-9)), int(np.floor(band[1] * period + 1e-9))
+    return max(first, 1), last
+
+
 def _harmonics(
     band: tuple[float, float] | None,
     frequencies: Sequence[float] | np.ndarray | None,
-    tones: int,
+    tones: int | None,
     period: float,
     sample_time: float,
 ) -> np.ndarray:
@@ -161,8 +175,8 @@ def _harmonics(
                 f"excitation: two tones fall on one multiple of {1 / period:.4g} Hz; lengthen it"
             )
     elif band is not None:
-        first, last = int(np.ceil(band[0] * period - 1e-9)), int(np.floor(band[1] * period + 1e-9))
-        first = max(first, 1)
+        first, last = _multiples(band, period)
+        tones = usual_tones(band, period) if tones is None else tones
         if tones < 1 or last - first + 1 < tones:
             raise InputError(
                 f"excitation: the band holds {max(last - first + 1, 0)} multiples of {1 / period:.4g} Hz, "

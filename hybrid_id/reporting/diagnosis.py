@@ -239,7 +239,9 @@ def diagnosis_page(
     )
     role = "test" if dataset.test else "train"
     where = count(len(dataset.test or dataset.train), f"{role} record")
-    page.section("Residuals").add(*residual_blocks(details.residual_tests, where))
+    page.section("Residuals").add(
+        *residual_blocks(details.residual_tests, where, details.studies[-1].outputs)
+    )
     ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis)]
     page.section("Ties and next experiment").add(*map(_sentence, ties or [_NO_TIES]))
     records = page.section("Records").add(records_table(dataset))

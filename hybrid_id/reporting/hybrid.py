@@ -247,6 +247,6 @@ def hybrid_page(
     page.section("Errors").add(error_table(study, dataset))
     role = "test" if dataset.test else "train"
     where = count(len(dataset.test or dataset.train), f"{role} record")
-    page.section("Residuals").add(*residual_blocks(residuals, where))
+    page.section("Residuals").add(*residual_blocks(residuals, where, alone.outputs))
     page.section("Records").add(records_table(dataset))
     return page

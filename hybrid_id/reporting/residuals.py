@@ -8,7 +8,9 @@ import numpy as np
 from rich.console import RenderableType
 from rich.text import Text
 
+from hybrid_id.records.dataset import Channel
 from hybrid_id.reporting.tables import count, open_table
+from hybrid_id.reporting.units import title
 from hybrid_id.statistics.residuals import LEVEL, ResidualTest
 
 Residuals = Mapping[str, Sequence[ResidualTest]]
@@ -43,17 +45,23 @@ def sound(tests: Sequence[ResidualTest]) -> bool:
     return all(one.verdict in ("white", "nearly white") for one in tests)
 
 
-def residual_blocks(residuals: Residuals, where: str = "") -> list[RenderableType]:
+def residual_blocks(
+    residuals: Residuals, where: str = "", outputs: Sequence[Channel] = ()
+) -> list[RenderableType]:
     """What is said of residuals: a sentence each, the table, and how to read it.
 
     Args:
         residuals: the tests.
         where: records that were simulated, where the names of the tests do not say it.
+        outputs: channels, which may know the names of their joints.
     """
     pairs = [(LABELS.get(name, name), one) for name, tests in residuals.items() for one in tests]
     words: list[RenderableType] = [Text(f"On {where}:")] if where else []
     words += [
-        Text(f"{label[0].upper()}{label[1:]}, {one.output}: {sentence(one)}", style=_COLOURS[one.verdict])
+        Text(
+            f"{label[0].upper()}{label[1:]}, {title(one.output, outputs)}: {sentence(one)}",
+            style=_COLOURS[one.verdict],
+        )
         for label, one in pairs
     ]
     if "test" in residuals and sound(residuals["train"]) and not sound(residuals["test"]):
@@ -63,7 +71,7 @@ def residual_blocks(residuals: Residuals, where: str = "") -> list[RenderableTyp
         "verdict",
     )  # fmt: skip
     for label, one in pairs:
-        table.add_row(label, *_cells(one))
+        table.add_row(label, title(one.output, outputs), *_cells(one))
     return [*words, table, _HOW]
 
 
@@ -130,4 +138,4 @@ def _cells(test: ResidualTest) -> list[str]:
     outside = f"{100 * test.outside:.0f} % of {test.lags}" if np.isfinite(test.outside) else ""
     shared = f"{test.shared:.2f}" if np.isfinite(test.shared) else ""
     size = f"{test.rms:.3g}" if np.isfinite(test.rms) else "none"
-    return [test.output, size, outside, shared, *correlated, test.verdict]
+    return [size, outside, shared, *correlated, test.verdict]

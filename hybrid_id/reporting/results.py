@@ -146,6 +146,7 @@ def _set_result(study: Study, index: int) -> dict[str, Any]:
         "values": result.values,
         "std_error": study.covariances[index].std_error,
         "robust_std_error": study.robust[index].std_error,
+        "input_std_error": None if study.input_error is None else study.input_error[index],
         "status": result.status,
         "message": result.message,
         "at_bound": result.at_bound,
@@ -274,7 +275,7 @@ def write_models(folder: Path, home: Path, study: Study) -> None:
     if len(study.sets) > 1:
         (folder / "models").mkdir()
         for name, result in zip(study.cross_validation.set_names, study.sets, strict=True):
-            save_model(result.system, folder / "models" / f"{name}.yaml", home / "models")
+            save_model(result.system, folder / "models" / f"{name}.yaml", home / "models", moved=folder)
 
 
 def write_replay(path: Path, replay: Replay) -> None:

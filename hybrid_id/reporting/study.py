@@ -23,7 +23,7 @@ from hybrid_id.reporting.tables import (
     table,
     two_a_row,
 )
-from hybrid_id.reporting.units import in_unit, shown_unit
+from hybrid_id.reporting.units import in_unit, shown_unit, title
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import Study
 from hybrid_id.systems.chain import System
@@ -31,6 +31,10 @@ from hybrid_id.systems.chain import System
 LEGEND = (
     "reliability: good where the ways to compute the error agree (the plain covariance alone may be too confident), "
     "doubtful where they disagree or std/mean is 30 % or more, not on its own where the value must not be used alone"
+)
+ALONE = (
+    "intervals: the motion of the other joints is taken as measured and held over each sample; its noise is {} them{}, "
+    "the holding is not; the whole robot, identified without --joint, has narrower ones"
 )
 _STYLE = {"good": "green", "doubtful": "yellow", "not on its own": "red"}
 
@@ -131,6 +135,9 @@ def combinations_table(study: Study) -> list[Table]:
 
 def _remarks(study: Study) -> list[str]:
     lines = [LEGEND]
+    if study.system.seats is not None:
+        but = ", not in profile likelihoods" if study.profiles else ""
+        lines.append(ALONE.format("not in", "") if study.input_error is None else ALONE.format("in", but))
     lines += [] if study.horizon.kind == "whole" else [f"horizon: {study.horizon}"]
     lines += [f"identifiability: {direction.text}" for direction in study.identifiability.directions]
     failed = [result for result in study.sets if not result.ok]
@@ -153,7 +160,8 @@ def _remarks(study: Study) -> list[str]:
 def test_words(study: Study) -> str:
     """Error of the selected set in each output on the test records, in the unit that was logged, and normalised."""
     said = [
-        f"{name} {' '.join(in_unit(name, [one.rmse], study.outputs, study.system))} (normalised {one.nrmse:.4g})"
+        f"{title(name, study.outputs)} {' '.join(in_unit(name, [one.rmse], study.outputs, study.system))} "
+        f"(normalised {one.nrmse:.4g})"
         for name, one in study.test_errors.items()
     ]
     mean = f"; normalised, mean of the outputs, {study.test_error:.4g}" if len(said) > 1 else ""
@@ -191,7 +199,7 @@ def study_page(
     identified = page.section("What these records identify").add(identifiability_table(study.identifiability))
     residual, fits = page.section("Residuals"), page.section("Measured and simulated")
     if residuals:
-        residual.add(*residual_blocks(residuals))
+        residual.add(*residual_blocks(residuals, outputs=study.outputs))
     for name, figure in figures.items():
         if name in ("parameters", "profiles"):
             identified.figure(figure, _CAPTIONS[name])

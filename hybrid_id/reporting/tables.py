@@ -82,7 +82,7 @@ def identifiability_table(identified: Identifiability) -> RenderableType:
 
 def base_parameters_table(based: BaseParameterCheck, most: int = MOST_ROWS) -> RenderableType:
     """Number of base parameters, condition number of the motion, and the worst excited ones."""
-    from hybrid_id.study.base_parameters import INDEPENDENT, TORQUE_ERROR
+    from hybrid_id.study.base_parameters import INDEPENDENT, TORQUE_ERROR, UNSURE
 
     base = based.base
     silent = len(base.without_effect)
@@ -94,13 +94,18 @@ def base_parameters_table(based: BaseParameterCheck, most: int = MOST_ROWS) -> R
         return Group(
             Text(words), Text(f"how the records excite them is not known: {based.missing}", style="yellow")
         )
-    dead = int(np.isinf(based.std).sum())
+    dead, unsure, number = int(np.isinf(based.std).sum()), int(based.unsure.sum()), len(based.std)
+    condition = f"(condition number {based.condition_number:.3g})"
     if dead:
         motion = Text(f"the records' motion does not excite {count(dead, 'base parameter')}", style="yellow")
-    else:
+    elif unsure:
         motion = Text(
-            f"the records' motion excites all of them (condition number {based.condition_number:.3g})"
+            f"the records' motion identifies {number - unsure} of {number} well {condition}; the predicted standard "
+            f"error of {unsure} is {100 * UNSURE:g} % of the start value or more",
+            style="yellow",
         )
+    else:
+        motion = Text(f"the records' motion excites all of them {condition}")
     relative = based.relative_std
     # not excited, then by relative error, then those whose start value is 0
     worst = sorted(
@@ -140,7 +145,8 @@ def comparison_table(comparison: Comparison) -> Table:
 
     The RMSE is in the unit that was logged.
     """
-    labels, units = list(comparison.replays), {c.name: c.shown for c in comparison.outputs}
+    labels, titles = list(comparison.replays), {c.name: c.title for c in comparison.outputs}
+    units = {c.name: c.shown for c in comparison.outputs}
     shown = [units.get(signal, ("", 1.0)) for signal in comparison.signals]
     forms = (("fit", ".2f"), ("nrmse", ".4f"), ("rmse", ".3g"))
     head = [f"{words}>" for label in labels for words in (f"{label}\nfit [%]", "\nNRMSE", "\nRMSE")]
@@ -152,25 +158,27 @@ def comparison_table(comparison: Comparison) -> Table:
     for row, replay in enumerate(comparison.replays[labels[0]]):
         for column, signal in enumerate(comparison.signals):
             cells = (_number(values[row, column], form) for values, form in every)
-            found.add_row(replay.record.name, replay.record.role, signal, *cells, shown[column][0])
+            found.add_row(
+                replay.record.name, replay.record.role, titles.get(signal, signal), *cells, shown[column][0]
+            )  # fmt: skip
     found.add_section()
     for column, signal in enumerate(comparison.signals):
         means = (_mean(values[:, column], form) for values, form in every)
-        found.add_row("mean", "", signal, *means, shown[column][0])
+        found.add_row("mean", "", titles.get(signal, signal), *means, shown[column][0])
     return found
 
 
 def model_means_table(comparison: Comparison) -> Table:
     """Errors of every model in every output, means of the records; the RMSE is in the unit that was logged."""
-    units = {channel.name: channel.shown for channel in comparison.outputs}
+    units = {channel.name: (channel.title, *channel.shown) for channel in comparison.outputs}
     found = {measure: comparison.table(measure) for measure in ("nrmse", "fit", "rmse")}
     rows = []
     for column, signal in enumerate(comparison.signals):
-        unit, factor = units.get(signal, ("", 1.0))
+        title, unit, factor = units.get(signal, (signal, "", 1.0))
         for label in comparison.replays:
             error, fit, plain = (values[label][:, column] for values in found.values())
             cells = (_mean(error, ".4f"), _mean(fit, ".2f"), _mean(factor * plain, ".3g"))
-            rows.append((signal, label, *cells, unit))
+            rows.append((title, label, *cells, unit))
     return table(("output", "model", "NRMSE>", "fit [%]>", "RMSE>", "unit"), rows)
 
 

@@ -10,9 +10,10 @@ from rich.table import Table
 
 from hybrid_id.export.replay import Agreement, summarise
 from hybrid_id.export.target import CORRECTED, REFITTED, InTarget, TargetErrors
+from hybrid_id.records.dataset import Channel
 from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.tables import count, table
-from hybrid_id.reporting.units import in_unit, symbols_line
+from hybrid_id.reporting.units import in_unit, symbols_line, title
 
 
 def errors_table(errors: TargetErrors) -> Table:
@@ -44,7 +45,9 @@ def _output_line(errors: TargetErrors, output: str) -> str:
     *values, unit = in_unit(output, rmse, errors.outputs, errors.exported.system)
     words = ", ".join(f"{label} {value}" for label, value in zip(errors.models, values, strict=True))
     normalised = ", ".join(f"{one.by_output[output]:.3g}" for one in found)
-    return f"RMSE of {output}: {words} {unit}" + (f" (NRMSE {normalised})" if len(found[0].rmse) > 1 else "")
+    return f"RMSE of {title(output, errors.outputs)}: {words} {unit}" + (
+        f" (NRMSE {normalised})" if len(found[0].rmse) > 1 else ""
+    )
 
 
 def _refit_lines(label: str, one: InTarget) -> list[str]:
@@ -69,11 +72,17 @@ def worse_words(errors: TargetErrors) -> str:
     )
 
 
-def replays_table(rows: Sequence[Agreement]) -> Table:
+def replays_table(rows: Sequence[Agreement], outputs: Sequence[Channel]) -> Table:
     """How far MuJoCo, the package and the measurements are apart, for each record and output."""
     heads = ("record", "role", "output", "MuJoCo - ours>", "measured - ours>", "measured - MuJoCo>")
     cells = (
-        (r.record, r.role, r.output, *(f"{value:.5f}" for value in (r.apart, r.here, r.there))) for r in rows
+        (
+            r.record,
+            r.role,
+            title(r.output, outputs),
+            *(f"{value:.5f}" for value in (r.apart, r.here, r.there)),
+        )
+        for r in rows
     )
     return table(heads, cells)
 
@@ -83,7 +92,7 @@ def on_screen(errors: TargetErrors) -> list[RenderableType]:
     rows = errors.exported.rows
     return [
         "NRMSE, over the same records:",
-        replays_table(rows),
+        replays_table(rows, errors.outputs),
         f"MuJoCo replays these records within {summarise(rows).worst:.2g} of ours (NRMSE)",
         f"NRMSE, mean over {judged_on(errors)}:",
         errors_table(errors),
@@ -128,5 +137,5 @@ def target_page(errors: TargetErrors, name: str) -> Page:
     )
     notes = errors.exported.exported.notes or ("nothing",)
     page.section("Left out").add(*(f"{note}." for note in notes))
-    page.section("Replays of the exported model").add(replays_table(errors.exported.rows))
+    page.section("Replays of the exported model").add(replays_table(errors.exported.rows, errors.outputs))
     return how_made(page, "export")

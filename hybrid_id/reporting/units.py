@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable
 
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Channel
@@ -16,6 +17,11 @@ def shown_unit(unit: str, outputs: Iterable[Channel]) -> tuple[str, float]:
     """Unit in which a parameter is shown, and its factor: an angle at the joint has that of the logged angles."""
     angles = (channel.shown for channel in outputs if stem(channel.name) in ("q_a", "q_m"))
     return next(angles, (unit, 1.0)) if unit == "rad" else (unit, 1.0)
+
+
+def title(channel: str, outputs: Iterable[Channel]) -> str:
+    """How an output is called on screen and pages: with the name of its joint where that is known."""
+    return next((one.title for one in outputs if one.name == channel), channel)
 
 
 def in_unit(
@@ -43,7 +49,12 @@ def _geared(channel: str, system: System) -> float | None:
 
 
 def symbols_line(infos: Iterable[ParameterInfo], words: str) -> list[str]:
-    """Names of the parameters whose symbols stand in some words, as one line; none where there is none."""
+    """Names of the parameters whose symbols stand in some words, as one line; none where there is none.
+
+    What several joints have under their own names, ``k_p_elbow`` and ``k_p_wrist``, is named once, as ``k_p_...``.
+    """
     used = set(re.findall(r"\w+", words))
-    names: Mapping[str, str] = {one.name: one.doc for one in infos if one.name in used}
+    shown = [one for one in infos if one.name in used]
+    alike = Counter((one.symbol, one.doc) for one in shown if one.name.startswith(f"{one.symbol}_"))
+    names = {f"{one.symbol}_..." if alike[one.symbol, one.doc] > 1 else one.name: one.doc for one in shown}
     return [f"symbols: {'; '.join(f'{name} {doc}' for name, doc in names.items())}."] if names else []

@@ -117,8 +117,9 @@ def _refuse(path: Path, mujoco: Any, spec: Any) -> None:
             kind, cure = "free joint (a floating base)", "hang the robot up and take the joint out"
             if joint.type == ball:
                 kind, cure = "ball joint", "put hinges in its place, or take it out where it does not move"
+            own = f"joint '{joint.name}'" if joint.name else "a joint without a name"
             raise InputError(
-                f"{path}: body '{joint.parent.name}' has a {kind}, which is not supported; {cure}."
+                f"{path}: {own} of body '{joint.parent.name}' is a {kind}, which is not supported; {cure}."
             )
     for tendon in spec.tendons:
         if words := _gear(mujoco, tendon):
@@ -281,7 +282,7 @@ def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
             largest = min(low, high) if model.actuator_forcelimited[i] else None
             least, most = model.actuator_ctrlrange[i]
             goals = (float(least), float(most)) if model.actuator_ctrllimited[i] else None
-            return Servo(float(stiffness), float(-by_speed), largest, goals)
+            return Servo(float(stiffness), 0.0 - float(by_speed), largest, goals)  # no -0.0
     return None
 
 

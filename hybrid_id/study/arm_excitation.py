@@ -119,7 +119,7 @@ def joint_limits(
             if not 0.0 < value < np.inf:
                 raise InputError(
                     f"joint '{known.name}' has no largest {what} in the robot's file; give it as {option} "
-                    f"{known.name}=VALUE."
+                    f"{known.name}=VALUE, or one for all joints as {option} VALUE."
                 )
         found.append(JointLimits(known.name, (low, high), speed, torque))
     return tuple(found)
@@ -132,7 +132,7 @@ def design_arm_motion(
     *,
     sample_time: float,
     duration: float,
-    tones: int = 20,
+    tones: int | None = None,
     rest: float = 0.1,
     starts: int = STARTS_A_JOINT,
     seed: int = 0,
@@ -155,7 +155,7 @@ def design_arm_motion(
         band: lowest and highest frequency [Hz].
         sample_time: [s].
         duration: one period of the motion [s]; rest and the fades at its ends are added.
-        tones: number of tones in the band.
+        tones: number of tones in the band; None for :func:`hybrid_id.records.excitation.usual_tones`.
         rest: at the middle of the ranges, before the motion [s].
         starts: phase sets that the search for each joint starts from.
         seed: of phases, shifts and signs.

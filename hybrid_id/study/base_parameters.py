@@ -23,6 +23,8 @@ TORQUE_ERROR = 0.05
 """Error of a joint's torque that the predicted standard errors assume, as a share of its root mean square."""
 INDEPENDENT = 0.02
 """Time [s] after which such an error is another one: torque errors are no white noise at the sample rate."""
+UNSURE = 0.3
+"""Standard error of a base parameter, as a share of its value, from which it is not well excited: of the 30 % rule."""
 NULL = 1e-10
 """Share of the largest singular value below which a direction is not excited at all."""
 
@@ -52,6 +54,14 @@ class BaseParameterCheck:
         """Standard errors over the values; inf where a value is 0."""
         size = np.abs(self.values)
         return np.divide(self.std, size, out=np.full_like(size, np.inf), where=size > 0)
+
+    @property
+    def unsure(self) -> np.ndarray:
+        """Which base parameters the motion excites too little, ``(n_b,)``: standard errors of :data:`UNSURE` or more.
+
+        One whose value is 0 has no relative error, and is judged by whether it is excited at all.
+        """
+        return np.where(self.values != 0.0, self.relative_std >= UNSURE, np.isinf(self.std))
 
 
 def check_base_parameters(dataset: Dataset, system: System) -> BaseParameterCheck:

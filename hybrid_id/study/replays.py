@@ -21,6 +21,7 @@ from hybrid_id.simulation.solvers import stable_engine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.cross_validation import CrossValidation, cross_validation
 from hybrid_id.statistics.fit import fit_percent, known_mean, nrmse, rmse
+from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
 LANES = 400_000
@@ -270,7 +271,7 @@ def compare(
     """
     if not models:
         raise InputError("there is no model to compare; give at least one")
-    replays = {}
+    replays, outputs = {}, with_joint_names(dataset.outputs, next(iter(models.values())))
     for label, system in models.items():
         try:
             replays[label] = replay(dataset, system, engine=engine, horizon=horizon or WHOLE)
@@ -279,14 +280,14 @@ def compare(
         if lost := next((run.message for run in replays[label] if run.message), ""):
             raise InputError(f"{label}: {lost}")
     if horizon is not None:
-        return Comparison(replays, horizon, dataset.outputs)
+        return Comparison(replays, horizon, outputs)
     errors = Comparison(replays).mean_error
     best = models[min(errors, key=lambda label: errors[label])]
     horizon = Horizon(reason="they follow the records")
     if min(errors.values()) > FOLLOWED:
         horizon = choose_horizon(best, engine or Engine(), batch_of(dataset, best, dataset.records))
     if horizon.kind == "whole":
-        return Comparison(replays, horizon, dataset.outputs)
+        return Comparison(replays, horizon, outputs)
     return compare(dataset, models, engine=engine, horizon=horizon)
 
 

@@ -68,6 +68,8 @@ class Study:
         level: confidence of all intervals.
         test_errors: error of the selected set in each output on the test records, by name; empty without them.
         outputs: channels of the records, which know the units that were logged.
+        input_error: what noise of measured inputs may have moved each parameter of each set by, ``(n_sets,
+            n_parameters)``; None where that was not asked for.
     """
 
     system: System
@@ -87,6 +89,7 @@ class Study:
     level: float = 0.95
     test_errors: Mapping[str, OutputError] = field(default_factory=dict)
     outputs: tuple[Channel, ...] = ()
+    input_error: np.ndarray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -109,7 +112,7 @@ class Study:
         return self.selected.system
 
     def standard_errors(self, index: int) -> np.ndarray:
-        """Standard errors of a set: the larger of plain and robust; inf where no interval may be claimed.
+        """Standard errors of a set: the larger of plain and robust, with that of inputs; inf where none may be claimed.
 
         None may for a parameter that the records do not tell alone or that lies at a bound, nor for any of a set that
         was stopped on its way.
@@ -117,6 +120,8 @@ class Study:
         if self.sets[index].left_early:
             return np.full(len(self.names), np.inf)
         larger = np.maximum(self.covariances[index].std_error, self.robust[index].std_error)
+        if self.input_error is not None:
+            larger = np.hypot(larger, self.input_error[index])
         free = [name not in self.sets[index].at_bound for name in self.names]
         return np.where(self.identifiability.claimable & np.array(free), larger, np.inf)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -13,7 +13,7 @@ from hybrid_id.components.base import Component
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.derivatives import smooth_derivatives
+from hybrid_id.records.derivatives import noise_level, smooth_derivatives
 from hybrid_id.records.record import Record
 from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.arm import MOTION
@@ -21,6 +21,10 @@ from hybrid_id.systems.builders import joint_names
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
+THRESHOLD = 0.25
+"""Of the smoothing of the others' motion: six times below the usual one, for noise averages out and bias does not."""
+NOISIER = 2
+"""Times that a fit is made again with noisier motion of the others, for how far it moves the estimates."""
 UNITS = {"hinge": ("rad", "rad/s", "rad/s^2"), "slide": ("m", "m/s", "m/s^2")}
 
 
@@ -39,6 +43,13 @@ def numbered(system: System, place: str) -> str:
     joint, _, where = place.rpartition("/")
     names = () if system.tree is None or system.seats is not None else system.tree.names
     return f"joint{names.index(joint) + 1}/{where}" if joint in names else place
+
+
+def with_joint_names(channels: Sequence[Channel], system: System) -> tuple[Channel, ...]:
+    """Channels that know the name of their joint, where the system is a robot with a description."""
+    names = [] if system.tree is None else [system.tree.names[seat] for seat in system.arm.seats]
+    joints = {str(number): name for number, name in enumerate(names, 1)}
+    return tuple(replace(channel, joint=joints.get(_number(channel.name), "")) for channel in channels)
 
 
 def alone(system: System, joint: int) -> System:
@@ -88,7 +99,8 @@ def with_drive(whole: System, one: System) -> System:
 def with_others_measured(dataset: Dataset, system: System, joint: int) -> Dataset:
     """The records as :func:`alone` reads them: the joint's own channels, and the smoothed motion of the others.
 
-    The others' motion is that of the middle of each sample, during which it is held.
+    The others' motion is that of the middle of each sample, during which it is held. It is smoothed little
+    (:data:`THRESHOLD`): what smoothing takes from a motion no interval can know, noise is found by :func:`noisier`.
 
     Args:
         dataset: of the whole robot, its channels numbered as its joints are.
@@ -117,24 +129,49 @@ def with_others_measured(dataset: Dataset, system: System, joint: int) -> Datase
     return replace(dataset, inputs=(*inputs, *motion), outputs=outputs, records=tuple(records))
 
 
+def noisier(dataset: Dataset, joint: int, seed: int) -> Dataset:
+    """The records with as much noise again on what was measured at the other joints.
+
+    Args:
+        dataset: as for :func:`with_others_measured`.
+        joint: number of the joint that is taken by itself, from 0.
+        seed: of the noise.
+    """
+    rng, own = np.random.default_rng(seed), str(joint + 1)
+    known = {channel.name: channel.noise_std for channel in dataset.outputs}
+
+    def drawn(name: str, values: np.ndarray) -> np.ndarray:
+        std = known[name] or float(noise_level(values))
+        return values if _number(name) == own else values + rng.normal(0.0, std, values.shape)
+
+    records = (
+        replace(one, outputs={name: drawn(name, values) for name, values in one.outputs.items()})
+        for one in dataset.records
+    )
+    return replace(dataset, records=tuple(records))
+
+
 def _others(record: Record, system: System, joint: int) -> Mapping[str, np.ndarray]:
     found = {}
     for k in range(len(system.joints)):
         if k == joint:
             continue
-        for channel, rows in zip(MOTION, measured_motion(record, system, k), strict=True):
+        for channel, rows in zip(MOTION, measured_motion(record, system, k, THRESHOLD), strict=True):
             middle = np.append(0.5 * (rows[1:] + rows[:-1]), rows[-1])
             found[f"{channel}{k + 1}"] = middle
     return found
 
 
-def measured_motion(record: Record, system: System, joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def measured_motion(
+    record: Record, system: System, joint: int, threshold: float | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Smoothed position [rad or m] of a robot's joint, with its speed and acceleration, ``(T,)`` each.
 
     Args:
         record: of the whole robot.
         system: the robot.
         joint: number of the joint, from 0.
+        threshold: how little it is smoothed, see :func:`hybrid_id.records.derivatives.smooth_derivatives`.
 
     Raises:
         InputError: the record has no angle of the joint.
@@ -143,16 +180,18 @@ def measured_motion(record: Record, system: System, joint: int) -> tuple[np.ndar
     sides = {f"q_a{own.number}": 1.0, f"q_m{own.number}": 1.0 / own.gear_ratio}
     name = next((n for n in sides if n in record.outputs), None)
     if own.motors and f"q_a{own.number}" not in record.outputs:
-        return _through_motors(record, system, joint)
+        return _through_motors(record, system, joint, threshold)
     if name is None:
         raise InputError(
             f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add {' or '.join(sides)}, or hold "
             "that joint still in the model."
         )
-    return _smoothed(record, own, name, sides[name])
+    return _smoothed(record, own, name, sides[name], threshold)
 
 
-def _through_motors(record: Record, system: System, joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _through_motors(
+    record: Record, system: System, joint: int, threshold: float | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What :func:`measured_motion` returns of a joint that several motors turn, from their angles."""
     found: list[np.ndarray] = []
     for motor, share in system.joints[joint].motors:
@@ -161,19 +200,20 @@ def _through_motors(record: Record, system: System, joint: int) -> tuple[np.ndar
                 f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add q_a{joint + 1}, or {name} "
                 "of a motor that turns it."
             )
-        found.append(np.stack(_smoothed(record, motor, name, share)))
+        found.append(np.stack(_smoothed(record, motor, name, share, threshold)))
     angle, speed, acceleration = np.sum(found, 0)
     return angle, speed, acceleration
 
 
 def _smoothed(
-    record: Record, joint: Joint, name: str, scale: float
+    record: Record, joint: Joint, name: str, scale: float, threshold: float | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Smoothed angle of an output of a joint times a scale, with its derivatives, ``(T,)`` each."""
     sensors = [part for _, part in joint.sensing.sensors if part.channel == name[:3]]
     offset = sum(part.specs["offset"].value for part in sensors if "offset" in part.specs)
     steps = record.sample_time if record.is_uniform else record.time
-    return smooth_derivatives((record.outputs[name] - offset) * scale, steps)
+    given = {} if threshold is None else {"threshold": threshold}
+    return smooth_derivatives((record.outputs[name] - offset) * scale, steps, **given)
 
 
 def _tree(system: System) -> RigidBodyTree:

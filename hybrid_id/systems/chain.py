@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import difflib
 from collections.abc import Mapping, Sequence
 from types import SimpleNamespace
 from typing import cast
@@ -320,6 +321,11 @@ def _rewire(system: nn.Module, _: object) -> None:
 def check_place(where: str, kind: type[Component], joints: Sequence[str]) -> None:
     """Raise InputError where a system with these joints has no such place, or the place takes no such component."""
     joint, _, place = where.rpartition("/")
+    if not joint:  # a near name of some joint's place would be a guess which joint is meant
+        usual = difflib.get_close_matches(place, kind.places, n=1) or kind.places
+        raise InputError(
+            f"Place '{where}' names no joint; write JOINT/{' or JOINT/'.join(usual)}, JOINT one of {', '.join(joints)}."
+        )
     if joint not in joints or place not in PLACES:
         near = close_match(where, (f"{one}/{other}" for one in joints for other in kind.places))
         raise InputError(

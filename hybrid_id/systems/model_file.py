@@ -23,7 +23,15 @@ from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.builders import FLAT_NAMES, joint_names, robot
 from hybrid_id.systems.by_joint import together
 from hybrid_id.systems.chain import System, check_place
-from hybrid_id.systems.model_schema import FLAT, ROBOT, SKELETON, ModelFile, ParameterEntry, RobotEntry
+from hybrid_id.systems.model_schema import (
+    FLAT,
+    ROBOT,
+    SKELETON,
+    ComponentEntry,
+    ModelFile,
+    ParameterEntry,
+    RobotEntry,
+)
 from hybrid_id.systems.servos import SERVOS, drive_of
 
 WEIGHTS = (Gravity.kind, ArmGravity.kind)
@@ -87,12 +95,8 @@ def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
             f"{entry.file}, its drives under 'components'."
         )
     listed = []
-    for one in file.components:
-        kind = _kind(one.kind, path)
-        try:
-            check_place(one.place, kind, tree.names)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+    for k, one in enumerate(file.components):
+        _placed_kind(one, k, tree.names, path)
         joint, _, place = one.place.rpartition("/")
         listed.append(one.model_copy(update={"place": f"joint{tree.names.index(joint) + 1}/{place}"}))
     file = file.model_copy(update={"components": listed, "gear_ratio": ratios})
@@ -202,12 +206,9 @@ def _add_components(parts: Parts, file: ModelFile, path: str) -> None:
     """Put the listed components into their places; one in a single place takes the default's."""
     listed: set[tuple[str, str]] = set()
     singles: dict[tuple[str, type], str] = {}
-    for entry in file.components:
-        kind, key = _kind(entry.kind, path), (entry.place, entry.kind)
-        try:
-            check_place(entry.place, kind, [f"joint{n + 1}" for n in range(len(file.gear_ratio))])
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+    joints = [f"joint{n + 1}" for n in range(len(file.gear_ratio))]
+    for k, entry in enumerate(file.components):
+        kind, key = _placed_kind(entry, k, joints, path), (entry.place, entry.kind)
         if key in listed:
             raise InputError(
                 f"{path}: components lists {entry.kind} at {entry.place} twice; keep one of them."
@@ -266,11 +267,18 @@ def _add_parameters(parts: Parts, file: ModelFile, path: str) -> None:
                 parts[key][symbol] = replace(declared.bounded(0.0), estimate=False)
 
 
-def _kind(name: str, path: str) -> type[Component]:
-    if name not in REGISTRY:
-        near = close_match(name, REGISTRY) or f"; use one of {', '.join(sorted(REGISTRY))}."
-        raise InputError(f"{path}: component kind '{name}' is not known{near}")
-    return REGISTRY[name]
+def _placed_kind(entry: ComponentEntry, k: int, joints: Sequence[str], path: str) -> type[Component]:
+    """Class of the k-th listed component, which can sit in the place that the file gives it."""
+    if entry.kind not in REGISTRY:
+        near = close_match(entry.kind, REGISTRY) or f"; use one of {', '.join(sorted(REGISTRY))}."
+        raise InputError(
+            f"{path}: key 'components[{k}].kind': component kind '{entry.kind}' is not known{near}"
+        )
+    try:
+        check_place(entry.place, REGISTRY[entry.kind], joints)
+    except InputError as error:
+        raise InputError(f"{path}: key 'components[{k}].place': {error}") from None
+    return REGISTRY[entry.kind]
 
 
 def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry, where: str) -> Bounded:
@@ -387,22 +395,27 @@ def _component(where: str, part: Component) -> dict[str, Any]:
     return entry
 
 
-def save_model(system: System, path: str | Path, home: str | Path | None = None) -> None:
+def save_model(
+    system: System, path: str | Path, home: str | Path | None = None, moved: str | Path | None = None
+) -> None:
     """Write a system as a model file, under a temporary name first.
 
     Args:
         system: the system.
         path: file to write.
-        home: folder where the file will lie at last; that of the path by default. A description that lies beside or
-            below the path comes along.
+        home: folder where the file will lie at last; that of the path by default.
+        moved: folder, the path's or above it, that is moved with all that it holds until the file lies in ``home``; the
+            path's by default.
     """
     here = Path(path).parent
-    along = system.tree is not None and Path(system.tree.source).resolve().is_relative_to(here.resolve())
+    along = system.tree is not None and Path(system.tree.source).resolve().is_relative_to(
+        (here if moved is None else Path(moved)).resolve()
+    )
     write_yaml(path, describe_model(system, here if home is None or along else Path(home)))
 
 
 def _entry(spec: Bounded) -> dict[str, Any]:
-    entry: dict[str, Any] = {"nominal": spec.value}
+    entry: dict[str, Any] = {"nominal": spec.value + 0.0}  # -0.0 becomes 0.0
     entry |= {k: v for k, v in (("lower", spec.lower), ("upper", spec.upper)) if math.isfinite(v)}
     entry |= {"unit": spec.unit, "estimate": spec.estimate}
     if spec.prior_std is not None:

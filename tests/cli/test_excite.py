@@ -48,10 +48,21 @@ def test_goals_of_a_robot(run, arm: str, tmp_path: Path) -> None:
     assert np.abs(table["goal1"]).max() <= 0.9 * np.pi / 3
 
 
+def test_a_short_signal_takes_the_tones_that_it_holds(run, arm: str, tmp_path: Path) -> None:
+    short = arm.replace("--tones 4", "--duration 5") + " --speed 3 --torque 2"
+    found = run(*short.split())
+    assert found.code == 0, found.err
+    assert "10 tones from 0.2 to 2 Hz" in found.out
+    assert json.loads((tmp_path / "u.json").read_text())["tones"] == 10
+    asked = run(*short.split(), "--tones", "20", "--force")
+    assert asked.code == 2 and "fewer than 20 tones" in asked.err
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
         ("", "'swing' has no largest speed"),
+        ("", "--speed swing=VALUE, or one for all joints as --speed VALUE"),
         ("--speed 3", "'swing' has no largest torque"),
         ("--speed swim=3", "no joint 'swim'"),
         ("--speed fast", "'fast' is no number above 0"),

@@ -6,7 +6,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.excitation import Multisine, design_multisine, schroeder_phases
+from hybrid_id.records.excitation import (
+    Multisine,
+    design_multisine,
+    schroeder_phases,
+    usual_tones,
+)
 
 FAST = {"sample_time": 0.01, "duration": 10.0, "amplitude_limits": 10.0, "starts": 2}
 
@@ -94,10 +99,21 @@ def test_never_outside_band_or_limit(lowest, width, tones):
     assert np.abs(on_fine_grid(design)).max() <= 10.0 * (1 + 1e-12)
 
 
+@settings(max_examples=20, deadline=None)
+@given(lowest=st.floats(0.0, 2.0), width=st.floats(0.6, 5.0), duration=st.floats(2.0, 12.0))
+def test_the_usual_number_of_tones_is_one_that_the_band_holds(lowest, width, duration):
+    band, duration = (lowest, lowest + width), round(duration / 0.01) * 0.01
+    held = [k for k in range(1, 800) if band[0] * duration - 1e-9 <= k <= band[1] * duration + 1e-9]
+    assert usual_tones(band, duration) == min(20, len(held))
+    design = design_multisine(band, sample_time=0.01, duration=duration, amplitude_limits=1.0, starts=1)
+    assert len(design.frequencies) == min(20, len(held))
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"band": (0.1, 0.5)}, "fewer than 20 tones"),
+        ({"band": (0.1, 0.5), "tones": 20}, "fewer than 20 tones"),
+        ({"band": (0.11, 0.12)}, "fewer than 1 tones"),
         ({"band": (1.0, 60.0)}, "half the sampling frequency"),
         ({"band": (0.1, 2.0), "amplitude_limits": 0.0}, "amplitude limit"),
         ({"band": (0.1, 2.0), "amplitude_limits": float("nan")}, "amplitude limit"),

@@ -29,8 +29,13 @@ def arm(joint=HINGE, inside=""):
 @pytest.mark.parametrize(
     ("world", "rest", "words"),
     [
-        (arm('<freejoint name="float"/>'), "", "'link' has a free joint"),
-        (arm('<joint name="b" type="ball"/>'), "", "'link' has a ball joint.*put hinges in its place"),
+        (arm('<freejoint name="float"/>'), "", "joint 'float' of body 'link' is a free joint"),
+        (arm("<freejoint/>"), "", "a joint without a name of body 'link' is a free joint"),
+        (
+            arm('<joint name="b" type="ball"/>'),
+            "",
+            "joint 'b' of body 'link' is a ball joint.*put hinges in its place",
+        ),
         (
             arm(),
             '<tendon><fixed name="cable"><joint joint="turn" coef="1"/></fixed></tendon>',
@@ -55,6 +60,19 @@ def test_what_is_not_supported_is_refused(tmp_path, world, rest, words):
         load_tree(described(tmp_path, world, rest))
     assert "\n" not in str(error.value)
     assert str(error.value).startswith(str(tmp_path / "robot.xml"))
+
+
+def test_a_urdf_joint_that_is_not_supported_is_named(tmp_path):
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+    )
+    path = tmp_path / "robot.urdf"
+    path.write_text(
+        f'<robot name="r"><link name="base">{inertial}</link><link name="hand">{inertial}</link>'
+        '<joint name="wrist" type="floating"><parent link="base"/><child link="hand"/></joint></robot>'
+    )
+    with pytest.raises(InputError, match="joint 'wrist' of body 'hand' is a free joint"):
+        load_tree(path)
 
 
 def test_entities_are_refused_unread(tmp_path):

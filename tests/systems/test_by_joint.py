@@ -13,7 +13,7 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study import identify
-from hybrid_id.systems.by_joint import alone, joint_number, together, with_others_measured
+from hybrid_id.systems.by_joint import alone, joint_number, noisier, together, with_others_measured
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model, save_model
 
@@ -95,6 +95,24 @@ def test_a_joint_alone_gives_the_parameters_that_the_arm_has(tmp_path: Path) -> 
     study = identify(with_others_measured(data, truth, k), alone(guess, k), pooled=True)
     for name, value in zip(study.names, study.selected.values, strict=True):
         assert value == pytest.approx(truth.parameter(name).spec.value, rel=0.05), name
+
+
+def test_noise_of_the_others_is_in_the_intervals(tmp_path: Path) -> None:
+    truth = arm(tmp_path)
+    data = records_of(truth, count=3, noise=3e-4)
+    k = joint_number(truth, "lift")
+    own, *others = (
+        with_others_measured(one, truth, k)
+        for one in (data, noisier(data, k, seed=0), noisier(data, k, seed=1))
+    )
+    assert np.array_equal(others[0].records[0].outputs["q_m1"], own.records[0].outputs["q_m1"])
+    bare = identify(own, alone(truth, k), pooled=True)
+    study = identify(own, alone(truth, k), pooled=True, noisier=others)
+    assert np.array_equal(study.values, bare.values) and bare.input_error is None
+    assert (study.standard_errors(0) > bare.standard_errors(0)).all()
+    known = np.array([truth.parameter(name).spec.value for name in study.names])
+    z = np.abs(study.selected.values - known) / np.array([bare.standard_errors(0), study.standard_errors(0)])
+    assert z[0].max() > 2.0 > z[1].max(), z
 
 
 def test_what_a_joint_alone_lacks_is_said(tmp_path: Path) -> None:

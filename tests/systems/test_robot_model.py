@@ -139,6 +139,28 @@ def test_a_saved_model_and_its_robot_can_be_moved_together(tmp_path: Path) -> No
     assert load_model(tmp_path / "yours" / "run" / "model.yaml").tree is not None
 
 
+def test_a_model_below_a_moved_folder_finds_the_description_that_came_along(tmp_path: Path) -> None:
+    staged, home = tmp_path / "staged", tmp_path / "results"
+    (staged / "data").mkdir(parents=True)
+    save_model(
+        load_model(written(staged / "data")), staged / "models" / "a.yaml", home / "models", moved=staged
+    )
+    staged.rename(home)
+    assert "file: ../data/arm.xml" in (home / "models" / "a.yaml").read_text()
+    load_model(home / "models" / "a.yaml")
+
+
+def test_a_damping_that_a_servo_lacks_is_written_as_zero(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    servo = '<actuator><position joint="pan" kp="6"/></actuator></mujoco>'
+    (tmp_path / "arm.xml").write_text(ARM.replace("</mujoco>", servo))
+    system = load_model(path)
+    save_model(system, tmp_path / "saved.yaml")
+    save_model(system.with_values({"k_d_pan": -0.0}), tmp_path / "given.yaml")
+    assert "k_d: {nominal: 0.0" in (tmp_path / "saved.yaml").read_text()
+    assert "k_d: {nominal: 0.0" in (tmp_path / "given.yaml").read_text()
+
+
 def test_a_name_is_the_joints_own_whatever_stands_in_it(tmp_path: Path) -> None:
     text = """
 robot: {file: arm.xml}
