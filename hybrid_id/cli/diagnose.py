@@ -275,8 +275,11 @@ def write_diagnosis(
     if diagnosis.experiments and diagnosis.experiments[0].distinguishes:
         from pandas import DataFrame
 
+        from hybrid_id.systems.by_joint import as_in_robot
+
         best = diagnosis.experiments[0]
-        DataFrame({"t": best.time, **best.inputs}).to_csv(folder / NEXT, index=False, float_format="%.6g")
+        columns = as_in_robot(best.inputs, diagnosis.model)
+        DataFrame({"t": best.time, **columns}).to_csv(folder / NEXT, index=False, float_format="%.6g")
     whole = write_report(
         folder,
         home,

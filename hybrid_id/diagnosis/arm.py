@@ -28,9 +28,12 @@ from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.result import FitResult
+from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import alone, joint_number, number_of, with_drive, with_others_measured
 from hybrid_id.systems.chain import System
@@ -38,7 +41,7 @@ from hybrid_id.systems.chain import System
 COUPLED = 10
 """Iterations of the fit of the whole robot, which begins where the joints' own fits have ended."""
 VERDICTS = ("effects", "outside_catalogue", "parameters_only", "inconclusive", "no_gap")
-STILL = 6.0
+STILL = 10.0
 """Range of an angle, in standard deviations of its noise, up to which a joint has not moved."""
 
 
@@ -298,9 +301,9 @@ def _of_whole_robot(
     refit = model = nominal
     for one in found.values():
         refit, model = with_drive(refit, one.search.base.system), with_drive(model, one.model)
-    refit = fitted_coupled(dataset, refit, signal_share)
+    refit, whole = fitted_coupled(dataset, refit, signal_share)
     named = any(one.search.chosen.effects for one in found.values())
-    model = fitted_coupled(dataset, model, signal_share) if named else refit
+    model, whole = fitted_coupled(dataset, model, signal_share) if named else (refit, whole)
     trained = errors(dataset, refit, engine(), dataset.train, signal_share=signal_share)
     tested = [errors(dataset, one, engine(), signal_share=signal_share) for one in (nominal, refit, model)]
     before, after, gap, contradiction = tested[1], tested[2], None, ""
@@ -309,13 +312,16 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
         if named and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
+    parts = _parts(dataset, found, nominal, trained)
     return ArmDiagnosis(
-        dataset.name, found, skipped, _parts(dataset, found, nominal, trained), common_sizes(found), refit, model,
-        tested[0], before, after, gap, contradiction, stopped,
+        dataset.name, found, skipped, parts, common_sizes(found, whole), refit, model, tested[0], before, after,
+        gap, contradiction, stopped,
     )  # fmt: skip
 
 
-def fitted_coupled(dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE) -> System:
+def fitted_coupled(
+    dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE
+) -> tuple[System, FitResult | None]:
     """A robot fitted to train and validation records, all joints simulated; as it was where that errs no less.
 
     One joint by itself takes the motion of the others with its noise; the whole robot does not.
@@ -324,16 +330,21 @@ def fitted_coupled(dataset: Dataset, system: System, signal_share: float = SIGNA
         dataset: of the whole robot.
         system: the robot, from whose values the fit starts.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+
+    Returns:
+        The robot, and its fit where that was taken.
     """
     records = [record for record in dataset.records if record.role != "test"]
     with suppress(InputError, RuntimeError, np.linalg.LinAlgError):
         batch = batch_of(dataset, system, records, signal_share, "cpu")
         options = Options(max_iterations=COUPLED)
-        again = fit(system, batch, pooled=True, engine=engine(), options=options, warm=False)[0].system
-        both = [errors(dataset, s, engine(), records, signal_share=signal_share) for s in (system, again)]
+        again = fit(system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
+        both = [
+            errors(dataset, s, engine(), records, signal_share=signal_share) for s in (system, again.system)
+        ]
         if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
-            return again
-    return system
+            return again.system, again
+    return system, None
 
 
 def _parts(
@@ -353,26 +364,34 @@ def _parts(
     return {name: value / whole if whole > 0.0 else 1.0 / len(size) for name, value in size.items()}
 
 
-def common_sizes(found: Mapping[str, Diagnosis]) -> tuple[CommonSize, ...]:
-    """Parameters of effects that several joints have at the same place, each as if one size were theirs."""
-    sizes: dict[tuple[str, str, str], list[tuple[str, float, float]]] = {}
+def common_sizes(found: Mapping[str, Diagnosis], whole: FitResult | None) -> tuple[CommonSize, ...]:
+    """Parameters of effects that several joints have at the same place, each as if one size were theirs.
+
+    Args:
+        found: the joints' diagnoses, by name.
+        whole: the fit of the whole robot, whose estimates are compared; without one nothing is.
+    """
+    if whole is None:
+        return ()
+    std = robust_covariance(whole.jacobian, whole.residual, prior_precision=whole.prior_precision).std_error
+    known = dict(zip(whole.names, zip(whole.values, std, strict=True), strict=True))
+    sizes: dict[tuple[str, str, str], list[tuple[str, ParameterInfo]]] = {}
     for joint, one in found.items():
+        number = joint_number(whole.system, joint) + 1
         for effect in one.selected:
-            for symbol, (value, std) in effect.parameters.items():
-                if std > 0.0 and np.isfinite(std):
-                    sizes.setdefault((effect.name, effect.where, symbol), []).append((joint, value, std))
+            here = effect.where.replace("joint1/", f"joint{number}/")
+            for info in whole.system.table:
+                own = info.component.rpartition("/")[0] == here and info.symbol in effect.parameters
+                if own and info.name in known:
+                    sizes.setdefault((effect.name, effect.where, info.symbol), []).append((joint, info))
     result = []
-    for (name, where, symbol), each in sizes.items():
-        if len(each) < 2:
-            continue
-        values, weights = np.array([v for _, v, _ in each]), np.array([s for *_, s in each]) ** -2.0
-        mean = float((weights * values).sum() / weights.sum())
-        q = float((weights * (values - mean) ** 2).sum())
-        model = found[each[0][0]].model
-        unit = next(
-            (i.spec.unit for i in model.table if i.component.startswith(where) and i.symbol == symbol), ""
-        )
-        joints = tuple(joint for joint, *_ in each)
-        chance = float(chi2.sf(q, len(each) - 1))
-        result.append(CommonSize(name, symbol, unit, joints, mean, float(weights.sum() ** -0.5), chance))
+    for (name, *_), each in sizes.items():
+        values, errors_ = np.array([known[info.name] for _, info in each]).T
+        if len(each) > 1 and np.isfinite(errors_).all() and (errors_ > 0.0).all():
+            weights = errors_**-2.0
+            mean = float((weights * values).sum() / weights.sum())
+            chance = float(chi2.sf(float((weights * (values - mean) ** 2).sum()), len(each) - 1))
+            joints, info = tuple(joint for joint, _ in each), each[0][1]
+            size = float(weights.sum() ** -0.5)
+            result.append(CommonSize(name, info.symbol, info.spec.unit, joints, mean, size, chance))
     return tuple(result)

@@ -16,7 +16,10 @@ from hybrid_id.records.units import stem
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
+from hybrid_id.systems.arm import MOTION
 
+RESTING = (*DRIVES, *MOTION[1:])
+"""Stems of the channels that are zero where a joint rests."""
 DURATION = 8.0
 """Length [s] of a proposed record."""
 REST = 0.1
@@ -113,9 +116,9 @@ def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Exp
         centre, amplitude = _room(dataset, name)
         for title, signal in signals(amplitude, 0.15 * amplitude).items():
             command = centre + np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
-            # a supply, a loop's gain and a switch stay as they were; the other joints' drives rest
+            # a supply, a loop's gain and a switch stay as they were; the other joints and their drives rest
             inputs = {
-                other: np.full_like(time, 0.0 if stem(other) in DRIVES else float(np.median(values)))
+                other: np.full_like(time, 0.0 if stem(other) in RESTING else float(np.median(values)))
                 for other, values in reference.inputs.items()
             } | {name: command}
             outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}

@@ -57,7 +57,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
     named = found.selected
     if named:
         said = [
-            f"{words_of(one.name)} at {one.where.split('/')[0]}{' explains' if k == 0 else ''} "
+            f"{words_of(one.name)} at {one.where.rpartition('/')[0]}{' explains' if k == 0 else ''} "
             f"{percent(one.share or 0.0)} (probability {_probability(one.probability)})"
             for k, one in enumerate(named)
         ]
@@ -65,24 +65,28 @@ def arm_headline(found: ArmDiagnosis) -> str:
         rest = found.remainder
         sentence += f"{percent(rest)} remains unexplained." if rest >= 0.01 else "nothing structural remains."
     else:
-        one = next(one for one in found.joints.values() if one.verdict == found.verdict)
-        sentence = {
-            "outside_catalogue": "No effect of the catalogue surely explains any of the gap, and something structural "
-            f"remains at {joined(_joints_of(found, 'outside_catalogue'))}.",
-            "parameters_only": "Wrong parameter values explain the gap, and no effect is missing at any joint.",
-            "no_gap": "There is no gap: no effect predicts records left out surely better than the nominal robot.",
-        }.get(found.verdict, headline(one))
+        sentence = _nothing_named(found)
     if found.interrupted:
-        sentence += f" The search was interrupted: {joined(list(found.skipped))} was not diagnosed."
+        sentence += " The search was interrupted: not all joints were diagnosed to the end."
     return sentence
+
+
+def _nothing_named(found: ArmDiagnosis) -> str:
+    there = [joint for joint, one in found.joints.items() if one.verdict == found.verdict]
+    if found.verdict == "outside_catalogue":
+        return (
+            "No effect of the catalogue surely explains any of the gap, and something structural remains at "
+            f"{joined(there)}."
+        )
+    if found.verdict == "parameters_only":
+        return f"Wrong parameter values explain the gap, of {joined(there)}, and no effect is missing at any joint."
+    if found.verdict == "no_gap":
+        return "There is no gap: no effect predicts records left out surely better than the nominal robot."
+    return headline(found.joints[there[0]])
 
 
 def _probability(value: float) -> str:
     return "above 0.99" if value > 0.99 else f"{value:.2f}"
-
-
-def _joints_of(found: ArmDiagnosis, verdict: str) -> list[str]:
-    return [joint for joint, one in found.joints.items() if one.verdict == verdict]
 
 
 def lacks(one: Diagnosis) -> str:

@@ -89,7 +89,7 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
             (
                 words_of(one.name), "" if one.share is None else percent(one.share) + interval,
                 f"{one.probability:.3f}",
-                f"{joint_words(one.where)}, {place_words(one.where)}",
+                f"{joint_words(one.where, diagnosis.model)}, {place_words(one.where)}",
                 Text("selected", style="green") if one.selected else Text(others),
             )
         )  # fmt: skip

@@ -37,6 +37,7 @@ from hybrid_id.reporting.style import (
     symbol,
     unit,
 )
+from hybrid_id.systems.chain import System
 
 PROFILES, SHARES, CANDIDATES = 3, 9, 12
 """Panels of missing torques, bars of shares and candidates that are drawn at most."""
@@ -61,7 +62,7 @@ def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Drawn]:
         figures["location"] = location_figure(diagnosis)
     maps = [one for one in details.maps if max(found.share for found in one.values()) > LEAST_SHARE]
     if maps:
-        figures["torque_map"] = torque_map_figure(dataset, maps)
+        figures["torque_map"] = torque_map_figure(dataset, maps, diagnosis.model)
     if all(details.reversals.values()):
         figures["reversals"] = reversal_figure(dataset, details.reversals)
     if diagnosis.search.steps and diagnosis.search.steps[0].candidates:
@@ -154,7 +155,8 @@ def torque_figure(dataset: Dataset, diagnosis: Diagnosis) -> Figure:
             xlabel=_axis(dataset, one, unit),
             ylabel=f"missing torque {scaled_unit(torque_unit, exponent)}",
         )
-        axes.set_title(f"{side_words(one.joint, one.side)}: {100 * max(one.share, 0.0):.0f} %", loc="left")
+        where = side_words(one.joint, one.side, diagnosis.model)
+        axes.set_title(f"{where}: {100 * max(one.share, 0.0):.0f} %", loc="left")
         axes.set_xlim(factor * one.grid[0], factor * one.grid[-1])
     legend_above(figure, panels[0])
     return figure
@@ -175,7 +177,7 @@ def location_figure(diagnosis: Diagnosis) -> Figure:
         axes.barh(rows + 0.18, left, 0.34, color=MODELS["corrected"], label="corrected model")
     else:
         axes.barh(rows, before, 0.6, color=MODELS["re-fitted"], label="re-fitted model")
-    axes.set_yticks(rows, [f"{side_words(o.joint, o.side)}: {o.signal}" for o in shown])
+    axes.set_yticks(rows, [f"{side_words(o.joint, o.side, diagnosis.model)}: {o.signal}" for o in shown])
     axes.set(xlim=(0, 100), xlabel="explained part of the residual [% of the mean square]")
     axes.invert_yaxis()
     axes.legend(loc="lower right")
@@ -196,7 +198,7 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
     names = []
     for row, candidate in enumerate(shown):
         name = added_effect(candidate, first.before)
-        names.append(f"{words_of(name[0])} {place_words(name[1])}, {joint_words(name[1])}")
+        names.append(f"{words_of(name[0])} {place_words(name[1])}, {joint_words(name[1], diagnosis.model)}")
         one = rated.get(name)  # short runs were not asked about what explains little along whole ones
         colour = MODELS["corrected"] if one is not None and one.selected else GREY
         ratio = max(1.0 - candidate.fall(first.before), 0.0) ** 0.5
@@ -214,7 +216,7 @@ def candidates_figure(diagnosis: Diagnosis) -> Figure:
 
 
 @journal()
-def torque_map_figure(dataset: Dataset, maps: Sequence[Mapping[str, TorqueMap]]) -> Figure:
+def torque_map_figure(dataset: Dataset, maps: Sequence[Mapping[str, TorqueMap]], system: System) -> Figure:
     """A row a joint: what the re-fitted model misses over angle and speed, and the corrected one alike."""
     figure = new_figure(2.3 * len(maps) + 0.2)
     grid = figure.subplots(len(maps), len(maps[0]), squeeze=False)
@@ -230,7 +232,7 @@ def torque_map_figure(dataset: Dataset, maps: Sequence[Mapping[str, TorqueMap]])
             axes.set(
                 xlabel=f"{side} angle [{unit(angle_unit)}]", ylabel=f"{side} speed [{unit(angle_unit)}/s]"
             )
-            where = side_words(one.joint, one.side)
+            where = side_words(one.joint, one.side, system)
             share = percent(one.share) if one.share > LEAST_SHARE else "chance"
             axes.set_title(f"{where}, {name}: {share}", loc="left")
             figure.colorbar(image, ax=axes, label=f"missing torque [{unit(torque_unit)}]")

@@ -16,6 +16,7 @@ from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.reporting.tables import count, interval_words
 from hybrid_id.reporting.units import in_unit, shown_unit
+from hybrid_id.systems.chain import System
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
@@ -82,7 +83,7 @@ def _named(diagnosis: Diagnosis, one: RatedEffect) -> str:
     words = joined(shown, "or")
     joints = {where.split("/")[0] for _, where in members}
     if len(diagnosis.model.joints) > 1 and joints == {acts_at(diagnosis.disturbances_before)[0]}:
-        words += f" at {joint_words(one.where)}"
+        words += f" at {joint_words(one.where, diagnosis.model)}"
     return words + (" (indistinguishable on these records)" if len(names) > 1 else "")
 
 
@@ -100,7 +101,9 @@ def _acting(diagnosis: Diagnosis) -> str:
     if joint is None:
         return ""
     one = _signal(diagnosis, joint, side)
-    words = f", at {joint_words(joint)}" + (f", on the {SIDES[side]}" if side in SIDES else "")
+    words = f", at {joint_words(joint, diagnosis.model)}" + (
+        f", on the {SIDES[side]}" if side in SIDES else ""
+    )
     if one is None:
         return words
     return words + (f" ({IN_WORDS[one.signal]})" if one.signal in IN_WORDS else f", with the {one.signal}")
@@ -165,7 +168,7 @@ def where_line(diagnosis: Diagnosis) -> str:
     """Sides of joints and signals that explain most of the residual of the re-fitted model; empty where none does."""
     sides: dict[str, list[str]] = {}
     for one in [one for one in diagnosis.location if one.share > LEAST_SHARE][:3]:
-        side = side_words(one.joint, one.side)
+        side = side_words(one.joint, one.side, diagnosis.model)
         sides.setdefault(side, []).append(f"{one.signal} ({percent(one.share)})")
     if not sides:
         return ""
@@ -179,9 +182,9 @@ def disturbance_line(diagnosis: Diagnosis) -> str:
     elsewhere = [one.share for one in diagnosis.disturbances if one.joint != joint]
     if joint is None or not elsewhere:
         return ""
-    model = "corrected" if diagnosis.corrected else "re-fitted"
+    model, place = "corrected" if diagnosis.corrected else "re-fitted", joint_words(joint, diagnosis.model)
     return (
-        f"residual after ({model} model): a torque of arbitrary shape in time at {joint_words(joint)} explains "
+        f"residual after ({model} model): a torque of arbitrary shape in time at {place} explains "
         f"{percent(diagnosis.disturbances[0].share)} of it within short windows (mean square), elsewhere "
         f"{percent(max(*elsewhere, 0.0))} at most."
     )
@@ -247,7 +250,7 @@ def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
     lines = []
     for group in diagnosis.ties:
         members = [_member(member) for member in group]
-        names = ", ".join(_at(*member) for member in members)
+        names = ", ".join(_at(*member, diagnosis.model) for member in members)
         words = _excitations(members, brief)
         advice = f" What would distinguish them: {words}." if words else ""
         lines.append(f"indistinguishable on these records: {names}.{advice}")
@@ -279,11 +282,14 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
             "next experiment: no simulated command makes the outputs of these models differ by more than "
             f"{best.distance:.2g} times the encoders' noise (RMS); change the load, or how the joint stands."
         ]
+    place = joint_words(f"joint{best.joint}", diagnosis.model)
     words = (
-        f"next experiment: {best.name} at joint {best.joint}: the outputs of these models would differ by "
+        f"next experiment: {best.name} at {place}: the outputs of these models would differ by "
         f"{best.distance:.2g} times the encoders' noise (RMS; {best.distance_now:.2g} in these records)."
     )
-    alike = "; ".join(" and ".join(_at(*_member(name)) for name in pair) for pair in best.together)
+    alike = "; ".join(
+        " and ".join(_at(*_member(name), diagnosis.model) for name in pair) for pair in best.together
+    )
     return [words + (f" It does not distinguish {alike}." if alike else "")]
 
 
@@ -291,7 +297,8 @@ def rejected_lines(diagnosis: Diagnosis) -> list[str]:
     """Effects that the search accepted and that are not sure enough to be asserted, as one line."""
     if not diagnosis.rejected:
         return []
-    words = joined([_at(*one.split(" at ")) for one in diagnosis.rejected])
+    split = (one.partition(" at ") for one in diagnosis.rejected)
+    words = joined([_at(name, where, diagnosis.model) for name, _, where in split])
     return [f"rejected: {words}: improbable, or of a size that may be zero."]
 
 
@@ -361,7 +368,8 @@ def value_lines(diagnosis: Diagnosis) -> list[str]:
     """Parameters of the selected effects with their intervals, a line each."""
     level = diagnosis.details.studies[-1].level
     return [
-        f"{words_of(one.name)} ({joint_words(one.where)}, {place_words(one.where)}; {100 * level:g} % intervals): "
+        f"{words_of(one.name)} ({joint_words(one.where, diagnosis.model)}, {place_words(one.where)}; "
+        f"{100 * level:g} % intervals): "
         f"{', '.join(values)}."
         for one in diagnosis.selected
         if (values := values_of(diagnosis, one))
@@ -416,22 +424,26 @@ def _member(tie: str) -> tuple[str, str]:
     return name, where
 
 
-def _at(name: str, where: str) -> str:
+def _at(name: str, where: str, system: System) -> str:
     """An effect with its place; ``name@where and name@where`` of models with several more effects."""
     if " and " in where:
         first, _, rest = where.partition(" and ")
-        return f"{_at(name, first)} with {_at(*_member(rest))}"
-    return f"{words_of(name)} ({joint_words(where)}, {place_words(where)})"
+        return f"{_at(name, first, system)} with {_at(*_member(rest), system)}"
+    return f"{words_of(name)} ({joint_words(where, system)}, {place_words(where)})"
 
 
-def joint_words(where: str) -> str:
-    """``joint1/motor`` -> ``joint 1``."""
-    return where.split("/")[0].replace("joint", "joint ")
+def joint_words(where: str, system: System) -> str:
+    """``joint1/motor`` -> ``joint 1``, or as the description of a robot calls that joint."""
+    joint = where.split("/")[0]
+    if system.tree is None:
+        return joint.replace("joint", "joint ")
+    return system.tree.names[system.arm.seats[int(joint.removeprefix("joint")) - 1]]
 
 
-def side_words(joint: str, place: str) -> str:
+def side_words(joint: str, place: str, system: System) -> str:
     """``joint1``, ``load`` -> ``joint 1, link side``; a joint whose sides move alike has none."""
-    return f"{joint_words(joint)}, {SIDES[place]}" if place in SIDES else joint_words(joint)
+    words = joint_words(joint, system)
+    return f"{words}, {SIDES[place]}" if place in SIDES else words
 
 
 def place_words(where: str) -> str:

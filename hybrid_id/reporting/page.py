@@ -34,7 +34,7 @@ Cell = tuple[str, str]
 
 @dataclass(frozen=True)
 class Block:
-    """One thing on the page, by ``kind``: text, link, table, code, or picture, which may have an interactive ``plot``."""
+    """One thing on the page, by ``kind``: text, link, table, code or picture; pictures may have a ``plot``."""
 
     kind: str
     text: str = ""

@@ -49,7 +49,7 @@ def with_joint_names(channels: Sequence[Channel], system: System) -> tuple[Chann
     """Channels that know the name of their joint, where the system is a robot with a description."""
     names = [] if system.tree is None else [system.tree.names[seat] for seat in system.arm.seats]
     joints = {str(number): name for number, name in enumerate(names, 1)}
-    return tuple(replace(channel, joint=joints.get(_number(channel.name), "")) for channel in channels)
+    return tuple(replace(channel, joint=joints.get(number_of(channel.name), "")) for channel in channels)
 
 
 def alone(system: System, joint: int) -> System:
@@ -129,6 +129,24 @@ def with_others_measured(dataset: Dataset, system: System, joint: int) -> Datase
     return replace(dataset, inputs=(*inputs, *motion), outputs=outputs, records=tuple(records))
 
 
+def as_in_robot(inputs: Mapping[str, np.ndarray], system: System) -> dict[str, np.ndarray]:
+    """Inputs of a joint by itself under their names in the robot, with the angles at which the others stay.
+
+    Args:
+        inputs: of a record as :func:`with_others_measured` makes it, ``(T,)`` each.
+        system: the joint by itself; inputs of any other system stay as they are.
+    """
+    if system.seats is None:
+        return dict(inputs)
+    own = str(system.seats[0] + 1)
+    found = {}
+    for name, values in inputs.items():
+        kind = name.removesuffix(number_of(name))
+        if kind not in MOTION[1:]:
+            found[name if kind in MOTION else f"{kind}{own}"] = values
+    return found
+
+
 def noisier(dataset: Dataset, joint: int, seed: int) -> Dataset:
     """The records with as much noise again on what was measured at the other joints.
 
@@ -142,7 +160,7 @@ def noisier(dataset: Dataset, joint: int, seed: int) -> Dataset:
 
     def drawn(name: str, values: np.ndarray) -> np.ndarray:
         std = known[name] or float(noise_level(values))
-        return values if _number(name) == own else values + rng.normal(0.0, std, values.shape)
+        return values if number_of(name) == own else values + rng.normal(0.0, std, values.shape)
 
     records = (
         replace(one, outputs={name: drawn(name, values) for name, values in one.outputs.items()})

@@ -3,6 +3,7 @@
 import gzip
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 
 from hybrid_id.cli.ablate import planned
 from hybrid_id.cli.options import config_of
+from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.errors import InputError
 from hybrid_id.machines.twin.desk_arm import write_arm
 from hybrid_id.records.dataset import Channel, Dataset
@@ -21,6 +23,18 @@ from hybrid_id.study.replays import replay
 from hybrid_id.systems.model_file import load_model
 
 pytest.importorskip("mujoco")
+
+
+@pytest.fixture
+def few() -> Iterator[None]:
+    """A catalogue of two effects, so that a search takes a second."""
+    before = dict(CATALOGUE)
+    for name in set(CATALOGUE) - {"spring_load", "constant_torque"}:
+        del CATALOGUE[name]
+    yield
+    CATALOGUE.clear()
+    CATALOGUE.update(before)
+
 
 NAMES = ("base", "joint 1/x", "tip")
 
@@ -64,13 +78,31 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_diagnosis_that_would_not_end_is_refused(run, arm: Path, tmp_path: Path) -> None:
-    done = run("diagnose", arm, "--model", arm / "model.yaml", "--out", tmp_path / "out")
-    assert done.code == 2, done.out
-    assert "'diagnose' takes 2 joints at most so far, this arm has 3; check, identify" in " ".join(
-        done.err.split()
+def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_path: Path, few: None) -> None:
+    out = tmp_path / "out"
+    done = run(
+        "diagnose", arm, "--model", arm / "model.yaml", "--out", out, "--joint", "tip", "--joint", "joint 1/x"
     )
-    assert not list(tmp_path.iterdir())
+    assert done.code == 0, done.err
+    words = " ".join(done.out.split())
+    assert "not diagnosed: base (it was not asked for)" in words
+    said = json.loads((out / "diagnosis.json").read_text())
+    assert set(said["joints"]) == {"joint 1/x", "tip"} and said["gap"]["by_output"].keys() == {
+        "q_m1",
+        "q_m2",
+        "q_m3",
+    }
+    for name in ("joint_1_x", "tip"):
+        assert (out / name / "diagnosis.json").exists() and (out / name / "report.html").exists()
+        assert f'href="{name}/report.html"' in (out / "report.html").read_text()
+    assert "joint 1," not in (out / "tip" / "report.html").read_text()  # it is called as the robot calls it
+    for name in ("model.yaml", "refit.yaml"):
+        assert len(load_model(out / name).joints) == 3
+    assert load_model(out / "tip" / "model.yaml").tree is not None
+
+    wrong = run("diagnose", arm, "--model", arm / "model.yaml", "--out", tmp_path / "o", "--joint", "tpi")
+    assert wrong.code == 2 and "no joint 'tpi'" in wrong.err and "tip" in wrong.err
+    assert not (tmp_path / "o").exists()
 
 
 def test_an_ablation_names_joints_as_the_robot_does(arm: Path, tmp_path: Path) -> None:

@@ -1,0 +1,177 @@
+"""A robot diagnosed joint by joint: what is missing is found where it is, and the whole robot is better for it."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hybrid_id import Dataset, diagnose_arm
+from hybrid_id.components import REGISTRY
+from hybrid_id.diagnosis.arm import ArmDiagnosis, joints_to_diagnose
+from hybrid_id.diagnosis.catalogue import CATALOGUE
+from hybrid_id.errors import InputError
+from hybrid_id.identification.keep import Kept
+from hybrid_id.records.dataset import Channel
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_file import load_model
+
+pytest.importorskip("mujoco")
+
+STEP, NOISE = 0.01, 1e-3
+ARM = """<mujoco><compiler angle="radian"/><worldbody>
+<body quat="0 1 0 0"><joint name="pan" axis="0 0 1" armature="0.02" damping="0.1" frictionloss="0.05"/>
+<inertial mass="0.5" pos="0.02 0 0.05" diaginertia="0.001 0.001 0.001"/>
+<body pos="0 0 0.1"><joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
+<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
+<body pos="0 0 0.2"><joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
+<inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/>
+</body></body></body></worldbody><actuator><position joint="pan" kp="6" kv="0.1"/>
+<position joint="lift" kp="8"/><position joint="elbow" kp="3"/></actuator></mujoco>"""
+JOINTS = (1, 2, 3)
+
+
+def described(folder: Path) -> System:
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "model.yaml").write_text("robot: {file: arm.xml}\n")
+    return load_model(folder / "model.yaml")
+
+
+def records_of(system: System, count: int = 4) -> Dataset:
+    """Goals and the motor angles that a system answers with, the last record a test record."""
+    rng, time, records = np.random.default_rng(5), STEP * np.arange(300), []
+    for k in range(count):
+        inputs = {
+            f"goal{j}": 0.4
+            * sum(np.sin(2 * np.pi * f * time + rng.uniform(0, 6.28)) for f in (0.4, 0.9, 1.7))
+            * np.minimum(time / 0.3, 1.0)
+            for j in JOINTS
+        }
+        blank = Record(f"run_{k}", time, inputs, {f"q_m{j}": 0.0 * time for j in JOINTS})
+        batch = make_batch(system, [blank], noise_std={f"q_m{j}": 1e-6 for j in JOINTS})
+        angles = simulate(system, Engine("dry", 4, compiled=True), batch).y[0].numpy()
+        angles = angles + NOISE * rng.standard_normal(angles.shape)
+        outputs = {f"q_m{j}": angles[:, j - 1] for j in JOINTS}
+        records.append(Record(blank.name, time, inputs, outputs, "train" if k < count - 1 else "test"))
+    goals = tuple(Channel(f"goal{j}", "rad") for j in JOINTS)
+    return Dataset(
+        "arm", goals, tuple(Channel(f"q_m{j}", "rad", NOISE) for j in JOINTS), tuple(records), STEP
+    )
+
+
+@pytest.fixture
+def few() -> Iterator[None]:
+    """A catalogue of what is missing, a near rival and a far one."""
+    before = dict(CATALOGUE)
+    for name in set(CATALOGUE) - {"spring_load", "constant_torque", "quadratic_drag"}:
+        del CATALOGUE[name]
+    yield
+    CATALOGUE.clear()
+    CATALOGUE.update(before)
+
+
+@pytest.fixture
+def nominal(tmp_path: Path) -> System:
+    return described(tmp_path)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_missing_spring_is_found_at_its_joint_and_mends_the_whole_robot(
+    nominal: System, kept: Kept
+) -> None:
+    machine = nominal.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4))
+    dataset, stages = records_of(machine), list[str]()
+    found = diagnose_arm(dataset, nominal, kept=kept, progress=lambda stage, *_: stages.append(stage))
+    assert [(one.name, one.where) for one in found.selected] == [("spring_load", "elbow/load")]
+    assert found.verdict == "effects" and not found.unknown and not found.interrupted
+    right = {one.verdict for name, one in found.joints.items() if name != "elbow"}
+    assert right <= {"no_gap", "parameters_only"}
+    assert found.parts["elbow"] > 0.9
+    assert found.shrink is not None and found.shrink.share > 0.9
+    assert found.model.parameter("k_s_elbow").spec.value == pytest.approx(0.8, rel=0.03)
+    assert found.model.tree is not None and len(found.model.joints) == 3
+    assert {stage.split(":")[0] for stage in stages} >= {"pan", "lift", "elbow", "the whole robot"}
+    said = json.loads(json.dumps(found.as_dict()))
+    assert said["effects"][0]["joint"] == "elbow" and said["location"][0]["joint"] == "elbow"
+    assert set(said["gap"]["by_output"]) == {"q_m1", "q_m2", "q_m3"}
+
+    rng = np.random.default_rng(0)
+    scrambled = replace(
+        dataset,
+        records=tuple(
+            replace(r, outputs={n: rng.permutation(y) for n, y in r.outputs.items()})
+            if r.role == "test"
+            else r
+            for r in dataset.records
+        ),
+    )
+    other = diagnose_arm(scrambled, nominal, kept=kept)
+    assert answer(other) == answer(found)
+    assert other.shrink is not None and other.shrink.with_effect > found.shrink.with_effect
+
+
+def answer(found: ArmDiagnosis) -> object:
+    """What the test records must not change."""
+    said = found.as_dict()
+    values = {info.name: info.spec.value for info in found.model.table}
+    return [said[key] for key in ("verdict", "unknown", "effects", "remainder", "location")], values
+
+
+@pytest.mark.usefixtures("few")
+def test_one_joint_alone_is_diagnosed_where_it_is_asked_for(nominal: System) -> None:
+    dataset = records_of(nominal, 3)
+    found = diagnose_arm(dataset, nominal, joints=["lift"])
+    assert set(found.joints) == {"lift"} and not found.selected
+    assert found.verdict in ("no_gap", "parameters_only")
+    assert found.skipped == {"pan": "it was not asked for", "elbow": "it was not asked for"}
+    with pytest.raises(InputError, match=r"no joint 'lfit'.*lift"):
+        diagnose_arm(dataset, nominal, joints=["lfit"])
+
+
+def test_a_joint_that_says_nothing_is_left_out_with_the_reason(nominal: System) -> None:
+    dataset = records_of(nominal, 2)
+    rng = np.random.default_rng(1)
+    still = replace(
+        dataset,
+        records=tuple(
+            replace(r, outputs={**r.outputs, "q_m2": NOISE * rng.standard_normal(r.n_samples)})
+            for r in dataset.records
+        ),
+    )
+    taken, skipped = joints_to_diagnose(still, nominal)
+    assert taken == ["pan", "elbow"] and skipped == {"lift": "it does not move"}
+    with pytest.raises(InputError, match="'lift' cannot be diagnosed by itself: it does not move"):
+        diagnose_arm(still, nominal, joints=["lift"])
+
+
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("alike", [True, False])
+def test_what_several_joints_lack_is_one_size_or_several(nominal: System, alike: bool) -> None:
+    machine = nominal
+    for joint, k in ((2, 0.8), (3, 0.8 if alike else 1.2)):
+        machine = machine.with_component(f"joint{joint}/load", REGISTRY["spring_load"](k_s=k, q_s=0.4))
+    found = diagnose_arm(records_of(machine), nominal, max_effects=1)
+    sizes = {one.symbol: one for one in found.common}
+    assert sizes["k_s"].joints == ("lift", "elbow")
+    assert sizes["k_s"].common == alike
+    if alike:
+        assert sizes["k_s"].value == pytest.approx(0.8, rel=0.05)
+
+
+@pytest.mark.usefixtures("few")
+def test_a_stopped_search_keeps_the_joints_that_it_has_done(nominal: System) -> None:
+    dataset = records_of(nominal, 3)
+
+    def stop(stage: str, done: int, total: int) -> None:
+        if stage.startswith("lift"):
+            raise KeyboardInterrupt
+
+    found = diagnose_arm(dataset, nominal, progress=stop)
+    assert set(found.joints) == {"pan"} and found.interrupted
+    assert found.skipped == {"lift": "the search was stopped", "elbow": "the search was stopped"}
