@@ -129,8 +129,12 @@ class ArmDiagnosis:
 
     @property
     def remainder(self) -> float:
-        """Structural share of the robot's gap that stays unexplained."""
-        return sum(self.parts[joint] * found.remainder for joint, found in self.joints.items())
+        """Structural share of the robot's gap that stays unexplained, of joints where something is missing."""
+        return sum(
+            self.parts[joint] * found.remainder
+            for joint, found in self.joints.items()
+            if found.verdict in ("effects", "outside_catalogue")
+        )
 
     @property
     def unknown(self) -> bool:

@@ -154,13 +154,15 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
 def remark_lines(found: ArmDiagnosis) -> list[str]:
     """Sizes of the effects, what several joints have in common, and which joints were left out."""
     lines = [
-        f"{words_of(effect.name)} at {joint}: {', '.join(values)}."
+        f"{joint}: {words_of(effect.name)}, {', '.join(values)}."
         for joint, one in found.joints.items()
         for effect in one.selected
         if (values := values_of(one, effect))
     ]
     lines += [common_words(one) for one in found.common]
-    lines += [f"{joint}: {one.changes}" for joint, one in found.joints.items() if one.changes]
+    lines += [
+        f"{joint}: {one.changes.removesuffix('.')}." for joint, one in found.joints.items() if one.changes
+    ]
     reasons: dict[str, list[str]] = {}
     for joint, why in found.skipped.items():
         reasons.setdefault(why, []).append(joint)
@@ -234,9 +236,9 @@ def arm_page(
     """
     page = Page(f"Diagnosis of {found.case}", arm_headline(found))
     joints = page.section("Joints").add(joints_table(found))
-    for joint, place in pages.items():
-        joints.link(f"{joint}: {capital(headline(found.joints[joint]))}", place)
-    joints.add(*(Text(capital(line)) for line in remark_lines(found)), _HOW)
+    if pages:
+        joints.links("Each joint's own page:", pages)
+    joints.add(*map(Text, remark_lines(found)), _HOW)
     tests = page.section("Test records").add(*(Text(capital(line)) for line in error_lines(found)))
     if "joints" in figures:
         tests.figure(figures["joints"], _CAPTION)

@@ -16,6 +16,7 @@ from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.reporting.tables import count, interval_words
 from hybrid_id.reporting.units import in_unit, shown_unit
+from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
 LEAST_SHARE = 0.02
@@ -242,7 +243,8 @@ def _errors_words(diagnosis: Diagnosis, output: str, models: Sequence[Errors]) -
     names = ("nominal", "re-fitted", "corrected")
     said = [f"{name} {one.by_output[output]:.3g}" for name, one in zip(names, models, strict=False)]
     *values, unit = in_unit(output, [one.rmse[output] for one in models], channels, system)
-    return f"{output} {', '.join(said)} (RMSE {', '.join(values)} {unit})"
+    titles = {channel.name: channel.title for channel in with_joint_names(channels, system)}
+    return f"{titles[output]} {', '.join(said)} (RMSE {', '.join(values)} {unit})"
 
 
 def tie_lines(diagnosis: Diagnosis, brief: bool = False) -> list[str]:
@@ -387,7 +389,8 @@ def values_of(diagnosis: Diagnosis, one: RatedEffect) -> list[str]:
         if info := infos.get(symbol):
             unit, factor = shown_unit(info.spec.unit, study.outputs)
             ends = None if info.name not in intervals else factor * intervals[info.name]
-            found.append(f"{info.doc} {symbol} {measured(factor * value, ends, unit)}")
+            called = info.doc if info.doc == symbol else f"{info.doc} {symbol}"
+            found.append(f"{called} {measured(factor * value, ends, unit)}")
     return found
 
 

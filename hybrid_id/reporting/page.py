@@ -34,7 +34,7 @@ Cell = tuple[str, str]
 
 @dataclass(frozen=True)
 class Block:
-    """One thing on the page, by ``kind``: text, link, table, code or picture; pictures may have a ``plot``."""
+    """One thing on the page, by ``kind``: text, links, table, code or picture; pictures may have a ``plot``."""
 
     kind: str
     text: str = ""
@@ -64,9 +64,11 @@ class Section:
                 self.blocks.append(Block("text", str(text), _style(text)))
         return self
 
-    def link(self, text: str, place: str) -> Section:
-        """Append a line that leads to another page."""
-        self.blocks.append(Block("link", text, source=place))
+    def links(self, text: str, places: Mapping[str, str]) -> Section:
+        """Append a line that leads to other pages, by what each is called."""
+        self.blocks.append(
+            Block("links", text, rows=tuple(((name, place),) for name, place in places.items()))
+        )
         return self
 
     def code(self, text: str, caption: str) -> Section:
