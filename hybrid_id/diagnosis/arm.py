@@ -32,6 +32,7 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
+from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
@@ -197,6 +198,19 @@ def _placed(where: str, joint: str) -> str:
     return where.replace("joint1/", f"{joint}/")
 
 
+def _moving(dataset: Dataset, joint: int) -> Dataset:
+    """The dataset without the train and validation records in which a joint, by its number from 0, does not move."""
+    return replace(
+        dataset,
+        records=tuple(r for r in dataset.records if r.role == "test" or _moves(r, joint)),
+    )
+
+
+def _moves(record: Record, joint: int) -> bool:
+    seen = (record.outputs[n] for n in (f"q_m{joint + 1}", f"q_a{joint + 1}") if n in record.outputs)
+    return any(np.ptp(one) > STILL * max(float(noise_level(one)), 1e-12) for one in seen)
+
+
 def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dict[str, str]]:
     """Names of the joints of a robot that can be diagnosed, and of the others, each with the reason.
 
@@ -207,12 +221,11 @@ def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dic
     taken, skipped = [], {}
     for k, name in enumerate(() if system.tree is None else system.tree.names):
         measured = [n for n in (f"q_m{k + 1}", f"q_a{k + 1}") if any(n in r.outputs for r in dataset.train)]
-        seen = [r.outputs[n] for n in measured for r in dataset.train if n in r.outputs]
         if system.tree is not None and system.tree.coupling(k) is not None:
             skipped[name] = "its motor turns other joints, too"
         elif not measured:
             skipped[name] = "its angle was not measured"
-        elif not any(np.ptp(one) > STILL * max(noise_level(one), 1e-12) for one in seen):
+        elif not any(_moves(record, k) for record in dataset.train):
             skipped[name] = "it does not move"
         else:
             taken.append(name)
@@ -275,7 +288,7 @@ def diagnose_arm(
 
         try:
             found[name] = diagnose(
-                with_others_measured(dataset, system, k), alone(system, k), horizon=horizon,
+                with_others_measured(_moving(dataset, k), system, k), alone(system, k), horizon=horizon,
                 max_effects=max_effects, jobs=jobs, seed=seed, level=level, signal_share=signal_share, kept=kept,
                 progress=say,
             )  # fmt: skip

@@ -1,0 +1,55 @@
+"""SO-101: what each of five joints lacks, by one of two halves of the train motions: run.py --data FOLDER HALF."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "18_so101"))
+import so101
+import torch
+from sets import CARRIES_NOTHING, CLIPPED, TABLE
+
+from hybrid_id import diagnose_arm
+from hybrid_id.systems.chain import System
+
+
+def nominal(folder: Path) -> System:
+    """The user's description and the servo's data sheet; what single motions cannot identify is held."""
+    system = so101.model(folder)
+    names = {info.symbol: info.name for info in system.table if info.symbol in TABLE}
+    fixed = {names[symbol]: value for symbol, value in TABLE.items()} | CLIPPED
+    fixed |= {f"k_p_{joint}": value for joint, value in CARRIES_NOTHING.items()}
+    return system.with_specs(
+        {n: replace(system.parameter(n).spec.at(v), estimate=False) for n, v in fixed.items()}
+    )
+
+
+def main() -> None:
+    """Diagnose each joint of one half; a file a joint and half, those that are there stay."""
+    ask = argparse.ArgumentParser(description=__doc__)
+    ask.add_argument("--data", type=Path, required=True)
+    ask.add_argument("--out", type=Path, default=Path("runs/so101_diagnosis"))
+    ask.add_argument("half", type=int, choices=(0, 1))
+    ask.add_argument("joints", nargs="*", default=[])
+    wish = ask.parse_args()
+    torch.set_num_threads(1)
+    wish.out.mkdir(parents=True, exist_ok=True)
+    motions = so101.load(wish.data)["train"]
+    motions = replace(motions, records=motions.records[wish.half :: 2])
+    for joint in wish.joints or so101.JOINTS:
+        file, began = wish.out / f"{joint}_{wish.half}.json", time.process_time()
+        if file.exists():
+            continue
+        found = diagnose_arm(motions, nominal(wish.data), joints=[joint])
+        one = found.joints[joint]
+        file.write_text(json.dumps(found.as_dict() | {"seconds": time.process_time() - began}))
+        print(f"{joint}, half {wish.half}, {time.process_time() - began:.0f} s\n{one.summary()}", flush=True)
+
+
+if __name__ == "__main__":
+    main()
