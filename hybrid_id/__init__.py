@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from hybrid_id.components.transmission.backlash import Backlash as Backlash
     from hybrid_id.components.transmission.linear_spring import LinearSpring as LinearSpring
     from hybrid_id.components.transmission.rigid import Rigid as Rigid
-    from hybrid_id.diagnosis.arm import ArmDiagnosis as ArmDiagnosis
     from hybrid_id.diagnosis.arm import diagnose_arm as diagnose_arm
     from hybrid_id.diagnosis.diagnose import diagnose as diagnose
     from hybrid_id.diagnosis.result import Diagnosis as Diagnosis
@@ -67,7 +66,7 @@ _MODULES = {
     "hybrid_id.components.transmission.linear_spring": "LinearSpring",
     "hybrid_id.components.transmission.rigid": "Rigid",
     "hybrid_id.errors": "InputError",
-    "hybrid_id.diagnosis.arm": "ArmDiagnosis diagnose_arm",
+    "hybrid_id.diagnosis.arm": "diagnose_arm",
     "hybrid_id.diagnosis.diagnose": "diagnose",
     "hybrid_id.diagnosis.result": "Diagnosis",
     "hybrid_id.identification.adjoint": "train",

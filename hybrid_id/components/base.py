@@ -31,8 +31,8 @@ REGISTRY: dict[str, type[Component]] = {}
 CATALOGUE: dict[str, Effect] = {}
 """Every effect that a diagnosis can name, by name; :class:`Component` fills it as each law's class is defined."""
 
-Values = Mapping[str, float | Bounded]
-"""Parameter values by symbol: a number takes the bounds of its declaration."""
+Values = Mapping[str, float | Bounded | str]
+"""Parameter values by symbol: a number takes the bounds of its declaration. What sits at a point has that, too."""
 Counterpart = tuple[Mapping[str, Sequence[float]], str]
 """Attributes of an MJCF element, and the rest of a sentence on what of the law they leave out; empty for nothing."""
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from hybrid_id.components.base import Component, Friction, Values
+from hybrid_id.components.base import Component, Friction, ServoLoop, Values
 from hybrid_id.parameters import Bounded
 
 Wave = tuple[float, ...]
@@ -40,6 +40,8 @@ class Scales:
         inertia: everything that moves, at the motor [kg m^2].
         rotor: part of it on the rotor's side of the gear.
         shows_torque: whether the motor's current or torque is measured, or the motor switched off at times.
+        measured: channels of the joint that are, without its number.
+        bodies: that the joint of a robot carries and that have a mass, outermost first.
     """
 
     joint: int
@@ -57,6 +59,8 @@ class Scales:
     inertia: float
     rotor: float
     shows_torque: bool = False
+    measured: tuple[str, ...] = ()
+    bodies: tuple[str, ...] = ()
 
     @property
     def series(self) -> float:
@@ -96,6 +100,11 @@ class Site(Scales):
     def has(self, *kinds: str) -> bool:
         """Whether there is a component of one of the kinds at this place."""
         return any(kind in self.at() for kind in kinds)
+
+    @property
+    def servo(self) -> ServoLoop | None:
+        """The position loop that drives the joint; None where the command is no goal."""
+        return next((part for part in self.at("input").values() if isinstance(part, ServoLoop)), None)
 
     @property
     def frictions(self) -> list[Friction]:

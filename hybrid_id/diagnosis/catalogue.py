@@ -103,7 +103,8 @@ def _model(system: System, where: str, law: type[Component], values: Values) -> 
     for lighter in (None, *(ROTOR_SHARES if share is not None else ())):
         with suppress(InputError):  # too heavy a rotor leaves the links of an arm no mass matrix
             start = system if lighter is None or share is None else system.with_values({share.name: lighter})
-            richer = start.with_component(where, law(**_inside(law, values)))
+            options = [value for value in values.values() if isinstance(value, str)]
+            richer = start.with_component(where, law(*options, **_inside(law, values)))
             if share is None or not law.splits_inertia:
                 return richer
             spec = richer.parameter(share.name).spec
@@ -146,6 +147,8 @@ def _inside(law: type[Component], values: Values) -> dict[str, float | Bounded]:
     """Values in the declared units, whose bounds stay inside what the component's own physics allows."""
     kept: dict[str, float | Bounded] = {}
     for symbol, value in values.items():
+        if isinstance(value, str):  # an option, of what sits at a point of a robot
+            continue
         declared = law.declared[symbol]
         if isinstance(value, Bounded):
             low, high = max(value.lower, declared.lower), min(value.upper, declared.upper)

@@ -70,5 +70,22 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         dry=highest if highest > 1e-9 * torque else 0.1 * (torque or 1.0),
         inertia=total,
         rotor=rotor,
+        measured=tuple(name.removesuffix(str(joint.number)) for name in batch.outputs if _of(name, joint)),
+        bodies=_carried(system, joint),
         shows_torque=bool(shown) or (off is not None and bool((off < 1.0).any())),
     )
+
+
+def _of(channel: str, joint: Joint) -> bool:
+    """Whether a channel is one of a joint's."""
+    return channel.rstrip("0123456789") + str(joint.number) == channel
+
+
+def _carried(system: System, joint: Joint) -> tuple[str, ...]:
+    """Bodies with a mass that a joint of a robot carries, outermost first."""
+    tree = system.tree
+    if tree is None:
+        return ()
+    seat = system.arm.seats[joint.number - 1]
+    found = [body for body in tree.bodies if body.inertia.mass and tree.carries(seat, body.joint)]
+    return tuple(body.name for body in sorted(found, key=lambda body: -body.joint))

@@ -28,6 +28,7 @@ NAMED = 4
 PLACES = {
     "input": "at the input", "motor": "in the motor", "motor_friction": "on the motor side",
     "transmission": "in the gear", "link_friction": "on the link side", "load": "at the load",
+    "sensor": "in the encoder",
 }  # fmt: skip
 SIDES = {"motor": "motor side", "load": "link side"}
 

@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from hybrid_id.components.base import Component
+from hybrid_id.components.base import Attached, Component
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.records.dataset import Channel, Dataset
@@ -89,8 +89,15 @@ def with_drive(whole: System, one: System) -> System:
         key.split("/", 1)[1]: key for key, part in whole.components.items() if isinstance(part, FloorContact)
     }
     parts = {key: part for key, part in whole.components.items() if not key.startswith(here)}
+    taken = {(part.kind, part.point) for part in parts.values() if isinstance(part, Attached)}
     for key, part in one.components.items():
         place = key.removeprefix("joint1/")
+        if (
+            isinstance(part, Attached)
+            and not isinstance(part, FloorContact)
+            and (part.kind, part.point) in taken
+        ):
+            continue  # another joint has said what is there, which acts on all that carry it
         parts[floors[place] if isinstance(part, FloorContact) else here + place] = part
     placed = [(key.rpartition("/")[0], copy.deepcopy(cast(Component, part))) for key, part in parts.items()]
     return System(whole.gear_ratio, placed, joint_names(_tree(whole), placed), whole.name, whole.tree)

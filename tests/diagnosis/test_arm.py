@@ -30,7 +30,8 @@ ARM = """<mujoco><compiler angle="radian"/><worldbody>
 <inertial mass="0.5" pos="0.02 0 0.05" diaginertia="0.001 0.001 0.001"/>
 <body pos="0 0 0.1"><joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
 <inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
-<body pos="0 0 0.2"><joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
+<body name="elbow_link" pos="0 0 0.2">
+<joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
 <inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/>
 </body></body></body></worldbody><actuator><position joint="pan" kp="6" kv="0.1"/>
 <position joint="lift" kp="8"/><position joint="elbow" kp="3"/></actuator></mujoco>"""
@@ -175,3 +176,33 @@ def test_a_stopped_search_keeps_the_joints_that_it_has_done(nominal: System) -> 
     found = diagnose_arm(dataset, nominal, progress=stop)
     assert set(found.joints) == {"pan"} and found.interrupted
     assert found.skipped == {"lift": "the search was stopped", "elbow": "the search was stopped"}
+
+
+SERVOS = {
+    "encoder_zero": (
+        "elbow",
+        lambda arm: arm.with_component("joint3/sensor", REGISTRY["motor_encoder"](offset=0.05)),
+    ),
+    "goal_rate_limit": (
+        "elbow",
+        lambda arm: arm.with_component("joint3/input", REGISTRY["goal_rate_limit"](w_max=1.2)),
+    ),
+    "delay": ("lift", lambda arm: arm.with_component("joint2/input", REGISTRY["delay"](T_d=0.03))),
+    "link_mass": (  # of the body beyond: that of its own link is a scale of all torques, which nobody knows
+        "lift",
+        lambda arm: arm.with_component("joint3/load", REGISTRY["body_inertia"]("elbow_link", c_m=2.5)),
+    ),
+}
+"""What servos and descriptions get wrong: the joint that shows it, and the machine that has it."""
+
+
+@pytest.mark.parametrize("effect", SERVOS)
+def test_what_servos_and_descriptions_get_wrong_is_named(nominal: System, effect: str) -> None:
+    joint, altered = SERVOS[effect]
+    machine = altered(nominal)
+    found = diagnose_arm(records_of(machine), nominal, joints=[joint], max_effects=1)
+    (best,) = found.selected
+    alike = {best.name, *(tie.split("@")[0] for tie in best.tied_with)}
+    assert effect in alike and best.probability > 0.3, found.joints[joint].summary()
+    if effect == "encoder_zero":  # which a bias torque is, but for the weight that it turns
+        assert alike <= {"encoder_zero", "constant_torque", "gravity_load", "link_mass"}

@@ -2,7 +2,8 @@
 
 import torch
 
-from hybrid_id.components.base import LoopStage, StateUpdate
+from hybrid_id.components.base import Effect, LoopStage, StateUpdate
+from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 FAR = 1e12
@@ -24,6 +25,18 @@ class GoalRateLimit(LoopStage):
     kind = "goal_rate_limit"
     states = ("followed",)
     w_max = Parameter(5.0, lower=1e-6, upper=1e9, unit="rad/s", doc="largest rate of the goal")
+    effect = Effect(
+        "goal_rate_limit",
+        "servo that follows its goal no faster than a profile allows; usually a register between 1 and 10 rad/s",
+        "K. J. Astrom, T. Hagglund, PID Controllers, 2nd ed., Instrument Society of America, 1995",
+        {
+            "voltage_saturation": "steps of the goal with and without a load: a rate limit ends at one speed, a "
+            "torque limit at one that the load changes",
+            "delay": "the same sweep at two amplitudes: a rate limit counts for more the larger the move, a delay "
+            "stays",
+        },
+        smoothness="kinks",
+    )
 
     def goal(self, p, aim, state):
         return state
@@ -35,3 +48,10 @@ class GoalRateLimit(LoopStage):
 
     def start(self, p, aim, speed):
         return aim
+
+    @staticmethod
+    def starts(site):
+        if site.servo is None:
+            return []
+        fast = site.speed / (site.ratio if site.servo.at_joint else 1.0)
+        return [{"w_max": free(share * fast, 0.1 * fast, 20.0 * fast)} for share in (0.8, 1.3)]

@@ -4,7 +4,8 @@ from types import SimpleNamespace
 
 from torch import Tensor
 
-from hybrid_id.components.base import Attached
+from hybrid_id.components.base import Attached, Effect
+from hybrid_id.components.site import free
 from hybrid_id.parameters import Parameter
 
 _Row = tuple[float | Tensor, float | Tensor, float | Tensor]
@@ -46,6 +47,16 @@ class BodyInertia(Attached):
     place of exponentials, so that every value has a unit and a meaning.
     """
 
+    effect = Effect(
+        "link_mass",
+        "mass of a link, a tool or what it carries that the description does not have; usually up to half of it",
+        "W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002",
+        {
+            "gravity_load": "the same slow motion with the joints beyond it in two postures: a body's weight changes "
+            "with the posture, a weight at the joint's own link does not",
+            "constant_torque": "slow motion over the whole range: a weight changes with the angle, a bias does not",
+        },
+    )
     kind = "body_inertia"
     option = "body"
     names = "the name of a body of the robot"
@@ -61,3 +72,8 @@ class BodyInertia(Attached):
     def stretch(self, p: SimpleNamespace) -> tuple[_Row, _Row, _Row]:
         """Rows of L [1], ``(B,)`` each."""
         return (p.s_x, p.s_xy, p.s_xz), (0.0, p.s_y, p.s_yz), (0.0, 0.0, p.s_z)
+
+    @staticmethod
+    def starts(site):
+        ends = dict.fromkeys((*site.bodies[:1], *site.bodies[-1:]))
+        return [{BodyInertia.option: body, "c_m": free(1.0, 0.02, 50.0)} for body in ends]
