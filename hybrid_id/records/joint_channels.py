@@ -162,10 +162,14 @@ class _Joint:
     # Side of the gear
 
     def _side_by_name(self, column: ColumnWords | None) -> None:
-        """With a gear, a name that says joint means the joint's side; without, both sides are one."""
+        """With a gear, a name that says joint means the joint's side; without, both sides are one.
+
+        A servo that takes goals in the joint's angle reads them there: its encoder sits at its output, and what gives
+        way in its gear lies before it.
+        """
         assert column is not None
-        at_joint = self.gear != 1.0 and "joint" in tokens(column.name) and not column.side
-        self.drive.side = "a" if column.side == "link" or at_joint else "m"
+        at_joint = self.drive.command == "goal" if self.gear == 1.0 else "joint" in tokens(column.name)
+        self.drive.side = "a" if column.side == "link" or (at_joint and not column.side) else "m"
         self.side_said = bool(column.side)
 
     def _turn_side(self, side: str, words: str) -> None:

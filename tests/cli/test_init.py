@@ -250,7 +250,7 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
     done = run("init", folder, "--robot", robot)
     assert done.code == 0, done.err
     data, model = written(folder)
-    assert data["columns"]["q_m1"]["column"] == "shoulder_pan.pos"
+    assert data["columns"]["q_a1"]["column"] == "shoulder_pan.pos"
     assert data["columns"]["goal2"]["column"] == "elbow_flex.goal"
     assert {one["unit"] for one in (*data["inputs"], *data["outputs"])} == {"deg"}
     assert "'shoulder_pan.pos', 'elbow_flex.pos'" in done.out  # percent or degrees: one question for both
@@ -296,13 +296,13 @@ def test_counts_from_elsewhere_beside_a_goal_in_radians(run, tmp_path: Path) -> 
     assert done.code == 0, done.err
     data, model = written(folder)
     assert data["columns"]["goal1"] == {"column": "goal_position"}
-    assert data["columns"]["q_m1"]["zero"] == 2048
+    assert data["columns"]["q_a1"]["zero"] == 2048
     assert [record["role"] for record in data["records"]] == ["train"] * 3 + ["test"] * 2
     assert "sensor" not in str(model) and "zero" in done.out
     assert run("init", folder, "--out", tmp_path / "alone").code == 0  # without the robot, by the goal alone
-    assert written(tmp_path / "alone")[0]["columns"]["q_m1"]["zero"] == 2048
+    assert written(tmp_path / "alone")[0]["columns"]["q_a1"]["zero"] == 2048
     loaded = Dataset.load(folder)
-    assert all(np.max(np.abs(r.outputs["q_m1"] - r.inputs["goal1"])) < 0.5 for r in loaded.records)
+    assert all(np.max(np.abs(r.outputs["q_a1"] - r.inputs["goal1"])) < 0.5 for r in loaded.records)
 
 
 def test_percent_of_a_range_is_asked_about(run, tmp_path: Path) -> None:
@@ -346,7 +346,7 @@ def test_records_are_cut_at_an_end_stop(run, tmp_path: Path) -> None:
     cut = [record for record in written(folder)[0]["records"] if "between" in record]
     assert cut and "end stop" in done.out
     for record in Dataset.load(folder).records:
-        assert record.outputs["q_m1"].max() <= 0.9931 * farthest
+        assert record.outputs["q_a1"].max() <= 0.9931 * farthest
 
 
 def test_an_encoder_at_the_joint_is_seen_behind_a_known_gear(run, tmp_path: Path) -> None:
@@ -405,7 +405,7 @@ def test_a_lerobot_dataset(run, tmp_path: Path) -> None:
     assert done.code == 0, done.err
     data, _ = written(folder)
     assert data["format"] == "lerobot" and [one["episode"] for one in data["records"]] == [0, 1, 2]
-    assert data["columns"]["q_m2"]["column"] == "observation.state/elbow_flex.pos"
+    assert data["columns"]["q_a2"]["column"] == "observation.state/elbow_flex.pos"
     assert data["columns"]["goal1"]["column"] == "action/shoulder_pan.pos"
     assert run("check", folder).code == 0
 
