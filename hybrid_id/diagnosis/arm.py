@@ -374,7 +374,10 @@ def _parts(
         for channel in dataset.outputs:
             error = errors_of.get(channel.name, 0.0)
             if number_of(channel.name) == str(joint_number(system, name) + 1) and error > 0.0:
-                noise = min((channel.noise_std or 0.0) / error, 1.0)
+                logged = [
+                    noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs
+                ]
+                noise = min((channel.noise_std or float(np.mean(logged))) / error, 1.0)
                 relative = trained.by_output[channel.name] if trained else 0.0
                 size[name] += relative**2 * (1.0 - noise**2)
     whole = sum(size.values())
