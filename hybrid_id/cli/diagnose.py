@@ -238,16 +238,40 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
     )
     for joint, name in folders.items():
         (folder / name).mkdir()
-        whole = write_diagnosis(folder / name, home / name, config, found.joints[joint], draw=whole)[1]
+        whole = write_parts(folder / name, home / name, config, found.joints[joint], draw=whole)
     text = as_json("diagnose", seed | found.as_dict())
     write_last(folder / DIAGNOSIS, text)
     return text, whole
 
 
 def write_diagnosis(
-    folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis", *, draw: bool = True
+    folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis"
 ) -> tuple[str, bool]:
     """Write all files of a diagnosis.
+
+    Args:
+        folder: where to write.
+        home: where the folder will be at last.
+        config: what was asked for.
+        diagnosis: the result.
+
+    Returns:
+        The result as JSON, and whether all files are written: see `write_report`.
+    """
+    from hybrid_id.reporting.residuals import residual_result
+    from hybrid_id.reporting.results import as_json
+
+    residuals = {"residual_tests": residual_result(diagnosis.details.residual_tests)}
+    text = as_json("diagnose", {"seed": config.identification.seed} | diagnosis.as_dict() | residuals)
+    whole = write_parts(folder, home, config, diagnosis)
+    write_last(folder / DIAGNOSIS, text)
+    return text, whole
+
+
+def write_parts(
+    folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis", *, draw: bool = True
+) -> bool:
+    """Write all files of a diagnosis but the result itself, which of a robot's joint stands in the robot's.
 
     Args:
         folder: where to write.
@@ -257,19 +281,14 @@ def write_diagnosis(
         draw: whether to draw its pictures and page.
 
     Returns:
-        The result as JSON, and whether all files are written: see `write_report`.
+        Whether all files are written: see `write_report`.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.diagnosis import diagnosis_page
     from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
-    from hybrid_id.reporting.residuals import residual_result
-    from hybrid_id.reporting.results import as_json
     from hybrid_id.reporting.tensorboard import write_diagnosis_events
     from hybrid_id.systems.model_file import save_model
 
-    seed = {"seed": config.identification.seed}
-    residuals = {"residual_tests": residual_result(diagnosis.details.residual_tests)}
-    text = as_json("diagnose", seed | diagnosis.as_dict() | residuals)
     save_model(diagnosis.model, folder / "model.yaml", home)
     save_model(diagnosis.search.base.system, folder / "refit.yaml", home)
     if diagnosis.experiments and diagnosis.experiments[0].distinguishes:
@@ -280,7 +299,7 @@ def write_diagnosis(
         best = diagnosis.experiments[0]
         columns = as_in_robot(best.inputs, diagnosis.model)
         DataFrame({"t": best.time, **columns}).to_csv(folder / NEXT, index=False, float_format="%.6g")
-    whole = write_report(
+    return write_report(
         folder,
         home,
         config,
@@ -290,8 +309,6 @@ def write_diagnosis(
             diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
-        settings=seed,
+        settings={"seed": config.identification.seed},
         draw=draw,
     )  # fmt: skip
-    write_last(folder / DIAGNOSIS, text)
-    return text, whole

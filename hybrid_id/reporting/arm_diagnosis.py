@@ -72,6 +72,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
 
 
 def _nothing_named(found: ArmDiagnosis) -> str:
+    any_joint = "any joint that was diagnosed" if found.skipped else "any joint"
     there = [joint for joint, one in found.joints.items() if one.verdict == found.verdict]
     if found.verdict == "outside_catalogue":
         return (
@@ -79,9 +80,9 @@ def _nothing_named(found: ArmDiagnosis) -> str:
             f"{joined(there)}."
         )
     if found.verdict == "parameters_only":
-        return f"Wrong parameter values explain the gap, of {joined(there)}, and no effect is missing at any joint."
+        return f"Wrong parameter values explain the gap, of {joined(there)}, and no effect is missing at {any_joint}."
     if found.verdict == "no_gap":
-        return "There is no gap: no effect predicts records left out surely better than the nominal robot."
+        return f"There is no gap: no effect at {any_joint} predicts records left out surely better than the model."
     return headline(found.joints[there[0]])
 
 

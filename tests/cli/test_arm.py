@@ -93,12 +93,16 @@ def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_pa
         "q_m3",
     }
     for name in ("joint_1_x", "tip"):
-        assert (out / name / "diagnosis.json").exists() and (out / name / "report.html").exists()
+        assert (out / name / "report.html").exists()
         assert f'href="{name}/report.html"' in (out / "report.html").read_text()
     assert "joint 1," not in (out / "tip" / "report.html").read_text()  # it is called as the robot calls it
     for name in ("model.yaml", "refit.yaml"):
         assert len(load_model(out / name).joints) == 3
     assert load_model(out / "tip" / "model.yaml").tree is not None
+
+    again = run("diagnose", arm, "--model", arm / "model.yaml", "--out", out, "--joint", "tip", "--force")
+    assert again.code == 0, again.err
+    assert not (out / "joint_1_x").exists() and (out / "tip" / "report.html").exists()
 
     wrong = run("diagnose", arm, "--model", arm / "model.yaml", "--out", tmp_path / "o", "--joint", "tpi")
     assert wrong.code == 2 and "no joint 'tpi'" in wrong.err and "tip" in wrong.err
