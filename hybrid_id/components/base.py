@@ -530,6 +530,8 @@ class Sensor(Component):
     places = ("sensor",)
     channel: ClassVar[str] = ""
     """Output that it reads, without the joint's number."""
+    in_loop: ClassVar[bool] = True
+    """Whether a position loop that reads this channel reads it as this sensor does."""
 
     def read(self, p: SimpleNamespace, value: Tensor) -> Tensor:
         """Measured output from the true quantity of its channel, ``(B,)``."""

@@ -206,7 +206,8 @@ class Drive:
         self.input = cast("tuple[str, Input]", only(parts, Input, joint, "input"))
         self.motor = cast("tuple[str, Motor]", only(parts, Motor, joint, "motor"))
         read = "q_a" if self.input[1].at_joint else "q_m"
-        self.encoders = [(k, c) for k, c in parts.items() if isinstance(c, Sensor) and c.channel == read]
+        sensors = [(k, c) for k, c in parts.items() if isinstance(c, Sensor) and c.channel == read]
+        self.encoders = [(k, c) for k, c in sensors if c.in_loop]
         self.delay = next(((key, part) for key, part in parts.items() if isinstance(part, Delay)), None)
         maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
         self.maps = sorted(maps, key=lambda item: item[1].stage)

@@ -181,7 +181,7 @@ def test_a_stopped_search_keeps_the_joints_that_it_has_done(nominal: System) -> 
 SERVOS = {
     "encoder_zero": (
         "elbow",
-        lambda arm: arm.with_component("joint3/sensor", REGISTRY["motor_encoder"](offset=0.05)),
+        lambda arm: arm.with_component("joint3/sensor", REGISTRY["motor_log"](offset=0.05)),
     ),
     "goal_rate_limit": (
         "elbow",

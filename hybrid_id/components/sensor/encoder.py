@@ -1,4 +1,4 @@
-"""Encoders."""
+"""Encoders, and logs whose zero is another than theirs."""
 
 from hybrid_id.components.base import Effect, Sensor
 from hybrid_id.components.site import free
@@ -8,14 +8,16 @@ WEIGHT = (
     "slow motion over the whole range with a weight at the end: a wrong zero turns the weight's torque too, a bias "
     "leaves it as it is"
 )
+MOST = 0.3
+"""Largest zero that is looked for [rad at the joint]."""
 
 
 class MotorEncoder(Sensor):
-    """Motor-side encoder ``y = q_m + offset`` [rad].
+    """Motor-side encoder ``y = q_m + offset`` [rad], which a servo's position loop reads, too.
 
     | symbol | unit | meaning |
     | --- | --- | --- |
-    | offset | rad | reading at the model's zero; matters only where gravity, a spring or a goal fixes the zero |
+    | offset | rad | reading at the model's zero; matters only where gravity or a spring fixes the zero |
     """
 
     kind = "motor_encoder"
@@ -23,26 +25,45 @@ class MotorEncoder(Sensor):
     offset = Parameter(
         0.0, lower=-1e4, upper=1e4, unit="rad", doc="reading at the model's zero", estimate=False
     )
-    effect = Effect(
-        "encoder_zero",
-        "reading of an encoder or its calibration that is not zero where the goal is; usually a few degrees",
-        "W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002",
-        {"constant_torque": WEIGHT},
-    )
 
     def read(self, p, value):
         return value + p.offset
+
+
+class LinkEncoder(MotorEncoder):
+    """Link-side encoder ``y = q_a + offset`` [rad], which a servo's position loop reads, too."""
+
+    kind = "link_encoder"
+    channel = "q_a"
+
+
+class MotorLog(MotorEncoder):
+    """Motor angle as it was logged, ``y = q_m + offset`` [rad], with a zero that the servo's loop does not know.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | offset | rad | logged angle less that of which the goal speaks |
+    """
+
+    kind = "motor_log"
+    in_loop = False
+    effect = Effect(
+        "encoder_zero",
+        "logged angle whose zero is not that of the goal, by its calibration; usually a few degrees",
+        "W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002",
+        {"constant_torque": WEIGHT},
+    )
 
     @classmethod
     def starts(cls, site):
         if site.servo is None or cls.channel not in site.measured:
             return []
-        most = 0.5 * (site.ratio if cls.channel == "q_m" else 1.0)
+        most = MOST * (site.ratio if cls.channel == "q_m" else 1.0)
         return [{"offset": free(0.0, -most, most)}]
 
 
-class LinkEncoder(MotorEncoder):
-    """Link-side encoder ``y = q_a + offset`` [rad]."""
+class LinkLog(MotorLog):
+    """Link angle as it was logged, ``y = q_a + offset`` [rad], with a zero that the servo's loop does not know."""
 
-    kind = "link_encoder"
+    kind = "link_log"
     channel = "q_a"
