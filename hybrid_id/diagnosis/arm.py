@@ -292,14 +292,24 @@ def diagnose_arm(
                 max_effects=max_effects, jobs=jobs, seed=seed, level=level, signal_share=signal_share, kept=kept,
                 progress=say,
             )  # fmt: skip
+        except InputError as error:  # one joint's records or values must not cost the others theirs
+            if len(names) == 1:
+                raise
+            skipped[name] = str(error).removesuffix(".")
+            continue
         except KeyboardInterrupt:
             if not found:
                 raise
             stopped = True
         if stopped or found[name].interrupted:
-            skipped |= {later: "the search was stopped" for later in names if later not in found}
+            rest = [later for later in names if later not in found and later not in skipped]
+            skipped |= dict.fromkeys(rest, "the search was stopped")
             stopped = True
             break
+    if not found:
+        raise InputError(
+            "No joint can be diagnosed: " + "; ".join(f"{n}: {w}" for n, w in skipped.items()) + "."
+        )
     if progress is not None:
         progress("the whole robot", 0, 1)
     return _of_whole_robot(dataset, system, found, skipped, stopped, seed, signal_share)

@@ -4,12 +4,14 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from hybrid_id import Dataset, diagnose_arm
+from hybrid_id import Dataset, Diagnosis, diagnose, diagnose_arm
 from hybrid_id.components import REGISTRY
+from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.arm import ArmDiagnosis, joints_to_diagnose
 from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.errors import InputError
@@ -181,16 +183,16 @@ def test_a_stopped_search_keeps_the_joints_that_it_has_done(nominal: System) -> 
 SERVOS = {
     "encoder_zero": (
         "elbow",
-        lambda arm: arm.with_component("joint3/sensor", REGISTRY["motor_log"](offset=0.05)),
+        lambda whole: whole.with_component("joint3/sensor", REGISTRY["motor_log"](offset=0.05)),
     ),
     "goal_rate_limit": (
         "elbow",
-        lambda arm: arm.with_component("joint3/input", REGISTRY["goal_rate_limit"](w_max=1.2)),
+        lambda whole: whole.with_component("joint3/input", REGISTRY["goal_rate_limit"](w_max=1.2)),
     ),
-    "delay": ("lift", lambda arm: arm.with_component("joint2/input", REGISTRY["delay"](T_d=0.03))),
+    "delay": ("lift", lambda whole: whole.with_component("joint2/input", REGISTRY["delay"](T_d=0.03))),
     "link_mass": (  # of the body beyond: that of its own link is a scale of all torques, which nobody knows
         "lift",
-        lambda arm: arm.with_component("joint3/load", REGISTRY["body_inertia"]("elbow_link", c_m=2.5)),
+        lambda whole: whole.with_component("joint3/load", REGISTRY["body_inertia"]("elbow_link", c_m=2.5)),
     ),
 }
 """What servos and descriptions get wrong: the joint that shows it, and the machine that has it."""
@@ -206,3 +208,20 @@ def test_what_servos_and_descriptions_get_wrong_is_named(nominal: System, effect
     assert effect in alike and best.probability > 0.3, found.joints[joint].summary()
     if effect == "encoder_zero":  # which a bias torque is, but for the weight that it turns
         assert alike <= {"encoder_zero", "constant_torque", "gravity_load", "link_mass"}
+
+
+@pytest.mark.usefixtures("few")
+def test_a_joint_that_cannot_be_fitted_does_not_cost_the_others_their_answers(
+    nominal: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = []
+
+    def fails_once(dataset: Dataset, system: System, **settings: Any) -> Diagnosis:
+        calls.append(system)
+        if len(calls) == 1:
+            raise InputError("The nominal model diverges.")
+        return diagnose(dataset, system, **settings)
+
+    monkeypatch.setattr(arm, "diagnose", fails_once)
+    found = diagnose_arm(records_of(nominal, 2), nominal, joints=["pan", "lift"])
+    assert set(found.joints) == {"lift"} and found.skipped["pan"] == "The nominal model diverges"
