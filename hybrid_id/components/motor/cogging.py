@@ -67,7 +67,8 @@ class Cogging(RotorTorque):
             {
                 "T_c": free(share * c, -limit, limit),
                 "T_s": free(share * d, -limit, limit),
-                "n": free(n, n - near, n + near),
+                # less than half a wave over the range is a bias or a slope, and no detent
+                "n": free(n, max(n - near, min(n, near)), n + near),
             }
             for n, c, d in site.search("rotor_waves", (1.0, 1e-6, 0.0))[:2]
             for share in FIRST_SHARES
