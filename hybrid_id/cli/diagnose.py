@@ -180,7 +180,7 @@ def run_arm(
     from hybrid_id.diagnosis.arm import diagnose_arm, joints_to_diagnose
     from hybrid_id.study import Horizon
 
-    searches = len(joints or joints_to_diagnose(dataset, system)[0])
+    searches = len(set(joints or ()) or joints_to_diagnose(dataset, system)[0])
     with SearchProgress(config.gap.max_effects, searches) as progress:
         return diagnose_arm(
             dataset,

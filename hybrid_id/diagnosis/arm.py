@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from hybrid_id.diagnosis.catalogue import effect
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
@@ -82,6 +83,8 @@ class ArmDiagnosis:
         skipped: joints that were not diagnosed, each with the reason.
         parts: what share of the re-fitted robot's error each diagnosed joint has, on train records, all joints
             simulated (mean squares over the signal's variance).
+        estimates: parameters of the corrected robot with their standard errors, by name, from the fit of all joints;
+            empty where that fit was not better than the joints' own.
         common: parameters of effects that several joints have.
         refit, model: the whole robot, re-fitted and corrected.
         nominal_errors, refit_errors, model_errors: on the test records, all joints simulated; None without.
@@ -94,6 +97,7 @@ class ArmDiagnosis:
     joints: Mapping[str, Diagnosis]
     skipped: Mapping[str, str]
     parts: Mapping[str, float]
+    estimates: Mapping[str, tuple[float, float]]
     common: tuple[CommonSize, ...]
     refit: System
     model: System
@@ -117,11 +121,19 @@ class ArmDiagnosis:
                     one.share_interval[0] * self.parts[joint], one.share_interval[1] * self.parts[joint]
                 ),
                 alone=None if one.alone is None else one.alone * self.parts[joint],
+                parameters=self._of_whole(joint, one) if one.selected else one.parameters,
             )
             for joint, found in self.joints.items()
             for one in found.effects
         ]  # fmt: skip
         return tuple(sorted(every, key=lambda one: (not one.selected, -(one.share or 0.0), -one.probability)))
+
+    def _of_whole(self, joint: str, one: RatedEffect) -> dict[str, tuple[float, float]]:
+        """Parameters of an effect of a joint as the whole robot has them, which stand in its model."""
+        infos = parameters_of(self.model, joint, one)
+        return {
+            s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in one.parameters.items()
+        }
 
     @property
     def selected(self) -> tuple[RatedEffect, ...]:
@@ -149,6 +161,8 @@ class ArmDiagnosis:
     def verdict(self) -> str:
         """What the whole robot's is: the first that any joint has, in the order of :data:`VERDICTS`."""
         found = {one.verdict for one in self.joints.values()}
+        if self.interrupted and "effects" not in found:
+            return "inconclusive"  # the other joints were not tried
         return next(verdict for verdict in VERDICTS if verdict in found)
 
     def as_dict(self) -> dict[str, Any]:
@@ -157,6 +171,7 @@ class ArmDiagnosis:
         joints = {joint: found.as_dict() for joint, found in self.joints.items()}
         effects = [
             entry | {"where": where, "joint": joint, "share": one.share,
+                     "parameters": {symbol: list(size) for symbol, size in one.parameters.items()},
                      "share_interval": one.share_interval and list(one.share_interval),
                      "share_of_joint": entry["share"], "tied_with": list(one.tied_with)}
             for joint, said in joints.items()
@@ -198,6 +213,13 @@ def _placed(where: str, joint: str) -> str:
     return where.replace("joint1/", f"{joint}/")
 
 
+def parameters_of(model: System, joint: str, one: RatedEffect) -> dict[str, ParameterInfo]:
+    """Rows of a robot's table of what an effect brings that its joint by itself has, by symbol."""
+    here = one.where.replace("joint1/", f"joint{joint_number(model, joint) + 1}/")
+    keys = {f"{here}/{kind}" for kind in effect(one.name).kinds}
+    return {info.symbol: info for info in model.table if info.component in keys}
+
+
 def _moving(dataset: Dataset, joint: int) -> Dataset:
     """The dataset without the train and validation records in which a joint, by its number from 0, does not move."""
     return replace(
@@ -222,11 +244,11 @@ def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dic
     for k, name in enumerate(() if system.tree is None else system.tree.names):
         measured = [n for n in (f"q_m{k + 1}", f"q_a{k + 1}") if any(n in r.outputs for r in dataset.train)]
         if system.tree is not None and system.tree.coupling(k) is not None:
-            skipped[name] = "its motor turns other joints, too"
+            skipped[name] = "motor turns other joints, too"
         elif not measured:
-            skipped[name] = "its angle was not measured"
+            skipped[name] = "angle not measured"
         elif not any(_moves(record, k) for record in dataset.train):
-            skipped[name] = "it does not move"
+            skipped[name] = "does not move"
         else:
             taken.append(name)
     return taken, skipped
@@ -273,7 +295,7 @@ def diagnose_arm(
         if name in skipped:
             raise InputError(f"Joint '{name}' cannot be diagnosed by itself: {skipped[name]}.")
     names = [name for name in able if joints is None or name in joints]
-    skipped |= {name: "it was not asked for" for name in able if name not in names}
+    skipped |= {name: "not asked for" for name in able if name not in names}
     if not names:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
         raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
@@ -303,7 +325,7 @@ def diagnose_arm(
             stopped = True
         if stopped or found[name].interrupted:
             rest = [later for later in names if later not in found and later not in skipped]
-            skipped |= dict.fromkeys(rest, "the search was stopped")
+            skipped |= dict.fromkeys(rest, "search was stopped")
             stopped = True
             break
     if not found:
@@ -339,10 +361,10 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
         if named and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
-    parts = _parts(dataset, found, nominal, trained)
+    parts, known = _parts(dataset, found, nominal, trained), estimates_of(whole)
     return ArmDiagnosis(
-        dataset.name, found, skipped, parts, common_sizes(found, whole), refit, model, tested[0], before, after,
-        gap, contradiction, stopped,
+        dataset.name, found, skipped, parts, known, common_sizes(found, model, known), refit, model, tested[0], before,
+        after, gap, contradiction, stopped,
     )  # fmt: skip
 
 
@@ -394,31 +416,35 @@ def _parts(
     return {name: value / whole if whole > 0.0 else 1.0 / len(size) for name, value in size.items()}
 
 
-def common_sizes(found: Mapping[str, Diagnosis], whole: FitResult | None) -> tuple[CommonSize, ...]:
+def estimates_of(whole: FitResult | None) -> dict[str, tuple[float, float]]:
+    """Parameters of a fit with their autocorrelation-robust standard errors, by name; empty without one."""
+    if whole is None:
+        return {}
+    std = robust_covariance(whole.jacobian, whole.residual, prior_precision=whole.prior_precision).std_error
+    return {n: (float(v), float(s)) for n, v, s in zip(whole.names, whole.values, std, strict=True)}
+
+
+def common_sizes(
+    found: Mapping[str, Diagnosis], model: System, known: Mapping[str, tuple[float, float]]
+) -> tuple[CommonSize, ...]:
     """Parameters of effects that several joints have at the same place, each as if one size were theirs.
 
     Args:
         found: the joints' diagnoses, by name.
-        whole: the fit of the whole robot, whose estimates are compared; without one nothing is.
+        model: the corrected robot.
+        known: its parameters with their standard errors, which are compared.
     """
-    if whole is None:
-        return ()
-    std = robust_covariance(whole.jacobian, whole.residual, prior_precision=whole.prior_precision).std_error
-    known = dict(zip(whole.names, zip(whole.values, std, strict=True), strict=True))
     sizes: dict[tuple[str, str, str], list[tuple[str, ParameterInfo]]] = {}
     for joint, one in found.items():
-        number = joint_number(whole.system, joint) + 1
-        for effect in one.selected:
-            here = effect.where.replace("joint1/", f"joint{number}/")
-            for info in whole.system.table:
-                own = info.component.rpartition("/")[0] == here and info.symbol in effect.parameters
-                if own and info.name in known:
-                    sizes.setdefault((effect.name, effect.where, info.symbol), []).append((joint, info))
+        for each in one.selected:
+            for symbol, info in parameters_of(model, joint, each).items():
+                if symbol in each.parameters and info.name in known:
+                    sizes.setdefault((each.name, each.where, symbol), []).append((joint, info))
     result = []
     for (name, *_), each in sizes.items():
-        values, errors_ = np.array([known[info.name] for _, info in each]).T
-        if len(each) > 1 and np.isfinite(errors_).all() and (errors_ > 0.0).all():
-            weights = errors_**-2.0
+        values, stds = np.array([known[info.name] for _, info in each]).T
+        if len(each) > 1 and np.isfinite(stds).all() and (stds > 0.0).all():
+            weights = stds**-2.0
             mean = float((weights * values).sum() / weights.sum())
             chance = float(chi2.sf(float((weights * (values - mean) ** 2).sum()), len(each) - 1))
             joints, info = tuple(joint for joint, _ in each), each[0][1]

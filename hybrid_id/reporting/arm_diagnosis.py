@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize
+from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize, parameters_of
+from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.diagnosis_figures import MODELS
@@ -17,10 +19,10 @@ from hybrid_id.reporting.diagnosis_words import (
     capital,
     headline,
     joined,
+    measured,
     percent,
     place_words,
     range_percent,
-    values_of,
     words_of,
 )
 from hybrid_id.reporting.interactive import Drawn, drawn
@@ -61,7 +63,8 @@ def arm_headline(found: ArmDiagnosis) -> str:
             f"{percent(one.share or 0.0)} (probability {_probability(one.probability)})"
             for k, one in enumerate(named)
         ]
-        sentence = f"{capital(joined(said))} of the gap; "
+        of = "the gap of the joints that were diagnosed" if found.skipped else "the gap"
+        sentence = f"{capital(joined(said))} of {of}; "
         rest = found.remainder
         sentence += f"{percent(rest)} remains unexplained." if rest >= 0.01 else "nothing structural remains."
     else:
@@ -155,10 +158,9 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
 def remark_lines(found: ArmDiagnosis) -> list[str]:
     """Sizes of the effects, what several joints have in common, and which joints were left out."""
     lines = [
-        f"{joint}: {words_of(effect.name)}, {', '.join(values)}."
-        for joint, one in found.joints.items()
-        for effect in one.selected
-        if (values := values_of(one, effect))
+        f"{one.where.rpartition('/')[0]}: {words_of(one.name)}, {', '.join(values)}."
+        for one in found.selected
+        if (values := _sizes(found, one))
     ]
     lines += [common_words(one) for one in found.common]
     lines += [
@@ -168,6 +170,21 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     for joint, why in found.skipped.items():
         reasons.setdefault(why, []).append(joint)
     return lines + [f"not diagnosed: {joined(joints)} ({why})." for why, joints in reasons.items()]
+
+
+def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:
+    """Parameters of an effect in the corrected robot, with 95 % intervals where its fit tells them."""
+    joint, _, place = one.where.rpartition("/")
+    infos = parameters_of(found.model, joint, replace(one, where=f"joint1/{place}"))
+    said = []
+    for symbol, (value, std) in one.parameters.items():
+        if (info := infos.get(symbol)) is None:
+            continue
+        known = info.name in found.estimates and 0.0 < std < float("inf")
+        ends = (value - 1.96 * std, value + 1.96 * std) if known else None
+        called = info.doc if info.doc == symbol else f"{info.doc} {symbol}"
+        said.append(f"{called} {measured(value, ends, info.spec.unit)}")
+    return said
 
 
 def common_words(one: CommonSize) -> str:

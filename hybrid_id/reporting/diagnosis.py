@@ -191,7 +191,8 @@ def diagnosis_page(
         findings: what the check of the records remarked.
     """
     dataset, details = diagnosis.details.dataset, diagnosis.details
-    page = Page(f"Diagnosis of {diagnosis.case}", headline(diagnosis))
+    by_itself = f", {joint_words('joint1', diagnosis.model)}" if diagnosis.model.seats else ""
+    page = Page(f"Diagnosis of {diagnosis.case}{by_itself}", headline(diagnosis))
     captions = _CAPTIONS | ({} if diagnosis.with_effect else {"worst_record": _NO_TEST})
 
     def picture(section: Section, name: str) -> None:

@@ -85,7 +85,7 @@ def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_pa
     )
     assert done.code == 0, done.err
     words = " ".join(done.out.split())
-    assert "not diagnosed: base (it was not asked for)" in words
+    assert "not diagnosed: base (not asked for)" in words
     said = json.loads((out / "diagnosis.json").read_text())
     assert set(said["joints"]) == {"joint 1/x", "tip"} and said["gap"]["by_output"].keys() == {
         "q_m1",
