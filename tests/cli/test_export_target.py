@@ -40,7 +40,8 @@ def diagnosed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_model(identify(data, base, pooled=True).selected_model, gap / "refit.yaml")
     save_model(loaded(), gap / "model.yaml")
     (gap / "config.yaml").write_text("dataset: ../data\n")
-    (gap / "diagnosis.json").write_text(json.dumps({"program": "hybrid_id 0", "horizon": {"kind": "whole"}}))
+    said = {"program": "hybrid_id 0", "horizon": {"kind": "whole"}, "effects": [{"selected": True}]}
+    (gap / "diagnosis.json").write_text(json.dumps(said))
     return home
 
 
