@@ -7,14 +7,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-import mujoco
 import numpy as np
 
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
+
+mujoco: Any = import_module("mujoco")  # which has no types
 
 STEP, FINE = 0.01, 5e-4
 """Sample time of the records and MuJoCo's step [s]."""

@@ -11,6 +11,7 @@ import pytest
 
 from hybrid_id import Dataset, Diagnosis, diagnose, diagnose_arm
 from hybrid_id.components import REGISTRY
+from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.arm import ArmDiagnosis, joints_to_diagnose
 from hybrid_id.diagnosis.catalogue import CATALOGUE
@@ -192,7 +193,7 @@ SERVOS = {
     "delay": ("lift", lambda whole: whole.with_component("joint2/input", REGISTRY["delay"](T_d=0.03))),
     "link_mass": (  # of the body beyond: that of its own link is a scale of all torques, which nobody knows
         "lift",
-        lambda whole: whole.with_component("joint3/load", REGISTRY["body_inertia"]("elbow_link", c_m=2.5)),
+        lambda whole: whole.with_component("joint3/load", BodyInertia("elbow_link", c_m=2.5)),
     ),
 }
 """What servos and descriptions get wrong: the joint that shows it, and the machine that has it."""

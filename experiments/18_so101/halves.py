@@ -1,15 +1,13 @@
-"""SO-101: what each of five joints lacks, by one of two halves of the train motions: run.py --data FOLDER HALF."""
+"""SO-101: what each of five joints lacks, by one of two halves of the train motions: halves.py --data FOLDER HALF."""
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "18_so101"))
 import so101
 import torch
 from sets import CARRIES_NOTHING, CLIPPED, TABLE
