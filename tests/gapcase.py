@@ -1,10 +1,12 @@
 """A small gap: three train records and one test record of a drive, with or without something that its model lacks."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 
 from drives import make_records, multisine, rigid_drive
 
-from hybrid_id.components.base import Component
+from hybrid_id.components.base import CATALOGUE, Component
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.systems import System
 
@@ -12,6 +14,19 @@ STEP, SAMPLES, NOISE, RATIO = 0.005, 300, 0.02, 50.0
 WHERE = "joint1/load"
 MADE: dict[tuple | None, Dataset] = {}
 """What has been simulated: many tests begin with the same records, and none changes them."""
+
+
+@contextmanager
+def only(*effects: str) -> Iterator[None]:
+    """A catalogue of some effects, so that a search takes a second."""
+    before = dict(CATALOGUE)
+    for name in set(CATALOGUE) - set(effects):
+        del CATALOGUE[name]
+    try:
+        yield
+    finally:
+        CATALOGUE.clear()
+        CATALOGUE.update(before)
 
 
 def small_case(missing: Component | None = None, where: str = WHERE) -> tuple[Dataset, System]:

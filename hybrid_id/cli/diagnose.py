@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -145,21 +145,36 @@ def fitting_jobs(dataset: "Dataset") -> int:
 def run(dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept") -> "Diagnosis":
     """Diagnose as the config says, with a bar on stderr."""
     from hybrid_id.diagnosis.diagnose import diagnose as find
-    from hybrid_id.study import Horizon
 
     with SearchProgress(config.gap.max_effects) as progress:
-        return find(
-            dataset,
-            system,
-            max_effects=config.gap.max_effects,
-            horizon=Horizon.of(config.identification.window),
-            jobs=config.gap.jobs or fitting_jobs(dataset),
-            seed=config.identification.seed,
-            level=config.statistics.level,
-            signal_share=config.preprocessing.signal_share,
-            kept=kept,
-            progress=progress,
+        return find(dataset, system, kept=kept, progress=progress, **_settings(dataset, config))
+
+
+def run_arm(
+    dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept", joints: list[str] | None
+) -> "ArmDiagnosis":
+    """Diagnose a robot joint by joint as the config says, with a bar on stderr."""
+    from hybrid_id.diagnosis.arm import diagnose_arm, joints_to_diagnose
+
+    searches = len(set(joints or ()) or joints_to_diagnose(dataset, system)[0])
+    with SearchProgress(config.gap.max_effects, searches) as progress:
+        return diagnose_arm(
+            dataset, system, joints=joints, kept=kept, progress=progress, **_settings(dataset, config)
         )
+
+
+def _settings(dataset: "Dataset", config: StudyConfig) -> dict[str, Any]:
+    """What the config says of a search."""
+    from hybrid_id.study import Horizon
+
+    return {
+        "max_effects": config.gap.max_effects,
+        "horizon": Horizon.of(config.identification.window),
+        "jobs": config.gap.jobs or fitting_jobs(dataset),
+        "seed": config.identification.seed,
+        "level": config.statistics.level,
+        "signal_share": config.preprocessing.signal_share,
+    }
 
 
 def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> bool:
@@ -171,30 +186,6 @@ def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> b
     if system.tree is not None and system.tree.couplings:
         raise InputError(f"{model}: 'diagnose' does not know couplings of motors yet; identify takes them.")
     return False
-
-
-def run_arm(
-    dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept", joints: list[str] | None
-) -> "ArmDiagnosis":
-    """Diagnose a robot joint by joint as the config says, with a bar on stderr."""
-    from hybrid_id.diagnosis.arm import diagnose_arm, joints_to_diagnose
-    from hybrid_id.study import Horizon
-
-    searches = len(set(joints or ()) or joints_to_diagnose(dataset, system)[0])
-    with SearchProgress(config.gap.max_effects, searches) as progress:
-        return diagnose_arm(
-            dataset,
-            system,
-            joints=joints,
-            max_effects=config.gap.max_effects,
-            horizon=Horizon.of(config.identification.window),
-            jobs=config.gap.jobs or fitting_jobs(dataset),
-            seed=config.identification.seed,
-            level=config.statistics.level,
-            signal_share=config.preprocessing.signal_share,
-            kept=kept,
-            progress=progress,
-        )
 
 
 def joint_folders(found: "ArmDiagnosis") -> dict[str, str]:

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from hybrid_id.diagnosis.catalogue import effect
+from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import RatedEffect
-from hybrid_id.diagnosis.result import Diagnosis, gap_entry
+from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
 from hybrid_id.errors import InputError
@@ -37,7 +37,14 @@ from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
-from hybrid_id.systems.by_joint import alone, joint_number, number_of, with_drive, with_others_measured
+from hybrid_id.systems.by_joint import (
+    alone,
+    joint_number,
+    number_of,
+    numbered,
+    with_drive,
+    with_others_measured,
+)
 from hybrid_id.systems.chain import System
 
 COUPLED = 10
@@ -111,29 +118,33 @@ class ArmDiagnosis:
     @property
     def effects(self) -> tuple[RatedEffect, ...]:
         """Every effect that was tried, the selected ones first, by share: of the whole robot's gap."""
+        return tuple(one for one, _, _ in self._rated())
+
+    def _rated(self) -> list[tuple[RatedEffect, RatedEffect, str]]:
+        """Effects of the robot in their order, each as its joint by itself has it, and that joint's name."""
         every = [
-            replace(
-                one,
-                where=_placed(one.where, joint),
-                tied_with=tuple(_placed(tie, joint) for tie in one.tied_with),
-                share=None if one.share is None else one.share * self.parts[joint],
-                share_interval=one.share_interval and (
-                    one.share_interval[0] * self.parts[joint], one.share_interval[1] * self.parts[joint]
-                ),
-                alone=None if one.alone is None else one.alone * self.parts[joint],
-                parameters=self._of_whole(joint, one) if one.selected else one.parameters,
-            )
+            (self._of_robot(one, joint), one, joint)
             for joint, found in self.joints.items()
             for one in found.effects
-        ]  # fmt: skip
-        return tuple(sorted(every, key=lambda one: (not one.selected, -(one.share or 0.0), -one.probability)))
+        ]
+        return sorted(every, key=lambda of: (not of[0].selected, -(of[0].share or 0.0), -of[0].probability))
 
-    def _of_whole(self, joint: str, one: RatedEffect) -> dict[str, tuple[float, float]]:
-        """Parameters of an effect of a joint as the whole robot has them, which stand in its model."""
-        infos = parameters_of(self.model, joint, one)
-        return {
-            s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in one.parameters.items()
-        }
+    def _of_robot(self, one: RatedEffect, joint: str) -> RatedEffect:
+        """An effect of a joint as the whole robot has it: its place, its share of that gap, its model's values."""
+        part, where, sizes = self.parts[joint], _placed(one.where, joint), one.parameters
+        if one.selected:
+            infos = brought(self.model, one.name, numbered(self.model, where))
+            sizes = {s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in sizes.items()}
+        return replace(
+            one,
+            where=where,
+            tied_with=tuple(_placed(tie, joint) for tie in one.tied_with),
+            share=None if one.share is None else one.share * part,
+            share_interval=one.share_interval
+            and (one.share_interval[0] * part, one.share_interval[1] * part),
+            alone=None if one.alone is None else one.alone * part,
+            parameters=sizes,
+        )
 
     @property
     def selected(self) -> tuple[RatedEffect, ...]:
@@ -167,19 +178,10 @@ class ArmDiagnosis:
 
     def as_dict(self) -> dict[str, Any]:
         """The content of ``diagnosis.json``: the keys of one joint's, and each joint's own under ``joints``."""
-        selected = {(one.name, one.where): one for one in self.effects}
-        joints = {joint: found.as_dict() for joint, found in self.joints.items()}
         effects = [
-            entry | {"where": where, "joint": joint, "share": one.share,
-                     "parameters": {symbol: list(size) for symbol, size in one.parameters.items()},
-                     "share_interval": one.share_interval and list(one.share_interval),
-                     "share_of_joint": entry["share"], "tied_with": list(one.tied_with)}
-            for joint, said in joints.items()
-            for entry in said["effects"]
-            for where in [_placed(entry["where"], joint)]
-            for one in [selected[entry["name"], where]]
-        ]  # fmt: skip
-        effects.sort(key=lambda one: (not one["selected"], -(one["share"] or 0.0), -one["probability"]))
+            effect_entry(one) | {"joint": joint, "share_of_joint": own.share, "share_alone": own.alone}
+            for one, own, joint in self._rated()
+        ]
         return {
             "case": self.case,
             "verdict": self.verdict,
@@ -201,7 +203,7 @@ class ArmDiagnosis:
                 vars(one) | {"joints": list(one.joints), "common": one.common} for one in self.common
             ],
             "skipped": dict(self.skipped),
-            "joints": joints,
+            "joints": {joint: found.as_dict() for joint, found in self.joints.items()},
         }
 
     def _by_part(self) -> list[tuple[str, float]]:
@@ -211,13 +213,6 @@ class ArmDiagnosis:
 def _placed(where: str, joint: str) -> str:
     """``joint1/motor`` or ``play@joint1/motor``, as a joint by itself has it, with the joint's name."""
     return where.replace("joint1/", f"{joint}/")
-
-
-def parameters_of(model: System, joint: str, one: RatedEffect) -> dict[str, ParameterInfo]:
-    """Rows of a robot's table of what an effect brings that its joint by itself has, by symbol."""
-    here = one.where.replace("joint1/", f"joint{joint_number(model, joint) + 1}/")
-    keys = {f"{here}/{kind}" for kind in effect(one.name).kinds}
-    return {info.symbol: info for info in model.table if info.component in keys}
 
 
 def _moving(dataset: Dataset, joint: int) -> Dataset:
@@ -437,7 +432,9 @@ def common_sizes(
     sizes: dict[tuple[str, str, str], list[tuple[str, ParameterInfo]]] = {}
     for joint, one in found.items():
         for each in one.selected:
-            for symbol, info in parameters_of(model, joint, each).items():
+            for symbol, info in brought(
+                model, each.name, numbered(model, _placed(each.where, joint))
+            ).items():
                 if symbol in each.parameters and info.name in known:
                     sizes.setdefault((each.name, each.where, symbol), []).append((joint, info))
     result = []

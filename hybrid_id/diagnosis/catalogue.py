@@ -138,6 +138,12 @@ def separation(one: tuple[str, str], other: tuple[str, str]) -> str:
     return SIDES if here.split("/")[0] == there.split("/")[0] else JOINTS
 
 
+def brought(system: System, name: str, where: str) -> dict[str, ParameterInfo]:
+    """Rows of a system's table of what an effect brings at its place, by symbol."""
+    keys = {f"{where}/{kind}" for kind in effect(name).kinds}
+    return {info.symbol: info for info in system.table if info.component in keys}
+
+
 def part_of(system: System, where: str, kind: str) -> Component | None:
     """The component of a kind at a place, None where there is none."""
     return dict(system.components.items()).get(f"{where}/{kind}")  # type: ignore[return-value]

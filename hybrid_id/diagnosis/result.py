@@ -222,7 +222,7 @@ class Diagnosis:
             "interrupted": self.interrupted,
             "unknown": self.unknown,
             "no_gap": self.verdict in ("no_gap", "parameters_only"),
-            "effects": [_effect(one) for one in self.effects],
+            "effects": [effect_entry(one) for one in self.effects],
             "ties": [list(group) for group in self.ties],
             "remainder": {"share": self.remainder, "interval": list(self.remainder_interval)},
             "horizon": {"kind": self.horizon.kind, "seconds": self.horizon.seconds, "words": str(self.horizon)},
@@ -287,7 +287,8 @@ def gap_entry(
     }  # fmt: skip
 
 
-def _effect(one: RatedEffect) -> dict[str, Any]:
+def effect_entry(one: RatedEffect) -> dict[str, Any]:
+    """One entry of ``effects`` in ``diagnosis.json``."""
     return {
         "name": one.name,
         "where": one.where,

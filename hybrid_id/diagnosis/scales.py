@@ -10,6 +10,7 @@ import torch
 from hybrid_id.components.base import Component
 from hybrid_id.components.site import Scales
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.systems.by_joint import number_of
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
@@ -51,6 +52,7 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
             level = level + beyond / joint.gear_ratio
         highest = float(level.max())
     off = channels.get(f"enable{joint.number}")
+    own = str(joint.number)
     shown = {f"i{joint.number}", f"tau{joint.number}"} & set(batch.outputs)
     moving = command[command.abs() > 0.02 * command.abs().max()]
     link = q / joint.gear_ratio
@@ -70,15 +72,10 @@ def _of_joint(system: System, joint: Joint, batch: Batch) -> Scales:
         dry=highest if highest > 1e-9 * torque else 0.1 * (torque or 1.0),
         inertia=total,
         rotor=rotor,
-        measured=tuple(name.removesuffix(str(joint.number)) for name in batch.outputs if _of(name, joint)),
+        measured=tuple(n.removesuffix(own) for n in batch.outputs if number_of(n) == own),
         bodies=_carried(system, joint),
         shows_torque=bool(shown) or (off is not None and bool((off < 1.0).any())),
     )
-
-
-def _of(channel: str, joint: Joint) -> bool:
-    """Whether a channel is one of a joint's."""
-    return channel.rstrip("0123456789") + str(joint.number) == channel
 
 
 def _carried(system: System, joint: Joint) -> tuple[str, ...]:

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize, parameters_of
+from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize
+from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.quality import Finding
-from hybrid_id.reporting.diagnosis_figures import MODELS
+from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
+    called,
     capital,
     headline,
     joined,
     measured,
     percent,
     place_words,
+    probability_words,
     range_percent,
+    shrink_line,
     words_of,
 )
 from hybrid_id.reporting.interactive import Drawn, drawn
@@ -30,12 +33,9 @@ from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import in_unit
-from hybrid_id.systems.by_joint import number_of
+from hybrid_id.systems.by_joint import number_of, numbered
 
 PAGE = "report.html"
-LIKELY = 0.2
-"""Probability below which an effect that is not asserted stands in no table of a joint."""
-MAX_NAME = 16
 _VERDICTS = {
     "parameters_only": "nothing; other parameter values",
     "no_gap": "nothing",
@@ -60,7 +60,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
     if named:
         said = [
             f"{words_of(one.name)} at {one.where.rpartition('/')[0]}{' explains' if k == 0 else ''} "
-            f"{percent(one.share or 0.0)} (probability {_probability(one.probability)})"
+            f"{percent(one.share or 0.0)} (probability {probability_words(one.probability)})"
             for k, one in enumerate(named)
         ]
         of = "the gap of the joints that were diagnosed" if found.skipped else "the gap"
@@ -87,10 +87,6 @@ def _nothing_named(found: ArmDiagnosis) -> str:
     if found.verdict == "no_gap":
         return f"There is no gap: no effect at {any_joint} predicts records left out surely better than the model."
     return headline(found.joints[there[0]])
-
-
-def _probability(value: float) -> str:
-    return "above 0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def lacks(one: Diagnosis) -> str:
@@ -148,8 +144,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
         f"the joints: nominal {nominal.nrmse:.3g}, re-fitted {gap.refit:.3g}{corrected}; noise floor {gap.floor:.3g}."
     ]
     if found.selected:
-        low, high = (100 * min(end, 1.0) for end in gap.interval)
-        lines.append(f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %).")
+        lines.append(shrink_line(gap))
     if found.contradiction:
         lines.append(f"contradiction: {found.contradiction}")
     return lines
@@ -174,16 +169,13 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
 
 def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:
     """Parameters of an effect in the corrected robot, with 95 % intervals where its fit tells them."""
-    joint, _, place = one.where.rpartition("/")
-    infos = parameters_of(found.model, joint, replace(one, where=f"joint1/{place}"))
-    said = []
+    infos, said = brought(found.model, one.name, numbered(found.model, one.where)), []
     for symbol, (value, std) in one.parameters.items():
         if (info := infos.get(symbol)) is None:
             continue
         known = info.name in found.estimates and 0.0 < std < float("inf")
         ends = (value - 1.96 * std, value + 1.96 * std) if known else None
-        called = info.doc if info.doc == symbol else f"{info.doc} {symbol}"
-        said.append(f"{called} {measured(value, ends, info.spec.unit)}")
+        said.append(f"{called(info)} {measured(value, ends, info.spec.unit)}")
     return said
 
 

@@ -7,9 +7,9 @@ from itertools import combinations
 
 import numpy as np
 
-from hybrid_id.diagnosis.catalogue import effect, separation
+from hybrid_id.diagnosis.catalogue import brought, separation
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.errors_on_test import Errors
+from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
 from hybrid_id.diagnosis.grade import Interval, RatedEffect, together
 from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.result import Diagnosis
@@ -73,8 +73,13 @@ def _effects(diagnosis: Diagnosis) -> str:
 def _sure(diagnosis: Diagnosis, one: RatedEffect) -> str:
     """The share's interval, and the probability of an effect or of one that it is indistinguishable from."""
     share = "" if one.share_interval is None else f"{range_percent(one.share_interval)}; "
-    probability, of = together(one, diagnosis.effects), " of one of them" if one.tied_with else ""
-    return f"{share}probability{of} {'above 0.99' if probability > 0.99 else f'{probability:.2f}'}"
+    of = " of one of them" if one.tied_with else ""
+    return f"{share}probability{of} {probability_words(together(one, diagnosis.effects))}"
+
+
+def probability_words(value: float) -> str:
+    """A probability, which is never said to be one."""
+    return "above 0.99" if value > 0.99 else f"{value:.2f}"
 
 
 def _named(diagnosis: Diagnosis, one: RatedEffect) -> str:
@@ -221,8 +226,7 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
     floor = "noise floor, by repeated records," if gap.repeated else "noise floor"
     lines = [f"NRMSE on {records}, {diagnosis.horizon}: {outputs}; {floor} {gap.floor:.3g}."]
     if last is not None:
-        low, high = (100 * min(end, 1.0) for end in gap.interval)
-        lines.append(f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %).")
+        lines.append(shrink_line(gap))
     else:
         one_set = ", with one set for all records" if diagnosis.varying else ""
         lines.append(
@@ -236,6 +240,12 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
             "follows it from measured states."
         )
     return lines
+
+
+def shrink_line(gap: Shrink) -> str:
+    """How far the gap shrinks on the test records, said of which the line stands below."""
+    low, high = (100 * min(end, 1.0) for end in gap.interval)
+    return f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %)."
 
 
 def _errors_words(diagnosis: Diagnosis, output: str, models: Sequence[Errors]) -> str:
@@ -384,21 +394,19 @@ def values_of(diagnosis: Diagnosis, one: RatedEffect) -> list[str]:
 
     The interval is that of ``identify``, as in the table of parameters.
     """
-    infos, study, found = _infos(diagnosis, one), diagnosis.details.studies[-1], []
+    infos, study, found = brought(diagnosis.model, one.name, one.where), diagnosis.details.studies[-1], []
     intervals = dict(zip(study.names, study.intervals(0), strict=True))
     for symbol, (value, _) in one.parameters.items():
         if info := infos.get(symbol):
             unit, factor = shown_unit(info.spec.unit, study.outputs)
             ends = None if info.name not in intervals else factor * intervals[info.name]
-            called = info.doc if info.doc == symbol else f"{info.doc} {symbol}"
-            found.append(f"{called} {measured(factor * value, ends, unit)}")
+            found.append(f"{called(info)} {measured(factor * value, ends, unit)}")
     return found
 
 
-def _infos(diagnosis: Diagnosis, one: RatedEffect) -> dict[str, ParameterInfo]:
-    """Meaning and unit of the parameters that a selected effect brings, by symbol."""
-    keys = {f"{one.where}/{kind}" for kind in effect(one.name).kinds}
-    return {i.symbol: i for i in diagnosis.model.table if i.component in keys}
+def called(info: ParameterInfo) -> str:
+    """A parameter's meaning and symbol, one where both are the same."""
+    return info.doc if info.doc == info.symbol else f"{info.doc} {info.symbol}"
 
 
 def measured(value: float, interval: Sequence[float] | np.ndarray | None, unit: str) -> str:

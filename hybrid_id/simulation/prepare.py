@@ -191,12 +191,14 @@ def _wind_up(
 
     In motion that is known of a robot alone, whose description says what the links need.
     """
-    for number, joint in enumerate(system.joints):
-        hidden = _hidden_side(joint, records[0].outputs)
+    sides = [_hidden_side(joint, records[0].outputs) for joint in system.joints]
+    if not any(hidden is not None for hidden in sides):
+        return
+    still = torch.tensor([rest_samples(record) >= RESTING for record in records])
+    first = {name: channel[:, 0] for name, channel in u.items()}
+    for number, (joint, hidden) in enumerate(zip(system.joints, sides, strict=True)):
         if hidden is None:
             continue
-        still = torch.tensor([rest_samples(record) >= RESTING for record in records])
-        first = {name: channel[:, 0] for name, channel in u.items()}
         begun = list(x[:, 0].unbind(1))
         needed = _needed_at_start(system, records, x, first, still)[number]
         twist = _loaded_twist(system, joint, begun, first, needed, still)
@@ -303,6 +305,8 @@ def _needed_at_start(
 
     Zeros without a description.
     """
+    if system.tree is None:
+        return [torch.zeros_like(x[:, 0, 0])] * len(system.joints)
     steps = torch.tensor([record.sample_time for record in records])
     accelerations = [
         torch.where(still, 0.0, (x[:, START, row] - x[:, 0, row]) / (START * steps))

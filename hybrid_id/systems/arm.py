@@ -255,7 +255,7 @@ class Arm:
     def needed(
         self, x: Sequence[Tensor], accelerations: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
     ) -> list[Tensor | float]:
-        """Torque [N m], ``(B,)`` or a number, that a robot's links need to move as they do; 0 without a tree.
+        """Torque [N m], ``(B,)`` or a number, that the links of a robot with a tree need to move as they do.
 
         Args:
             x: state rows, ``(B,)`` each.
@@ -263,11 +263,9 @@ class Arm:
             u: channels, ``(B,)`` each.
             p: parameter views.
         """
-        if self.tree is None:
-            return [0.0] * len(self.joints)
-        links = [_link_motion(joint, x, p) for joint in self.joints]
+        links, tree = [_link_motion(joint, x, p) for joint in self.joints], cast(RigidBodyTree, self.tree)
         return self._needed(
-            self.tree, [link[0] for link in links], [link[1] for link in links], accelerations, u, p
+            tree, [link[0] for link in links], [link[1] for link in links], accelerations, u, p
         )[2]
 
     def guard(self, p: Views) -> None:

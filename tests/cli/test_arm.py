@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gapcase import only
 
 from hybrid_id.cli.ablate import planned
 from hybrid_id.cli.options import config_of
-from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.errors import InputError
 from hybrid_id.machines.twin.desk_arm import write_arm
 from hybrid_id.records.dataset import Channel, Dataset
@@ -28,12 +28,8 @@ pytest.importorskip("mujoco")
 @pytest.fixture
 def few() -> Iterator[None]:
     """A catalogue of two effects, so that a search takes a second."""
-    before = dict(CATALOGUE)
-    for name in set(CATALOGUE) - {"spring_load", "constant_torque"}:
-        del CATALOGUE[name]
-    yield
-    CATALOGUE.clear()
-    CATALOGUE.update(before)
+    with only("spring_load", "constant_torque"):
+        yield
 
 
 NAMES = ("base", "joint 1/x", "tip")

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gapcase import only
 
 from hybrid_id import Dataset, Diagnosis, diagnose, diagnose_arm
 from hybrid_id.components import REGISTRY
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.arm import ArmDiagnosis, joints_to_diagnose
-from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
 from hybrid_id.records.dataset import Channel
@@ -72,12 +72,8 @@ def records_of(system: System, count: int = 4) -> Dataset:
 @pytest.fixture
 def few() -> Iterator[None]:
     """A catalogue of what is missing, a near rival and a far one."""
-    before = dict(CATALOGUE)
-    for name in set(CATALOGUE) - {"spring_load", "constant_torque", "quadratic_drag"}:
-        del CATALOGUE[name]
-    yield
-    CATALOGUE.clear()
-    CATALOGUE.update(before)
+    with only("spring_load", "constant_torque", "quadratic_drag"):
+        yield
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import flexible_drive, measure, multisine, rigid_drive
-from gapcase import NOISE, RATIO, SAMPLES, STEP, small_case
+from gapcase import NOISE, RATIO, SAMPLES, STEP, only, small_case
 
 from hybrid_id.components import (
     CurrentCommand,
@@ -17,7 +17,6 @@ from hybrid_id.components import (
     TorqueCommand,
     TorqueMotor,
 )
-from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
@@ -28,12 +27,8 @@ from hybrid_id.systems import System
 @pytest.fixture
 def few() -> Iterator[None]:
     """A catalogue of what is missing and its nearest rival."""
-    before = dict(CATALOGUE)
-    for name in set(CATALOGUE) - {"spring_load", "constant_torque"}:
-        del CATALOGUE[name]
-    yield
-    CATALOGUE.clear()
-    CATALOGUE.update(before)
+    with only("spring_load", "constant_torque"):
+        yield
 
 
 def driven(kind: str) -> tuple[System, Mapping[str, str], tuple[str, ...]]:

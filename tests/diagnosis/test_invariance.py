@@ -8,11 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from gapcase import small_case
+from gapcase import only, small_case
 
 from hybrid_id import Dataset, Diagnosis, load_model
 from hybrid_id.components import REGISTRY
-from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.identification.keep import Kept
 
@@ -57,12 +56,8 @@ def answer(found: Diagnosis) -> dict[str, Any]:
 @pytest.fixture
 def few() -> Iterator[None]:
     """A catalogue of what is missing, a near rival and a far one."""
-    before = dict(CATALOGUE)
-    for name in set(CATALOGUE) - {"spring_load", "constant_torque", "quadratic_drag"}:
-        del CATALOGUE[name]
-    yield
-    CATALOGUE.clear()
-    CATALOGUE.update(before)
+    with only("spring_load", "constant_torque", "quadratic_drag"):
+        yield
 
 
 @pytest.mark.usefixtures("few")
