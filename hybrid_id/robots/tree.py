@@ -381,6 +381,10 @@ class RigidBodyTree:
         named = {body.name: body for body in (*self.bodies, *bodies)}
         return replace(self, bodies=tuple(named.values()))
 
+    def falling(self, gravity: Vector) -> RigidBodyTree:
+        """The tree under another gravity [m/s^2], tensors of one value as plain numbers."""
+        return replace(self, gravity=constant_vector([_number(value) for value in gravity]))
+
     def inertias(self, bodies: Sequence[Body] = ()) -> list[SpatialInertia]:
         """What each joint carries rigidly, about the joint's origin.
 
@@ -447,6 +451,7 @@ class RigidBodyTree:
         v: Rows,
         a: Rows | None = None,
         pushes: Sequence[tuple[Point, Vector]] = (),
+        gravity: Vector | None = None,
     ) -> list[Row]:
         """Torques or forces at the joints for a motion, rotors' armature left out.
 
@@ -458,10 +463,12 @@ class RigidBodyTree:
             v: speeds [rad/s or m/s].
             a: accelerations [rad/s^2 or m/s^2]; None for none.
             pushes: forces from outside [N], in the base's axes, and the points where they act.
+            gravity: acceleration of free fall [m/s^2], in the base's axes; None for the description's.
         """
         n = len(self.joints)
         forces, moments = [ZERO] * n, [ZERO] * n
-        for k, motion in enumerate(self._motions(poses, v, [0.0] * n if a is None else a)):
+        pull = self.gravity if gravity is None else gravity
+        for k, motion in enumerate(self._motions(poses, v, [0.0] * n if a is None else a, pull)):
             forces[k], moments[k] = _needed(inertias[k], *motion)
         for point, push in pushes:
             force = scale(-1.0, times(transposed(self.pose(poses, point.joint)[0]), push))
@@ -492,7 +499,7 @@ class RigidBodyTree:
             a: accelerations [rad/s^2 or m/s^2].
         """
         found: list[list[Row]] = [[0.0] * (len(TEN) * len(self.joints)) for _ in self.joints]
-        for k, motion in enumerate(self._motions(poses, v, a)):
+        for k, motion in enumerate(self._motions(poses, v, a, self.gravity)):
             for column, unit in enumerate(_UNITS, len(TEN) * k):
                 (force, moment), below = _needed(unit, *motion), k
                 while below >= 0:
@@ -502,11 +509,11 @@ class RigidBodyTree:
         return found
 
     def _motions(
-        self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows
+        self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows, gravity: Vector
     ) -> list[tuple[Vector, Vector, Vector]]:
         """Angular velocity and acceleration of each joint's frame, and the acceleration of its origin less gravity."""
         motion: list[tuple[Vector, Vector, Vector]] = []
-        base = (ZERO, ZERO, scale(-1.0, self.gravity))
+        base = (ZERO, ZERO, scale(-1.0, gravity))
         for k, joint in enumerate(self.joints):
             before = base if joint.parent < 0 else motion[joint.parent]
             motion.append(_moved(joint, *poses[k], *before, v[k], a[k]))

@@ -10,7 +10,8 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Attached, Component, Coupling
+from hybrid_id.components.base import Attached, Component, Coupling, Shared
+from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.components.load.payload import Payload
@@ -70,13 +71,19 @@ class Arm:
         self.masses = [
             (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
         ]
+        self.tilts = [(key, part) for key, part in components.items() if isinstance(part, BaseTilt)]
+        shared = [part for part in components.values() if isinstance(part, Shared)]
         for key, part in components.items():
             if isinstance(part, Attached):
                 self._check_attached(key, part)
-        known = [(part.kind, part.point) for _, part in self.masses]
+            elif isinstance(part, Shared) and tree is None:
+                place = key.rsplit("/", 1)[0]
+                raise InputError(f"{part.kind} at '{place}' acts on a robot with a description; remove it.")
+        known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
         for kind, point in known:
             if known.count((kind, point)) > 1:
-                raise InputError(f"{kind} is listed twice at '{point}'; keep one of them.")
+                at = f" at '{point}'" if point else ""
+                raise InputError(f"{kind} is listed twice{at}; keep one of them.")
         for key, part in components.items():
             if tree is None and isinstance(part, RotorInertia):
                 raise InputError(
@@ -154,6 +161,13 @@ class Arm:
             body = next(body for body in tree.bodies if body.name == part.point)
             inertia = body.inertia.deviating(p[key].c_m, part.shift(p[key]), part.stretch(p[key]))
             found[key] = replace(body, inertia=inertia)
+        return found
+
+    def gravity(self, p: Views) -> Vector:
+        """Acceleration of free fall in the base's axes [m/s^2], of a robot with a tree."""
+        found = cast(RigidBodyTree, self.tree).gravity
+        for key, part in self.tilts:
+            found = part.gravity(p[key], found)
         return found
 
     def couple(
@@ -249,7 +263,7 @@ class Arm:
         for key, part in self.contacts:
             point = tree.points[part.point]
             pushes.append((point, (0.0, 0.0, part.force(p[key], tree.place(poses, point)[2]))))
-        torques = tree.inverse_dynamics(poses, inertias, every[1], every[2], pushes)
+        torques = tree.inverse_dynamics(poses, inertias, every[1], every[2], pushes, self.gravity(p))
         return poses, inertias, [torques[number] for number in self.seats]
 
     def needed(

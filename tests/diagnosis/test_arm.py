@@ -12,6 +12,7 @@ from gapcase import only
 
 from hybrid_id import Dataset, Diagnosis, diagnose, diagnose_arm
 from hybrid_id.components import REGISTRY
+from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.arm import ArmDiagnosis, joints_to_diagnose
@@ -190,6 +191,11 @@ SERVOS = {
     "link_mass": (  # of the body beyond: that of its own link is a scale of all torques, which nobody knows
         "lift",
         lambda whole: whole.with_component("joint3/load", BodyInertia("elbow_link", c_m=2.5)),
+    ),
+    "base_tilt": ("lift", lambda whole: whole.with_component("joint2/load", BaseTilt(e_x=0.15, e_y=-0.1))),
+    "cable_pull": (
+        "lift",
+        lambda whole: whole.with_component("joint2/load", REGISTRY["cable"](k_c=3.0, q_c=0.2)),
     ),
 }
 """What servos and descriptions get wrong: the joint that shows it, and the machine that has it."""
