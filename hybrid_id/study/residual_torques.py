@@ -216,12 +216,11 @@ def _learn(dataset: Dataset, system: System, horizon: Horizon | None, signal_sha
             after = _with_network(dataset, before, rest, size, horizon, signal_share)
             richer = _errors(dataset, after.system, part, horizon, signal_share)
             errors[size] |= {name: (own[name], richer[name]) for name in own}
-    fitted_to = len(train) if dataset.validation else len(train) - len(held[0])
+    apart = sum(map(len, held)) / len(held)
+    overlap = apart / (len(train) if dataset.validation else len(train) - apart)
     level = 1.0 - 0.05 / len(SIZES)  # the best of several
     gains = {
-        size: paired_difference(
-            *np.log(list(pairs.values())).T, overlap=len(held[0]) / fitted_to, level=level
-        )
+        size: paired_difference(*np.log(list(pairs.values())).T, overlap=overlap, level=level)
         for size, pairs in errors.items()
     }
     best = max(gains, key=lambda size: np.nan_to_num(gains[size].mean, nan=-np.inf))
