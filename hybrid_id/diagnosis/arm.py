@@ -216,7 +216,7 @@ def _placed(where: str, joint: str) -> str:
     return where.replace("joint1/", f"{joint}/")
 
 
-def _moving(dataset: Dataset, joint: int) -> Dataset:
+def moving_records(dataset: Dataset, joint: int) -> Dataset:
     """The dataset without the train and validation records in which a joint, by its number from 0, does not move."""
     return replace(
         dataset,
@@ -306,7 +306,7 @@ def diagnose_arm(
 
         try:
             found[name] = diagnose(
-                with_others_measured(_moving(dataset, k), system, k), alone(system, k), horizon=horizon,
+                with_others_measured(moving_records(dataset, k), system, k), alone(system, k), horizon=horizon,
                 max_effects=max_effects, jobs=jobs, seed=seed, level=level, signal_share=signal_share, kept=kept,
                 progress=say,
             )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import cast
 
@@ -236,11 +237,35 @@ class Arm:
         u: Mapping[str, Tensor],
         p: Views,
     ) -> tuple[Mass, list[Tensor | float]]:
-        poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * len(angles), u, p)
-        whole, n = tree.mass_matrix(poses, inertias), len(angles)
-        pairs = {(i, j): whole[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
+        pairs: Mass
+        torques: list[Tensor | float]
+        if len(self.seats) == 1:
+            q, v, a = self._motion(tree, angles, rates, [0.0], u)
+            inertias, gravity = tree.inertias(tuple(self.bodies(p).values())), self.gravity(p)
+            contacts = [(tree.points[part.point], partial(part.force, p[key])) for key, part in self.contacts]
+            pairs, torques = {}, [0.0]
+            pairs[0, 0], torques[0] = tree.one_joint(self.seats[0], q, v, a, inertias, contacts, gravity)
+        else:
+            poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * len(angles), u, p)
+            whole, n = tree.mass_matrix(poses, inertias), len(angles)
+            pairs = {(i, j): whole[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
         mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
         return mass, torques
+
+    def _motion(
+        self,
+        tree: RigidBodyTree,
+        angles: Sequence[Tensor],
+        rates: Sequence[Tensor],
+        accelerations: Sequence[Tensor | float],
+        u: Mapping[str, Tensor],
+    ) -> list[list[Tensor | float]]:
+        """Positions, speeds and accelerations of all joints of the tree: the system's, and those that are logged."""
+        seat = {number: k for k, number in enumerate(self.seats)}
+        return [
+            [own[seat[j]] if j in seat else u[f"{name}{j + 1}"] for j in range(len(tree.joints))]
+            for name, own in zip(MOTION, (angles, rates, accelerations), strict=True)
+        ]
 
     def _needed(
         self,
@@ -252,12 +277,7 @@ class Arm:
         p: Views,
     ) -> tuple[list[tuple[Matrix, Vector]], list[SpatialInertia], list[Tensor | float]]:
         """Poses and inertias of the tree, and the torque that each of the system's links needs to move so."""
-        seat = {number: k for k, number in enumerate(self.seats)}
-        every: list[list[Tensor | float]] = []
-        for name, own in zip(MOTION, (angles, rates, accelerations), strict=True):
-            every.append(
-                [own[seat[j]] if j in seat else u[f"{name}{j + 1}"] for j in range(len(tree.joints))]
-            )
+        every = self._motion(tree, angles, rates, accelerations, u)
         poses, inertias = tree.poses(every[0]), tree.inertias(tuple(self.bodies(p).values()))
         pushes: list[tuple[Point, Vector]] = []
         for key, part in self.contacts:
