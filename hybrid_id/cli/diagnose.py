@@ -101,8 +101,9 @@ def diagnose(
         use_threads(1)
         system = load_system(config, dataset)
         by_joint = takes_by_joint(system, config.model, joint)
-        remark_start_values(dataset, system)
-        from hybrid_id.diagnosis.arm import ArmDiagnosis
+        from hybrid_id.diagnosis.arm import ArmDiagnosis, with_standing_held
+
+        remark_start_values(*(with_standing_held(dataset, system) if by_joint else (dataset, system)))
         from hybrid_id.reporting.arm_diagnosis import arm_table
         from hybrid_id.reporting.diagnosis import diagnosis_table
 

@@ -9,11 +9,12 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize
+from hybrid_id.diagnosis.arm import NOT_ASKED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.quality import Finding
+from hybrid_id.records.units import number_of
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
     called,
@@ -33,7 +34,7 @@ from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import in_unit
-from hybrid_id.systems.by_joint import number_of, numbered
+from hybrid_id.systems.by_joint import numbered
 
 PAGE = "report.html"
 _VERDICTS = {
@@ -100,7 +101,10 @@ def lacks(one: Diagnosis) -> str:
 
 
 def joints_table(found: ArmDiagnosis) -> Table:
-    """A row a joint: its part of the gap, what it lacks, how surely, what remains, and its errors."""
+    """A row a joint: its part of the gap, what it lacks, how surely, what remains, and its errors.
+
+    Below them those that were left out, with the reason; but for those that nobody has asked for.
+    """
     rows = []
     for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
         one = found.joints[joint]
@@ -111,6 +115,11 @@ def joints_table(found: ArmDiagnosis) -> Table:
         )
         left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
         rows.append((joint, lacks(one), percent(part), explained, sure, left, _errors_cell(found, joint)))
+    rows += [
+        (joint, f"not diagnosed: {why}", *[""] * 5)
+        for joint, why in found.skipped.items()
+        if why != NOT_ASKED
+    ]
     heads = ("joint", "lacks", "part of the gap>", "explains of it>", "probability>", "unexplained>",
              "RMSE nominal, re-fitted, corrected>")  # fmt: skip
     return table(heads, rows)
@@ -122,12 +131,10 @@ def _errors_cell(found: ArmDiagnosis, joint: str) -> str:
         one for one in (found.nominal_errors, found.refit_errors, found.model_errors) if one is not None
     ]
     channels = found.joints[joint].details.dataset.outputs
-    number = str((found.model.tree.names if found.model.tree else ()).index(joint) + 1)
     cells = []
     for channel in channels:
-        name = channel.name[:-1] + number
-        if len(models) == 3 and all(name in one.rmse for one in models):
-            values = [one.rmse[name] for one in (models if found.selected else models[:2])]
+        if len(models) == 3 and all(channel.name in one.rmse for one in models):
+            values = [one.rmse[channel.name] for one in (models if found.selected else models[:2])]
             *shown, unit = in_unit(channel.name, values, channels, found.joints[joint].details.nominal)
             cells.append(f"{', '.join(shown)} {unit}")
     return "; ".join(cells)
@@ -151,7 +158,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
 
 
 def remark_lines(found: ArmDiagnosis) -> list[str]:
-    """Sizes of the effects, what several joints have in common, and which joints were left out."""
+    """Sizes of the effects, what several joints have in common, and which joints nobody has asked for."""
     lines = [
         f"{one.where.rpartition('/')[0]}: {words_of(one.name)}, {', '.join(values)}."
         for one in found.selected
@@ -161,10 +168,8 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     lines += [
         f"{joint}: {one.changes.removesuffix('.')}." for joint, one in found.joints.items() if one.changes
     ]
-    reasons: dict[str, list[str]] = {}
-    for joint, why in found.skipped.items():
-        reasons.setdefault(why, []).append(joint)
-    return lines + [f"not diagnosed: {joined(joints)} ({why})." for why, joints in reasons.items()]
+    left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
+    return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
 
 
 def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:

@@ -449,7 +449,7 @@ def joint_words(where: str, system: System) -> str:
     joint = where.split("/")[0]
     if system.tree is None:
         return joint.replace("joint", "joint ")
-    return system.tree.names[system.arm.seats[int(joint.removeprefix("joint")) - 1]]
+    return system.tree.names[int(joint.removeprefix("joint")) - 1]
 
 
 def side_words(joint: str, place: str, system: System) -> str:
