@@ -100,7 +100,7 @@ class ArmDiagnosis:
         parts: what share of the re-fitted robot's error each diagnosed joint has, on train records, all joints
             simulated (mean squares over the signal's variance).
         estimates: parameters of the corrected robot with their standard errors, by name, from the fit of all joints;
-            empty where that fit was not better than the joints' own.
+            empty where that fit was not better than the joints' own, or the search was stopped before it.
         common: parameters of effects that several joints have.
         refit, model: the whole robot, re-fitted and corrected.
         nominal_errors, refit_errors, model_errors: on the test records, all joints simulated; None without.
@@ -378,9 +378,10 @@ def _of_whole_robot(
     moving, now = with_standing_held(dataset, nominal)  # what stands still goes with the records
     if now.seats is not None:
         refit, model = some(refit, now.seats), some(model, now.seats)
-    refit, whole = fitted_coupled(moving, refit, signal_share)
-    lacking = any(one.search.chosen.effects for one in found.values())
-    model, whole = fitted_coupled(moving, model, signal_share) if lacking else (refit, whole)
+    whole, lacking = None, any(one.search.chosen.effects for one in found.values())
+    if not stopped:  # who stops waits for no more fits
+        refit, whole = fitted_coupled(moving, refit, signal_share)
+        model, whole = fitted_coupled(moving, model, signal_share) if lacking else (refit, whole)
     trained = errors(moving, refit, engine(), moving.train, signal_share=signal_share)
     tested = [errors(moving, one, engine(), signal_share=signal_share) for one in (now, refit, model)]
     if now.seats is not None:

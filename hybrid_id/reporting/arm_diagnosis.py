@@ -77,6 +77,8 @@ def arm_headline(found: ArmDiagnosis) -> str:
 
 def _nothing_named(found: ArmDiagnosis) -> str:
     any_joint = "any joint that was diagnosed" if found.skipped else "any joint"
+    if found.interrupted:
+        return f"Inconclusive: no effect had been accepted at {any_joint}."
     there = [joint for joint, one in found.joints.items() if one.verdict == found.verdict]
     if found.verdict == "outside_catalogue":
         return (

@@ -21,7 +21,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.record import Record
-from hybrid_id.reporting.arm_diagnosis import arm_table
+from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -203,6 +203,10 @@ def test_a_stopped_search_keeps_the_joints_that_it_has_done(nominal: System) -> 
     found = diagnose_arm(dataset, nominal, progress=stop)
     assert set(found.joints) == {"pan"} and found.interrupted
     assert found.skipped == {"lift": STOPPED, "elbow": STOPPED}
+    assert found.verdict == "inconclusive" and not found.estimates
+    assert arm_headline(found).startswith(
+        "Inconclusive: no effect had been accepted at any joint that was diagnosed."
+    )
 
 
 SERVOS = {
