@@ -242,8 +242,11 @@ class SearchProgress:
         least, most = ONE * seconds, EACH * self._most * seconds
         if most > LONG:
             of = "" if self._searches == 1 else f" of {self._searches} joints"
-            words = f"{_rough(least)} if one effect explains the gap, and up to about {_rough(most)} if it goes on to "
-            words = f"{words}{self._most}" if self._most > 1 else f"{_rough(least)} to {_rough(most)}"
+            low, high = rough_time(least), rough_time(most)
+            words = (
+                f"{low} if one effect explains the gap, and up to about {high} if it goes on to {self._most}"
+            )
+            words = words if self._most > 1 else f"{low} to {high}"
             self._bar.console.print(
                 f"the search{of} will take about {words}: a guess by its first {TIMED} fits; Ctrl-C keeps what is "
                 "found",
@@ -251,7 +254,7 @@ class SearchProgress:
             )  # fmt: skip
 
 
-def _rough(seconds: float) -> str:
+def rough_time(seconds: float) -> str:
     """A time as one says it."""
     for unit, size in (("h", 3600.0), ("min", 60.0)):
         if seconds >= 1.5 * size:

@@ -235,4 +235,4 @@ def test_a_short_search_says_nothing(capsys: pytest.CaptureFixture[str]) -> None
     [(0.2, "1 s"), (40.0, "40 s"), (90.0, "1.5 min"), (1080.0, "18 min"), (9000.0, "2.5 h")],
 )
 def test_a_time_is_said_roughly(seconds: float, words: str) -> None:
-    assert console._rough(seconds) == words
+    assert console.rough_time(seconds) == words
