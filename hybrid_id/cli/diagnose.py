@@ -1,6 +1,7 @@
 """`diagnose`: where records and the nominal model disagree, which effects explain how much of it, and what remains."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -30,7 +31,7 @@ from hybrid_id.cli.options import (
 )
 from hybrid_id.cli.results import UNDRAWN, files_in, write_last, write_report
 from hybrid_id.config import Identification, StudyConfig
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, listed
 
 if TYPE_CHECKING:
     from hybrid_id.diagnosis.arm import ArmDiagnosis
@@ -112,13 +113,15 @@ def diagnose(
         )
         with results_folder(home, force=True) as folder:  # kept_fits has asked
             if isinstance(found, ArmDiagnosis):
-                (text, whole), shown = write_arm(folder, home, config, found), arm_table(found)
+                (text, drawn), shown = write_arm(folder, home, config, found), arm_table(found)
                 further = [f"{name}/" for name in joint_folders(found).values()]
+                undrawn = undrawn_words(drawn)
             else:
                 text, whole = write_diagnosis(folder, home, config, found)
                 shown = diagnosis_table(found, config.gap.max_effects)
                 further = [NEXT] if (folder / NEXT).exists() else []
-            count = 0 if whole and not found.interrupted else kept.count
+                undrawn = "" if whole else UNDRAWN
+            count = kept.count if undrawn or found.interrupted else 0
             if count:
                 keep_after(home, folder)
     if as_json:
@@ -127,7 +130,7 @@ def diagnose(
         show(shown)
         show(files_in(home, config, DIAGNOSIS, "model.yaml", "refit.yaml", *further))
     lacks = ["the results are those of the steps that were complete"] if found.interrupted else []
-    lacks += [] if whole else [UNDRAWN]
+    lacks += [undrawn] if undrawn else []
     if lacks:
         there = "" if found.interrupted else f"the diagnosis is complete and in {DIAGNOSIS}, "
         more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
@@ -197,7 +200,22 @@ def joint_folders(found: "ArmDiagnosis") -> dict[str, str]:
     }
 
 
-def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosis") -> tuple[str, bool]:
+def undrawn_words(drawn: Mapping[str, bool]) -> str:
+    """What Ctrl-C has left out of a robot's pictures and pages, and what is there; empty where all is.
+
+    Args:
+        drawn: whether pictures and page are written, of the robot and of each joint.
+    """
+    there, lacks = ([name for name, done in drawn.items() if done == wanted] for wanted in (True, False))
+    if not lacks:
+        return ""
+    words = f"pictures and {'page' if len(lacks) == 1 else 'pages'} of {listed(lacks)} are not written"
+    return f"{words} (those of {listed(there)} are)" if there else words
+
+
+def write_arm(
+    folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosis"
+) -> tuple[str, dict[str, bool]]:
     """Write all files of a robot's diagnosis, those of each joint in a folder of its own.
 
     Args:
@@ -207,7 +225,7 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
         found: the result.
 
     Returns:
-        The result as JSON, and whether all files are written: see `write_report`.
+        The result as JSON, and of the robot and of each joint whether all files are written: see `write_report`.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.arm_diagnosis import PAGE, arm_figures, arm_page
@@ -219,7 +237,8 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
     save_model(found.refit, folder / "refit.yaml", home)
     pages = {joint: f"{name}/{PAGE}" for joint, name in folders.items()} if config.output.report else {}
     records = next(iter(found.joints.values())).details.dataset
-    whole = write_report(
+    drawn = {}
+    drawn["the robot"] = write_report(
         folder,
         home,
         config,
@@ -230,10 +249,13 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
     )
     for joint, name in folders.items():
         (folder / name).mkdir()
-        whole = write_parts(folder / name, home / name, config, found.joints[joint], draw=whole)
+        draw = all(drawn.values())
+        drawn[joint] = write_parts(
+            folder / name, home / name, config, found.joints[joint], draw=draw, robot=f"../{PAGE}"
+        )
     text = as_json("diagnose", seed | found.as_dict())
     write_last(folder / DIAGNOSIS, text)
-    return text, whole
+    return text, drawn
 
 
 def write_diagnosis(
@@ -261,7 +283,13 @@ def write_diagnosis(
 
 
 def write_parts(
-    folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis", *, draw: bool = True
+    folder: Path,
+    home: Path,
+    config: StudyConfig,
+    diagnosis: "Diagnosis",
+    *,
+    draw: bool = True,
+    robot: str = "",
 ) -> bool:
     """Write all files of a diagnosis but the result itself, which of a robot's joint stands in the robot's.
 
@@ -271,6 +299,7 @@ def write_parts(
         config: what was asked for.
         diagnosis: the result.
         draw: whether to draw its pictures and page.
+        robot: where the page of the whole robot is, as seen from its own; empty without.
 
     Returns:
         Whether all files are written: see `write_report`.
@@ -299,6 +328,7 @@ def write_parts(
         figures=lambda: diagnosis_figures(diagnosis),
         page=lambda figures: diagnosis_page(
             diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
+            robot=robot,
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
         settings={"seed": config.identification.seed},

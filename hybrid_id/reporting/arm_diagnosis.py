@@ -27,6 +27,7 @@ from hybrid_id.reporting.diagnosis_words import (
     probability_words,
     range_percent,
     shrink_line,
+    unmeasured,
     words_of,
 )
 from hybrid_id.reporting.interactive import Drawn, drawn
@@ -48,6 +49,14 @@ _HOW = (
     "its own motion. Shares and probabilities are those of the joint's own page. Then all joints are simulated, driven "
     "by their commands alone: the re-fitted and the corrected robot are fitted once more as a whole, and the test "
     "records measure them."
+)
+_GAP = (
+    "The gap is the mean square error that the nominal model leaves after a re-fit of its parameters, less that of the "
+    "sensors' noise."
+)
+_PART = (
+    "A joint's part of the gap is its share in that of the whole robot, all joints simulated over the train records "
+    "and the errors of each taken relative to how far it moves."
 )
 _CAPTION = (
     "RMSE on the test records, all joints simulated from their commands, of the nominal, the re-fitted and the "
@@ -146,7 +155,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
     """Errors of the whole robot on the test records, and the shrink; what contradicts the answer."""
     nominal, gap = found.nominal_errors, found.shrink
     if nominal is None or gap is None:
-        return ["no test record moves, so nothing measures the gain: give one the role test."]
+        return [f"{unmeasured(next(iter(found.joints.values())).details.dataset)}."]
     corrected = f", corrected {gap.with_effect:.3g}" if found.selected else ""
     lines = [
         f"NRMSE on {count(len(nominal.by_record), 'test record')}, all joints simulated from their commands, mean of "
@@ -252,7 +261,7 @@ def arm_page(
         findings: what the check of the records remarked.
     """
     page = Page(f"Diagnosis of {found.case}", arm_headline(found))
-    joints = page.section("Joints").add(joints_table(found))
+    joints = page.section("Joints").add(joints_table(found), f"{_GAP} {_PART}")
     if pages:
         joints.links("Each joint's own page:", pages)
     joints.add(*map(Text, remark_lines(found)), _HOW)

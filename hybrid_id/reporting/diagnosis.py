@@ -182,6 +182,7 @@ def diagnosis_page(
     *,
     max_effects: int | None = None,
     findings: Sequence[Finding] = (),
+    robot: str = "",
 ) -> Page:
     """The page.
 
@@ -190,6 +191,7 @@ def diagnosis_page(
         figures: its pictures by name.
         max_effects: how many effects the search could add.
         findings: what the check of the records remarked.
+        robot: where the page of the robot is that this is one joint of, as seen from this one; empty without.
     """
     dataset, details = diagnosis.details.dataset, diagnosis.details
     model = diagnosis.model
@@ -209,6 +211,8 @@ def diagnosis_page(
         *caution_lines(diagnosis, max_effects),
     )
     effects = page.section("Effects")
+    if robot:
+        effects.links("The other joints, and all of them simulated at once:", {"the whole robot": robot})
     picture(effects, "shares")
     values = value_lines(diagnosis)
     effects.add(effects_table(diagnosis, shown), *map(_sentence, values))
