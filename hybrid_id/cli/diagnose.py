@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hybrid_id.cli.console import SearchProgress, remark, show
-from hybrid_id.cli.folder import DIAGNOSIS, keep_after, kept_fits, required, results_folder
+from hybrid_id.cli.folder import DIAGNOSIS, EVENTS, FITS, keep_after, kept_fits, required, results_folder
 from hybrid_id.cli.inputs import (
     MOST_JOINTS,
     check_window,
@@ -43,8 +43,12 @@ if TYPE_CHECKING:
 
 NEXT = "next_experiment.csv"
 """Commands of the record that would distinguish tied effects."""
-RESERVED = ("tensorboard", "models")
-"""Folders of results that no joint's may be called like."""
+OTHERS = (
+    EVENTS, FITS, "models", "model.yaml", "refit.yaml", "config.yaml", "report.html", "joints.png", DIAGNOSIS,
+)  # fmt: skip
+"""What else lies in the folder of a robot's results, so that no joint's folder may be called like it."""
+MOST_LETTERS = 60
+"""Of the name of a joint's folder."""
 LONG, MOST_JOBS = 200_000, 4
 """Samples from which a fit may need a gigabyte, and processes that are started without being asked for."""
 
@@ -194,10 +198,16 @@ def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> b
 
 def joint_folders(found: "ArmDiagnosis") -> dict[str, str]:
     """Names of the folders of the joints' own results, by joint: what a path does not bear is replaced."""
-    return {
-        joint: re.sub(r"[^\w.-]+|^\.+", "_", joint) + (f"_{k}" if joint in RESERVED else "")
-        for k, joint in enumerate(found.joints, 1)
-    }
+    names, taken = dict[str, str](), set(OTHERS)
+    for joint in found.joints:
+        plain = re.sub(r"[^\w.-]+|^\.+", "_", joint)[:MOST_LETTERS]
+        name, k = plain, 1
+        while name.lower() in taken:
+            k += 1
+            name = f"{plain}_{k}"
+        names[joint] = name
+        taken.add(name.lower())  # some disks know no capitals
+    return names
 
 
 def undrawn_words(drawn: Mapping[str, bool]) -> str:

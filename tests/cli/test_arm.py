@@ -6,12 +6,14 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gapcase import only
 
 from hybrid_id.cli.ablate import planned
+from hybrid_id.cli.diagnose import joint_folders
 from hybrid_id.cli.options import config_of
 from hybrid_id.errors import InputError
 from hybrid_id.machines.twin.desk_arm import write_arm
@@ -107,6 +109,13 @@ def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_pa
     wrong = run("diagnose", arm, "--model", arm / "model.yaml", "--out", tmp_path / "o", "--joint", "tpi")
     assert wrong.code == 2 and "no joint 'tpi'" in wrong.err and "tip" in wrong.err
     assert not (tmp_path / "o").exists()
+
+
+def test_folders_of_joints_bear_any_name() -> None:
+    names = ("a b", "a/b", "A b", "Models", "fits", "..", "elbow.1", "Ellbogen ä", "x" * 300)
+    folders = list(joint_folders(SimpleNamespace(joints=dict.fromkeys(names))).values())  # type: ignore[arg-type]
+    assert folders[:8] == ["a_b", "a_b_2", "A_b_3", "Models_2", "fits_2", "_", "elbow.1", "Ellbogen_ä"]
+    assert len(folders[8]) < 100
 
 
 def test_ctrl_c_between_the_pages_of_a_robot_says_which_are_written(
