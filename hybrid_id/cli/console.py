@@ -182,7 +182,7 @@ class FitProgress:
 class SearchProgress:
     """Bar on stderr while the catalogue is searched; an instance is what `diagnose` takes as `progress`.
 
-    Once some fits are timed, it says how long a long search will take.
+    Once some fits are timed, it says how long a long search will take. Ctrl-C is answered at once, and ends the search.
 
     Args:
         max_effects: effects that are searched for at most.
@@ -200,13 +200,30 @@ class SearchProgress:
         )
         self._task = self._bar.add_task("nominal model", total=None)
         self._stage = ""
+        self._before: Any = None
 
     def __enter__(self) -> "SearchProgress":
         self._bar.start()
+        heard = (
+            signal.getsignal(signal.SIGINT) != signal.SIG_IGN
+        )  # not by what a shell has put in its background
+        if heard and threading.current_thread() is threading.main_thread():
+            self._before = signal.signal(signal.SIGINT, self._interrupt)
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._restore()
         self._bar.stop()
+
+    def _interrupt(self, _signal: int, _frame: FrameType | None) -> None:
+        self._restore()
+        remark("stopping; what is complete is written next, and Ctrl-C again leaves that out, too")
+        raise KeyboardInterrupt
+
+    def _restore(self) -> None:
+        if self._before is not None:
+            signal.signal(signal.SIGINT, self._before)
+            self._before = None
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Show how many fits of a stage are done."""
@@ -225,15 +242,19 @@ class SearchProgress:
         least, most = ONE * seconds, EACH * self._most * seconds
         if most > LONG:
             of = "" if self._searches == 1 else f" of {self._searches} joints"
+            low, high = rough_time(least), rough_time(most)
+            words = (
+                f"{low} if one effect explains the gap, and up to about {high} if it goes on to {self._most}"
+            )
+            words = words if self._most > 1 else f"{low} to {high}"
             self._bar.console.print(
-                f"the search{of} will take about {_rough(least)} if one effect explains the gap, and up to about "
-                f"{_rough(most)} if it goes on to {self._most}: a guess by its first {TIMED} fits; Ctrl-C keeps "
-                "what is found",
+                f"the search{of} will take about {words}: a guess by its first {TIMED} fits; Ctrl-C keeps what is "
+                "found",
                 style="dim", markup=False, soft_wrap=True,
             )  # fmt: skip
 
 
-def _rough(seconds: float) -> str:
+def rough_time(seconds: float) -> str:
     """A time as one says it."""
     for unit, size in (("h", 3600.0), ("min", 60.0)):
         if seconds >= 1.5 * size:

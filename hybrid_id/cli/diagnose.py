@@ -1,13 +1,14 @@
 """`diagnose`: where records and the nominal model disagree, which effects explain how much of it, and what remains."""
 
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hybrid_id.cli.console import SearchProgress, remark, show
-from hybrid_id.cli.folder import DIAGNOSIS, keep_after, kept_fits, required, results_folder
+from hybrid_id.cli.folder import DIAGNOSIS, EVENTS, FITS, keep_after, kept_fits, required, results_folder
 from hybrid_id.cli.inputs import (
     MOST_JOINTS,
     check_window,
@@ -30,7 +31,7 @@ from hybrid_id.cli.options import (
 )
 from hybrid_id.cli.results import UNDRAWN, files_in, write_last, write_report
 from hybrid_id.config import Identification, StudyConfig
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, listed
 
 if TYPE_CHECKING:
     from hybrid_id.diagnosis.arm import ArmDiagnosis
@@ -42,8 +43,12 @@ if TYPE_CHECKING:
 
 NEXT = "next_experiment.csv"
 """Commands of the record that would distinguish tied effects."""
-RESERVED = ("tensorboard", "models")
-"""Folders of results that no joint's may be called like."""
+OTHERS = (
+    EVENTS, FITS, "models", "model.yaml", "refit.yaml", "config.yaml", "report.html", "joints.png", DIAGNOSIS,
+)  # fmt: skip
+"""What else lies in the folder of a robot's results, so that no joint's folder may be called like it."""
+MOST_LETTERS = 60
+"""Of the name of a joint's folder."""
 LONG, MOST_JOBS = 200_000, 4
 """Samples from which a fit may need a gigabyte, and processes that are started without being asked for."""
 
@@ -101,8 +106,9 @@ def diagnose(
         use_threads(1)
         system = load_system(config, dataset)
         by_joint = takes_by_joint(system, config.model, joint)
-        remark_start_values(dataset, system)
-        from hybrid_id.diagnosis.arm import ArmDiagnosis
+        from hybrid_id.diagnosis.arm import ArmDiagnosis, with_standing_held
+
+        remark_start_values(*(with_standing_held(dataset, system) if by_joint else (dataset, system)))
         from hybrid_id.reporting.arm_diagnosis import arm_table
         from hybrid_id.reporting.diagnosis import diagnosis_table
 
@@ -111,13 +117,15 @@ def diagnose(
         )
         with results_folder(home, force=True) as folder:  # kept_fits has asked
             if isinstance(found, ArmDiagnosis):
-                (text, whole), shown = write_arm(folder, home, config, found), arm_table(found)
+                (text, drawn), shown = write_arm(folder, home, config, found), arm_table(found)
                 further = [f"{name}/" for name in joint_folders(found).values()]
+                undrawn = undrawn_words(drawn)
             else:
                 text, whole = write_diagnosis(folder, home, config, found)
                 shown = diagnosis_table(found, config.gap.max_effects)
                 further = [NEXT] if (folder / NEXT).exists() else []
-            count = 0 if whole and not found.interrupted else kept.count
+                undrawn = "" if whole else UNDRAWN
+            count = kept.count if undrawn or found.interrupted else 0
             if count:
                 keep_after(home, folder)
     if as_json:
@@ -126,7 +134,7 @@ def diagnose(
         show(shown)
         show(files_in(home, config, DIAGNOSIS, "model.yaml", "refit.yaml", *further))
     lacks = ["the results are those of the steps that were complete"] if found.interrupted else []
-    lacks += [] if whole else [UNDRAWN]
+    lacks += [undrawn] if undrawn else []
     if lacks:
         there = "" if found.interrupted else f"the diagnosis is complete and in {DIAGNOSIS}, "
         more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
@@ -190,13 +198,34 @@ def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> b
 
 def joint_folders(found: "ArmDiagnosis") -> dict[str, str]:
     """Names of the folders of the joints' own results, by joint: what a path does not bear is replaced."""
-    return {
-        joint: re.sub(r"[^\w.-]+|^\.+", "_", joint) + (f"_{k}" if joint in RESERVED else "")
-        for k, joint in enumerate(found.joints, 1)
-    }
+    names, taken = dict[str, str](), set(OTHERS)
+    for joint in found.joints:
+        plain = re.sub(r"[^\w.-]+|^\.+", "_", joint)[:MOST_LETTERS]
+        name, k = plain, 1
+        while name.lower() in taken:
+            k += 1
+            name = f"{plain}_{k}"
+        names[joint] = name
+        taken.add(name.lower())  # some disks know no capitals
+    return names
 
 
-def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosis") -> tuple[str, bool]:
+def undrawn_words(drawn: Mapping[str, bool]) -> str:
+    """What Ctrl-C has left out of a robot's pictures and pages, and what is there; empty where all is.
+
+    Args:
+        drawn: whether pictures and page are written, of the robot and of each joint.
+    """
+    there, lacks = ([name for name, done in drawn.items() if done == wanted] for wanted in (True, False))
+    if not lacks:
+        return ""
+    words = f"pictures and {'page' if len(lacks) == 1 else 'pages'} of {listed(lacks)} are not written"
+    return f"{words} (those of {listed(there)} are)" if there else words
+
+
+def write_arm(
+    folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosis"
+) -> tuple[str, dict[str, bool]]:
     """Write all files of a robot's diagnosis, those of each joint in a folder of its own.
 
     Args:
@@ -206,7 +235,7 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
         found: the result.
 
     Returns:
-        The result as JSON, and whether all files are written: see `write_report`.
+        The result as JSON, and of the robot and of each joint whether all files are written: see `write_report`.
     """
     from hybrid_id.records.quality import remarks
     from hybrid_id.reporting.arm_diagnosis import PAGE, arm_figures, arm_page
@@ -218,7 +247,8 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
     save_model(found.refit, folder / "refit.yaml", home)
     pages = {joint: f"{name}/{PAGE}" for joint, name in folders.items()} if config.output.report else {}
     records = next(iter(found.joints.values())).details.dataset
-    whole = write_report(
+    drawn = {}
+    drawn["the robot"] = write_report(
         folder,
         home,
         config,
@@ -229,10 +259,13 @@ def write_arm(folder: Path, home: Path, config: StudyConfig, found: "ArmDiagnosi
     )
     for joint, name in folders.items():
         (folder / name).mkdir()
-        whole = write_parts(folder / name, home / name, config, found.joints[joint], draw=whole)
+        draw = all(drawn.values())
+        drawn[joint] = write_parts(
+            folder / name, home / name, config, found.joints[joint], draw=draw, robot=f"../{PAGE}"
+        )
     text = as_json("diagnose", seed | found.as_dict())
     write_last(folder / DIAGNOSIS, text)
-    return text, whole
+    return text, drawn
 
 
 def write_diagnosis(
@@ -260,7 +293,13 @@ def write_diagnosis(
 
 
 def write_parts(
-    folder: Path, home: Path, config: StudyConfig, diagnosis: "Diagnosis", *, draw: bool = True
+    folder: Path,
+    home: Path,
+    config: StudyConfig,
+    diagnosis: "Diagnosis",
+    *,
+    draw: bool = True,
+    robot: str = "",
 ) -> bool:
     """Write all files of a diagnosis but the result itself, which of a robot's joint stands in the robot's.
 
@@ -270,6 +309,7 @@ def write_parts(
         config: what was asked for.
         diagnosis: the result.
         draw: whether to draw its pictures and page.
+        robot: where the page of the whole robot is, as seen from its own; empty without.
 
     Returns:
         Whether all files are written: see `write_report`.
@@ -298,6 +338,7 @@ def write_parts(
         figures=lambda: diagnosis_figures(diagnosis),
         page=lambda figures: diagnosis_page(
             diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
+            robot=robot,
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
         settings={"seed": config.identification.seed},

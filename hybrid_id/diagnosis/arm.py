@@ -35,14 +35,17 @@ from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
 from hybrid_id.records.record import Record
+from hybrid_id.records.units import number_of
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import (
     alone,
+    check_angles,
     joint_number,
-    number_of,
-    numbered,
+    named,
+    some,
+    together,
     with_drive,
     with_others_measured,
 )
@@ -53,6 +56,12 @@ COUPLED = 10
 VERDICTS = ("effects", "outside_catalogue", "parameters_only", "inconclusive", "no_gap")
 STILL = 10.0
 """Range of an angle, in standard deviations of its noise, up to which a joint has not moved."""
+NOT_ASKED, STANDS, STOPPED = (
+    "not asked for",
+    "stands still in all train records, so it is held where it was measured",
+    "the search was stopped",
+)
+"""Why joints are not diagnosed."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +101,7 @@ class ArmDiagnosis:
         parts: what share of the re-fitted robot's error each diagnosed joint has, on train records, all joints
             simulated (mean squares over the signal's variance).
         estimates: parameters of the corrected robot with their standard errors, by name, from the fit of all joints;
-            empty where that fit was not better than the joints' own.
+            empty where that fit was not better than the joints' own, or the search was stopped before it.
         common: parameters of effects that several joints have.
         refit, model: the whole robot, re-fitted and corrected.
         nominal_errors, refit_errors, model_errors: on the test records, all joints simulated; None without.
@@ -132,20 +141,24 @@ class ArmDiagnosis:
 
     def _of_robot(self, one: RatedEffect, joint: str) -> RatedEffect:
         """An effect of a joint as the whole robot has it: its place, its share of that gap, its model's values."""
-        part, where, sizes = self.parts[joint], _placed(one.where, joint), one.parameters
+        part, where, sizes = self.parts[joint], self._placed(one.where, joint), one.parameters
         if one.selected:
-            infos = brought(self.model, one.name, numbered(self.model, where))
+            infos = brought(self.model, one.name, one.where)
             sizes = {s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in sizes.items()}
         return replace(
             one,
             where=where,
-            tied_with=tuple(_placed(tie, joint) for tie in one.tied_with),
+            tied_with=tuple(self._placed(tie, joint) for tie in one.tied_with),
             share=None if one.share is None else one.share * part,
             share_interval=one.share_interval
             and (one.share_interval[0] * part, one.share_interval[1] * part),
             alone=None if one.alone is None else one.alone * part,
             parameters=sizes,
         )
+
+    def _placed(self, where: str, joint: str) -> str:
+        """``joint3/motor``, as a joint by itself has it, with the joint's name."""
+        return named(self.joints[joint].model, where)
 
     @property
     def selected(self) -> tuple[RatedEffect, ...]:
@@ -191,7 +204,7 @@ class ArmDiagnosis:
             "no_gap": self.verdict in ("no_gap", "parameters_only"),
             "effects": effects,
             "ties": [
-                [_placed(name, j) for name in tie] for j, one in self.joints.items() for tie in one.ties
+                [self._placed(name, j) for name in tie] for j, one in self.joints.items() for tie in one.ties
             ],
             "remainder": {"share": self.remainder},
             "gap": gap_entry(
@@ -209,11 +222,6 @@ class ArmDiagnosis:
 
     def _by_part(self) -> list[tuple[str, float]]:
         return sorted(self.parts.items(), key=lambda one: -one[1])
-
-
-def _placed(where: str, joint: str) -> str:
-    """``joint1/motor`` or ``play@joint1/motor``, as a joint by itself has it, with the joint's name."""
-    return where.replace("joint1/", f"{joint}/")
 
 
 def moving_records(dataset: Dataset, joint: int) -> Dataset:
@@ -235,19 +243,41 @@ def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dic
     Args:
         dataset: of the whole robot.
         system: a robot with a tree.
+
+    Raises:
+        InputError: a joint's angle was not measured.
     """
+    check_angles(dataset, system)
     taken, skipped = [], {}
     for k, name in enumerate(() if system.tree is None else system.tree.names):
-        measured = [n for n in (f"q_m{k + 1}", f"q_a{k + 1}") if any(n in r.outputs for r in dataset.train)]
         if system.tree is not None and system.tree.coupling(k) is not None:
             skipped[name] = "motor turns other joints, too"
-        elif not measured:
-            skipped[name] = "angle not measured"
         elif not any(_moves(record, k) for record in dataset.train):
-            skipped[name] = "does not move"
+            skipped[name] = STANDS
         else:
             taken.append(name)
     return taken, skipped
+
+
+def with_standing_held(dataset: Dataset, system: System) -> tuple[Dataset, System]:
+    """A robot's records and drives without the joints that stand still, which are held where they were measured.
+
+    Args:
+        dataset: of the whole robot.
+        system: the robot.
+
+    Returns:
+        Both as they were where all joints move, or none does.
+
+    Raises:
+        InputError: a joint's angle was not measured.
+    """
+    skipped = joints_to_diagnose(dataset, system)[1]
+    standing = [joint_number(system, name) for name, why in skipped.items() if why == STANDS]
+    moving = [k for k in range(len(system.joints)) if k not in standing]
+    if not standing or not moving:
+        return dataset, system
+    return with_others_measured(dataset, system, *moving), some(system, moving)
 
 
 def diagnose_arm(
@@ -291,7 +321,7 @@ def diagnose_arm(
         if name in skipped:
             raise InputError(f"Joint '{name}' cannot be diagnosed by itself: {skipped[name]}.")
     names = [name for name in able if joints is None or name in joints]
-    skipped |= {name: "not asked for" for name in able if name not in names}
+    skipped |= {name: NOT_ASKED for name in able if name not in names}
     if not names:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
         raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
@@ -321,7 +351,7 @@ def diagnose_arm(
             stopped = True
         if stopped or found[name].interrupted:
             rest = [later for later in names if later not in found and later not in skipped]
-            skipped |= dict.fromkeys(rest, "search was stopped")
+            skipped |= dict.fromkeys(rest, STOPPED)
             stopped = True
             break
     if not found:
@@ -346,18 +376,24 @@ def _of_whole_robot(
     refit = model = nominal
     for one in found.values():
         refit, model = with_drive(refit, one.search.base.system), with_drive(model, one.model)
-    refit, whole = fitted_coupled(dataset, refit, signal_share)
-    named = any(one.search.chosen.effects for one in found.values())
-    model, whole = fitted_coupled(dataset, model, signal_share) if named else (refit, whole)
-    trained = errors(dataset, refit, engine(), dataset.train, signal_share=signal_share)
-    tested = [errors(dataset, one, engine(), signal_share=signal_share) for one in (nominal, refit, model)]
+    moving, now = with_standing_held(dataset, nominal)  # what stands still goes with the records
+    if now.seats is not None:
+        refit, model = some(refit, now.seats), some(model, now.seats)
+    whole, lacking = None, any(one.search.chosen.effects for one in found.values())
+    if not stopped:  # who stops waits for no more fits
+        refit, whole = fitted_coupled(moving, refit, signal_share)
+        model, whole = fitted_coupled(moving, model, signal_share) if lacking else (refit, whole)
+    trained = errors(moving, refit, engine(), moving.train, signal_share=signal_share)
+    tested = [errors(moving, one, engine(), signal_share=signal_share) for one in (now, refit, model)]
+    if now.seats is not None:
+        refit, model = together(refit), together(model)
     before, after, gap, contradiction = tested[1], tested[2], None, ""
     if before is not None and after is not None:
         rest = after.nrmse * float(np.sqrt(1.0 - min(max(after.autocorrelation, 0.0), 1.0)))
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
-        if named and gap.interval[1] <= 0.0:
+        if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
-    parts, known = _parts(dataset, found, nominal, trained), estimates_of(whole)
+    parts, known = _parts(moving, found, nominal, trained), estimates_of(whole)
     return ArmDiagnosis(
         dataset.name, found, skipped, parts, known, common_sizes(found, model, known), refit, model, tested[0], before,
         after, gap, contradiction, stopped,
@@ -437,11 +473,11 @@ def common_sizes(
             whole, own = model, {}
             if any(issubclass(law, Shared) for law in effect(each.name).laws):
                 whole, own = one.model, {s: v for s, v in each.parameters.items() if v[1] > 0.0}
-            where = each.where if own else numbered(model, _placed(each.where, joint))
-            for symbol, info in brought(whole, each.name, where).items():
+            for symbol, info in brought(whole, each.name, each.where).items():
                 size = own.get(symbol) or known.get(info.name)
                 if symbol in each.parameters and size is not None:
-                    sizes.setdefault((each.name, each.where, symbol), []).append((joint, size, info))
+                    place = each.where.rpartition("/")[2]
+                    sizes.setdefault((each.name, place, symbol), []).append((joint, size, info))
     result = []
     for (name, *_), each in sizes.items():
         values, stds = np.array([size for _, size, _ in each]).T

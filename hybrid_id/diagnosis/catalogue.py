@@ -40,7 +40,7 @@ def with_effect(
         scales: of the joint.
         left: what the model's fit leaves, for laws that look for their start points there.
     """
-    joint, places = system.joints[scales.joint - 1], effect.places
+    joint, places = system.joint(scales.joint), effect.places
     if joint.rigid:  # where the nominal model has its friction, else the first
         beyond = "link_friction" in places and joint.frictions["link_friction"]
         places = ("link_friction",) if beyond and not joint.frictions["motor_friction"] else places[:1]
@@ -85,7 +85,7 @@ def _site(system: System, scales: Scales, place: str, left: Residual | None) -> 
         **vars(scales),
         place=place,
         components=cast("dict[str, Component]", dict(system.components.items())),
-        rigid=bool(system.joints[scales.joint - 1].rigid),
+        rigid=bool(system.joint(scales.joint).rigid),
         ratios=tuple(joint.gear_ratio for joint in system.joints),
         searches={} if left is None else _searches(left, scales.joint, place),
     )

@@ -97,7 +97,7 @@ def signals(opened: Response) -> Iterator[tuple[str, Tensor, tuple[float, float,
     yield "angle", bumps(q, ANGLES, low, high), (low, high, ANGLES)
     yield "angle, opposite to the velocity", bumps(q, ANGLES, low, high) * sign[..., None], None
     name = next(
-        (n for n in opened.batch.u if n[:-1] in ("u", "duty", "tau", "i") and n[-1] == str(opened.joint)),
+        (n for n in opened.batch.u if n in [f"{stem}{opened.joint}" for stem in ("u", "duty", "tau", "i")]),
         None,
     )
     if name is not None:

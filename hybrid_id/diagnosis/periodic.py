@@ -135,7 +135,7 @@ def gear_waves(left: Residual, joint: int, place: str) -> list[tuple[float, ...]
         place: of the gear.
     """
     system = left.result.system
-    part = system.joints[joint - 1]
+    part = system.joint(joint)
     opened = left.opened(joint, "motor")
     q, v = (left.batch.x[..., opened.row + k, None] for k in range(2))
     a = torch.gradient(v, dim=1)[0] / left.batch.sample_time
@@ -171,7 +171,7 @@ def _rubbing(left: Residual, joint: int, place: str) -> tuple[Response, Tensor, 
     """A probe where friction acts, the joint's angle there, and the direction against the motion."""
     side = "load" if place == "link_friction" else "motor"
     opened, x = left.opened(joint, side), left.batch.x
-    ratio = 1.0 if side == "load" else left.result.system.joints[joint - 1].gear_ratio
+    ratio = 1.0 if side == "load" else left.result.system.joint(joint).gear_ratio
     return opened, x[..., opened.row] / ratio, -torch.sign(x[..., opened.row + 1])
 
 

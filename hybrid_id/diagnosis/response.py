@@ -194,7 +194,7 @@ def respond(system: System, engine: Engine, batch: Batch, joint: int, side: str)
     # a torque that drives is meant; the component at the link opposes
     sign, one = 1.0 if side == "motor" else -1.0, [free.index(torque)]
     only = replace(lin, b=sign * lin.b[..., one], d=lin.d[..., one])
-    positions = opened.joints[joint - 1].positions
+    positions = opened.joint(joint).positions
     row = positions[0] if side == "motor" else positions[-1]
     return Response(side, joint, row, batch, index, record, only, x, mine, left, start, weight)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from hybrid_id.diagnosis.details import Details
@@ -15,6 +15,7 @@ from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.study.notebook import as_html
+from hybrid_id.systems.by_joint import named
 from hybrid_id.systems.chain import System
 
 if TYPE_CHECKING:
@@ -137,6 +138,18 @@ class Diagnosis:
         """The models that were fitted: ``re-fitted``, and ``corrected`` where that is another one."""
         return self.search.fitted
 
+    def _named(self, where: str) -> str:
+        """A place with the joint's name in the robot that the system is one joint of."""
+        return named(self.model, where)
+
+    @property
+    def _shown(self) -> list[RatedEffect]:
+        """The effects with their places as files and tables have them."""
+        return [
+            replace(one, where=self._named(one.where), tied_with=tuple(map(self._named, one.tied_with)))
+            for one in self.effects
+        ]
+
     def table(self) -> pd.DataFrame:
         """The effects that were tried, one row each, the selected ones first.
 
@@ -159,7 +172,7 @@ class Diagnosis:
                 "tied_with": list(one.tied_with),
                 "parameters": {symbol: value for symbol, (value, _) in one.parameters.items()},
             }
-            for one in self.effects
+            for one in self._shown
         ]
         return pd.DataFrame(rows, columns=EFFECT_COLUMNS)
 
@@ -195,7 +208,7 @@ class Diagnosis:
     def summary(self) -> str:
         """Verdict, place, effects and gap in a few lines; the command ``diagnose`` says the same in sentences."""
         lines = [self._heading]
-        for one in self.effects[:4]:
+        for one in self._shown[:4]:
             share = "" if one.share is None else f"  {100 * one.share:.0f} % of the gap"
             values = ", ".join(f"{k} = {v:.4g}" for k, (v, _) in one.parameters.items())
             mark = "selected" if one.selected else "indistinguishable" if one.tied_with else ""
@@ -222,26 +235,26 @@ class Diagnosis:
             "interrupted": self.interrupted,
             "unknown": self.unknown,
             "no_gap": self.verdict in ("no_gap", "parameters_only"),
-            "effects": [effect_entry(one) for one in self.effects],
-            "ties": [list(group) for group in self.ties],
+            "effects": [effect_entry(one) for one in self._shown],
+            "ties": [[self._named(name) for name in group] for group in self.ties],
             "remainder": {"share": self.remainder, "interval": list(self.remainder_interval)},
             "horizon": {"kind": self.horizon.kind, "seconds": self.horizon.seconds, "words": str(self.horizon)},
             "sample_time": self.sample_time,
             "gap": gap_entry(self.nominal, self.refit, self.with_effect, self.shrink, self.contradiction)
             | {"rest_positions_differ": self.rest_differs},
             "location": [
-                _location(one) | {"profile": {"signal": one.grid.tolist(), "torque": one.torque.tolist()}}
+                self._location(one) | {"profile": {"signal": one.grid.tolist(), "torque": one.torque.tolist()}}
                 for one in self.location[:6]
             ],
-            "residual_after": [_location(one) for one in self.residual_after[:3]],
-            "unknown_location": unknown_at and _sided(*unknown_at),
+            "residual_after": [self._location(one) for one in self.residual_after[:3]],
+            "unknown_location": unknown_at and self._sided(*unknown_at),
             "disturbance_location": [
-                _sided(one.joint, one.side) | {"share": one.share, "behind": one.behind}
+                self._sided(one.joint, one.side) | {"share": one.share, "behind": one.behind}
                 for one in self.disturbances
             ],
             "changes": self.changes,
             "implausible_parameters": list(self.implausible),
-            "rejected": list(self.rejected),
+            "rejected": [self._named(one) for one in self.rejected],
             "between_record_variation": list(self.varying),
             "not_identifiable": [*self.not_identifiable, *self.confounded],
             "skews": list(self.skews),
@@ -253,12 +266,19 @@ class Diagnosis:
                     "distance": e.distance,
                     "distance_in_records": e.distance_now,
                     "distance_today": e.distance_now,
-                    "confounded": [list(pair) for pair in e.together],
+                    "confounded": [[self._named(name) for name in pair] for pair in e.together],
                 }
                 for e in self.experiments[:3]
                 if e.distinguishes
             ],
         }  # fmt: skip
+
+    def _location(self, one: Location) -> dict[str, Any]:
+        return self._sided(one.joint, one.side) | {"signal": one.signal, "share": max(one.share, 0.0)}
+
+    def _sided(self, joint: str | None, side: str | None) -> dict[str, Any]:
+        """A joint and a side of its gear; ``place`` is the side's former key."""
+        return {"joint": joint and self._named(joint), "place": side, "side": side}
 
 
 def gap_entry(
@@ -300,12 +320,3 @@ def effect_entry(one: RatedEffect) -> dict[str, Any]:
         "parameters": {symbol: list(value) for symbol, value in one.parameters.items()},
         "selected": one.selected,
     }
-
-
-def _location(one: Location) -> dict[str, Any]:
-    return _sided(one.joint, one.side) | {"signal": one.signal, "share": max(one.share, 0.0)}
-
-
-def _sided(joint: str | None, side: str | None) -> dict[str, Any]:
-    """A joint and a side of its gear; ``place`` is the side's former key."""
-    return {"joint": joint, "place": side, "side": side}

@@ -9,8 +9,8 @@ import torch
 
 from hybrid_id.components.base import Component
 from hybrid_id.components.site import Scales
+from hybrid_id.records.units import number_of
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.systems.by_joint import number_of
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.joint import Joint
 
@@ -83,6 +83,5 @@ def _carried(system: System, joint: Joint) -> tuple[str, ...]:
     tree = system.tree
     if tree is None:
         return ()
-    seat = system.arm.seats[joint.number - 1]
-    found = [body for body in tree.bodies if body.inertia.mass and tree.carries(seat, body.joint)]
+    found = [body for body in tree.bodies if body.inertia.mass and tree.carries(joint.number - 1, body.joint)]
     return tuple(body.name for body in sorted(found, key=lambda body: -body.joint))

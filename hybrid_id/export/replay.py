@@ -5,11 +5,13 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import torch
+from joblib import cpu_count
 
 from hybrid_id.components.input.position_loop import PositionLoop
 from hybrid_id.components.motor.dc_motor import DCMotor
@@ -32,6 +34,8 @@ STRANGE = 0.5
 """Normalised RMSE of the package's own replay above which records may be of another robot."""
 READ = ("q_m", "v_m", "q_a", "v_a")
 """Outputs that MuJoCo has."""
+MOST_THREADS = 4
+"""Records that are replayed side by side at most."""
 BROKEN = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 """MuJoCo's warnings that a position, speed or acceleration is no number or without bound: it then begins anew."""
 
@@ -207,7 +211,17 @@ def mujoco_replays(system: System, exported: Mjcf, runs: Sequence[FreeRun]) -> l
     except ImportError:
         raise InputError("MuJoCo is not installed; pip install 'hybrid-id[blind]' brings it") from None
     model = mujoco_model(exported)
-    return [_mujoco_replay(copy.copy(model), system, exported, run.record, run.start) for run in runs]
+
+    def replayed(run: FreeRun) -> Mapping[str, np.ndarray]:
+        return _mujoco_replay(copy.copy(model), system, exported, run.record, run.start)
+
+    pool = ThreadPoolExecutor(
+        min(len(runs), cpu_count(), MOST_THREADS)
+    )  # MuJoCo's steps leave Python to others
+    try:
+        return list(pool.map(replayed, runs))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def _mujoco_replay(

@@ -25,6 +25,7 @@ from hybrid_id.export.replay import (
 from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.parameters import Bounded, ParameterInfo
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.units import number_of
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
@@ -41,6 +42,8 @@ STEP = 1e-4
 """Relative change of a parameter for its derivative."""
 PROBE, MOVED = 1e-2, 1e-4
 """Relative change of a parameter, and that of the errors by which it shows that MuJoCo has it: more than rounding."""
+Progress = Callable[[str, int, int], object]
+"""Called before each model is replayed and after each replay of a fit with (stage, done, total at most)."""
 LOST = 1e6
 """Weighted error of a sample that MuJoCo cannot reach: it has become unstable."""
 
@@ -102,7 +105,12 @@ class TargetErrors:
 
 
 def target_errors(
-    models: Mapping[str, System], dataset: Dataset, *, train: Dataset | None = None, horizon: Horizon = WHOLE
+    models: Mapping[str, System],
+    dataset: Dataset,
+    *,
+    train: Dataset | None = None,
+    horizon: Horizon = WHOLE,
+    progress: Progress | None = None,
 ) -> TargetErrors:
     """Models replayed in MuJoCo, all but the nominal one fitted anew there where they lose by the way.
 
@@ -114,6 +122,7 @@ def target_errors(
         dataset: records to replay.
         train: records that the models were fitted to; None: nothing is fitted anew.
         horizon: how long the free runs are.
+        progress: see :data:`Progress`; a stage begins with the model's name.
 
     Raises:
         InputError: MuJoCo is not installed, or the exported model is unstable there.
@@ -121,9 +130,16 @@ def target_errors(
     found, last = dict[str, InTarget](), list(models)[-1]
     for label, system in models.items():
         known = None if label == NOMINAL else train
+
+        def say(stage: str, done: int, total: int, label: str = label) -> None:
+            if progress is not None:
+                progress(f"{label} model, {stage}", done, total)
+
         starts = [found[REFITTED].system] if REFITTED in found else []
         with suppress(InputError) if label != last else nullcontext():
-            found[label] = in_mujoco(system, dataset, train=known, horizon=horizon, starts=starts)
+            found[label] = in_mujoco(
+                system, dataset, train=known, horizon=horizon, starts=starts, progress=say
+            )
     return TargetErrors(found, with_joint_names(dataset.outputs, models[last]), horizon)
 
 
@@ -134,11 +150,13 @@ def in_mujoco(
     train: Dataset | None = None,
     horizon: Horizon = WHOLE,
     starts: Sequence[System] = (),
+    progress: Progress | None = None,
 ) -> InTarget:
     """A model in MuJoCo: replayed, and fitted anew there where it loses by the way.
 
     What MuJoCo lacks is not looked up but measured: where its replays of the train records are surely worse than the
-    package's, the parameters that move them are fitted in MuJoCo to these records.
+    package's, the parameters that move them are fitted in MuJoCo to these records; of a robot's, those of the joints
+    that are replayed worse.
 
     Args:
         system: the model.
@@ -146,13 +164,16 @@ def in_mujoco(
         train: records that the model was fitted to; None: nothing is fitted anew.
         horizon: how long the free runs are.
         starts: models whose values the re-fit may begin with, too, where they have the same parameters.
+        progress: see :data:`Progress`.
 
     Raises:
         InputError: MuJoCo is not installed, or the exported model is unstable there.
     """
+    say = progress or (lambda *_: None)
+    say("replays", 0, 1)
     exported = to_mjcf(system)
     before = tuple(agreement(system, exported, dataset, horizon))
-    fitted = system if train is None else _refit(system, train, horizon, starts)
+    fitted = system if train is None else _refit(system, train, horizon, starts, say)
     if fitted is system:
         return InTarget(system, exported, before, {}, before)
     exported = to_mjcf(fitted)
@@ -169,28 +190,45 @@ def with_comment(exported: Mjcf, words: Sequence[str]) -> Mjcf:
     return replace(exported, text=f"{exported.text.rstrip()}\n<!-- {lines} -->\n")
 
 
-def _refit(system: System, train: Dataset, horizon: Horizon, starts: Sequence[System]) -> System:
+def _refit(
+    system: System, train: Dataset, horizon: Horizon, starts: Sequence[System], say: Progress
+) -> System:
     """The system with those parameters that MuJoCo has fitted there; itself where there is nothing to win."""
     runs = free_runs_of(system, train, horizon)
     here = np.concatenate([_weighted(run, run.outputs) for run in runs])
+    joint = np.concatenate([_joints(run) for run in runs])
+    stage, done, total = "replays of train records", 0, 1
 
     def errors(there: System) -> np.ndarray:
+        nonlocal done
         try:
             replays = mujoco_replays(there, to_mjcf(there), runs)
+            found = np.concatenate([_weighted(run, one) for run, one in zip(runs, replays, strict=True)])
         except InputError:
-            return np.full(here.shape, LOST)
-        return np.concatenate([_weighted(run, one) for run, one in zip(runs, replays, strict=True)])
+            found = np.full(here.shape, LOST)
+        done += 1
+        say(stage, min(done, total), total)
+        return found
 
     own = errors(system)
     size = float(np.linalg.norm(own))
     if size <= SCATTER * np.linalg.norm(here):
         return system
     estimated = [system.table[row] for row in system.estimated]
+    if system.tree is not None and not system.tree.couplings:  # the others have nothing to win
+        lost = [
+            f"{one.name}/"
+            for one in system.joints
+            if np.linalg.norm(own[joint == one.number]) > SCATTER * np.linalg.norm(here[joint == one.number])
+        ]
+        estimated = [info for info in estimated if info.component.startswith(tuple(lost))]
+    total = 1 + len(estimated) + STEPS * (1 + len(estimated))
     moving = [
         info
         for info in estimated
         if np.linalg.norm(errors(system.with_values({info.name: _probed(info.spec)})) - own) > MOVED * size
     ]
+    total = done + STEPS * (1 + len(moving))
     return _fitted(system, moving, starts, errors) if moving else system
 
 
@@ -227,6 +265,12 @@ def _weighted(run: FreeRun, outputs: Mapping[str, np.ndarray]) -> np.ndarray:
     names = [name for name in run.outputs if name[:3] in READ]
     found = np.concatenate([(outputs[name] - run.record.signal(name)) * run.weight[name] for name in names])
     return np.nan_to_num(found, nan=LOST, posinf=LOST, neginf=-LOST)
+
+
+def _joints(run: FreeRun) -> np.ndarray:
+    """Number of the joint that each of these errors belongs to."""
+    names = [name for name in run.outputs if name[:3] in READ]
+    return np.repeat([int(number_of(name) or 0) for name in names], run.record.n_samples)
 
 
 def _probed(spec: Bounded) -> float:

@@ -1,6 +1,6 @@
 """Reading and writing of a dataset folder: `dataset.yaml` (see `schema.py`) and one file a record."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ from hybrid_id.records.readers import Table, TimeRange, is_bag_folder, load_any,
 from hybrid_id.records.record import Record, find_fault
 from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
-from hybrid_id.records.units import to_si
+from hybrid_id.records.units import number_of, to_si
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 
 FILE_NAME = "dataset.yaml"
@@ -80,6 +80,19 @@ def write_dataset(dataset: Dataset, folder: Path) -> None:
     write_yaml(folder / FILE_NAME, plain(values) | {"records": entries})
 
 
+def _refuse_dead_outputs(outputs: Sequence[Channel], records: Sequence[Record], file: Path) -> None:
+    """Raise InputError for an output that never changes although another one of its joint does, or where none does.
+
+    A joint of which nothing changes may be held, while others move.
+    """
+    moving = {c.name for c in outputs if any(np.ptp(record.outputs[c.name]) for record in records)}
+    joints = {number_of(name) for name in moving}
+    for channel in outputs:
+        if channel.name not in moving and (not moving or number_of(channel.name) in joints):
+            words = "stands still in every record; check its column and its sensor"
+            raise InputError(f"{file}: output '{channel.name}' {words}")
+
+
 def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:
     """Read all records of a checked dataset file."""
     units = {"t": "s"} | {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)}
@@ -90,10 +103,7 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:
         for index, entry in enumerate(spec.records)
         for data_file in _files(entry, folder, f"{file}: key 'records[{index}].file'")
     )
-    for channel in outputs:  # in some records a joint may be held
-        if not any(np.ptp(record.outputs[channel.name]) for record in records):
-            words = "stands still in every record; check its column and its sensor"
-            raise InputError(f"{file}: output '{channel.name}' {words}")
+    _refuse_dead_outputs(outputs, records, file)
     sample_time, reports = spec.sample_time, ()
     if spec.resample:
         sample_time, records, reports = _resample(records, spec.resample, sample_time, file)

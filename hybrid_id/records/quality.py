@@ -20,7 +20,7 @@ from hybrid_id.records.measures import (
 from hybrid_id.records.record import Record, stamp
 from hybrid_id.records.resample import find_gaps
 from hybrid_id.records.skew import find_skews
-from hybrid_id.records.units import stem
+from hybrid_id.records.units import number_of, stem
 
 Severity = Literal["error", "warning", "info"]
 
@@ -90,12 +90,12 @@ def resting(record: Record) -> tuple[str, ...]:
     """Outputs of joints that stand still in a record while another joint moves: none spreads beyond its noise."""
 
     def still(values: np.ndarray) -> bool:
-        fine = max(estimate_noise(values), quantisation_step(values)) if np.ptp(values) else 0.0
+        fine = max(estimate_noise(values), quantisation_step(values)) if np.ptp(values) else np.inf
         return float(values.std()) <= RESTS * fine
 
     joints: dict[str, list[str]] = {}
     for name in record.outputs:
-        joints.setdefault(name[len(stem(name)) :], []).append(name)
+        joints.setdefault(number_of(name), []).append(name)
     rest = [names for names in joints.values() if all(still(record.outputs[name]) for name in names)]
     return () if len(rest) == len(joints) else tuple(name for names in rest for name in names)
 

@@ -71,6 +71,11 @@ def stem(channel: str) -> str:
     return re.sub(r"\d+$", "", channel)
 
 
+def number_of(channel: str) -> str:
+    """The number that a channel's name ends with, that of its joint: `q_m1` -> `1`."""
+    return channel[len(stem(channel)) :]
+
+
 def spellings() -> list[str]:
     """Every unit that files may come in, as it is written there."""
     return list(_TO_SI)

@@ -9,11 +9,12 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize
+from hybrid_id.diagnosis.arm import NOT_ASKED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.quality import Finding
+from hybrid_id.records.units import number_of
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
     called,
@@ -26,6 +27,7 @@ from hybrid_id.reporting.diagnosis_words import (
     probability_words,
     range_percent,
     shrink_line,
+    unmeasured,
     words_of,
 )
 from hybrid_id.reporting.interactive import Drawn, drawn
@@ -33,7 +35,7 @@ from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import in_unit
-from hybrid_id.systems.by_joint import number_of, numbered
+from hybrid_id.systems.by_joint import numbered
 
 PAGE = "report.html"
 _VERDICTS = {
@@ -47,6 +49,14 @@ _HOW = (
     "its own motion. Shares and probabilities are those of the joint's own page. Then all joints are simulated, driven "
     "by their commands alone: the re-fitted and the corrected robot are fitted once more as a whole, and the test "
     "records measure them."
+)
+_GAP = (
+    "The gap is the mean square error that the nominal model leaves after a re-fit of its parameters, less that of the "
+    "sensors' noise."
+)
+_PART = (
+    "A joint's part of the gap is its share in that of the whole robot, all joints simulated over the train records "
+    "and the errors of each taken relative to how far it moves."
 )
 _CAPTION = (
     "RMSE on the test records, all joints simulated from their commands, of the nominal, the re-fitted and the "
@@ -76,6 +86,8 @@ def arm_headline(found: ArmDiagnosis) -> str:
 
 def _nothing_named(found: ArmDiagnosis) -> str:
     any_joint = "any joint that was diagnosed" if found.skipped else "any joint"
+    if found.interrupted:
+        return f"Inconclusive: no effect had been accepted at {any_joint}."
     there = [joint for joint, one in found.joints.items() if one.verdict == found.verdict]
     if found.verdict == "outside_catalogue":
         return (
@@ -100,7 +112,10 @@ def lacks(one: Diagnosis) -> str:
 
 
 def joints_table(found: ArmDiagnosis) -> Table:
-    """A row a joint: its part of the gap, what it lacks, how surely, what remains, and its errors."""
+    """A row a joint: its part of the gap, what it lacks, how surely, what remains, and its errors.
+
+    Below them those that were left out, with the reason; but for those that nobody has asked for.
+    """
     rows = []
     for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
         one = found.joints[joint]
@@ -111,6 +126,11 @@ def joints_table(found: ArmDiagnosis) -> Table:
         )
         left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
         rows.append((joint, lacks(one), percent(part), explained, sure, left, _errors_cell(found, joint)))
+    rows += [
+        (joint, f"not diagnosed: {why}", *[""] * 5)
+        for joint, why in found.skipped.items()
+        if why != NOT_ASKED
+    ]
     heads = ("joint", "lacks", "part of the gap>", "explains of it>", "probability>", "unexplained>",
              "RMSE nominal, re-fitted, corrected>")  # fmt: skip
     return table(heads, rows)
@@ -122,12 +142,10 @@ def _errors_cell(found: ArmDiagnosis, joint: str) -> str:
         one for one in (found.nominal_errors, found.refit_errors, found.model_errors) if one is not None
     ]
     channels = found.joints[joint].details.dataset.outputs
-    number = str((found.model.tree.names if found.model.tree else ()).index(joint) + 1)
     cells = []
     for channel in channels:
-        name = channel.name[:-1] + number
-        if len(models) == 3 and all(name in one.rmse for one in models):
-            values = [one.rmse[name] for one in (models if found.selected else models[:2])]
+        if len(models) == 3 and all(channel.name in one.rmse for one in models):
+            values = [one.rmse[channel.name] for one in (models if found.selected else models[:2])]
             *shown, unit = in_unit(channel.name, values, channels, found.joints[joint].details.nominal)
             cells.append(f"{', '.join(shown)} {unit}")
     return "; ".join(cells)
@@ -137,7 +155,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
     """Errors of the whole robot on the test records, and the shrink; what contradicts the answer."""
     nominal, gap = found.nominal_errors, found.shrink
     if nominal is None or gap is None:
-        return ["no test record moves, so nothing measures the gain: give one the role test."]
+        return [f"{unmeasured(next(iter(found.joints.values())).details.dataset)}."]
     corrected = f", corrected {gap.with_effect:.3g}" if found.selected else ""
     lines = [
         f"NRMSE on {count(len(nominal.by_record), 'test record')}, all joints simulated from their commands, mean of "
@@ -151,7 +169,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
 
 
 def remark_lines(found: ArmDiagnosis) -> list[str]:
-    """Sizes of the effects, what several joints have in common, and which joints were left out."""
+    """Sizes of the effects, what several joints have in common, and which joints nobody has asked for."""
     lines = [
         f"{one.where.rpartition('/')[0]}: {words_of(one.name)}, {', '.join(values)}."
         for one in found.selected
@@ -161,10 +179,8 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     lines += [
         f"{joint}: {one.changes.removesuffix('.')}." for joint, one in found.joints.items() if one.changes
     ]
-    reasons: dict[str, list[str]] = {}
-    for joint, why in found.skipped.items():
-        reasons.setdefault(why, []).append(joint)
-    return lines + [f"not diagnosed: {joined(joints)} ({why})." for why, joints in reasons.items()]
+    left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
+    return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
 
 
 def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:
@@ -245,7 +261,7 @@ def arm_page(
         findings: what the check of the records remarked.
     """
     page = Page(f"Diagnosis of {found.case}", arm_headline(found))
-    joints = page.section("Joints").add(joints_table(found))
+    joints = page.section("Joints").add(joints_table(found), f"{_GAP} {_PART}")
     if pages:
         joints.links("Each joint's own page:", pages)
     joints.add(*map(Text, remark_lines(found)), _HOW)

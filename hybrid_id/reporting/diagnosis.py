@@ -42,6 +42,7 @@ from hybrid_id.reporting.study import LEGEND, combinations_table, reliability_ce
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
 from hybrid_id.reporting.units import shown_unit
 from hybrid_id.study import Study
+from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
 TOP = 4
@@ -181,6 +182,7 @@ def diagnosis_page(
     *,
     max_effects: int | None = None,
     findings: Sequence[Finding] = (),
+    robot: str = "",
 ) -> Page:
     """The page.
 
@@ -189,9 +191,11 @@ def diagnosis_page(
         figures: its pictures by name.
         max_effects: how many effects the search could add.
         findings: what the check of the records remarked.
+        robot: where the page of the robot is that this is one joint of, as seen from this one; empty without.
     """
     dataset, details = diagnosis.details.dataset, diagnosis.details
-    by_itself = f", {joint_words('joint1', diagnosis.model)}" if diagnosis.model.seats else ""
+    model = diagnosis.model
+    by_itself = f", {joint_words(model.joints[0].name, model)}" if model.seats else ""
     page = Page(f"Diagnosis of {diagnosis.case}{by_itself}", headline(diagnosis))
     captions = _CAPTIONS | ({} if diagnosis.with_effect else {"worst_record": _NO_TEST})
 
@@ -207,6 +211,8 @@ def diagnosis_page(
         *caution_lines(diagnosis, max_effects),
     )
     effects = page.section("Effects")
+    if robot:
+        effects.links("The other joints, and all of them simulated at once:", {"the whole robot": robot})
     picture(effects, "shares")
     values = value_lines(diagnosis)
     effects.add(effects_table(diagnosis, shown), *map(_sentence, values))
@@ -238,10 +244,10 @@ def diagnosis_page(
         _INTERVALS,
         LEGEND,
     )
-    role = "test" if dataset.test else "train"
+    role, channels = "test" if dataset.test else "train", (*dataset.outputs, *dataset.inputs)
     where = count(len(dataset.test or dataset.train), f"{role} record")
     page.section("Residuals").add(
-        *residual_blocks(details.residual_tests, where, details.studies[-1].outputs)
+        *residual_blocks(details.residual_tests, where, with_joint_names(channels, model))
     )
     ties = [*tie_lines(diagnosis), *experiment_lines(diagnosis)]
     page.section("Ties and next experiment").add(*map(_sentence, ties or [_NO_TIES]))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -37,6 +38,7 @@ from hybrid_id.reporting.style import (
     symbol,
     unit,
 )
+from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
 PROFILES, SHARES, CANDIDATES = 3, 9, 12
@@ -49,7 +51,9 @@ MODELS = {"nominal": COLOURS[0], "re-fitted": COLOURS[1], "corrected": COLOURS[2
 
 def diagnosis_figures(diagnosis: Diagnosis) -> dict[str, Drawn]:
     """Every picture of a diagnosis by the name of its file."""
-    dataset, details = diagnosis.details.dataset, diagnosis.details
+    details = diagnosis.details
+    outputs = with_joint_names(details.dataset.outputs, diagnosis.model)
+    dataset = replace(details.dataset, outputs=outputs)
     figures: dict[str, Figure] = {}
     if diagnosis.selected or diagnosis.unknown:
         figures["shares"] = shares_figure(diagnosis)
@@ -244,6 +248,7 @@ def reversal_figure(dataset: Dataset, left: Mapping[str, Sequence[Reversals]]) -
     """A panel an angle: mean error after a reversal, and its standard error, of every model."""
     outputs = [one.output for one in next(iter(left.values()))][:ANGLES]
     units = {channel.name: channel.shown for channel in dataset.outputs}
+    joints = {channel.name: f" ({channel.joint})" for channel in dataset.outputs if channel.joint}
     figure = new_figure(2.1 * len(outputs) + 0.2)
     panels = np.ravel(figure.subplots(len(outputs), 1, squeeze=False))
     for axes, output in zip(panels, outputs, strict=True):
@@ -266,7 +271,7 @@ def reversal_figure(dataset: Dataset, left: Mapping[str, Sequence[Reversals]]) -
                     label=label,
                 )
         axes.set(xlabel="time since the reversal [s]", ylabel=f"error {scaled_unit(unit, 0)}")
-        axes.set_title(f"{symbol(output)}, {counts} reversals", loc="left")
+        axes.set_title(f"{symbol(output)}{joints.get(output, '')}, {counts} reversals", loc="left")
         axes.set_xlim(0.0, None)
     legend_above(figure, panels[0], 2)
     return figure

@@ -14,6 +14,7 @@ from hybrid_id.diagnosis.grade import Interval, RatedEffect, together
 from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
+from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.tables import count, interval_words
 from hybrid_id.reporting.units import in_unit, shown_unit
 from hybrid_id.systems.by_joint import with_joint_names
@@ -215,10 +216,7 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
     """
     nominal, refit, gap = diagnosis.nominal, diagnosis.refit, diagnosis.shrink
     if nominal is None or refit is None or gap is None:
-        return [
-            "no test record moves, so nothing measures the gain: give one the role test; models were compared over "
-            f"{diagnosis.horizon}."
-        ]
+        return [f"{unmeasured(diagnosis.details.dataset)}; models were compared over {diagnosis.horizon}."]
     last = diagnosis.with_effect if diagnosis.corrected else None
     records = count(len(nominal.by_record), "test record")
     models = [one for one in (nominal, refit, last) if one is not None]
@@ -240,6 +238,14 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
             "follows it from measured states."
         )
     return lines
+
+
+def unmeasured(dataset: Dataset) -> str:
+    """That no test record measures the gain, why, and what to do, without a full stop."""
+    why, one = (
+        ("no test record moves", "one that moves") if dataset.test else ("there is no test record", "one")
+    )
+    return f"{why}, so nothing measures the gain: give {one} the role test"
 
 
 def shrink_line(gap: Shrink) -> str:
@@ -449,7 +455,7 @@ def joint_words(where: str, system: System) -> str:
     joint = where.split("/")[0]
     if system.tree is None:
         return joint.replace("joint", "joint ")
-    return system.tree.names[system.arm.seats[int(joint.removeprefix("joint")) - 1]]
+    return system.tree.names[int(joint.removeprefix("joint")) - 1]
 
 
 def side_words(joint: str, place: str, system: System) -> str:

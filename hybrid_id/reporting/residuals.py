@@ -46,20 +46,20 @@ def sound(tests: Sequence[ResidualTest]) -> bool:
 
 
 def residual_blocks(
-    residuals: Residuals, where: str = "", outputs: Sequence[Channel] = ()
+    residuals: Residuals, where: str = "", channels: Sequence[Channel] = ()
 ) -> list[RenderableType]:
     """What is said of residuals: a sentence each, the table, and how to read it.
 
     Args:
         residuals: the tests.
         where: records that were simulated, where the names of the tests do not say it.
-        outputs: channels, which may know the names of their joints.
+        channels: outputs and inputs, which may know the names of their joints.
     """
     pairs = [(LABELS.get(name, name), one) for name, tests in residuals.items() for one in tests]
     words: list[RenderableType] = [Text(f"On {where}:")] if where else []
     words += [
         Text(
-            f"{label[0].upper()}{label[1:]}, {title(one.output, outputs)}: {sentence(one)}",
+            f"{label[0].upper()}{label[1:]}, {title(one.output, channels)}: {sentence(one, channels)}",
             style=_COLOURS[one.verdict],
         )
         for label, one in pairs
@@ -71,11 +71,11 @@ def residual_blocks(
         "verdict",
     )  # fmt: skip
     for label, one in pairs:
-        table.add_row(label, title(one.output, outputs), *_cells(one))
+        table.add_row(label, title(one.output, channels), *_cells(one, channels))
     return [*words, table, _HOW]
 
 
-def sentence(test: ResidualTest) -> str:
+def sentence(test: ResidualTest, channels: Sequence[Channel] = ()) -> str:
     """The verdict on the residuals of one output."""
     if test.verdict == "diverged":
         return "the simulation has diverged, so there is no residual to test."
@@ -89,10 +89,10 @@ def sentence(test: ResidualTest) -> str:
         )
     if test.followed:
         first = test.followed[0]
-        after = count(first.lag, "sample")
+        after, name = count(first.lag, "sample"), title(first.input, channels)
         return (
-            f"not white: the residual follows {first.input} (correlation {first.correlation:.2f}, {after} later), so "
-            f"the model lacks a part of what {first.input} does, or when. It is {size}."
+            f"not white: the residual follows {name} (correlation {first.correlation:.2f}, {after} later), so "
+            f"the model lacks a part of what {name} does, or when. It is {size}."
         )
     if test.rms < FAINT:
         return f"not white, but only {size}: the counts of an encoder, which dwell, look alike."
@@ -126,12 +126,12 @@ def residual_result(residuals: Residuals) -> dict[str, list[dict[str, object]]]:
     }
 
 
-def _cells(test: ResidualTest) -> list[str]:
+def _cells(test: ResidualTest, channels: Sequence[Channel]) -> list[str]:
     first = test.follows[0] if test.follows else None
     correlated = ["none moves", "", ""]
     if first is not None:
         correlated = [
-            first.input,
+            title(first.input, channels),
             f"{first.correlation:.2f} ({count(first.lag, 'sample')})",
             f"± {first.band:.2f}",
         ]

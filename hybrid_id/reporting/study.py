@@ -199,7 +199,7 @@ def study_page(
     identified = page.section("What these records identify").add(identifiability_table(study.identifiability))
     residual, fits = page.section("Residuals"), page.section("Measured and simulated")
     if residuals:
-        residual.add(*residual_blocks(residuals, outputs=study.outputs))
+        residual.add(*residual_blocks(residuals, channels=study.outputs))
     for name, figure in figures.items():
         if name in ("parameters", "profiles"):
             identified.figure(figure, _CAPTIONS[name])

@@ -423,7 +423,8 @@ def _signal(
             label=f"{name}, fit {fit:.2f} %",
         )
         below.plot(time, measured - simulated, color=colour, lw=0.6, alpha=0.9, label=f"_residual, {name}")
-    main.set_ylabel(label(channel.name, unit))
+    joint = f"{shortened(channel.joint, MAX_TITLE)}\n" if channel.joint else ""
+    main.set_ylabel(joint + label(channel.name, unit))
     pad(main)
     main.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=LEGEND_COLUMNS, borderaxespad=0.0)
     below.set_ylabel("residual\n" + label(channel.name, unit).split(" ")[-1])

@@ -18,6 +18,7 @@ from hybrid_id.reporting.style import COLOURS, GREY, journal, label, new_figure,
 from hybrid_id.study import Study
 from hybrid_id.study.ablation import CellResult
 from hybrid_id.study.training import Overlay, Snapshot, overlays, scalars
+from hybrid_id.systems.by_joint import named
 
 
 class TrainingLog:
@@ -116,9 +117,10 @@ def write_diagnosis_events(folder: Path, diagnosis: Diagnosis, images: Mapping[s
                 writer.add_scalar(f"gap/{output}/{name}", value)
         writer.add_scalar("share/unexplained", diagnosis.remainder)
         for one in diagnosis.effects:
-            writer.add_scalar(f"probability/{one.where}/{one.name}", one.probability)
+            where = named(diagnosis.model, one.where)
+            writer.add_scalar(f"probability/{where}/{one.name}", one.probability)
             if one.share is not None:
-                writer.add_scalar(f"share/{one.where}/{one.name}", one.share)
+                writer.add_scalar(f"share/{where}/{one.name}", one.share)
         _add_images(writer, images)
 
 

@@ -282,9 +282,9 @@ def _start_sensor_states(system: System, x: Tensor, u: Mapping[str, Tensor]) -> 
     rows = [column.reshape(-1) for column in x.unbind(2)]
     channels = {name: channel.reshape(-1) for name, channel in u.items()}
     torques = system.link_torques(rows, channels, system.views(list(system.theta()[:, None])))
-    for joint, torque in zip(system.joints, torques, strict=True):
+    for joint in system.joints:
         if joint.sensing.lag is not None:
-            x[:, :, joint.sensing.lag_row] = torque.expand(len(rows[0])).reshape(x.shape[:2])
+            x[:, :, joint.sensing.lag_row] = torques[joint.number].expand(len(rows[0])).reshape(x.shape[:2])
 
 
 def _hidden_side(joint: Joint, outputs: Collection[str]) -> int | None:

@@ -46,7 +46,6 @@ HELD = 2.0
 FOLDS = 4
 """Parts of the train records that are left out in turn, at most."""
 ITERATIONS = 40
-PLACE = "joint1/load"
 GRID, SHOWN = 41, 600
 """Points of a map along either axis, and samples beside it, at most."""
 
@@ -259,13 +258,14 @@ def _with_network(
     network = ResidualTorque(
         S_r=_rms(torque), m_q=0.5 * (low + high), s_q=0.5 * (high - low) or 1.0, s_v=_rms(speed)
     )
-    richer = system.with_specs(held).with_component(PLACE, network)
+    place = f"{system.joints[0].name}/load"
+    richer = system.with_specs(held).with_component(place, network)
     priors = {
         info.name: replace(
             info.spec, prior_mean=info.spec.value, prior_std=size if info.symbol.startswith("c_") else SHAPES
         )
         for info in richer.table
-        if info.component == f"{PLACE}/{ResidualTorque.kind}" and info.spec.estimate
+        if info.component == f"{place}/{ResidualTorque.kind}" and info.spec.estimate
     }
     richer = richer.with_specs(priors)
     engine = compiled_for(richer, physics.engine)
@@ -319,7 +319,7 @@ def _rms(values: Tensor) -> float:
 def _map(dataset: Dataset, system: System, signal_share: float) -> TorqueMap:
     """What a joint's network does, over the range of its train records."""
     angle, speed, drive = _motion(dataset, system, dataset.train, signal_share)
-    network = cast(ResidualTorque, system.components[f"{PLACE}/{ResidualTorque.kind}"])
+    network = cast(ResidualTorque, system.components[f"{system.joints[0].name}/load/{ResidualTorque.kind}"])
     grids = [
         torch.linspace(float(s.min()), float(s.max()), GRID, dtype=torch.float64) for s in (angle, speed)
     ]

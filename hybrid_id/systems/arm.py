@@ -139,7 +139,7 @@ class Arm:
                 f"{part.kind} at '{place}' acts at '{part.point}', which {lacks}; "
                 f"give one of {', '.join(found) or 'a robot with a description'}."
             )
-        seat = self.seats[int(place.split("/")[0][5:]) - 1]
+        seat = int(place.split("/")[0].removeprefix("joint")) - 1
         if isinstance(part, Payload | BodyInertia) and not tree.carries(seat, found[part.point]):
             fit = ", ".join(name for k, name in enumerate(tree.names) if tree.carries(k, found[part.point]))
             raise InputError(

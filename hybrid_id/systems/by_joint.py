@@ -1,10 +1,12 @@
-"""One joint of a robot by itself, the others moving as they were measured."""
+"""One joint of a robot by itself, or some of them, the others moving as they were measured."""
 
 from __future__ import annotations
 
 import copy
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -15,6 +17,7 @@ from hybrid_id.errors import InputError, close_match
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.derivatives import noise_level, smooth_derivatives
 from hybrid_id.records.record import Record
+from hybrid_id.records.units import number_of
 from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.arm import MOTION
 from hybrid_id.systems.builders import joint_names
@@ -38,6 +41,16 @@ def joint_number(system: System, name: str) -> int:
     return names.index(name)
 
 
+def named(system: System, place: str) -> str:
+    """A place of a joint by itself (``joint3/motor``, ``play@joint3/motor``) with the joint's name in the robot.
+
+    Places of any other system stay as they are.
+    """
+    names = () if system.tree is None or system.seats is None else system.tree.names
+    own = {joint.name: names[joint.number - 1] for joint in system.joints if names}
+    return re.sub(r"\bjoint\d+(?=/|$)", lambda found: own.get(found[0], found[0]), place)
+
+
 def numbered(system: System, place: str) -> str:
     """A place, which may name a robot's joint as the robot does (``elbow/motor``), with the joint's number in it."""
     joint, _, where = place.rpartition("/")
@@ -46,28 +59,34 @@ def numbered(system: System, place: str) -> str:
 
 
 def with_joint_names(channels: Sequence[Channel], system: System) -> tuple[Channel, ...]:
-    """Channels that know the name of their joint, where the system is a robot with a description."""
-    names = [] if system.tree is None else [system.tree.names[seat] for seat in system.arm.seats]
+    """Channels that know the name of their joint, where the system is a robot with a description, or a part of one."""
+    names = [] if system.tree is None else system.tree.names
     joints = {str(number): name for number, name in enumerate(names, 1)}
     return tuple(replace(channel, joint=joints.get(number_of(channel.name), "")) for channel in channels)
 
 
 def alone(system: System, joint: int) -> System:
-    """The drive of one joint in the robot's tree; the motion of the others comes with the records.
+    """The drive of one joint of a robot, by its number from 0: :func:`some` of one."""
+    return some(system, [joint])
 
-    ``M_ii a_i + sum_j M_ij a_j + h_i(q, v) = tau_i``, the sum and all q_j, v_j of the others as logged. Its parameters
-    keep the names that they have in the robot, so that what is found goes back with ``with_specs``. Payloads and
-    inertias that are listed at other joints stay at their values.
+
+def some(system: System, joints: Sequence[int]) -> System:
+    """The drives of some joints in the robot's tree; the motion of the others comes with the records.
+
+    ``M_ii a_i + sum_j M_ij a_j + h_i(q, v) = tau_i``, the sum and all q_j, v_j of the others as logged. Parameters,
+    places and channels keep the names and numbers that they have in the robot, so that what is found goes back with
+    ``with_specs``. Payloads and inertias that are listed at other joints stay at their values.
 
     Args:
         system: a robot with a tree.
-        joint: number of the joint in the tree, from 0.
+        joints: numbers of the joints in the tree, from 0.
     """
-    tree, here = _tree(system), f"joint{joint + 1}/"
+    tree, here = _tree(system), tuple(f"joint{joint + 1}/" for joint in joints)
     parts, moved = [], {}
     for key, part in system.components.items():
-        if key.startswith(here) or isinstance(part, FloorContact):  # which acts on all that carry it
-            moved[key] = f"joint1/{key.split('/', 1)[1]}"
+        own = key.startswith(here)
+        if own or isinstance(part, FloorContact):  # which acts on all that carry it
+            moved[key] = key if own else here[0] + key.split("/", 1)[1]
             parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
     views = system.views([value.reshape(1) for value in system.theta().detach()])
@@ -75,39 +94,38 @@ def alone(system: System, joint: int) -> System:
     tree = tree.with_bodies([body.held() for key, body in bodies.items() if not key.startswith(here)])
     if not any(key.startswith(here) for key, _ in system.arm.tilts):
         tree = tree.falling(system.arm.gravity(views))
-    one = System([system.gear_ratio[joint]], parts, aliases, system.name, tree, (joint,))
+    one = System([system.gear_ratio[joint] for joint in joints], parts, aliases, system.name, tree, joints)
     one.whole = (system,)
     return one
 
 
 def together(one: System) -> System:
-    """The whole robot with the drive that :func:`alone` took out of it, as it is now."""
+    """The whole robot with the drives that :func:`some` took out of it, as they are now."""
     return with_drive(one.whole[0], one)
 
 
 def with_drive(whole: System, one: System) -> System:
-    """A robot with the drive of one joint, which :func:`alone` took out of it, instead of its own."""
-    here = f"joint{(one.seats or (0,))[0] + 1}/"
+    """A robot with the drives that :func:`some` took out of it instead of its own."""
+    here = tuple(f"{joint.name}/" for joint in one.joints)
     floors = {
         key.split("/", 1)[1]: key for key, part in whole.components.items() if isinstance(part, FloorContact)
     }
     parts = {key: part for key, part in whole.components.items() if not key.startswith(here)}
     taken = {(part.kind, part.point) for part in parts.values() if isinstance(part, Shared)}
     for key, part in one.components.items():
-        place = key.removeprefix("joint1/")
         if (
             isinstance(part, Shared)
             and not isinstance(part, FloorContact)
             and (part.kind, part.point) in taken
         ):
             continue  # another joint has said what is there, which acts on all that carry it
-        parts[floors[place] if isinstance(part, FloorContact) else here + place] = part
+        parts[floors[key.split("/", 1)[1]] if isinstance(part, FloorContact) else key] = part
     placed = [(key.rpartition("/")[0], copy.deepcopy(cast(Component, part))) for key, part in parts.items()]
     return System(whole.gear_ratio, placed, joint_names(_tree(whole), placed), whole.name, whole.tree)
 
 
-def with_others_measured(dataset: Dataset, system: System, joint: int) -> Dataset:
-    """The records as :func:`alone` reads them: the joint's own channels, and the smoothed motion of the others.
+def with_others_measured(dataset: Dataset, system: System, *joints: int) -> Dataset:
+    """The records as :func:`some` reads them: the joints' own channels, and the smoothed motion of the others.
 
     The others' motion is that of the middle of each sample, during which it is held. It is smoothed little
     (:data:`THRESHOLD`): what smoothing takes from a motion no interval can know, noise is found by :func:`noisier`.
@@ -115,46 +133,41 @@ def with_others_measured(dataset: Dataset, system: System, joint: int) -> Datase
     Args:
         dataset: of the whole robot, its channels numbered as its joints are.
         system: the robot.
-        joint: number of the joint, from 0.
+        joints: their numbers, from 0.
 
     Raises:
         InputError: an angle of another joint was not measured.
     """
-    own = str(joint + 1)
-    inputs = tuple(replace(c, name=_renamed(c.name, own)) for c in dataset.inputs if number_of(c.name) == own)
-    outputs = tuple(
-        replace(c, name=_renamed(c.name, own)) for c in dataset.outputs if number_of(c.name) == own
+    own = [str(joint + 1) for joint in joints]
+    inputs, outputs = (
+        tuple(c for c in channels if number_of(c.name) in own)
+        for channels in (dataset.inputs, dataset.outputs)
     )
     records = []
     for record in dataset.records:
-        given = {_renamed(n, own): v for n, v in record.inputs.items() if number_of(n) == own}
-        measured = {_renamed(n, own): v for n, v in record.outputs.items() if number_of(n) == own}
-        records.append(replace(record, inputs={**given, **_others(record, system, joint)}, outputs=measured))
+        given, measured = (
+            {n: v for n, v in values.items() if number_of(n) in own}
+            for values in (record.inputs, record.outputs)
+        )
+        records.append(replace(record, inputs={**given, **_others(record, system, joints)}, outputs=measured))
     motion = tuple(
         Channel(f"{name}{k + 1}", unit)
         for k, other in enumerate(_tree(system).joints)
-        if k != joint
+        if k not in joints
         for name, unit in zip(MOTION, UNITS[other.kind], strict=True)
     )
     return replace(dataset, inputs=(*inputs, *motion), outputs=outputs, records=tuple(records))
 
 
 def as_in_robot(inputs: Mapping[str, np.ndarray], system: System) -> dict[str, np.ndarray]:
-    """Inputs of a joint by itself under their names in the robot, with the angles at which the others stay.
+    """Inputs of a joint by itself, with the angles at which the others stay and without their motion.
 
     Args:
         inputs: of a record as :func:`with_others_measured` makes it, ``(T,)`` each.
         system: the joint by itself; inputs of any other system stay as they are.
     """
-    if system.seats is None:
-        return dict(inputs)
-    own = str(system.seats[0] + 1)
-    found = {}
-    for name, values in inputs.items():
-        kind = name.removesuffix(number_of(name))
-        if kind not in MOTION[1:]:
-            found[name if kind in MOTION else f"{kind}{own}"] = values
-    return found
+    moving = MOTION[1:] if system.seats is not None else ()
+    return {name: v for name, v in inputs.items() if name.removesuffix(number_of(name)) not in moving}
 
 
 def noisier(dataset: Dataset, joint: int, seed: int) -> Dataset:
@@ -179,10 +192,10 @@ def noisier(dataset: Dataset, joint: int, seed: int) -> Dataset:
     return replace(dataset, records=tuple(records))
 
 
-def _others(record: Record, system: System, joint: int) -> Mapping[str, np.ndarray]:
+def _others(record: Record, system: System, joints: Sequence[int]) -> Mapping[str, np.ndarray]:
     found = {}
     for k in range(len(system.joints)):
-        if k == joint:
+        if k in joints:
             continue
         for channel, rows in zip(MOTION, measured_motion(record, system, k, THRESHOLD), strict=True):
             middle = np.append(0.5 * (rows[1:] + rows[:-1]), rows[-1])
@@ -210,11 +223,27 @@ def measured_motion(
     if own.motors and f"q_a{own.number}" not in record.outputs:
         return _through_motors(record, system, joint, threshold)
     if name is None:
-        raise InputError(
-            f"{record.title} has no angle of joint '{_tree(system).names[joint]}'; add {' or '.join(sides)}, or hold "
-            "that joint still in the model."
-        )
+        raise InputError(_without_angle(record.title, system, joint))
     return _smoothed(record, own, name, sides[name], threshold)
+
+
+def check_angles(dataset: Dataset, system: System) -> None:
+    """Raise InputError where a joint's angle, which the motion of a robot's others depends on, was not measured."""
+    measured = {channel.name for channel in dataset.outputs}
+    for k, joint in enumerate(system.joints):
+        if not joint.motors and not {f"q_m{joint.number}", f"q_a{joint.number}"} & measured:
+            raise InputError(_without_angle(f"Dataset '{dataset.name}'", system, k))
+
+
+def _without_angle(who: str, system: System, joint: int) -> str:
+    """That records lack the angle of a joint, and what to do about it."""
+    names, file = _tree(system).names, Path(_tree(system).source).name
+    after = "" if joint == len(names) - 1 else "; the channels of the joints after it then count one lower"
+    return (
+        f"{who} has no angle of joint '{names[joint]}'; add q_a{joint + 1} or q_m{joint + 1}, or, if the joint stands "
+        f"still, hold it in the model file where it stands (robot: {{file: {file}, hold: {{{names[joint]}: 0.0}}}}; 0 "
+        f"is the zero of the description){after}."
+    )
 
 
 def _through_motors(
@@ -250,12 +279,3 @@ def _tree(system: System) -> RigidBodyTree:
             "Joints are taken one by one of a whole robot; give a model that names its description."
         )
     return system.tree
-
-
-def number_of(channel: str) -> str:
-    """The number that a channel's name ends with: that of its joint."""
-    return channel[len(channel.rstrip("0123456789")) :]
-
-
-def _renamed(channel: str, number: str) -> str:
-    return f"{channel.removesuffix(number)}1"

@@ -37,7 +37,8 @@ class System(nn.Module):
             ``("joint1/motor/dc_motor", "P_m1"): "P_m1m1"``.
         name: kind of system in model files (``one_link`` ...).
         tree: what couples the joints of a robot; None for joints that stand alone or in a plane.
-        seats: number in the tree, from 0, of each joint; None for all of them in order. Of the tree's other joints the
+        seats: number in the tree, from 0, of each joint, which then keeps that number in places and channels
+            (``joint3/motor``, ``q_m3`` of seat 2); None for all of them in order. Of the tree's other joints the
             records bring angle, speed and acceleration.
 
     Attributes:
@@ -75,12 +76,17 @@ class System(nn.Module):
         self.register_load_state_dict_post_hook(_rewire)
 
     def _place(self, where: str, part: Component) -> None:
-        check_place(where, type(part), [f"joint{n + 1}" for n in range(len(self.gear_ratio))])
+        check_place(where, type(part), [f"joint{n}" for n in self._numbers])
         if part.single:
             for key, other in list(self.components.items()):
                 if key.startswith(f"{where}/") and isinstance(other, part.family()):
                     del self.components[key]
         self.components[f"{where}/{part.kind}"] = part
+
+    @property
+    def _numbers(self) -> list[int]:
+        """Number of each joint, from 1: that in the robot, where the system is a part of one."""
+        return [seat + 1 for seat in (range(len(self.gear_ratio)) if self.seats is None else self.seats)]
 
     def _wire(self) -> None:
         def order(key: str) -> tuple[int, int, bool, str]:
@@ -93,11 +99,11 @@ class System(nn.Module):
         )
         self.joints: list[Joint] = []
         self.state_names: list[str] = []
-        for i, ratio in enumerate(self.gear_ratio):
+        for number, ratio in zip(self._numbers, self.gear_ratio, strict=True):
             parts = {
-                k: cast(Component, c) for k, c in self.components.items() if k.startswith(f"joint{i + 1}/")
+                k: cast(Component, c) for k, c in self.components.items() if k.startswith(f"joint{number}/")
             }
-            joint = Joint(i + 1, ratio, parts, len(self.state_names))
+            joint = Joint(number, ratio, parts, len(self.state_names))
             self.joints.append(joint)
             self.state_names += joint.state_names
         for joint in self.joints:
@@ -184,6 +190,10 @@ class System(nn.Module):
         self.arm.guard(views)
         return views
 
+    def joint(self, number: int) -> Joint:
+        """The joint that places and channels call by a number, from 1."""
+        return next(joint for joint in self.joints if joint.number == number)
+
     @property
     def own_ratios(self) -> list[float | None]:
         """Gear ratio of each joint; None where a coupled gear turns its motor with other joints, too."""
@@ -230,8 +240,11 @@ class System(nn.Module):
 
     def link_torques(
         self, x: Rows, u: Channels, p: Views, directions: Directions | None = None
-    ) -> list[Tensor]:
-        """Torque that passes each joint's gear to its link [N m], ``(B,)`` each, dry friction as the set-valued law."""
+    ) -> dict[int, Tensor]:
+        """Torque that passes each joint's gear to its link [N m], ``(B,)``, by the joint's number.
+
+        Dry friction is the set-valued law.
+        """
         u = self.hold(u, p)
         signs = self.directions(x, u, p) if directions is None else directions
         each = list(zip((x[row] for row in self.speed_rows), signs, strict=True))
@@ -239,15 +252,15 @@ class System(nn.Module):
         forwards = [((v if sign is None else sign) > 0).to(v.dtype) for v, sign in each]
         balances = self.balances(x, u, p, magnitudes, forwards, transmitted=True)
         found = balances.accelerations(signs, held=True)
-        reactions, through = balances.reactions(found), []
+        reactions, through = balances.reactions(found), dict[int, Tensor]()
         rotors = [self.speed_rows.index(joint.positions[0] + 1) for joint in self.joints]
         for joint, k in zip(self.joints, rotors, strict=True):
             own = balances.speeds[k]
-            through.append(own.transmitted(found[k], reactions[k]) if joint.rigid else x[0])
-        return [
-            joint.link_torque(through, signs[k], x, u, p)
+            through[joint.number] = own.transmitted(found[k], reactions[k]) if joint.rigid else x[0]
+        return {
+            joint.number: joint.link_torque(through, signs[k], x, u, p)
             for joint, k in zip(self.joints, rotors, strict=True)
-        ]
+        }
 
     def rates(
         self,
@@ -292,7 +305,7 @@ class System(nn.Module):
             ]
             torques = self.link_torques(x, u, p, signs)
             for joint, (key, part) in lags:
-                going = part.state_update(p[key], torques[joint.number - 1])
+                going = part.state_update(p[key], torques[joint.number])
                 found.append((joint.sensing.lag_row, going))
         return found
 
@@ -302,17 +315,18 @@ class System(nn.Module):
         for name in names:
             channel = name.rstrip("0123456789")
             number = int(name[len(channel) :] or 0)
-            if not 1 <= number <= len(self.joints):
+            if number not in self._numbers:
+                ends = f"a number up to {len(self.joints)}" if self.seats is None else f"{self._numbers[0]}"
                 raise InputError(
-                    f"Output '{name}' names no joint of {self.name}, whose outputs end in a number up to "
-                    f"{len(self.joints)}; take a model of that joint, or leave the output out of the dataset."
+                    f"Output '{name}' names no joint of {self.name}, whose outputs end in {ends}; take a model of that "
+                    "joint, or leave the output out of the dataset."
                 )
-            joint = self.joints[number - 1]
+            joint = self.joint(number)
             if channel != "tau_a":
                 found.append(joint.output(channel, x, u, p))
                 continue
             torques = self.link_torques(x, u, p) if torques is None else torques
-            found.append(joint.sensing.read(channel, torques[number - 1], 0.0, x, p))
+            found.append(joint.sensing.read(channel, torques[number], 0.0, x, p))
         return found
 
 

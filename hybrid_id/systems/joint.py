@@ -601,7 +601,7 @@ class Joint:
 
     def link_torque(
         self,
-        transmitted: Sequence[Tensor],
+        transmitted: Mapping[int, Tensor],
         direction: Tensor | None,
         x: Sequence[Tensor],
         u: Mapping[str, Tensor],
@@ -610,7 +610,8 @@ class Joint:
         """Torque that passes the gear to the link [N m], ``(B,)``; dry friction of a link at rest counts as none.
 
         Args:
-            transmitted: torque through the rigid gear of each joint of the system at its motor [N m], ``(B,)`` each.
+            transmitted: torque through the rigid gear of each joint of the system at its motor [N m], ``(B,)``, by the
+                joint's number.
             direction: of dry friction at a rigid gear's speed, None where there is none.
             x: state rows, ``(B,)`` each.
             u: channels, ``(B,)`` each.
@@ -622,7 +623,7 @@ class Joint:
             return torque if added is None else torque + added
         if self.motors:  # tau = C^T diag(r) tau_m
             shares = [
-                turns * transmitted[motor.number - 1]
+                turns * transmitted[motor.number]
                 for motor in self.joined
                 for link, turns in motor.links
                 if link is self
@@ -630,7 +631,7 @@ class Joint:
             return sum_of(shares, x[0])
         row = self.positions[0]
         slope = self.gear.map(x[row], p)[1]
-        torque = transmitted[self.number - 1] / slope
+        torque = transmitted[self.number] / slope
         if direction is None or not self.frictions["link_friction"]:
             return torque
         speed = x[row + 1] * slope

@@ -92,9 +92,10 @@ class Networks:
     def connect(self, joints: Sequence[Joint]) -> None:
         """Let the networks read the motion of all joints; an InputError where one reads a joint that is not there."""
         self.joints = list(joints)
+        numbers = [joint.number for joint in joints]
         for place, (_, part, _) in self.by_place.items():
             for name in part.inputs:
-                if (found := OF_JOINT.fullmatch(name)) and not 1 <= int(found[2]) <= len(joints):
+                if (found := OF_JOINT.fullmatch(name)) and int(found[2]) not in numbers:
                     raise InputError(
                         f"{part.kind} at '{self.joint.name}/{place}' has the input '{name}', a joint that is not "
                         f"there; the last one is {joints[-1].name}."
@@ -117,7 +118,7 @@ class Networks:
             function = torch.sin if match[1] == "sin" else torch.cos
             return function(float(match[2]) * self._motion(joint, x, p, at_link, 0))
         if match := OF_JOINT.fullmatch(name):
-            other = self.joints[int(match[2]) - 1]
+            other = next(one for one in self.joints if one.number == int(match[2]))
             return self._motion(other, x, p, True, int(match[1] == "speed"))
         if name in ("angle", "speed", "direction"):
             return self._motion(joint, x, p, at_link, int(name != "angle"))

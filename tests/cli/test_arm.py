@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from gapcase import only
 from servo_arm import described, records_of
 
 from hybrid_id.cli.ablate import planned
+from hybrid_id.cli.diagnose import joint_folders
 from hybrid_id.cli.options import config_of
 from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
@@ -21,6 +23,7 @@ from hybrid_id.machines.twin.desk_arm import write_arm
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
 from hybrid_id.records.yaml_file import read_yaml, write_yaml
+from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 from hybrid_id.study.ablation import load_cell, run_cell, save_cell
 from hybrid_id.study.replays import replay
 from hybrid_id.systems.model_file import load_model
@@ -94,6 +97,9 @@ def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_pa
     for name in ("joint_1_x", "tip"):
         assert (out / name / "report.html").exists()
         assert f'href="{name}/report.html"' in (out / "report.html").read_text()
+        assert 'href="../report.html"' in (out / name / "report.html").read_text()
+    assert "part of the gap is its share in that of the whole robot" in (out / "report.html").read_text()
+    assert "q_m3 (tip)" in (out / "tip" / "report.html").read_text()
     assert "joint 1," not in (out / "tip" / "report.html").read_text()  # it is called as the robot calls it
     for name in ("model.yaml", "refit.yaml"):
         assert len(load_model(out / name).joints) == 3
@@ -106,6 +112,47 @@ def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_pa
     wrong = run("diagnose", arm, "--model", arm / "model.yaml", "--out", tmp_path / "o", "--joint", "tpi")
     assert wrong.code == 2 and "no joint 'tpi'" in wrong.err and "tip" in wrong.err
     assert not (tmp_path / "o").exists()
+
+
+def test_folders_of_joints_bear_any_name() -> None:
+    names = ("a b", "a/b", "A b", "Models", "fits", "..", "elbow.1", "Ellbogen ä", "x" * 300)
+    folders = list(joint_folders(SimpleNamespace(joints=dict.fromkeys(names))).values())  # type: ignore[arg-type]
+    assert folders[:8] == ["a_b", "a_b_2", "A_b_3", "Models_2", "fits_2", "_", "elbow.1", "Ellbogen_ä"]
+    assert len(folders[8]) < 100
+
+
+def test_ctrl_c_between_the_pages_of_a_robot_says_which_are_written(
+    run, arm: Path, tmp_path: Path, few: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, calls = tmp_path / "out", []
+    command = (
+        "diagnose",
+        arm,
+        "--model",
+        arm / "model.yaml",
+        "--joint",
+        "tip",
+        "--joint",
+        "joint 1/x",
+        "--out",
+        out,
+    )
+
+    def second_stops(found):
+        calls.append(found)
+        if len(calls) > 1:
+            raise KeyboardInterrupt
+        return diagnosis_figures(found)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("hybrid_id.reporting.diagnosis_figures.diagnosis_figures", second_stops)
+        cut = run(*command)
+    words = " ".join(cut.err.split())
+    assert cut.code == 130
+    assert "pictures and page of tip are not written (those of the robot, joint 1/x are)" in words
+    assert (out / "joint_1_x" / "report.html").exists() and not (out / "tip" / "report.html").exists()
+    assert run(*command, "--resume").code == 0
+    assert (out / "tip" / "report.html").exists()
 
 
 def test_an_ablation_names_joints_as_the_robot_does(arm: Path, tmp_path: Path) -> None:

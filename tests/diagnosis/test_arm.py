@@ -1,6 +1,7 @@
 """A robot diagnosed joint by joint: what is missing is found where it is, and the whole robot is better for it."""
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from gapcase import only
+from rich.console import Console
 from servo_arm import NOISE, described, records_of
 
 from hybrid_id import Dataset, Diagnosis, diagnose, diagnose_arm
@@ -16,9 +18,10 @@ from hybrid_id.components import REGISTRY
 from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.diagnosis import arm
-from hybrid_id.diagnosis.arm import ArmDiagnosis, joints_to_diagnose
+from hybrid_id.diagnosis.arm import NOT_ASKED, STANDS, STOPPED, ArmDiagnosis, joints_to_diagnose
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
+from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
 from hybrid_id.systems.chain import System
 
 pytest.importorskip("mujoco")
@@ -84,25 +87,50 @@ def test_one_joint_alone_is_diagnosed_where_it_is_asked_for(nominal: System) -> 
     found = diagnose_arm(dataset, nominal, joints=["lift"])
     assert set(found.joints) == {"lift"} and not found.selected
     assert found.verdict in ("no_gap", "parameters_only")
-    assert found.skipped == {"pan": "not asked for", "elbow": "not asked for"}
+    assert found.skipped == {"pan": NOT_ASKED, "elbow": NOT_ASKED}
+    said = json.loads(json.dumps(found.as_dict()))["joints"]["lift"]
+    assert all(one["where"].startswith("lift/") for one in said["effects"]) and set(
+        said["gap"]["by_output"]
+    ) == {"q_m2"}
+    assert "joint2" not in json.dumps(said) and "joint1" not in json.dumps(said)
     with pytest.raises(InputError, match=r"no joint 'lfit'.*lift"):
         diagnose_arm(dataset, nominal, joints=["lfit"])
 
 
-def test_a_joint_that_says_nothing_is_left_out_with_the_reason(nominal: System) -> None:
-    dataset = records_of(nominal, 2)
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("noise", [NOISE, 0.0])
+def test_a_joint_that_stands_still_is_held_where_it_was_measured(nominal: System, noise: float) -> None:
+    dataset = records_of(nominal, 3)
     rng = np.random.default_rng(1)
     still = replace(
         dataset,
         records=tuple(
-            replace(r, outputs={**r.outputs, "q_m2": NOISE * rng.standard_normal(r.n_samples)})
+            replace(r, outputs={**r.outputs, "q_m2": 0.1 + noise * rng.standard_normal(r.n_samples)})
             for r in dataset.records
         ),
     )
     taken, skipped = joints_to_diagnose(still, nominal)
-    assert taken == ["pan", "elbow"] and skipped == {"lift": "does not move"}
-    with pytest.raises(InputError, match="'lift' cannot be diagnosed by itself: does not move"):
+    assert taken == ["pan", "elbow"] and skipped == {"lift": STANDS}
+    with pytest.raises(InputError, match="'lift' cannot be diagnosed by itself: stands still"):
         diagnose_arm(still, nominal, joints=["lift"])
+    if noise:
+        return
+    found = diagnose_arm(still, nominal, joints=["pan"], max_effects=1)
+    assert found.skipped == {"lift": STANDS, "elbow": NOT_ASKED}
+    assert set(found.as_dict()["gap"]["by_output"]) == {"q_m1", "q_m3"}
+    console = Console(width=200)
+    with console.capture() as shown:
+        console.print(arm_table(found))
+    assert re.search("lift +not diagnosed: stands still in all train records", shown.get())
+    assert len(found.model.joints) == 3
+
+
+def test_a_joint_whose_angle_nobody_has_measured_is_said(nominal: System) -> None:
+    dataset = records_of(nominal, 2)
+    records = (replace(r, outputs={n: r.outputs[n] for n in ("q_m1", "q_m3")}) for r in dataset.records)
+    blind = replace(dataset, outputs=dataset.outputs[::2], records=tuple(records))
+    with pytest.raises(InputError, match=r"no angle of joint 'lift'.*hold: {lift: 0.0}"):
+        diagnose_arm(blind, nominal)
 
 
 @pytest.mark.usefixtures("few")
@@ -129,7 +157,11 @@ def test_a_stopped_search_keeps_the_joints_that_it_has_done(nominal: System) -> 
 
     found = diagnose_arm(dataset, nominal, progress=stop)
     assert set(found.joints) == {"pan"} and found.interrupted
-    assert found.skipped == {"lift": "search was stopped", "elbow": "search was stopped"}
+    assert found.skipped == {"lift": STOPPED, "elbow": STOPPED}
+    assert found.verdict == "inconclusive" and not found.estimates
+    assert arm_headline(found).startswith(
+        "Inconclusive: no effect had been accepted at any joint that was diagnosed."
+    )
 
 
 SERVOS = {

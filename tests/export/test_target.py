@@ -1,6 +1,7 @@
 """Models in MuJoCo: what it lacks is fitted anew there, and what it carries stays."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ from drives import make_records, multisine, rigid_drive
 from hybrid_id.components import PositionDependent
 from hybrid_id.export.target import in_mujoco, target_errors
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
 from hybrid_id.reporting.target import error_lines
+from hybrid_id.study.replays import replay
 from hybrid_id.systems import System
+from hybrid_id.systems.model_file import load_model
 
 pytest.importorskip("mujoco")
 
@@ -63,6 +67,33 @@ def test_what_mujoco_carries_stays_as_it_was_identified() -> None:
     found = in_mujoco(rigid_drive(), only(data, "test"), train=only(data, "train"))
     assert found.refitted == {} and found.rows == found.before
     assert found.summary.role == "test" and found.summary.by_output == {"q_m1": found.summary.there}
+
+
+ARM = """<mujoco><worldbody><body><joint name="lift" axis="0 1 0" armature="0.5" damping="2" frictionloss="0.1"/>
+<inertial mass="0.4" pos="0 0 -0.1" diaginertia="1e-3 1e-3 3e-4"/><body pos="0 0 -0.2">
+<joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.01"/>
+<inertial mass="0.1" pos="0 0 -0.05" diaginertia="1e-4 1e-4 1e-4"/></body></body></worldbody></mujoco>"""
+
+
+def test_of_a_robot_the_joints_that_mujoco_loses_are_fitted_there(tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(ARM)
+    (tmp_path / "model.yaml").write_text("robot: {file: arm.xml}\n")
+    nominal = load_model(tmp_path / "model.yaml")
+    split = nominal.with_component("joint2/motor_friction", PositionDependent(A_c=0.02, A_s=0.0, n=0.0))
+    time, still = 0.004 * np.arange(250), {"q_m1": np.zeros(250), "q_m2": np.zeros(250)}
+    commands = ({"tau1": 6.0 * np.sin(w * time), "tau2": 0.1 * np.sin(1.7 * w * time)} for w in (6.0, 9.0))
+    channels = tuple(Channel(f"tau{k}", "N m") for k in (1, 2)), tuple(Channel(n, "rad", 1e-3) for n in still)
+    blank = tuple(Record(f"run_{k}", time, one, still) for k, one in enumerate(commands))
+    rng, runs = np.random.default_rng(0), replay(Dataset("arm", *channels, blank, 0.004), split)
+    noisy = ({n: y + 1e-3 * rng.standard_normal(250) for n, y in run.outputs.items()} for run in runs)
+    data = Dataset(
+        "arm", *channels, tuple(replace(r, outputs=y) for r, y in zip(blank, noisy, strict=True)), 0.004
+    )
+    stages = []
+    found = in_mujoco(split, data, train=data, progress=lambda *now: stages.append(now))
+    assert {split.parameter(name).component.split("/")[0] for name in found.refitted} == {"joint2"}
+    assert found.summary.there < 0.5 * np.mean([row.there for row in found.before])
+    assert stages[0] == ("replays", 0, 1) and all(0 <= done <= total for _, done, total in stages)
 
 
 def test_errors_are_said_by_output_in_the_unit_that_was_logged() -> None:

@@ -13,7 +13,16 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study import identify
-from hybrid_id.systems.by_joint import alone, joint_number, noisier, together, with_others_measured
+from hybrid_id.systems.by_joint import (
+    alone,
+    check_angles,
+    joint_number,
+    named,
+    noisier,
+    some,
+    together,
+    with_others_measured,
+)
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model, save_model
 
@@ -80,11 +89,26 @@ def test_a_joint_moves_as_in_the_whole_arm(tmp_path: Path, joint: str) -> None:
     k = joint_number(system, joint)
     one, own = alone(system, k), with_others_measured(data, system, k)
     assert {i.name for i in one.table} <= {i.name for i in system.table}
-    batch = make_batch(one, own.records, noise_std={"q_m1": 1e-6})
+    batch = make_batch(one, own.records, noise_std={f"q_m{k + 1}": 1e-6})
     found = simulate(one, ENGINE, batch).y[..., 0].numpy()
     for row, record in zip(found, data.records, strict=True):
         measured = record.outputs[f"q_m{k + 1}"]
         assert np.abs(row - measured).max() < 0.01 * np.ptp(measured)
+
+
+def test_two_joints_move_as_in_the_whole_arm_and_keep_their_names(tmp_path: Path) -> None:
+    system = arm(tmp_path)
+    data = records_of(system)
+    pair, own = some(system, [0, 2]), with_others_measured(data, system, 0, 2)
+    assert pair.input_names[:2] == ["goal1", "goal3"] and [c.name for c in own.outputs] == ["q_m1", "q_m3"]
+    assert named(pair, "play@joint3/transmission") == "play@elbow/transmission"
+    assert named(system, "joint3/motor") == "joint3/motor"
+    found = simulate(pair, ENGINE, make_batch(pair, own.records, noise_std={"q_m1": 1e-6, "q_m3": 1e-6})).y
+    for row, record in zip(found.numpy(), data.records, strict=True):
+        measured = np.stack([record.outputs[name] for name in ("q_m1", "q_m3")], -1)
+        assert (np.abs(row - measured).max(0) < 0.01 * np.ptp(measured, axis=0)).all()
+    back = together(pair.with_values({"F_c_elbow": 0.07}))
+    assert back.parameter("F_c_elbow").spec.value == 0.07 and len(back.joints) == 3
 
 
 def test_a_joint_alone_gives_the_parameters_that_the_arm_has(tmp_path: Path) -> None:
@@ -105,7 +129,7 @@ def test_noise_of_the_others_is_in_the_intervals(tmp_path: Path) -> None:
         with_others_measured(one, truth, k)
         for one in (data, noisier(data, k, seed=0), noisier(data, k, seed=1))
     )
-    assert np.array_equal(others[0].records[0].outputs["q_m1"], own.records[0].outputs["q_m1"])
+    assert np.array_equal(others[0].records[0].outputs["q_m2"], own.records[0].outputs["q_m2"])
     bare = identify(own, alone(truth, k), pooled=True)
     study = identify(own, alone(truth, k), pooled=True, noisier=others)
     assert np.array_equal(study.values, bare.values) and bare.input_error is None
@@ -125,6 +149,10 @@ def test_what_a_joint_alone_lacks_is_said(tmp_path: Path) -> None:
     )  # fmt: skip
     with pytest.raises(InputError, match="no angle of joint 'pan'"):
         with_others_measured(blind, system, 1)
+    with pytest.raises(
+        InputError, match=r"no angle of joint 'pan'; add q_a1 .*hold: {pan: 0.0}.*after it then count"
+    ):
+        check_angles(blind, system)
     with pytest.raises(InputError, match="no joint 'elbo'"):
         joint_number(system, "elbo")
     with pytest.raises(InputError, match="whole robot"):
@@ -139,7 +167,7 @@ def test_a_floor_needs_a_point_of_the_robot(tmp_path: Path) -> None:
 def test_what_was_found_of_a_joint_goes_back_into_the_robot(tmp_path: Path) -> None:
     system = arm(tmp_path).with_component("joint3/load", FloorContact("tip", z_f=-0.36, k_f=300.0))
     one = alone(system, 1).with_values({"F_c_lift": 0.07, "z_f": -0.3})
-    whole = together(one.with_component("joint1/motor_friction", Stribeck(F_drop=0.02, v_s=0.3)))
+    whole = together(one.with_component("joint2/motor_friction", Stribeck(F_drop=0.02, v_s=0.3)))
     assert {i.name: i.spec.value for i in whole.table if i.symbol in ("F_c", "F_drop", "z_f", "k_f")} == {
         "F_c_pan": 0.05, "F_c_lift": 0.07, "F_drop_lift": 0.02, "F_c_elbow": 0.03,
         "z_f_elbow": -0.3, "k_f_elbow": 300.0,
