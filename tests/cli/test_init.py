@@ -282,6 +282,21 @@ def one_joint(
     return folder
 
 
+def test_the_gear_of_a_motor_in_the_robots_file_is_asked_about(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    columns = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad": lambda t, g, q: q}
+    folder = one_joint(tmp_path / "logs", columns, '<motor joint="elbow" gear="50"/>')
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    assert "multiplies commands those of the drives (50 at elbow)?" in done.out
+    assert "gear_ratio: [50]" in (folder / "model.yaml").read_text()
+    words = "where it is the drive's gear, and they are before it, add 'gear_ratio: [50]' to model.yaml"
+    assert words in run("check", folder).err
+    with (folder / "model.yaml").open("a") as file:
+        file.write("gear_ratio: [1]\n")
+    assert words not in run("check", folder).err
+
+
 COUNTS = {
     "timestamp": lambda t, g, q: t,
     "goal_position": lambda t, g, q: g,
