@@ -38,7 +38,7 @@ BROKEN = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 
 @dataclass(frozen=True)
 class Agreement:
-    """One output of one record in MuJoCo and here, as normalised RMSE.
+    """One output of one record in MuJoCo and here, as normalised RMSE; NaN where what was measured stands still.
 
     Attributes:
         record: name of the record.
@@ -185,7 +185,8 @@ def agreement(
             pieces = [(run.record.signal(name), run.outputs[name], replayed[name]) for run, replayed in mine]
             measured, ours, theirs = (np.concatenate(one) for one in zip(*pieces, strict=True))
             pairs = (ours, theirs), (measured, ours), (measured, theirs)
-            scores = [float(nrmse(*pair)) for pair in pairs]
+            apart, *errors = (float(nrmse(*pair)) for pair in pairs)
+            scores = [apart if not math.isnan(errors[0]) else math.nan, *errors]
             found.append(
                 Agreement(record.name, record.role, name, *scores, rmse=float(rmse(measured, theirs)))
             )

@@ -9,7 +9,7 @@ from drives import make_records, multisine, rigid_drive
 from hybrid_id.components import PositionDependent
 from hybrid_id.export.target import in_mujoco, target_errors
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.reporting.target import error_lines
+from hybrid_id.reporting.target import error_lines, replays_table
 from hybrid_id.systems import System
 
 pytest.importorskip("mujoco")
@@ -63,6 +63,18 @@ def test_what_mujoco_carries_stays_as_it_was_identified() -> None:
     found = in_mujoco(rigid_drive(), only(data, "test"), train=only(data, "train"))
     assert found.refitted == {} and found.rows == found.before
     assert found.summary.role == "test" and found.summary.by_output == {"q_m1": found.summary.there}
+
+
+def test_an_output_that_stands_still_is_left_out() -> None:
+    """Its simulations move by rounding, or creep: how far they are apart is no share of anything."""
+    data = recorded(rigid_drive())
+    still = replace(data.records[3], outputs={"q_m1": np.full(500, 0.3)})
+    found = target_errors({"exported": rigid_drive()}, replace(data, records=(*data.records[:3], still)))
+    row = found.exported.rows[-1]
+    assert row.record == still.name and np.isnan([row.apart, row.here, row.there]).all()
+    assert found.exported.summary.worst < 1e-2
+    last = [list(column.cells)[-1] for column in replays_table(found.exported.rows, data.outputs).columns]
+    assert last[-3:] == ["constant"] * 3
 
 
 def test_errors_are_said_by_output_in_the_unit_that_was_logged() -> None:
