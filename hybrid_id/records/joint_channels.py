@@ -570,13 +570,22 @@ class _Joint:
 
     def _lag(self) -> None:
         """How late the angle follows its goal, the median of the logs that show it."""
-        if self.drive.command == "goal":
-            logs = self.evidence.liveliest(self.outputs[0].column, FITTED)
-            lags = [
-                goal_lag(self.evidence.time(log), self.inputs[0].values(log), angle)
-                for log, angle in zip(logs, self.at_joint(logs), strict=True)
-            ]
-            self.drive.lag = float(np.median([lag for lag in lags if lag] or [0.0]))
+        if self.drive.command != "goal":
+            return
+        logs, goal = self.evidence.liveliest(self.outputs[0].column, FITTED), self.inputs[0]
+        lags = [
+            goal_lag(self.evidence.time(log), goal.values(log), angle)
+            for log, angle in zip(logs, self.at_joint(logs), strict=True)
+        ]
+        if not (shown := [lag for lag in lags if lag]):
+            return
+        self.drive.lag = float(np.median(shown))
+        words = (
+            f"distance of angle and goal over the speed, median of {len(shown)} of {len(lags)} logs ({min(shown):.3g} "
+            f"to {max(shown):.3g} s); that of a loop is its damping over its stiffness"
+        )
+        most = 2 * len(shown) > len(lags)
+        goal.guesses.append(Guess(f"lag of {goal.name}", f"{self.drive.lag:.3g} s", words, most))
 
     def _current(self) -> None:
         """A measured current is an output beside a commanded voltage."""

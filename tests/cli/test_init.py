@@ -1,6 +1,7 @@
 """`init`: logs of many shapes get the files that a person would have written, and doubts are asked."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -258,6 +259,7 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
     assert model["robot"]["file"] == "../arm.xml"
     kinds = [one["kind"] for one in model.get("components", [])]
     assert kinds == ([] if actuators else ["position_servo"] * 2)
+    assert re.search(r"lag of goal1 +0\.1[12]\d* s +yes +distance of angle and goal over the speed", done.out)
     checked = run("check", folder)
     assert checked.code == 0, checked.err
 
