@@ -38,7 +38,7 @@ BROKEN = ("mjWARN_BADQPOS", "mjWARN_BADQVEL", "mjWARN_BADQACC")
 
 @dataclass(frozen=True)
 class Agreement:
-    """One output of one record in MuJoCo and here, as normalised RMSE; NaN where what was measured stands still.
+    """One output of one record in MuJoCo and here, as normalised RMSE.
 
     Attributes:
         record: name of the record.
@@ -57,6 +57,11 @@ class Agreement:
     here: float
     there: float
     rmse: float
+
+    @property
+    def known_apart(self) -> float:
+        """``apart``; NaN where what was measured stands still, so that both simulations may move by rounding alone."""
+        return math.nan if math.isnan(self.here) else self.apart
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,8 @@ def summarise(rows: Sequence[Agreement]) -> Summary:
         for of in ("there", "rmse")
     )
     missed = known_mean(row.here for row in rows)
-    worst = max((row.apart for row in rows if not math.isnan(row.apart)), default=math.nan)
+    known = [apart for row in rows if not math.isnan(apart := row.known_apart)]
+    worst = max(known, default=math.nan)
     n_records = len({row.record for row in judges})
     strange = missed if missed > STRANGE else None
     return Summary(worst, role, n_records, there, here, by_output, by_unit, strange)
@@ -185,8 +191,7 @@ def agreement(
             pieces = [(run.record.signal(name), run.outputs[name], replayed[name]) for run, replayed in mine]
             measured, ours, theirs = (np.concatenate(one) for one in zip(*pieces, strict=True))
             pairs = (ours, theirs), (measured, ours), (measured, theirs)
-            apart, *errors = (float(nrmse(*pair)) for pair in pairs)
-            scores = [apart if not math.isnan(errors[0]) else math.nan, *errors]
+            scores = [float(nrmse(*pair)) for pair in pairs]
             found.append(
                 Agreement(record.name, record.role, name, *scores, rmse=float(rmse(measured, theirs)))
             )

@@ -80,7 +80,7 @@ def replays_table(rows: Sequence[Agreement], outputs: Sequence[Channel]) -> Tabl
             r.record,
             r.role,
             title(r.output, outputs),
-            *(error_words(value, ".5f") for value in (r.apart, r.here, r.there)),
+            *(error_words(value, ".5f") for value in (r.known_apart, r.here, r.there)),
         )
         for r in rows
     )

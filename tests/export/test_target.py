@@ -71,7 +71,7 @@ def test_an_output_that_stands_still_is_left_out() -> None:
     still = replace(data.records[3], outputs={"q_m1": np.full(500, 0.3)})
     found = target_errors({"exported": rigid_drive()}, replace(data, records=(*data.records[:3], still)))
     row = found.exported.rows[-1]
-    assert row.record == still.name and np.isnan([row.apart, row.here, row.there]).all()
+    assert row.record == still.name and np.isnan([row.known_apart, row.here, row.there]).all()
     assert found.exported.summary.worst < 1e-2
     last = [list(column.cells)[-1] for column in replays_table(found.exported.rows, data.outputs).columns]
     assert last[-3:] == ["constant"] * 3
