@@ -1,5 +1,6 @@
-"""From records and the nominal model to a diagnosis, in four functions: search, settle, test, report.
+"""From records and the nominal model to a diagnosis: measure, search, freeze, test, report.
 
+The search goes by selection steps, of three stages each: screen and fit (``screen.py``), select (``select.py``).
 Train records fit. Train records left out whole, in turn, or validation records where there are some, choose and reject.
 The test records are opened once, after the answer is frozen: they measure the gap and change nothing.
 """
@@ -32,7 +33,7 @@ from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
 from hybrid_id.diagnosis.plausibility import implausible_parameters
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds, named_alike, screen
+from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds, named_alike, selection_step
 from hybrid_id.diagnosis.select import (
     MAX_EFFECTS,
     Selection,
@@ -98,16 +99,59 @@ def diagnose(
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     say = progress or (lambda *_: None)
+    say("nominal model", 0, 1)
+    measured = measure(dataset, system, horizon=horizon, jobs=jobs, signal_share=signal_share, kept=kept)
+    fits, found = search(
+        measured.fits,
+        measured.base,
+        system,
+        choose_horizon=horizon is None,
+        max_effects=max_effects,
+        progress=progress,
+    )
+    say("location", 0, 1)
+    answer = freeze(fits, found, system, seed=seed)
+    say("test records", 0, 1)
+    tested = test(measured.dataset, system, answer, seed=seed)
+    return report(measured.dataset, system, answer, tested, skews=measured.skews, seed=seed, level=level)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What is known before any effect is tried.
+
+    Attributes:
+        dataset: all records, their channels shifted to one time.
+        skews: channels that were recorded late against others.
+        fits: fits models to the train records, thinned where that loses nothing.
+        base: the nominal model, re-fitted to them: how far it is from the records is the gap.
+    """
+
+    dataset: Dataset
+    skews: tuple[Skew, ...]
+    fits: Fits
+    base: FittedModel
+
+
+def measure(
+    dataset: Dataset,
+    system: System,
+    *,
+    horizon: Horizon | None = None,
+    jobs: int = 1,
+    signal_share: float = SIGNAL_SHARE,
+    kept: Kept | None = None,
+) -> Measured:
+    """Stage measure: take skew out of the records, thin them, and re-fit the nominal model; arguments as `diagnose`.
+
+    Raises:
+        InputError: the nominal model cannot be fitted.
+    """
     skews = find_skews(dataset)
     dataset = dataset.without_skew({one.channel: one.late for one in skews})
     fits = Fits(thinned(dataset, system, signal_share), jobs=jobs, signal_share=signal_share, kept=kept)
-    say("nominal model", 0, 1)
-    fits, found = search(fits, system, horizon=horizon, max_effects=max_effects, progress=progress)
-    say("location", 0, 1)
-    answer = settle(fits, found, system, seed=seed)
-    say("test records", 0, 1)
-    tested = test(dataset, system, answer, seed=seed)
-    return report(dataset, system, answer, tested, skews=skews, seed=seed, level=level)
+    fits = fits if horizon is None else fits.over(horizon)
+    return Measured(dataset, tuple(skews), fits, fits.base(system))
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,34 +204,37 @@ class Answer:
 
 def search(
     fits: Fits,
+    base: FittedModel,
     system: System,
     *,
-    horizon: Horizon | None = None,
+    choose_horizon: bool = True,
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> tuple[Fits, Selection]:
-    """Stage search: the re-fitted model and the effects that the train records call for.
+    """Stages screen, fit and select: the horizon, and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
-    leave no structure. Otherwise it is done over windows, where these tell the best effect from the others more surely,
-    and goes on over whole records, where these bear out what windows have told: a slow effect shows there alone.
-    Where the best effect still leaves some and each record's own values of the nominal model leave none, records differ
-    and no effect is missing.
+    leave no structure. Otherwise it is done over windows, where these distinguish the best effect from the others more
+    surely, and goes on over whole records, where these confirm the effects found over windows: a slow effect shows
+    there alone. Where the best effect still leaves some and each record's own values of the nominal model leave none,
+    records differ and no effect is missing.
 
     Args:
-        fits: holds the records.
+        fits: fits models to the train records.
+        base: the nominal model, re-fitted over the horizon of ``fits``.
         system: the nominal model.
-        horizon: that of the user; None for that of the records.
+        choose_horizon: whether the records choose the horizon; otherwise it is that of ``fits``.
         max_effects: effects at most.
         progress: called with (stage, done, total).
+
+    Returns:
+        Fits over the horizon of the search, and its result.
     """
-    fits = fits if horizon is None else fits.over(horizon)
-    best = base = fits.base(system)
-    first, steps, whole = None, list[SelectionStep](), None
+    best, first, steps, whole = base, None, list[SelectionStep](), None
     try:
-        if horizon is None:
+        if choose_horizon:
             if fits.astray(base) <= CRITERIA.lost_refit:
-                first = screen(fits, base, system, progress=progress)
+                first = selection_step(fits, base, system, progress=progress)
                 best = min((e for e in (base, *first.candidates) if e.judged), key=lambda e: e.error)
                 if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own)
@@ -195,7 +242,7 @@ def search(
                 few = None if first is None else _rivals(first) or None
                 short = _short_runs(fits, system)
                 if short is not None:
-                    step = screen(*short, system, among=few, progress=progress)
+                    step = selection_step(*short, system, among=few, progress=progress)
                     if first is None or _rivalry(step) < _rivalry(first):
                         whole = None if first is None else (fits, base, first)
                         (fits, base), first = short, step
@@ -222,10 +269,10 @@ def _along_whole(
     max_effects: int,
     progress: Progress | None,
 ) -> Selection | None:
-    """The search gone on over whole records beside the effects that short runs have told; None where it cannot.
+    """The search gone on over whole records beside the effects found over short runs; None where it cannot.
 
     What is fast shows over short runs, what is slow along whole ones, and most machines lack both. It goes on only
-    where whole records bear these effects out.
+    where whole records confirm these effects.
     """
     if not near.chosen.effects:
         return None
@@ -292,8 +339,8 @@ def _rivals(step: SelectionStep) -> frozenset[Name]:
     return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained <= least)
 
 
-def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
-    """Stage settle: freeze the answer, once all that is selected is sure enough to be asserted.
+def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
+    """Freeze the answer, once all that is selected is sure enough to be asserted; after it nothing changes any more.
 
     :func:`locate` comes first, for the structural share of what remains depends on it; :func:`grade` divides the gap.
     The last effect that is not sure enough is dropped, and both are done again for the rest.
