@@ -300,6 +300,7 @@ def write_parts(
             diagnosis, figures, max_effects=config.gap.max_effects, findings=remarks(diagnosis.details.dataset),
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
+        compute=diagnosis.details.compute,
         settings={"seed": config.identification.seed},
         draw=draw,
     )  # fmt: skip

@@ -77,7 +77,8 @@ class Diagnosis:
         skews: channels that are recorded late against others, in words; the diagnosis has shifted them.
         changes: which physical change explains the new parameter values, in a sentence; empty where none does.
         search: all that was tried.
-        details: maps, reversals, parameter statistics and tests of residuals, each computed when first asked for.
+        details: maps, reversals, parameter statistics and tests of residuals, each computed when first asked for, or
+            all by its ``compute()``.
     """
 
     case: str
