@@ -167,8 +167,8 @@ class Answer:
         varying: parameters that differ from record to record, in words.
         rejected: effects that were accepted and then were not sure enough to be asserted, ``name at place``.
         wrong_values: whether the nominal values err clearly more than the re-fitted ones.
-        vague: smallest relative standard error of what the records identify of the nominal model, where nothing is
-            named; 0 elsewhere.
+        relative_std: smallest relative standard error of what the records identify of the nominal model, where
+            nothing is named; 0 elsewhere.
     """
 
     fits: Fits
@@ -180,7 +180,7 @@ class Answer:
     varying: tuple[str, ...]
     rejected: tuple[str, ...]
     wrong_values: bool
-    vague: float
+    relative_std: float
 
     @property
     def verdict(self) -> str:
@@ -194,7 +194,7 @@ class Answer:
             return "outside_catalogue"
         if self.varying:
             return "parameters_only"
-        if self.vague > CRITERIA.vague:
+        if self.relative_std > CRITERIA.max_relative_std:
             return "inconclusive"  # what identifies no parameter identifies no effect either
         noisy = mean_square(base.result.residual) >= CRITERIA.negligible**2
         if noisy and base.validation.effective < CRITERIA.too_few:
@@ -335,7 +335,7 @@ def _rivals(step: SelectionStep) -> frozenset[Name]:
     runs, and may be most of the gap.
     """
     most = min((e.trained for e in step.candidates), default=0.0)
-    least = step.before.trained - CRITERIA.much * (step.before.trained - most)
+    least = step.before.trained - CRITERIA.major_share * (step.before.trained - most)
     return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained <= least)
 
 
@@ -364,11 +364,11 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
         found = replace(found, chosen=rest or found.base)
     nothing = not found.chosen.effects and not graded.unknown and not varying
-    told = check_identifiability(fits.dataset, system) if nothing else None
-    vague = float(min(told.combination_std, default=np.inf)) if told is not None else 0.0
+    identified = check_identifiability(fits.dataset, system) if nothing else None
+    std = 0.0 if identified is None else float(min(identified.combination_std, default=np.inf))
     found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
-    return Answer(fits, found, graded, before, after, structural, varying, tuple(rejected), wrong, vague)
+    return Answer(fits, found, graded, before, after, structural, varying, tuple(rejected), wrong, std)
 
 
 def _for_all_records(found: Selection, own: PerRecord) -> Selection:
@@ -522,7 +522,7 @@ def report(
     found, graded, fits = answer.found, answer.grade, answer.fits
     substantial = graded.unknown or graded.remainder >= CRITERIA.substantial
     named_joint = bool(found.chosen.effects) and len(system.joints) > 1
-    told = (
+    identified = (
         check_identifiability(dataset, system) if implausible_parameters(system, found.base.system) else None
     )
     return Diagnosis(
@@ -543,7 +543,7 @@ def report(
         rest_differs=tested.rest_differs,
         location=answer.before,
         residual_after=answer.after,
-        implausible=tuple(implausible_parameters(system, found.base.system, told)),
+        implausible=tuple(implausible_parameters(system, found.base.system, identified)),
         experiments=tuple(next_experiment(dataset, tied_models(found))),
         rejected=answer.rejected,
         varying=answer.varying,
@@ -552,7 +552,7 @@ def report(
         extrapolation=tuple(beyond(dataset)),
         disturbances=tuple(disturbances(fits, found.chosen)) if substantial else (),
         disturbances_before=tuple(disturbances(fits, found.base)) if named_joint else (),
-        vague=answer.vague,
+        relative_std=answer.relative_std,
         changes=_changes(answer, system),
         skews=tuple(one.message for one in skews),
         search=found,

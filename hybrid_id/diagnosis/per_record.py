@@ -72,7 +72,7 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     if any(one.status == "diverged" for one in sets):
         return None
     left = autocorrelation([residual for one in sets for residual in one.residual])
-    if float(np.mean([_structural(one) for one in sets])) > CRITERIA.faint**2:
+    if float(np.mean([_structural(one) for one in sets])) > CRITERIA.negligible_structure**2:
         return PerRecord(model, left)
     if model.autocorrelation <= CRITERIA.coloured:
         return PerRecord(model, left, _scatter(sets), True)

@@ -71,8 +71,8 @@ class Diagnosis:
         extrapolation: test records that go where no train record has been, in words.
         disturbances: where something outside the catalogue acts, what a torque of arbitrary shape in time would
             explain at each side of each joint, best first.
-        vague: least standard error, relative, of what these records identify of the nominal model, where no effect is
-            named; 0 elsewhere.
+        relative_std: smallest relative standard error of what these records identify of the nominal model, where no
+            effect is named; 0 elsewhere.
         disturbances_before: the same of the re-fitted model, where an effect is named and there are several joints.
         skews: channels that are recorded late against others, in words; the diagnosis has shifted them.
         changes: which physical change explains the new parameter values, in a sentence; empty where none does.
@@ -107,7 +107,7 @@ class Diagnosis:
     extrapolation: tuple[str, ...]
     disturbances: tuple[Disturbance, ...]
     disturbances_before: tuple[Disturbance, ...]
-    vague: float
+    relative_std: float
     changes: str
     skews: tuple[str, ...]
     search: Selection = field(repr=False)

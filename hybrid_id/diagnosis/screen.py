@@ -140,8 +140,8 @@ def needed_fall(richer: FittedModel, simpler: FittedModel) -> float:
     """Relative fall of the mean square from which an effect is named."""
     if not simpler.effects:
         # what takes next to nothing, and leaves the colour of the rest as it was, has fitted the records' differences
-        bleached = richer.autocorrelation <= CRITERIA.bleached * simpler.autocorrelation
-        return CRITERIA.least_fall if bleached else CRITERIA.completing_fall
+        much_less = richer.autocorrelation <= CRITERIA.autocorrelation_left * simpler.autocorrelation
+        return CRITERIA.least_fall if much_less else CRITERIA.completing_fall
     completes = richer.white or (richer.no_structure and not simpler.no_structure)
     return CRITERIA.completing_fall if completes else CRITERIA.next_fall
 
@@ -208,7 +208,7 @@ def _further(
     best = min((*some, *everyone), key=lambda e: e.trained)
     limit = math.inf
     if iterations == FULL or before.effects or best.white:
-        open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.much
+        open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.major_share
         closed = best.trained + open_ * max(before.trained - best.trained, 0.0)
         limit = max(HOPELESS * best.trained, closed)
     rivals = [e for e in some if e.trained < limit]
@@ -378,7 +378,7 @@ def _equals(best: FittedModel, one: FittedModel, before: FittedModel) -> bool:
 
 def _does_much(best: FittedModel, one: FittedModel, before: FittedModel) -> bool:
     """Whether a candidate explains the greater part of what the best does."""
-    return before.error - one.error >= CRITERIA.much * (before.error - best.error)
+    return before.error - one.error >= CRITERIA.major_share * (before.error - best.error)
 
 
 def named_alike(one: FittedModel) -> list[tuple[str, str]]:

@@ -298,7 +298,7 @@ def _alive(steps: Sequence[SelectionStep], model: FittedModel) -> frozenset[Name
     last = next((one for one in reversed(steps) if one.before.effects and not one.swap), None)
     if last is None or len(model.effects) <= len(last.before.effects):
         return None
-    alive = (e for e in last.candidates if e.result.cost < CRITERIA.again * last.before.result.cost)
+    alive = (e for e in last.candidates if e.result.cost < CRITERIA.retry_cost * last.before.result.cost)
     return frozenset(added_effect(e, last.before) for e in alive)
 
 

@@ -44,7 +44,7 @@ class ProposedModel:
     Attributes:
         values: as the file's keys.
         why: place in it, ``parameters.J`` or ``components.0``, and the evidence for what stands there.
-        questions: what cannot be told.
+        questions: what neither records nor robot say.
     """
 
     values: dict[str, Any]
