@@ -1,8 +1,8 @@
 """The numbers that decide what a diagnosis claims, with their meaning and source.
 
 Numbers that decide what is computed (which fits, iterations, draws, the length of blocks, initial values) stand beside
-the code that uses them, and so do those of what is said beside the verdict: of parameters that differ from record to
-record (``per_record.py``), are implausible (``plausibility.py``), or have changed physically (``changes.py``).
+the code that uses them, and so do those of what is said beside the verdict: of parameters that are implausible
+(``plausibility.py``), or have changed physically (``changes.py``).
 """
 
 from __future__ import annotations
@@ -58,6 +58,10 @@ class Criteria:
         too_few: independent samples below which no effect can be identified.
         negligible_structure: RMS of autocorrelated errors of per-record fits up to which these say nothing: encoders
             whose counts rest, ripple or miss leave as much.
+        between_records: variance of the records' own parameter values along a direction, over that of their estimation
+            errors, from which the records differ along it.
+        least_information: eigenvalue of the information on relative parameter changes, over the greatest, below which
+            records do not identify a direction.
         place_z: standard errors by which a torque at another joint or side has to explain less, for a place to be
             named.
     """
@@ -88,6 +92,8 @@ class Criteria:
     retry_cost: float = 0.99
     too_few: float = 30.0
     negligible_structure: float = 0.5
+    between_records: float = 4.0
+    least_information: float = 1e-6
     place_z: float = 3.0
 
 
