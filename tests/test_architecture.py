@@ -193,6 +193,54 @@ def test_permitted_source_passes(module: str, source: str) -> None:
     assert faults(module, source) == []
 
 
+def circles(known: dict[str, str]) -> list[str]:
+    """Modules that import themselves by way of others; imports inside functions count, those for types alone do not.
+
+    Args:
+        known: source text by module name.
+    """
+
+    def of(module: str) -> set[str]:
+        tree = ast.parse(known[module])
+        for node in ast.walk(tree):
+            if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+                node.body = []
+        names = set[str]()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                base = node.module or ""
+                # `from package import module` imports the module, `from package import name` the package's own file
+                full = (f"{base}.{alias.name}" for alias in node.names)
+                names |= {name if name in known else base for name in full}
+        return names & known.keys() - {module}
+
+    direct = {module: of(module) for module in known}
+
+    def reached(module: str) -> set[str]:
+        seen, todo = set[str](), [module]
+        while todo:
+            new = direct[todo.pop()] - seen
+            seen |= new
+            todo += new
+        return seen
+
+    return [module for module in known if module in reached(module)]
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    names = {f"hybrid_id.{module_name(p)}".rstrip("."): p.read_text(encoding="utf-8") for p in MODULES}
+    del names["hybrid_id"]  # the facade
+    assert circles(names) == []
+
+
+def test_a_circle_of_imports_would_be_seen() -> None:
+    one, other = "def f():\n    from p.b import g", "from p import a"
+    assert circles({"p.a": one, "p.b": other, "p.c": "import p.a"}) == ["p.a", "p.b"]
+    assert circles({"p.a": "if TYPE_CHECKING:\n    from p.b import g", "p.b": other}) == []
+
+
 def loads_torch(*modules: str) -> bool:
     """Whether importing these modules in a fresh interpreter loads torch, directly or not."""
     code = f"import sys, {', '.join(modules)}; print('torch' in sys.modules)"
