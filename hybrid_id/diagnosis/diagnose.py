@@ -31,7 +31,7 @@ from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
-from hybrid_id.diagnosis.plausibility import implausible_parameters
+from hybrid_id.diagnosis.plausibility import implausible_parameters, not_identifiable
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds, named_alike, selection_step
 from hybrid_id.diagnosis.select import (
@@ -44,7 +44,6 @@ from hybrid_id.diagnosis.select import (
     select,
 )
 from hybrid_id.diagnosis.thinning import thinned
-from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import make_bounds

@@ -14,7 +14,7 @@ from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
-from hybrid_id.study.notebook import as_html
+from hybrid_id.study.result import as_html
 from hybrid_id.systems.chain import System
 
 if TYPE_CHECKING:
