@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-STAGES = ("search", "settle", "test", "report")
-"""Functions of ``diagnosis.diagnose``, one a stage: search measures, screens, fits and selects."""
+STAGES = ("measure", "search", "freeze", "test", "report")
+"""Functions of ``diagnosis.diagnose``, one a stage: search screens, fits and selects."""
 REST = "rest"
 TARGETS = {1: 60.0, 2: 180.0}
 """Seconds, by links."""

@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from hybrid_id.identification.fit import fit as fit
     from hybrid_id.identification.result import FitResult as FitResult
     from hybrid_id.parameters import Parameter as Parameter
-    from hybrid_id.records.dataset import Channel as Channel
     from hybrid_id.records.dataset import Dataset as Dataset
     from hybrid_id.records.excitation import design_multisine as design_multisine
     from hybrid_id.records.quality import check_dataset as check_dataset
+    from hybrid_id.records.record import Channel as Channel
     from hybrid_id.records.record import Record as Record
     from hybrid_id.simulation.prepare import make_batch as make_batch
     from hybrid_id.simulation.rollout import simulate as simulate
@@ -73,10 +73,10 @@ _MODULES = {
     "hybrid_id.identification.fit": "fit",
     "hybrid_id.identification.result": "FitResult",
     "hybrid_id.parameters": "Parameter",
-    "hybrid_id.records.dataset": "Channel Dataset",
+    "hybrid_id.records.dataset": "Dataset",
     "hybrid_id.records.excitation": "design_multisine",
     "hybrid_id.records.quality": "check_dataset",
-    "hybrid_id.records.record": "Record",
+    "hybrid_id.records.record": "Channel Record",
     "hybrid_id.simulation.prepare": "make_batch",
     "hybrid_id.simulation.rollout": "simulate",
     "hybrid_id.simulation.step": "Engine",

@@ -57,6 +57,11 @@ def batch_of(
     return Batch(u, dt, y, torch.zeros_like(y), x, torch.zeros_like(x[:, 0]), tuple(outputs), names)
 
 
+def only(system: System, *free: str) -> System:
+    """The system with just these parameters to estimate."""
+    return system.with_specs({i.name: replace(i.spec, estimate=i.name in free) for i in system.table})
+
+
 def stored(system: System, rows: int = 1) -> Tensor:
     """The system's own values for each row, (n_p, R)."""
     return system.theta().detach()[:, None].repeat(1, rows)

@@ -19,6 +19,11 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 MAX_PUBLIC_NAMES = 40
 
+MAX_LINES = 55
+"""Of a function's code, without signature and docstring: a screen."""
+LONGER = {"machines.messy._rivals": 66, "machines.judge.judge": 56}
+"""Functions that are longer as yet."""
+
 FLOORS = {
     "errors": 0,
     "parameters": 0,
@@ -191,6 +196,76 @@ def test_offence_is_caught(module: str, source: str, expected: str) -> None:
 )
 def test_permitted_source_passes(module: str, source: str) -> None:
     assert faults(module, source) == []
+
+
+def long_functions(module: str, source: str, most: int = MAX_LINES) -> Iterator[str]:
+    """Yield functions whose code, without signature and docstring, has more lines than fit a screen."""
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        code = node.body[1:] if ast.get_docstring(node) else node.body
+        lines = (code[-1].end_lineno or 0) - code[0].lineno + 1 if code else 0
+        if lines > LONGER.get(f"{module}.{node.name}", most):
+            yield f"{module}.{node.name} has {lines} lines"
+
+
+def test_functions_fit_a_screen() -> None:
+    found = [one for p in MODULES for one in long_functions(module_name(p), p.read_text(encoding="utf-8"))]
+    assert found == []
+
+
+def test_a_long_function_would_be_seen() -> None:
+    source = 'def f(\n    a,\n):\n    """Words.\n\n    More of them.\n    """\n    a = 1\n    return a\n'
+    assert list(long_functions("m", source, 1)) == ["m.f has 2 lines"]
+    assert not list(long_functions("m", source, 2))
+
+
+def circles(known: dict[str, str]) -> list[str]:
+    """Modules that import themselves by way of others; imports inside functions count, those for types alone do not.
+
+    Args:
+        known: source text by module name.
+    """
+
+    def of(module: str) -> set[str]:
+        tree = ast.parse(known[module])
+        for node in ast.walk(tree):
+            if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+                node.body = []
+        names = set[str]()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                base = node.module or ""
+                # `from package import module` imports the module, `from package import name` the package's own file
+                full = (f"{base}.{alias.name}" for alias in node.names)
+                names |= {name if name in known else base for name in full}
+        return names & known.keys() - {module}
+
+    direct = {module: of(module) for module in known}
+
+    def reached(module: str) -> set[str]:
+        seen, todo = set[str](), [module]
+        while todo:
+            new = direct[todo.pop()] - seen
+            seen |= new
+            todo += new
+        return seen
+
+    return [module for module in known if module in reached(module)]
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    names = {f"hybrid_id.{module_name(p)}".rstrip("."): p.read_text(encoding="utf-8") for p in MODULES}
+    del names["hybrid_id"]  # the facade
+    assert circles(names) == []
+
+
+def test_a_circle_of_imports_would_be_seen() -> None:
+    one, other = "def f():\n    from p.b import g", "from p import a"
+    assert circles({"p.a": one, "p.b": other, "p.c": "import p.a"}) == ["p.a", "p.b"]
+    assert circles({"p.a": "if TYPE_CHECKING:\n    from p.b import g", "p.b": other}) == []
 
 
 def loads_torch(*modules: str) -> bool:

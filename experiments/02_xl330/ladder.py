@@ -20,6 +20,7 @@ from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import ModelFile, build_model
 
@@ -58,9 +59,9 @@ def prepare(config: Mapping[str, Any], system: System, records: Sequence[Record]
     return replace(batch, x=states)
 
 
-def mean_errors(result: FitResult, batch: Batch) -> np.ndarray:
+def mean_errors(system: System, engine: Engine, batch: Batch) -> np.ndarray:
     """Mean |measured - simulated| of each record [rad]."""
-    misses = (simulate(result.system, result.engine, batch).y - batch.y).abs() * (batch.weight > 0)
+    misses = (simulate(system, engine, batch).y - batch.y).abs() * (batch.weight > 0)
     return (misses.sum((1, 2)) / (batch.weight > 0).sum((1, 2))).numpy()
 
 
@@ -80,7 +81,9 @@ def climb(
         (result,) = fit(
             system, batch, pooled=True, options=options, starts=starts or config["starts"], warm=below is None
         )
-        rungs[model] = Rung(result, mean_errors(result, batch), time.process_time() - begin)
+        rungs[model] = Rung(
+            result, mean_errors(result.system, result.engine, batch), time.process_time() - begin
+        )
     return rungs
 
 
@@ -99,7 +102,7 @@ def leave_one_out(
     for k in range(whole.rows):
         rest = torch.tensor([i for i in range(whole.rows) if i != k])
         (result,) = fit(system, near.take(rest), pooled=True, options=options, warm=False)
-        errors.append(mean_errors(result, whole.take(torch.tensor([k])))[0])
+        errors.append(mean_errors(result.system, result.engine, whole.take(torch.tensor([k])))[0])
         sets.append(result.values)
     return np.array(errors), np.array(sets)
 

@@ -40,10 +40,10 @@ def held_out_table(
     """Error on the records of each group, by models that were fitted to the other groups."""
     rows = []
     for name in config["ladder"]:
-        found = [
-            mean_errors(ladder[name].result, prepare(config, ladder[name].result.system, some)).mean()
-            for ladder, some in zip(rotation, test.values(), strict=True)
-        ]
+        found = []
+        for ladder, some in zip(rotation, test.values(), strict=True):
+            one = ladder[name].result
+            found.append(mean_errors(one.system, one.engine, prepare(config, one.system, some)).mean())
         rows.append([name, *(f"{e:.4f}" for e in found), f"{np.mean(found):.4f}"])
     return table([title, *(f"{g:g}" for g in test), "mean"], rows)
 

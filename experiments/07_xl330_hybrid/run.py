@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 import torch
 from scipy.stats import t
-from servo import errors, prepare, rotate
+
+sys.path.insert(1, str(Path(__file__).parents[1] / "02_xl330"))
+from ladder import mean_errors, prepare  # pyright: ignore[reportMissingImports]
+from servo import rotate
 
 from hybrid_id import Dataset
 from hybrid_id.records.resample import resample_record
@@ -22,12 +25,14 @@ for gain in gains:
     result = rotate(config, records, gain)
     batch = prepare(config, result.system, [r for r in records if r.signal(config["held_out"])[0] == gain])
     for k, rung in enumerate(result.rungs):
-        found, mark = errors(rung.system, result, batch), "*" if k == result.chosen else " "
+        found, mark = mean_errors(rung.system, result.engine, batch), "*" if k == result.chosen else " "
         print(f"{mark} gain {gain:g} price {rung.price:<4g} validation {rung.validation:8.3f}  ", end="")
         print(
             f"test {found.mean():.4f} rad ({', '.join(f'{e:.4f}' for e in found)})  {rung.status}", flush=True
         )
-    alone, chosen = (errors(r.system, result, batch) for r in (result.rungs[0], result.rungs[result.chosen]))
+    alone, chosen = (
+        mean_errors(r.system, result.engine, batch) for r in (result.rungs[0], result.rungs[result.chosen])
+    )
     pairs += list(zip(alone, chosen, strict=True))
 alone, hybrid = np.array(pairs).T
 change = hybrid - alone

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
-import numpy as np
+from ladder import prepare  # pyright: ignore[reportMissingImports]
 
 from hybrid_id.components import ResidualNetwork
 from hybrid_id.identification.hybrid import HybridOptions, HybridResult, train_hybrid
 from hybrid_id.identification.objective import Loss
 from hybrid_id.records.record import Record
-from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import ModelFile, build_model
@@ -25,17 +21,6 @@ def build(config: Mapping[str, Any]) -> System:
     how = dict(config["network"])
     system = build_model(ModelFile.model_validate(config["model"]))
     return system.with_component(how.pop("place"), ResidualNetwork(**how))
-
-
-def prepare(config: Mapping[str, Any], system: System, records: Sequence[Record]) -> Batch:
-    """Records in units of the encoder's step; each starts at its first measured position, at rest."""
-    noise = {"q_m1": config["encoder_step"]}
-    batch = make_batch(
-        system, records, outputs=["q_m1"], noise_std=noise, signal_share=0.0, estimate_start=False
-    )
-    states = batch.x.clone()
-    states[:, 0, 0], states[:, 0, 1] = batch.y[:, 0, 0], 0.0
-    return replace(batch, x=states)
 
 
 def rotate(config: Mapping[str, Any], records: Sequence[Record], gain: float) -> HybridResult:
@@ -52,9 +37,3 @@ def rotate(config: Mapping[str, Any], records: Sequence[Record], gain: float) ->
     engine = OdeEngine(fine=config["fine"], width=config["width"])
     data, held = prepare(config, system, train), prepare(config, system, looked)
     return train_hybrid(system, data, held, engine=engine, options=options)
-
-
-def errors(system: System, result: HybridResult, batch: Batch) -> np.ndarray:
-    """Mean |measured - simulated| of each record [rad]."""
-    misses = (simulate(system, result.engine, batch).y - batch.y).abs() * (batch.weight > 0)
-    return (misses.sum((1, 2)) / (batch.weight > 0).sum((1, 2))).numpy()

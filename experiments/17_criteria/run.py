@@ -12,7 +12,7 @@ import yaml
 
 from hybrid_id import Dataset, diagnose, load_model
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.keep import Kept
+from hybrid_id.identification.keep import Kept
 from hybrid_id.machines.judge import Judged, judge
 
 OUT = Path("runs/criteria")

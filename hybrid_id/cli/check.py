@@ -59,8 +59,8 @@ def check(
     elif found is not None and system is not None:
         _show_model(found, system, path, full=full)
     refuse_errors([*findings, *(() if found is None else found.findings)])
-    told = None if found is None else found.identified
-    if told is not None and not told.combinations and not told.claimable.any():
+    identified = None if found is None else found.identified
+    if identified is not None and not identified.combinations and not identified.claimable.any():
         raise InputError(f"the records identify nothing of {path}; make new ones in which the drive moves")
 
 

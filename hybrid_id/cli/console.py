@@ -194,7 +194,7 @@ class SearchProgress:
         self, max_effects: int, searches: int = 1, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._searches = searches
-        self._most, self._clock, self._since, self._told = max_effects, clock, 0.0, False
+        self._most, self._clock, self._since, self._said = max_effects, clock, 0.0, False
         self._bar = bar(
             TextColumn("{task.description}"), BarColumn(24), TimeElapsedColumn(), TimeRemainingColumn()
         )
@@ -230,8 +230,8 @@ class SearchProgress:
         if stage != self._stage:
             self._stage, self._since = stage, self._clock()
             self._bar.reset(self._task, total=total)
-        if done == TIMED + 1 and total > TIMED and not self._told:
-            self._told = True
+        if done == TIMED + 1 and total > TIMED and not self._said:
+            self._said = True
             self._say_how_long(total * (self._clock() - self._since) / TIMED)
         words = f"{stage}, fit {done} of at most {total}" if total > 1 else stage
         self._bar.update(self._task, description=words, completed=done)

@@ -129,7 +129,7 @@ def _arm(
 
 
 def _conclusion(study: "Study", truth: dict[str, float], out: Path) -> list[str]:
-    from hybrid_id.study.truth import against_truth
+    from hybrid_id.study.result import against_truth
 
     claims = [one.inside for one in against_truth(study, truth) if one.inside is not None]
     fit, test = study.selection.mean[study.selection.index], list(study.test_nrmse.values())

@@ -341,6 +341,7 @@ def write_parts(
             robot=robot,
         ),
         events=lambda place, images: write_diagnosis_events(place, diagnosis, images),
+        compute=diagnosis.details.compute,
         settings={"seed": config.identification.seed},
         draw=draw,
     )  # fmt: skip

@@ -32,12 +32,13 @@ def write_report(
     figures: Callable[[], dict[str, Drawn]],
     page: Callable[[dict[str, Drawn]], Page],
     events: Callable[[Path, Mapping[str, np.ndarray]], None] | None = None,
+    compute: Callable[[], None] = lambda: None,
     settings: Mapping[str, object] | None = None,
     draw: bool = True,
 ) -> bool:
     """Write the study file, and the pictures, TensorBoard events and page that it asks for.
 
-    Ctrl-C ends the drawing: pictures, events and page are then left out, all of them, and what is computed is kept.
+    Ctrl-C ends it: pictures, events and page are then left out, all of them, and the result is kept.
 
     Args:
         folder: where to write.
@@ -47,6 +48,7 @@ def write_report(
         figures: draws the pictures, by the name of their file.
         page: makes the page of them.
         events: writes event files with the images into a folder.
+        compute: computes what these show, beside the result itself.
         settings: what the page says of how it was made, beside versions and study file.
         draw: whether to draw; not where the user has already asked for the end.
 
@@ -64,6 +66,7 @@ def write_report(
             from hybrid_id.reporting.page import how_made
             from hybrid_id.reporting.style import save
 
+            compute()
             new, drawn = Path(temporary), figures()
             if wish.figures:
                 for name, figure in drawn.items():

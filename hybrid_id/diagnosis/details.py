@@ -26,7 +26,8 @@ JOINTS = 3
 class Details:
     """Results that follow from a diagnosis. Each is computed when it is first asked for, and then kept.
 
-    A board that scores a thousand diagnoses asks for none of them; the command ``diagnose`` for all that it writes.
+    A board that scores a thousand diagnoses asks for none of them; the command ``diagnose`` lets :meth:`compute` have
+    all of them before it draws anything.
 
     Args:
         fits: the records, their horizon and their noise.
@@ -56,6 +57,11 @@ class Details:
     def dataset(self) -> Dataset:
         """The records; those of validation are train records here, as in the final fit."""
         return self._fits.dataset
+
+    def compute(self) -> None:
+        """Fit and simulate all that pictures and page show: what renders them then only reads."""
+        for name in ("maps", "reversals", "studies", "residual_tests", "worst_record"):
+            getattr(self, name)
 
     @cached_property
     def maps(self) -> tuple[Mapping[str, TorqueMap], ...]:

@@ -1,5 +1,6 @@
-"""From records and the nominal model to a diagnosis, in four functions: search, settle, test, report.
+"""From records and the nominal model to a diagnosis: measure, search, freeze, test, report.
 
+The search goes by selection steps, of three stages each: screen and fit (``screen.py``), select (``select.py``).
 Train records fit. Train records left out whole, in turn, or validation records where there are some, choose and reject.
 The test records are opened once, after the answer is frozen: they measure the gap and change nothing.
 """
@@ -30,9 +31,9 @@ from hybrid_id.diagnosis.locate import Location, disturbances, locate
 from hybrid_id.diagnosis.model import FittedModel, Name, added_effect
 from hybrid_id.diagnosis.next_experiment import next_experiment
 from hybrid_id.diagnosis.per_record import PerRecord, per_record
-from hybrid_id.diagnosis.plausibility import implausible_parameters
+from hybrid_id.diagnosis.plausibility import implausible_parameters, not_identifiable
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds, named_alike, screen
+from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds, named_alike, selection_step
 from hybrid_id.diagnosis.select import (
     MAX_EFFECTS,
     Selection,
@@ -43,7 +44,6 @@ from hybrid_id.diagnosis.select import (
     select,
 )
 from hybrid_id.diagnosis.thinning import thinned
-from hybrid_id.diagnosis.unidentified import not_identifiable
 from hybrid_id.diagnosis.validation import mean_square
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import make_bounds
@@ -98,16 +98,59 @@ def diagnose(
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     say = progress or (lambda *_: None)
+    say("nominal model", 0, 1)
+    measured = measure(dataset, system, horizon=horizon, jobs=jobs, signal_share=signal_share, kept=kept)
+    fits, found = search(
+        measured.fits,
+        measured.base,
+        system,
+        choose_horizon=horizon is None,
+        max_effects=max_effects,
+        progress=progress,
+    )
+    say("location", 0, 1)
+    answer = freeze(fits, found, system, seed=seed)
+    say("test records", 0, 1)
+    tested = test(measured.dataset, system, answer, seed=seed)
+    return report(measured.dataset, system, answer, tested, skews=measured.skews, seed=seed, level=level)
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What is known before any effect is tried.
+
+    Attributes:
+        dataset: all records, their channels shifted to one time.
+        skews: channels that were recorded late against others.
+        fits: fits models to the train records, thinned where that loses nothing.
+        base: the nominal model, re-fitted to them: how far it is from the records is the gap.
+    """
+
+    dataset: Dataset
+    skews: tuple[Skew, ...]
+    fits: Fits
+    base: FittedModel
+
+
+def measure(
+    dataset: Dataset,
+    system: System,
+    *,
+    horizon: Horizon | None = None,
+    jobs: int = 1,
+    signal_share: float = SIGNAL_SHARE,
+    kept: Kept | None = None,
+) -> Measured:
+    """Stage measure: take skew out of the records, thin them, and re-fit the nominal model; arguments as `diagnose`.
+
+    Raises:
+        InputError: the nominal model cannot be fitted.
+    """
     skews = find_skews(dataset)
     dataset = dataset.without_skew({one.channel: one.late for one in skews})
     fits = Fits(thinned(dataset, system, signal_share), jobs=jobs, signal_share=signal_share, kept=kept)
-    say("nominal model", 0, 1)
-    fits, found = search(fits, system, horizon=horizon, max_effects=max_effects, progress=progress)
-    say("location", 0, 1)
-    answer = settle(fits, found, system, seed=seed)
-    say("test records", 0, 1)
-    tested = test(dataset, system, answer, seed=seed)
-    return report(dataset, system, answer, tested, skews=skews, seed=seed, level=level)
+    fits = fits if horizon is None else fits.over(horizon)
+    return Measured(dataset, tuple(skews), fits, fits.base(system))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,8 +166,8 @@ class Answer:
         varying: parameters that differ from record to record, in words.
         rejected: effects that were accepted and then were not sure enough to be asserted, ``name at place``.
         wrong_values: whether the nominal values err clearly more than the re-fitted ones.
-        vague: smallest relative standard error of what the records identify of the nominal model, where nothing is
-            named; 0 elsewhere.
+        relative_std: smallest relative standard error of what the records identify of the nominal model, where
+            nothing is named; 0 elsewhere.
     """
 
     fits: Fits
@@ -136,7 +179,7 @@ class Answer:
     varying: tuple[str, ...]
     rejected: tuple[str, ...]
     wrong_values: bool
-    vague: float
+    relative_std: float
 
     @property
     def verdict(self) -> str:
@@ -150,7 +193,7 @@ class Answer:
             return "outside_catalogue"
         if self.varying:
             return "parameters_only"
-        if self.vague > CRITERIA.vague:
+        if self.relative_std > CRITERIA.max_relative_std:
             return "inconclusive"  # what identifies no parameter identifies no effect either
         noisy = mean_square(base.result.residual) >= CRITERIA.negligible**2
         if noisy and base.validation.effective < CRITERIA.too_few:
@@ -160,34 +203,37 @@ class Answer:
 
 def search(
     fits: Fits,
+    base: FittedModel,
     system: System,
     *,
-    horizon: Horizon | None = None,
+    choose_horizon: bool = True,
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> tuple[Fits, Selection]:
-    """Stage search: the re-fitted model and the effects that the train records call for.
+    """Stages screen, fit and select: the horizon, and the effects that the train records call for.
 
     Models are fitted and compared by free runs over whole records, where these follow them with the best effect and
-    leave no structure. Otherwise it is done over windows, where these tell the best effect from the others more surely,
-    and goes on over whole records, where these bear out what windows have told: a slow effect shows there alone.
-    Where the best effect still leaves some and each record's own values of the nominal model leave none, records differ
-    and no effect is missing.
+    leave no structure. Otherwise it is done over windows, where these distinguish the best effect from the others more
+    surely, and goes on over whole records, where these confirm the effects found over windows: a slow effect shows
+    there alone. Where the best effect still leaves some and each record's own values of the nominal model leave none,
+    records differ and no effect is missing.
 
     Args:
-        fits: holds the records.
+        fits: fits models to the train records.
+        base: the nominal model, re-fitted over the horizon of ``fits``.
         system: the nominal model.
-        horizon: that of the user; None for that of the records.
+        choose_horizon: whether the records choose the horizon; otherwise it is that of ``fits``.
         max_effects: effects at most.
         progress: called with (stage, done, total).
+
+    Returns:
+        Fits over the horizon of the search, and its result.
     """
-    fits = fits if horizon is None else fits.over(horizon)
-    best = base = fits.base(system)
-    first, steps, whole = None, list[SelectionStep](), None
+    best, first, steps, whole = base, None, list[SelectionStep](), None
     try:
-        if horizon is None:
+        if choose_horizon:
             if fits.astray(base) <= CRITERIA.lost_refit:
-                first = screen(fits, base, system, progress=progress)
+                first = selection_step(fits, base, system, progress=progress)
                 best = min((e for e in (base, *first.candidates) if e.judged), key=lambda e: e.error)
                 if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own)
@@ -195,7 +241,7 @@ def search(
                 few = None if first is None else _rivals(first) or None
                 short = _short_runs(fits, system)
                 if short is not None:
-                    step = screen(*short, system, among=few, progress=progress)
+                    step = selection_step(*short, system, among=few, progress=progress)
                     if first is None or _rivalry(step) < _rivalry(first):
                         whole = None if first is None else (fits, base, first)
                         (fits, base), first = short, step
@@ -222,10 +268,10 @@ def _along_whole(
     max_effects: int,
     progress: Progress | None,
 ) -> Selection | None:
-    """The search gone on over whole records beside the effects that short runs have told; None where it cannot.
+    """The search gone on over whole records beside the effects found over short runs; None where it cannot.
 
     What is fast shows over short runs, what is slow along whole ones, and most machines lack both. It goes on only
-    where whole records bear these effects out.
+    where whole records confirm these effects.
     """
     if not near.chosen.effects:
         return None
@@ -288,12 +334,12 @@ def _rivals(step: SelectionStep) -> frozenset[Name]:
     runs, and may be most of the gap.
     """
     most = min((e.trained for e in step.candidates), default=0.0)
-    least = step.before.trained - CRITERIA.much * (step.before.trained - most)
+    least = step.before.trained - CRITERIA.major_share * (step.before.trained - most)
     return frozenset(added_effect(e, step.before) for e in step.candidates if e.trained <= least)
 
 
-def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
-    """Stage settle: freeze the answer, once all that is selected is sure enough to be asserted.
+def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> Answer:
+    """Freeze the answer, once all that is selected is sure enough to be asserted; after it nothing changes any more.
 
     :func:`locate` comes first, for the structural share of what remains depends on it; :func:`grade` divides the gap.
     The last effect that is not sure enough is dropped, and both are done again for the rest.
@@ -317,11 +363,11 @@ def settle(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
         found = replace(found, chosen=rest or found.base)
     nothing = not found.chosen.effects and not graded.unknown and not varying
-    told = check_identifiability(fits.dataset, system) if nothing else None
-    vague = float(min(told.combination_std, default=np.inf)) if told is not None else 0.0
+    identified = check_identifiability(fits.dataset, system) if nothing else None
+    std = 0.0 if identified is None else float(min(identified.combination_std, default=np.inf))
     found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
-    return Answer(fits, found, graded, before, after, structural, varying, tuple(rejected), wrong, vague)
+    return Answer(fits, found, graded, before, after, structural, varying, tuple(rejected), wrong, std)
 
 
 def _for_all_records(found: Selection, own: PerRecord) -> Selection:
@@ -475,7 +521,7 @@ def report(
     found, graded, fits = answer.found, answer.grade, answer.fits
     substantial = graded.unknown or graded.remainder >= CRITERIA.substantial
     named_joint = bool(found.chosen.effects) and len(system.joints) > 1
-    told = (
+    identified = (
         check_identifiability(dataset, system) if implausible_parameters(system, found.base.system) else None
     )
     return Diagnosis(
@@ -496,7 +542,7 @@ def report(
         rest_differs=tested.rest_differs,
         location=answer.before,
         residual_after=answer.after,
-        implausible=tuple(implausible_parameters(system, found.base.system, told)),
+        implausible=tuple(implausible_parameters(system, found.base.system, identified)),
         experiments=tuple(next_experiment(dataset, tied_models(found))),
         rejected=answer.rejected,
         varying=answer.varying,
@@ -505,7 +551,7 @@ def report(
         extrapolation=tuple(beyond(dataset)),
         disturbances=tuple(disturbances(fits, found.chosen)) if substantial else (),
         disturbances_before=tuple(disturbances(fits, found.base)) if named_joint else (),
-        vague=answer.vague,
+        relative_std=answer.relative_std,
         changes=_changes(answer, system),
         skews=tuple(one.message for one in skews),
         search=found,

@@ -15,8 +15,7 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.keep import kept_model
-from hybrid_id.diagnosis.model import FittedModel, Name
+from hybrid_id.diagnosis.model import FittedModel, Name, kept_model
 from hybrid_id.diagnosis.plausibility import NUISANCE
 from hybrid_id.diagnosis.validation import Validation, autocorrelation, validation
 from hybrid_id.errors import InputError, MachineError

@@ -338,7 +338,7 @@ def indistinguishable(model: FittedModel, step: SelectionStep) -> list[FittedMod
     what does the greater part of what the best does counts, if it is not much less probable.
     """
     least = min(e.error for e in step.candidates if e.judged or e is model)
-    open_ = CRITERIA.left_open if model.no_structure else 1.0 - CRITERIA.much
+    open_ = CRITERIA.left_open if model.no_structure else 1.0 - CRITERIA.major_share
     closed = least + open_ * max(step.before.error - least, 0.0)
     near = 1.0 / (1.0 - CRITERIA.distinct_fall) if model.no_structure else math.inf
     unlikely = log_odds_at(CRITERIA.distinct_z)

@@ -20,10 +20,6 @@ from hybrid_id.systems.chain import System
 
 NAMED = 3
 """Parameters that are named."""
-BEYOND = 4.0
-"""Variance of the sets along a direction, over that of their own errors, from which the records differ along it."""
-LEAST_INFORMATION = 1e-6
-"""Eigenvalue of the information on relative changes, over the greatest, below which records do not tell a direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +68,7 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     if any(one.status == "diverged" for one in sets):
         return None
     left = autocorrelation([residual for one in sets for residual in one.residual])
-    if float(np.mean([_structural(one) for one in sets])) > CRITERIA.faint**2:
+    if float(np.mean([_structural(one) for one in sets])) > CRITERIA.negligible_structure**2:
         return PerRecord(model, left)
     if model.autocorrelation <= CRITERIA.coloured:
         return PerRecord(model, left, _scatter(sets), True)
@@ -105,17 +101,15 @@ def _scatter(sets: list[FitResult]) -> tuple[str, ...]:
     roots = [np.concatenate([np.reshape(j, (-1, len(sizes))) for j in one.jacobian]) * sizes for one in sets]
     squares = np.array([root.T @ root for root in roots])
     eigenvalues, directions = np.linalg.eigh(squares.sum(0))
-    identified = directions[:, eigenvalues > LEAST_INFORMATION * eigenvalues[-1]]
+    identified = directions[:, eigenvalues > CRITERIA.least_information * eigenvalues[-1]]
     coordinates, information = relative @ identified, identified.T @ squares @ identified
     noise = np.array([max(one.noise_scale, 1e-300) ** 2 for one in sets])
     own = np.diagonal(np.linalg.pinv(information / noise[:, None, None]), axis1=1, axis2=2)
     seen = np.diagonal(information, axis1=1, axis2=2)
-    seen = seen > LEAST_INFORMATION * seen.max(
-        0
-        # a record in which a joint stands still says nothing of its friction
-    )
+    # a record in which a joint stands still says nothing of its friction
+    seen = seen > CRITERIA.least_information * seen.max(0)
     surely = [
-        here.sum() > 1 and line[here].var(ddof=1) > BEYOND * errors[here].mean()
+        here.sum() > 1 and line[here].var(ddof=1) > CRITERIA.between_records * errors[here].mean()
         for line, errors, here in zip(coordinates.T, own.T, seen.T, strict=True)
     ]
     differ = identified[:, surely]

@@ -1,13 +1,16 @@
-"""Parameters that a re-fit has moved beyond what data sheets get wrong: it makes up for what the model lacks."""
+"""What a re-fit's parameters are worth: moved beyond what data sheets get wrong, or not identified by the records."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from hybrid_id.parameters import Bounded, ParameterInfo
+from hybrid_id.records.dataset import Dataset
 from hybrid_id.statistics.identifiability import Identifiability
+from hybrid_id.study.checks import check_identifiability
 from hybrid_id.systems.chain import System
 
 TOLERANCE, TORQUE_TOLERANCE = math.log(1.4), math.log(1.7)
@@ -113,3 +116,34 @@ def _allowed(spec: Bounded) -> float:
     if spec.prior_std is None:
         return NUISANCE
     return min(UNLIKELY * spec.prior_std / max(abs(spec.value), 1e-300), NUISANCE)
+
+
+def not_identifiable(dataset: Dataset, system: System) -> tuple[str, ...]:
+    """Changes of a fitted model's parameters that its records do not see.
+
+    A weight or an inertia that is held at its claimed value lends its scale to all torques: it is freed here, so that a
+    wrong claim is not taken for knowledge.
+
+    Args:
+        dataset: its train records tell.
+        system: the fitted model.
+    """
+    words = [one.text for one in check_identifiability(dataset, system).directions]
+    held = [
+        i
+        for i in system.table
+        if not i.spec.estimate and i.spec.value > 0 and ("N" in i.spec.unit or "kg" in i.spec.unit)
+    ]
+    if held:
+        freed = system.with_specs({i.name: replace(i.spec, estimate=True) for i in held})
+        for one in check_identifiability(dataset, freed).directions:
+            claims = [
+                f"{i.name} at {i.spec.value:.4g} {i.spec.unit}" for i in held if _is_named(one.text, i.name)
+            ]
+            if claims:
+                words.append(f"{one.text}; only the claim of {' and '.join(claims)} sets it")
+    return tuple(words)
+
+
+def _is_named(text: str, name: str) -> bool:
+    return name in text.replace(",", " ").split()

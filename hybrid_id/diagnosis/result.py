@@ -14,7 +14,7 @@ from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
-from hybrid_id.study.notebook import as_html
+from hybrid_id.study.result import as_html
 from hybrid_id.systems.by_joint import named
 from hybrid_id.systems.chain import System
 
@@ -72,13 +72,14 @@ class Diagnosis:
         extrapolation: test records that go where no train record has been, in words.
         disturbances: where something outside the catalogue acts, what a torque of arbitrary shape in time would
             explain at each side of each joint, best first.
-        vague: least standard error, relative, of what these records identify of the nominal model, where no effect is
-            named; 0 elsewhere.
+        relative_std: smallest relative standard error of what these records identify of the nominal model, where no
+            effect is named; 0 elsewhere.
         disturbances_before: the same of the re-fitted model, where an effect is named and there are several joints.
         skews: channels that are recorded late against others, in words; the diagnosis has shifted them.
         changes: which physical change explains the new parameter values, in a sentence; empty where none does.
         search: all that was tried.
-        details: maps, reversals, parameter statistics and tests of residuals, each computed when first asked for.
+        details: maps, reversals, parameter statistics and tests of residuals, each computed when first asked for, or
+            all by its ``compute()``.
     """
 
     case: str
@@ -107,7 +108,7 @@ class Diagnosis:
     extrapolation: tuple[str, ...]
     disturbances: tuple[Disturbance, ...]
     disturbances_before: tuple[Disturbance, ...]
-    vague: float
+    relative_std: float
     changes: str
     skews: tuple[str, ...]
     search: Selection = field(repr=False)

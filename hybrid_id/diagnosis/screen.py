@@ -1,4 +1,4 @@
-"""One selection step: every effect of the catalogue beside a model, coarsely fitted, the promising ones to the end."""
+"""One selection step: every effect of the catalogue beside a model, first screened, the best then fitted to the end."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class SelectionStep:
         return self.candidates[0] if self.candidates else None
 
 
-def screen(
+def selection_step(
     fits: Fits,
     before: FittedModel,
     nominal: System,
@@ -56,12 +56,10 @@ def screen(
     among: frozenset[Name] | None = None,
     progress: Progress | None = None,
 ) -> SelectionStep:
-    """Every effect of the catalogue, or some of them, added to a model, one at a time.
+    """Every effect of the catalogue, or some of them, added to a model, one at a time: stages screen and fit.
 
-    All are fitted coarsely, the promising ones finer, and the best of these to the end: only then are they judged, by
-    re-fits without the records that judge them. Where the nominal model is held, the priors travel in its ``System`` to
-    every candidate, and from there to the chosen model; ``_unheld_if_enough`` takes them out of what leaves no
-    structure, ``diagnose._unheld`` of the answer.
+    Where the nominal model is held, the priors travel in its ``System`` to every candidate, and from there to the
+    chosen model; ``_unheld_if_enough`` takes them out of what leaves no structure, ``diagnose._unheld`` of the answer.
 
     Args:
         fits: fits models to the train records.
@@ -79,11 +77,48 @@ def screen(
         if progress is not None:
             progress(stage, min(count[0], total), total)
 
+    screened = screen(fits, nominal, before, near, tick)
+    finished = fit_finalists(fits, nominal, before, screened, tick)
+    ends = best_of_each(finished, key=effects_of, order=by_prediction)
+    return SelectionStep(before, tuple(simplest_first(ends, before)))
+
+
+def screen(
+    fits: Fits, nominal: System, before: FittedModel, near: Sequence[Task], tick: Callable[[], object]
+) -> list[FittedModel]:
+    """Stage screen: all candidates fitted coarsely, and the promising ones finer; best first, none of them judged.
+
+    Args:
+        fits: fits models to the train records.
+        nominal: the nominal system.
+        before: the model that the effects are added to.
+        near: fits of the candidates that begin at that model.
+        tick: called after each fit.
+    """
     coarse = best_of_each([one for one in fits.run(near, COARSE, tick) if one is not None], STARTS)
     ranked = _finer(fits, nominal, before, coarse, tick)
     if fits.whole and not (ranked and ranked[0].white):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
+    return ranked
+
+
+def fit_finalists(
+    fits: Fits,
+    nominal: System,
+    before: FittedModel,
+    ranked: list[FittedModel],
+    tick: Callable[[], object],
+) -> list[FittedModel]:
+    """Stage fit: the best candidates fitted to the end and then judged, by re-fits without the records that judge them.
+
+    Args:
+        fits: fits models to the train records.
+        nominal: the nominal system.
+        before: the model that the effects are added to.
+        ranked: the candidates as they were screened.
+        tick: called after each fit.
+    """
     # a first round for all finalists; each later one fits to the end who leads now, where that is another one
     for keep in (FINALISTS, 1, 1) if any(promising(one, before) for one in ranked) else (1,):
         chosen = best_of_each(ranked, key=effects_of)[:keep]
@@ -92,8 +127,7 @@ def screen(
         )
     if ranked and promising(ranked[0], before):
         ranked = _polished(fits, nominal, before, ranked, tick)
-    ends = best_of_each(ranked, key=effects_of, order=by_prediction)
-    return SelectionStep(before, tuple(simplest_first(ends, before)))
+    return ranked
 
 
 def promising(one: FittedModel, before: FittedModel) -> bool:
@@ -106,8 +140,8 @@ def needed_fall(richer: FittedModel, simpler: FittedModel) -> float:
     """Relative fall of the mean square from which an effect is named."""
     if not simpler.effects:
         # what takes next to nothing, and leaves the colour of the rest as it was, has fitted the records' differences
-        bleached = richer.autocorrelation <= CRITERIA.bleached * simpler.autocorrelation
-        return CRITERIA.least_fall if bleached else CRITERIA.completing_fall
+        much_less = richer.autocorrelation <= CRITERIA.autocorrelation_left * simpler.autocorrelation
+        return CRITERIA.least_fall if much_less else CRITERIA.completing_fall
     completes = richer.white or (richer.no_structure and not simpler.no_structure)
     return CRITERIA.completing_fall if completes else CRITERIA.next_fall
 
@@ -174,7 +208,7 @@ def _further(
     best = min((*some, *everyone), key=lambda e: e.trained)
     limit = math.inf
     if iterations == FULL or before.effects or best.white:
-        open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.much
+        open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.major_share
         closed = best.trained + open_ * max(before.trained - best.trained, 0.0)
         limit = max(HOPELESS * best.trained, closed)
     rivals = [e for e in some if e.trained < limit]
@@ -344,7 +378,7 @@ def _equals(best: FittedModel, one: FittedModel, before: FittedModel) -> bool:
 
 def _does_much(best: FittedModel, one: FittedModel, before: FittedModel) -> bool:
     """Whether a candidate explains the greater part of what the best does."""
-    return before.error - one.error >= CRITERIA.much * (before.error - best.error)
+    return before.error - one.error >= CRITERIA.major_share * (before.error - best.error)
 
 
 def named_alike(one: FittedModel) -> list[tuple[str, str]]:

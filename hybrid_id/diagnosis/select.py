@@ -25,7 +25,7 @@ from hybrid_id.diagnosis.screen import (
     SelectionStep,
     needed_fall,
     promising,
-    screen,
+    selection_step,
     simplest_first,
 )
 from hybrid_id.diagnosis.starts import swapped, without
@@ -80,7 +80,7 @@ def select(
     max_effects: int = MAX_EFFECTS,
     progress: Progress | None = None,
 ) -> Selection:
-    """Search the catalogue for the effects that the train records call for.
+    """Stage select: search the catalogue, step by step, for the effects that the train records call for.
 
     Args:
         fits: fits models to the train records, over its horizon.
@@ -98,7 +98,7 @@ def select(
         and sum(not one.swap for one in steps) < MAX_STEPS
         and _leaves_something(model)
     ):
-        step = first or screen(fits, model, nominal, among=_alive(steps, model), progress=progress)
+        step = first or selection_step(fits, model, nominal, among=_alive(steps, model), progress=progress)
         first = None
         step = _accepted_first(step)
         steps.append(step)
@@ -298,7 +298,7 @@ def _alive(steps: Sequence[SelectionStep], model: FittedModel) -> frozenset[Name
     last = next((one for one in reversed(steps) if one.before.effects and not one.swap), None)
     if last is None or len(model.effects) <= len(last.before.effects):
         return None
-    alive = (e for e in last.candidates if e.result.cost < CRITERIA.again * last.before.result.cost)
+    alive = (e for e in last.candidates if e.result.cost < CRITERIA.retry_cost * last.before.result.cost)
     return frozenset(added_effect(e, last.before) for e in alive)
 
 

@@ -20,7 +20,7 @@ BLOCK = 0.25
 FEWEST = 4
 """Records from which a mean over records has a standard error."""
 LEAST_SCALE = 1e-9
-"""Mean square of a row, relative to that of all, below which it is not told from none."""
+"""Mean square of a row, relative to that of all, below which it counts as none."""
 DRAWS = 2000
 """Draws of a null distribution, and of a bootstrap."""
 

@@ -8,61 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError, close_match, listed
-from hybrid_id.records.record import Record
+from hybrid_id.records.record import Channel, Record, keeps_step
 from hybrid_id.records.resample import ResampleReport, shift_channels
-from hybrid_id.records.units import to_si
-
-SAMPLE_TIME_TOLERANCE = 1e-3  # mean step of a record against the dataset's sample time, relative
-
-
-@dataclass(frozen=True)
-class Channel:
-    """One signal of a dataset.
-
-    Attributes:
-        name: `u1`, `q_m1`, ...: an identifier; docs/formats.md has the table of names.
-        unit: SI unit, such as `V` or `rad/s`.
-        noise_std: Standard deviation of the sensor's noise, in `unit`; None where it is not known.
-        logged: Unit of the files, in which values are shown; empty for `unit`.
-        joint: Name that a robot's description gives to its joint; empty where none does.
-    """
-
-    name: str
-    unit: str
-    noise_std: float | None = None
-    logged: str = ""
-    joint: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.name.isidentifier() or self.name == "t":
-            raise InputError(f"channel name '{self.name}' is not usable; give a name such as u1 or q_m1")
-        try:
-            si = to_si(self.unit, self.name)[0]
-            logged = to_si(self.logged or self.unit, self.name)[0]
-        except InputError as error:
-            raise InputError(f"channel '{self.name}': {error}") from None
-        if si != self.unit:
-            raise InputError(
-                f"channel '{self.name}': unit '{self.unit}' is not SI; convert its values to {si}"
-            )
-        if logged != self.unit:
-            raise InputError(f"channel '{self.name}': logged unit '{self.logged}' is not one of {self.unit}")
-        if self.noise_std is not None and not 0 < self.noise_std < np.inf:
-            raise InputError(
-                f"channel '{self.name}': noise_std is {self.noise_std}; give one above 0, or none"
-            )
-
-    @property
-    def title(self) -> str:
-        """How the signal is called where people read of it: `q_a3 (elbow)`, its name alone where no joint is named."""
-        return f"{self.name} ({self.joint})" if self.joint else self.name
-
-    @property
-    def shown(self) -> tuple[str, float]:
-        """Unit in which values are shown, and the factor that brings values in `unit` to it."""
-        if not self.logged:
-            return self.unit, 1.0
-        return self.logged, 1.0 / to_si(self.logged, self.name)[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +147,7 @@ class Dataset:
         """
         from hybrid_id.records.dataset_file import load_dataset  # brings in pydantic and yaml, only here
 
-        return load_dataset(Path(path), None if folder is None else Path(folder))
+        return Dataset(*load_dataset(Path(path), None if folder is None else Path(folder)))
 
     @staticmethod
     def from_bam(folder: str | Path, *, test: Iterable[str] = (), name: str = "") -> "Dataset":
@@ -213,7 +160,7 @@ class Dataset:
         """
         from hybrid_id.records.dataset_file import load_bam_folder
 
-        return load_bam_folder(Path(folder), set(test), name)
+        return Dataset(*load_bam_folder(Path(folder), set(test), name))
 
     def save(self, path: str | Path) -> Path:
         """Write the dataset as a folder of `dataset.yaml` and one `.csv.gz` a record; returns the folder.
@@ -236,12 +183,6 @@ class Dataset:
             write_dataset(self, complete)
             complete.replace(path)
         return path
-
-
-def keeps_step(record: Record, sample_time: float) -> bool:
-    """Whether a record is uniform and keeps this step (s) on average within 0.1 %."""
-    mean = record.duration / (record.n_samples - 1)
-    return record.is_uniform and abs(mean - sample_time) <= SAMPLE_TIME_TOLERANCE * sample_time
 
 
 def _other_unit(record: Record, sample_time: float) -> str:

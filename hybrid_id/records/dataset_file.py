@@ -2,19 +2,22 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.align import bring_to
-from hybrid_id.records.dataset import Channel, Dataset, keeps_step
 from hybrid_id.records.files import plain
 from hybrid_id.records.readers import Table, TimeRange, is_bag_folder, load_any, record_name
-from hybrid_id.records.record import Record, find_fault
+from hybrid_id.records.record import Channel, Record, find_fault, keeps_step
 from hybrid_id.records.resample import ResampleReport, resample_record, shift_channels
 from hybrid_id.records.schema import ChannelEntry, ColumnEntry, DatasetFile, RecordEntry, ResampleEntry
 from hybrid_id.records.units import number_of, to_si
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
+
+if TYPE_CHECKING:
+    from hybrid_id.records.dataset import Dataset
 
 FILE_NAME = "dataset.yaml"
 SAVED = ("name", "unit", "noise_std")
@@ -23,7 +26,19 @@ _BAM_INPUTS = {"goal1": "rad", "gain1": "1", "duty1": "1", "supply1": "V", "enab
 _BAM_OUTPUTS = {"q_m1": "rad", "v_m1": "rad/s"}
 
 
-def load_dataset(path: Path, folder: Path | None) -> Dataset:
+class Content(NamedTuple):
+    """What a `Dataset` is made of, in the order of its fields; `Dataset` documents them."""
+
+    name: str
+    inputs: tuple[Channel, ...]
+    outputs: tuple[Channel, ...]
+    records: tuple[Record, ...]
+    sample_time: float | None
+    path: Path
+    resampling: tuple[ResampleReport, ...]
+
+
+def load_dataset(path: Path, folder: Path | None) -> Content:
     """Read a dataset; `Dataset.load` documents the arguments."""
     file = path / FILE_NAME if path.is_dir() else path
     if path.is_dir() and not file.exists():
@@ -36,7 +51,7 @@ def load_dataset(path: Path, folder: Path | None) -> Dataset:
     return _build(spec, file, folder or file.parent, path)
 
 
-def load_bam_folder(folder: Path, test: set[str], name: str) -> Dataset:
+def load_bam_folder(folder: Path, test: set[str], name: str) -> Content:
     """Make a dataset of a folder of BAM logs; `Dataset.from_bam` documents the arguments."""
     logs = sorted([*folder.glob("*.json"), *folder.glob("*.json.gz")])
     if not logs:
@@ -56,7 +71,7 @@ def load_bam_folder(folder: Path, test: set[str], name: str) -> Dataset:
     return _build(spec, folder, folder, folder)
 
 
-def write_dataset(dataset: Dataset, folder: Path) -> None:
+def write_dataset(dataset: "Dataset", folder: Path) -> None:
     """Write a dataset into an existing empty folder."""
     import pandas as pd
 
@@ -93,7 +108,7 @@ def _refuse_dead_outputs(outputs: Sequence[Channel], records: Sequence[Record], 
             raise InputError(f"{file}: output '{channel.name}' {words}")
 
 
-def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:
+def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     """Read all records of a checked dataset file."""
     units = {"t": "s"} | {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)}
     _refuse_strange_columns(spec, units, file)
@@ -109,15 +124,7 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Dataset:
         sample_time, records, reports = _resample(records, spec.resample, sample_time, file)
     elif "sample_time" not in spec.model_fields_set:
         sample_time = common_sample_time(records)
-    return Dataset(
-        name=spec.name,
-        inputs=inputs,
-        outputs=outputs,
-        records=records,
-        sample_time=sample_time,
-        path=path,
-        resampling=reports,
-    )
+    return Content(spec.name, inputs, outputs, records, sample_time, path, reports)
 
 
 def common_sample_time(records: tuple[Record, ...]) -> float | None:

@@ -513,7 +513,7 @@ def goal_unit(span: float, moved: float, factor: float, column: str, about: str)
 
 
 def zero_offset(values: Sequence[np.ndarray], joint: JointFacts, about: str) -> Guess | None:
-    """What the robot's range says of the zero: None where the angles lie in it, or where it cannot be told.
+    """What the robot's range says of the zero: None where the angles lie in it, or where it says nothing.
 
     Args:
         values: of each record, at the joint [rad or m], sign included.

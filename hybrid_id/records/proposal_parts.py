@@ -84,7 +84,7 @@ class Chosen:
 
 @dataclass(frozen=True)
 class Question:
-    """What cannot be told from the logs: the words, and the line that would answer it, where there is one.
+    """What the logs do not say: the words, and the line that would answer it, where there is one.
 
     Where the words are those of a ``pattern`` with ``columns`` in the place of ``{}``, both are kept.
     """

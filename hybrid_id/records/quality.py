@@ -171,6 +171,15 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
             "coarse",
             f"it spans only {np.ptp(values) / quantum:.0f} steps of {quantum:.3g}; move further",
         )
+    yield from _glitches(record, values, fine, position=position)
+    if position:
+        yield from _motion(record, values, fine)
+
+
+def _glitches(
+    record: Record, values: np.ndarray, fine: float, *, position: bool
+) -> Iterator[tuple[Severity, str, str]]:
+    """What no machine does: jumps by a turn, spikes, dead stops; ``fine`` is what noise and resolution hide."""
     jumps = np.diff(values)
     wrapped = np.abs(np.abs(jumps) - 2 * np.pi) < 1.0
     if position and wrapped.any() and np.quantile(np.abs(jumps), 0.98) < 1.0:
@@ -197,16 +206,15 @@ def _output(record: Record, name: str, values: np.ndarray) -> Iterator[tuple[Sev
                 "range; keep clear of it or cut the record with 'between'"
             )
             yield "warning", "clipped", words
-    if position and count_turns(values, 5 * fine) == 0:
+
+
+def _motion(record: Record, values: np.ndarray, fine: float) -> Iterator[tuple[Severity, str, str]]:
+    """What an angle's motion lacks: reversals, and a start at rest."""
+    if count_turns(values, 5 * fine) == 0:
         words = "it moves in one direction only, so friction cannot be separated from a constant torque; add reversals"
         yield "warning", "one_direction", words
     first = np.diff(values[:3])  # a start at rest that accelerates has a second step three times the first
-    if (
-        position
-        and rest_samples(record) < 3
-        and abs(first.sum()) > 6 * fine
-        and abs(first[0]) > 2 * abs(np.ptp(first))
-    ):
+    if rest_samples(record) < 3 and abs(first.sum()) > 6 * fine and abs(first[0]) > 2 * abs(np.ptp(first)):
         yield (
             "warning",
             "start_motion",

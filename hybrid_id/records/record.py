@@ -1,4 +1,4 @@
-"""One measured (or simulated) experiment: time, what was commanded, what came out."""
+"""One measured (or simulated) experiment: time, what was commanded, what came out, and what its signals are."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -10,8 +10,10 @@ from typing import Any, Literal
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.records.units import to_si
 
 UNIFORM_TOLERANCE = 0.01  # steps this close to the median step, relative, count as equal
+SAMPLE_TIME_TOLERANCE = 1e-3  # mean step of a record against the dataset's sample time, relative
 LARGEST = 1e10  # of a signal in SI; what is larger is a fault of the log, and its square may overflow
 _NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")  # names become file names
 
@@ -19,6 +21,56 @@ _NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")  # names become file names
 def stamp(time: float) -> str:
     """A time [s] as a message shows it: to the millisecond where stamps count from 1970, too."""
     return f"{time:.13g}"
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One signal of a dataset.
+
+    Attributes:
+        name: `u1`, `q_m1`, ...: an identifier; docs/formats.md has the table of names.
+        unit: SI unit, such as `V` or `rad/s`.
+        noise_std: Standard deviation of the sensor's noise, in `unit`; None where it is not known.
+        logged: Unit of the files, in which values are shown; empty for `unit`.
+        joint: Name that a robot's description gives to its joint; empty where none does.
+    """
+
+    name: str
+    unit: str
+    noise_std: float | None = None
+    logged: str = ""
+    joint: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.name.isidentifier() or self.name == "t":
+            raise InputError(f"channel name '{self.name}' is not usable; give a name such as u1 or q_m1")
+        try:
+            si = to_si(self.unit, self.name)[0]
+            logged = to_si(self.logged or self.unit, self.name)[0]
+        except InputError as error:
+            raise InputError(f"channel '{self.name}': {error}") from None
+        if si != self.unit:
+            raise InputError(
+                f"channel '{self.name}': unit '{self.unit}' is not SI; convert its values to {si}"
+            )
+        if logged != self.unit:
+            raise InputError(f"channel '{self.name}': logged unit '{self.logged}' is not one of {self.unit}")
+        if self.noise_std is not None and not 0 < self.noise_std < np.inf:
+            raise InputError(
+                f"channel '{self.name}': noise_std is {self.noise_std}; give one above 0, or none"
+            )
+
+    @property
+    def title(self) -> str:
+        """How the signal is called where people read of it: `q_a3 (elbow)`, its name alone where no joint is named."""
+        return f"{self.name} ({self.joint})" if self.joint else self.name
+
+    @property
+    def shown(self) -> tuple[str, float]:
+        """Unit in which values are shown, and the factor that brings values in `unit` to it."""
+        if not self.logged:
+            return self.unit, 1.0
+        return self.logged, 1.0 / to_si(self.logged, self.name)[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,3 +237,9 @@ def _read_only(values: Any) -> np.ndarray:
         raise InputError(f"a signal is not an array of numbers ({error}); give floats") from None
     array.setflags(write=False)
     return array
+
+
+def keeps_step(record: Record, sample_time: float) -> bool:
+    """Whether a record is uniform and keeps this step (s) on average within 0.1 %."""
+    mean = record.duration / (record.n_samples - 1)
+    return record.is_uniform and abs(mean - sample_time) <= SAMPLE_TIME_TOLERANCE * sample_time

@@ -301,6 +301,24 @@ class _Fit:
     rates: np.ndarray
 
 
+def _errors_by_window(
+    jacobian: np.ndarray, residual: np.ndarray, window: np.ndarray, count: int
+) -> np.ndarray:
+    """Standard errors ``(p,)`` of an estimate, by the scatter of its windows' scores.
+
+    Args:
+        jacobian: ``(2 N, p)``, real parts before imaginary ones.
+        residual: ``(2 N,)``.
+        window: number of the window of each frequency, ``(N,)``.
+        count: windows.
+    """
+    scores = np.zeros((count, jacobian.shape[1]))
+    np.add.at(scores, np.concatenate([window, window]), jacobian * residual[:, None])
+    inverse = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+    freedom = count / max(count - jacobian.shape[1], 1)
+    return np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * freedom)
+
+
 def _fit(relations: Sequence[_Relation], *, lagged: int, first_order: bool = False) -> _Fit | None:
     """Least squares of ``y(t) = sum_j g_j x_j(t - s_j)``, the first ``lagged`` signals with a lag.
 
@@ -350,12 +368,7 @@ def _fit(relations: Sequence[_Relation], *, lagged: int, first_order: bool = Fal
             break
     if np.sum(found.fun**2) > 1.0 - EXPLAINED:
         return None
-    # Covariance by the scatter of the windows' scores.
-    scores = np.zeros((len(sizes), start.size))
-    np.add.at(scores, np.concatenate([window, window]), found.jac * found.fun[:, None])
-    inverse = np.linalg.pinv(found.jac.T @ found.jac, hermitian=True)
-    freedom = len(sizes) / max(len(sizes) - start.size, 1)
-    spread = np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse) * freedom)
+    spread = _errors_by_window(found.jac, found.fun, window, len(sizes))
     original = x * scale[:, None]
     return _Fit(
         gain=found.x[:count] * size / scale,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from rich.console import Console, Group, RenderableType
 from rich.table import Table
@@ -199,43 +199,15 @@ def diagnosis_page(
     page = Page(f"Diagnosis of {diagnosis.case}{by_itself}", headline(diagnosis))
     captions = _CAPTIONS | ({} if diagnosis.with_effect else {"worst_record": _NO_TEST})
 
-    def picture(section: Section, name: str) -> None:
-        if name in figures:
-            section.figure(figures[name], captions[name])
+    def picture(section: Section, *names: str) -> None:
+        for name in names:
+            if name in figures:
+                section.figure(figures[name], captions[name])
 
-    shown = max(sum(one.selected or one.probability >= LIKELY for one in diagnosis.effects), SHOWN)
-    remarks = (
-        *varying_lines(diagnosis),
-        *rejected_lines(diagnosis),
-        *extrapolation_lines(diagnosis),
-        *caution_lines(diagnosis, max_effects),
-    )
-    effects = page.section("Effects")
-    if robot:
-        effects.links("The other joints, and all of them simulated at once:", {"the whole robot": robot})
-    picture(effects, "shares")
-    values = value_lines(diagnosis)
-    effects.add(effects_table(diagnosis, shown), *map(_sentence, values))
-    for name in _TORQUES if diagnosis.selected else ():
-        picture(effects, name)
-    effects.add(*map(_sentence, remarks))
-    others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
-    if others:
-        effects.add(_sentence(f"also tried, each less probable: {', '.join(others)}."))
-    if diagnosis.ties:
-        effects.add(Text(_TIED, style="yellow"))
-    picture(effects, "candidates")
-    effects.add(_HOW)
-    location = page.section("Location").add(_sentence(where_line(diagnosis) or _NOWHERE))
-    for name in () if diagnosis.selected else _TORQUES:
-        picture(location, name)
-    if words := disturbance_line(diagnosis):
-        location.add(_sentence(words))
-    for name in ("location", "reversals"):
-        picture(location, name)
+    _add_effects(page, diagnosis, picture, max_effects, robot)
+    _add_location(page, diagnosis, picture)
     tests = page.section("Test records").add(*map(_sentence, error_lines(diagnosis)))
-    picture(tests, "gap")
-    picture(tests, "worst_record")
+    picture(tests, "gap", "worst_record")
     page.section("Parameters").add(
         *([diagnosis.changes] if diagnosis.changes else []),
         *map(_sentence, [*implausible_lines(diagnosis), *not_identifiable_lines(diagnosis)]),
@@ -257,6 +229,43 @@ def diagnosis_page(
     if findings:
         records.add(findings_list(findings))
     return page
+
+
+def _add_effects(
+    page: Page, diagnosis: Diagnosis, picture: Callable[..., None], max_effects: int | None, robot: str
+) -> None:
+    """The section on the effects: shares, sizes, what was rejected and tried, and the way back to the robot's page."""
+    shown = max(sum(one.selected or one.probability >= LIKELY for one in diagnosis.effects), SHOWN)
+    remarks = (
+        *varying_lines(diagnosis),
+        *rejected_lines(diagnosis),
+        *extrapolation_lines(diagnosis),
+        *caution_lines(diagnosis, max_effects),
+    )
+    effects = page.section("Effects")
+    if robot:
+        effects.links("The other joints, and all of them simulated at once:", {"the whole robot": robot})
+    picture(effects, "shares")
+    values = value_lines(diagnosis)
+    effects.add(effects_table(diagnosis, shown), *map(_sentence, values))
+    picture(effects, *(_TORQUES if diagnosis.selected else ()))
+    effects.add(*map(_sentence, remarks))
+    others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
+    if others:
+        effects.add(_sentence(f"also tried, each less probable: {', '.join(others)}."))
+    if diagnosis.ties:
+        effects.add(Text(_TIED, style="yellow"))
+    picture(effects, "candidates")
+    effects.add(_HOW)
+
+
+def _add_location(page: Page, diagnosis: Diagnosis, picture: Callable[..., None]) -> None:
+    """The section on where a torque is missing."""
+    location = page.section("Location").add(_sentence(where_line(diagnosis) or _NOWHERE))
+    picture(location, *(() if diagnosis.selected else _TORQUES))
+    if words := disturbance_line(diagnosis):
+        location.add(_sentence(words))
+    picture(location, "location", "reversals")
 
 
 def _sentence(words: str) -> Text:

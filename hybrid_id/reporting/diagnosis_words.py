@@ -62,11 +62,11 @@ def _effects(diagnosis: Diagnosis) -> str:
     sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
     if diagnosis.unknown:
         sentence += f" More remains than is explained: {_CAUSES}."
-    if vague := [
+    if unsure := [
         words_of(c.name) for c in chosen if c.share_interval is not None and c.share_interval[0] <= 0.0
     ]:
         sentence += (
-            f" How much {joined(vague)} explains differs so from record to record that its size is open."
+            f" How much {joined(unsure)} explains differs so from record to record that its size is open."
         )
     return sentence
 
@@ -160,10 +160,11 @@ def _inconclusive(diagnosis: Diagnosis) -> str:
     if diagnosis.interrupted:
         return "Inconclusive: no effect had been accepted."
     advice = "Record longer, or with faster changes of the command."
-    if diagnosis.vague > CRITERIA.vague:
+    if diagnosis.relative_std > CRITERIA.max_relative_std:
+        surest = f"±{196 * diagnosis.relative_std:.2g} % (95 %)"
         return (
-            f"Inconclusive: too little data. No parameter is identified better than to ±{196 * diagnosis.vague:.2g} % "
-            f"(95 %), and an effect would hide in that. {advice}"
+            f"Inconclusive: too little data. No parameter is identified better than to {surest}, and an effect would "
+            f"hide in that. {advice}"
         )
     worth = diagnosis.search.base.validation.effective
     return f"Inconclusive: too little data. The errors are worth {worth:.0f} independent samples. {advice}"

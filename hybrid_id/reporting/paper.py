@@ -21,8 +21,7 @@ from hybrid_id.reproduction.comparison import (
     FitRow,
     ParameterRow,
 )
-from hybrid_id.reproduction.curves import Curve
-from hybrid_id.reproduction.preprocessing import Preprocessed
+from hybrid_id.reproduction.curves import Curve, Preprocessed
 from hybrid_id.reproduction.result import TrackingResult
 from hybrid_id.reproduction.run import Reproduction
 from hybrid_id.reproduction.tracking import inertia_signs

@@ -184,7 +184,7 @@ def model_means_table(comparison: Comparison) -> Table:
 
 def truth_table(study: Study, truth: Mapping[str, float]) -> Table:
     """Known values beside the estimates of the selected set."""
-    from hybrid_id.study.truth import against_truth
+    from hybrid_id.study.result import against_truth
 
     heads = ("parameter", "truth>", "estimate>", f"{100 * study.level:g} % interval>", "unit", "off by>")
     rows = []

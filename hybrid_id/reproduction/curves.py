@@ -1,4 +1,4 @@
-"""Friction torque over velocity as stages have identified it (paper, Figs 13 and 14)."""
+"""Curves of the paper's figures: friction over velocity (Figs 13, 14), and a record's preprocessing (II.E, Fig. 3)."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hybrid_id.machines.physics.friction import AsymmetricStribeck
+from hybrid_id.records.derivatives import differentiate
+from hybrid_id.records.record import Record
 from hybrid_id.reproduction.result import StageResult
 
 LEVELS = ("f_11", "f_12", "f_13", "f_14", "f_21", "f_22", "f_23", "f_24")
@@ -61,3 +63,36 @@ def link_friction_curve(result: StageResult) -> Curve:
         values = dict(zip(result.names, table[result.selected], strict=True))
         curves.append(np.where(speed > 0, values["f_a1"], values["f_a2"]) * np.tanh(70 * speed))
     return Curve("at the link", speed, *curves)
+
+
+@dataclass(frozen=True, eq=False)
+class Preprocessed:
+    """Voltage, and the motor's motion raw and from the Fourier transform, ``(T,)`` each.
+
+    Attributes:
+        time: [s].
+        voltage: [V].
+        angle: as the encoder read it [rad].
+        smooth_angle: what the band keeps of it [rad].
+        difference: its samples' differences over the sample time [rad/s].
+        speed: j omega times its spectrum [rad/s].
+        band: frequencies that are kept [Hz].
+    """
+
+    time: np.ndarray
+    voltage: np.ndarray
+    angle: np.ndarray
+    smooth_angle: np.ndarray
+    difference: np.ndarray
+    speed: np.ndarray
+    band: tuple[float, float]
+
+
+def preprocess(record: Record) -> Preprocessed:
+    """Drop the frequencies in the noise, and differentiate in the frequency domain."""
+    angle = record.outputs["q_m1"]
+    found = differentiate(angle, record.sample_time)
+    return Preprocessed(
+        record.time, record.inputs["u1"], angle, found.position, np.gradient(angle, record.sample_time),
+        found.velocity, found.band,
+    )  # fmt: skip

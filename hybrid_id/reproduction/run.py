@@ -14,9 +14,8 @@ from hybrid_id.identification.fit import Progress
 from hybrid_id.records.yaml_file import read_yaml
 from hybrid_id.reproduction.claims import Claim, claims
 from hybrid_id.reproduction.comparison import FitRow, ParameterRow, fit_rows, inertia_rows, parameter_rows
-from hybrid_id.reproduction.curves import Curve, friction_curve, link_friction_curve
+from hybrid_id.reproduction.curves import Curve, Preprocessed, friction_curve, link_friction_curve, preprocess
 from hybrid_id.reproduction.plan import Plan, config_folder, read_plan, twin_settings
-from hybrid_id.reproduction.preprocessing import Preprocessed, preprocess
 from hybrid_id.reproduction.result import StageResult, TrackingResult, load, save
 from hybrid_id.reproduction.stages import Found, records_of, run_stage
 from hybrid_id.reproduction.tracking import compare_gears, compare_models

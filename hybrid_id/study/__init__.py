@@ -4,14 +4,15 @@ from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.study.base_parameters import BaseParameterCheck, check_base_parameters
 from hybrid_id.study.checks import (
+    ModelCheck,
     check_fit,
     check_identifiability,
+    check_model,
     check_priors,
     check_scales,
     check_start_values,
     profiles,
 )
-from hybrid_id.study.model_check import ModelCheck, check_model
 from hybrid_id.study.replays import Comparison, Replay, compare, replay
 from hybrid_id.study.result import Combinations, Study
 from hybrid_id.study.run import analyse_fits, identify

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import count
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.identifiability import Identifiability, identifiability
 from hybrid_id.statistics.profile import Profile, profile_likelihood
 from hybrid_id.statistics.residuals import ResidualTest, residual_test
+from hybrid_id.study.base_parameters import BaseParameterCheck, check_base_parameters
 from hybrid_id.study.replays import batch_of, replay, simulated_over
 from hybrid_id.study.result import Study
 from hybrid_id.systems.chain import System
@@ -51,6 +52,8 @@ FAR_OUT = 20.0
 """Error of a record over the median of all from which it contradicts the others."""
 FIRST_STEP = 0.1
 """First step as a share of the estimate, where no standard error is known."""
+CONTRADICT = ("unit", "sign")
+"""Codes of findings after which no table may follow: it would be confident of what means nothing."""
 
 
 def identifiability_of(result: FitResult, *, inflation: float = 1.0) -> Identifiability:
@@ -420,3 +423,46 @@ def check_names(names: Sequence[str], estimated: Sequence[str]) -> None:
             f"key 'statistics.profile': nothing but {estimated[0]} is estimated, so that its interval is its profile; "
             "leave it out"
         )
+
+
+@dataclass(frozen=True)
+class ModelCheck:
+    """Result of :func:`check_model`.
+
+    Attributes:
+        findings: what is wrong, or may be.
+        identified: what the records identify of the model; None where they contradict it.
+        based: base parameters of a robot; None where records and model contradict each other, and for other systems.
+    """
+
+    findings: tuple[Finding, ...]
+    identified: Identifiability | None = None
+    based: BaseParameterCheck | None = None
+
+
+def check_model(
+    dataset: Dataset, system: System, progress: Callable[[str], object] = lambda _: None
+) -> ModelCheck:
+    """Check a model against records: first what costs nothing, then a simulation, then what is identifiable.
+
+    Args:
+        dataset: the records.
+        system: the model with its start values.
+        progress: called with words before each slow step.
+
+    Raises:
+        InputError: nothing to estimate, missing channels, or no joint moves.
+    """
+    found = check_scales(dataset, system)
+    if any(finding.severity == "error" for finding in found):
+        return ModelCheck(tuple(found))  # what the model would do means nothing, and takes its time
+    progress("free runs with the start values")
+    found += check_start_values(dataset, system)
+    if any(finding.code in CONTRADICT for finding in found):
+        return ModelCheck(tuple(found))
+    progress("what is identifiable")
+    identified = check_identifiability(dataset, system)
+    if system.tree is None:
+        return ModelCheck(tuple(found), identified)
+    progress("base parameters")
+    return ModelCheck(tuple(found), identified, check_base_parameters(dataset, system))

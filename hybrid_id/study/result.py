@@ -1,9 +1,11 @@
-"""What a study ends with: parameter sets, how reliable they are, and which one to use."""
+"""What a study ends with: parameter sets, how reliable they are, which one to use, and the truth where it is known."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from html import escape
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +21,6 @@ from hybrid_id.statistics.reliability import Reliability
 from hybrid_id.statistics.residuals import Whiteness, whiteness
 from hybrid_id.statistics.uncertainty import Covariance, normal_interval
 from hybrid_id.statistics.variation import Variation, variation
-from hybrid_id.study.notebook import as_html
 from hybrid_id.study.replays import OutputError
 from hybrid_id.systems.chain import System
 
@@ -230,3 +231,49 @@ class Study:
             )
         lines.append(f"integration error (step halved): {self.engine_error:.2g} standard errors at most")
         return lines
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """A parameter of the selected set beside its truth.
+
+    Attributes:
+        name: of the parameter; unit: its unit.
+        truth, estimate: in that unit.
+        interval: its ends; NaN where none may be claimed.
+    """
+
+    name: str
+    unit: str
+    truth: float
+    estimate: float
+    interval: tuple[float, float]
+
+    @property
+    def relative_error(self) -> float:
+        """Estimate less truth, over the truth."""
+        return (self.estimate - self.truth) / abs(self.truth)
+
+    @property
+    def inside(self) -> bool | None:
+        """Whether the interval holds the truth; None where none may be claimed."""
+        low, high = self.interval
+        return low <= self.truth <= high if math.isfinite(low) else None
+
+
+def against_truth(study: Study, truth: Mapping[str, float]) -> list[Recovery]:
+    """The parameters of the selected set whose truth is known, with the study's intervals."""
+    chosen = study.selected
+    rows = zip(study.names, chosen.units, chosen.values, study.intervals(), strict=True)
+    return [
+        Recovery(name, unit, truth[name], float(value), (float(low), float(high)))
+        for name, unit, value, (low, high) in rows
+        if name in truth
+    ]
+
+
+def as_html(heading: str, table: pd.DataFrame, remarks: Iterable[str]) -> str:
+    """A heading, a table and a line for each remark; all words are escaped."""
+    lines = "".join(f"<div>{escape(line)}</div>" for line in remarks)
+    cells = table.to_html(escape=True, na_rep="", float_format="{:.5g}".format, border=0)
+    return f"<div><b>{escape(heading)}</b>{cells}{lines}</div>"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import numpy as np
 import torch
@@ -33,7 +33,7 @@ from hybrid_id.statistics.uncertainty import (
     covariance,
     one_step_bootstrap,
 )
-from hybrid_id.statistics.variation import mean_interval, prior_variances, variation
+from hybrid_id.statistics.variation import Variation, mean_interval, prior_variances, variation
 from hybrid_id.study.checks import identifiability_of
 from hybrid_id.study.processes import fit_in_processes
 from hybrid_id.study.replays import batch_of, cross_validate, engine_error, test_errors
@@ -87,9 +87,10 @@ def identify(
     """
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
+    engine, batch = compiled_for(system, engine or Engine()), None
     if jobs > 1 and not pooled:
         settings = {
-            "engine": compiled_for(system, engine or Engine()),
+            "engine": engine,
             "options": options or Options(),
             "starts": starts,
             "seed": seed,
@@ -99,33 +100,13 @@ def identify(
             dataset, system, settings, jobs=jobs, device=device, signal_share=signal_share, horizon=horizon,
             watch=getattr(progress, "watch", None),
         )  # fmt: skip
-        return analyse_fits(
-            dataset,
-            system,
-            sets,
-            pooled=False,
-            shifts=_shifts(noisier, system, sets, horizon, options, pooled=False, signal_share=signal_share),
-            seed=seed,
-            signal_share=signal_share,
-            horizon=horizon,
-            level=level,
-        )
-    batch = batch_of(dataset, system, dataset.train, signal_share, device)
-    model = copy.deepcopy(system).to(device)  # the caller's stays where it is
-    engine = compiled_for(system, engine or Engine())
-
-    def fitted(horizon: Horizon) -> list[FitResult]:
-        part = horizon.cut(model, engine, batch)
-        settings: dict[str, Any] = {"engine": engine, "options": options, "seed": seed, "progress": progress}
-        if not pooled:
-            return fit_records(model, part, starts=starts, kept=kept, **settings)
-        (found,) = kept_fit(kept, model, part, pooled=True, starts=starts, **settings)
-        return [confirmed(found, part, options=options, seed=seed, kept=kept, progress=progress)]
-
-    sets = fitted(horizon or WHOLE)
-    if horizon is None:
-        horizon = choose_horizon(model, engine, batch, sets, options=options)
-        sets = sets if horizon.kind == "whole" else fitted(horizon)
+    else:
+        batch = batch_of(dataset, system, dataset.train, signal_share, device)
+        model = copy.deepcopy(system).to(device)  # the caller's stays where it is
+        sets, horizon = _fitted(
+            model, engine, batch, horizon, pooled=pooled, options=options, starts=starts, seed=seed, kept=kept,
+            progress=progress,
+        )  # fmt: skip
     return analyse_fits(
         dataset,
         system,
@@ -138,6 +119,33 @@ def identify(
         horizon=horizon,
         level=level,
     )
+
+
+def _fitted(
+    model: System,
+    engine: Engine,
+    batch: Batch,
+    horizon: Horizon | None,
+    *,
+    pooled: bool,
+    starts: int,
+    kept: Kept | None,
+    **settings: Any,
+) -> tuple[list[FitResult], Horizon]:
+    """All sets of a batch, and the horizon over which they are fitted: the one given, or what the records ask for."""
+
+    def fitted(horizon: Horizon) -> list[FitResult]:
+        part = horizon.cut(model, engine, batch)
+        if not pooled:
+            return fit_records(model, part, starts=starts, kept=kept, engine=engine, **settings)
+        (found,) = kept_fit(kept, model, part, pooled=True, starts=starts, engine=engine, **settings)
+        return [confirmed(found, part, kept=kept, **settings)]
+
+    sets = fitted(horizon or WHOLE)
+    if horizon is None:
+        horizon = choose_horizon(model, engine, batch, sets, options=settings["options"])
+        sets = sets if horizon.kind == "whole" else fitted(horizon)
+    return sets, horizon
 
 
 def analyse_fits(
@@ -169,12 +177,7 @@ def analyse_fits(
     """
     batch = batch_of(dataset, system, dataset.train, signal_share) if batch is None else batch.to("cpu")
     if all(result.status == "diverged" for result in sets):
-        engine = stable_engine(system, sets[0].engine, batch)
-        cause = cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
-        why = f" ({cause})" if cause else ""
-        raise InputError(
-            f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values{why}."
-        )
+        _refuse_diverged(dataset, system, sets[0].engine, batch)
     for result in sets:  # statistics are numpy's
         result.system.to("cpu")
     batch = horizon.cut(sets[0].system, sets[0].engine, batch)
@@ -199,15 +202,7 @@ def analyse_fits(
         errors = {way: np.hypot(error, of_mean) for way, error in errors.items()}
     held = [n for n, share in zip(names, identifiability.prior_share, strict=True) if share > 0.5]
     variations = variation(values, names, held=held) if len(sets) > 1 else None
-    scattered = (
-        {}
-        if variations is None
-        else {
-            n: p
-            for n, p, fine in zip(names, variations.percent, variations.acceptable, strict=True)
-            if not fine and n not in held
-        }
-    )
+    scattered = {} if variations is None else _scattered(variations, held)
     reliability = reliability_grades(
         names,
         np.nanmean(values, 0),
@@ -226,6 +221,29 @@ def analyse_fits(
         by_record, engine_error(chosen, batch), horizon=horizon, level=level, test_errors=by_output,
         outputs=with_joint_names(dataset.outputs, system), input_error=input_error,
     )  # fmt: skip
+
+
+def _refuse_diverged(dataset: Dataset, system: System, engine: Engine, batch: Batch) -> NoReturn:
+    """Say that every fit has diverged, and why where a simulation shows it.
+
+    Raises:
+        InputError: always.
+    """
+    engine = stable_engine(system, engine, batch)
+    cause = cause_of_divergence(system, engine, batch, simulate(system, engine, batch).x)
+    why = f" ({cause})" if cause else ""
+    raise InputError(
+        f"Every fit of dataset '{dataset.name}' diverged; check units, signs and start values{why}."
+    )
+
+
+def _scattered(found: Variation, held: Sequence[str]) -> dict[str, float]:
+    """Parameters that vary more between records than is acceptable, with their std/mean [%]; none that priors hold."""
+    return {
+        name: percent
+        for name, percent, fine in zip(found.names, found.percent, found.acceptable, strict=True)
+        if not fine and name not in held
+    }
 
 
 def _shifts(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,13 @@ PLACEHOLDER = {
 """Starts [SI] where neither a sheet nor the logs say more: a motor of some 10 W."""
 EXPLAINED, PARTIAL = 0.3, 0.3
 """Share of the acceleration that a drive's fit has to explain, and the command's partial correlation, to be a start."""
+GAINS = {
+    "voltage": ("P_m1", "P_m2"),
+    "duty": ("P_m1", "P_m2"),
+    "current": ("k_t",),
+    "goal": ("k_p",),
+}
+"""Gains between command and torque, by what is commanded."""
 NOT_BACK_EMF = 0.1
 """Share of a drive's damping that starts as viscous friction and not as back-EMF."""
 TIMES = 3.0
@@ -44,7 +51,7 @@ class ProposedModel:
     Attributes:
         values: as the file's keys.
         why: place in it, ``parameters.J`` or ``components.0``, and the evidence for what stands there.
-        questions: what cannot be told.
+        questions: what neither records nor robot say.
     """
 
     values: dict[str, Any]
@@ -275,19 +282,28 @@ def _robot(
             late.append(drive.joint)
             _add(model, [other_gains])
         _add(model, _parts(drive.joint, drive, start, own or bool(other_gains), sheet, True))
-        gains = {
-            "voltage": ("P_m1", "P_m2"),
-            "duty": ("P_m1", "P_m2"),
-            "current": ("k_t",),
-            "goal": () if own or other_gains else ("k_p",),
-        }
-        for name in gains.get(drive.command, ()):
+        for name in () if drive.command == "goal" and (own or other_gains) else GAINS.get(drive.command, ()):
             if name not in start.priors:
                 placeholders.setdefault(name, []).append(drive.joint)
     if servos:
         model.values["servos"], model.why["servos"] = servos, "motor's sheet"
-        if sheet.p is None:
-            model.ask("What does the register P of the servos hold? 16 is assumed. Give p in --motor.")
+    _ask_of_gains(model, late, placeholders, register=bool(servos) and sheet.p is None)
+    return model
+
+
+def _ask_of_gains(
+    model: ProposedModel, late: Sequence[str], placeholders: Mapping[str, Sequence[str]], *, register: bool
+) -> None:
+    """Ask for the gains that neither sheet nor robot say.
+
+    Args:
+        model: takes the questions.
+        late: joints whose logs contradict the gains in the robot's file.
+        placeholders: joints by the gain that starts from a placeholder.
+        register: whether the servos' register P is unknown.
+    """
+    if register:
+        model.ask("What does the register P of the servos hold? 16 is assumed. Give p in --motor.")
     if late:
         model.ask(
             f"How stiff are the servos of {', '.join(late)}? The logs contradict the gains in the robot's file, so k_p "
@@ -301,7 +317,6 @@ def _robot(
         model.ask(
             f"How large is {name} of {', '.join(joints)}? Its start is from the logs or a placeholder: {cure}."
         )
-    return model
 
 
 def _other_gains(drive: DriveFacts, joint: TreeJoint) -> tuple[dict[str, Any], str] | None:

@@ -251,8 +251,13 @@ def test_results_of_an_interrupted_search_are_written_and_it_resumes(
     assert json.loads((out / "diagnosis.json").read_text())["interrupted"] is False
 
 
-def test_ctrl_c_while_pictures_are_drawn_keeps_the_diagnosis(
-    run, diagnosed, monkeypatch: pytest.MonkeyPatch, records: Path, tmp_path: Path
+@pytest.mark.parametrize(
+    "during",
+    ["diagnosis.details.Details.compute", "reporting.diagnosis_figures.diagnosis_figures"],
+    ids=["computing", "drawing"],
+)
+def test_ctrl_c_while_pictures_are_made_keeps_the_diagnosis(
+    run, diagnosed, monkeypatch: pytest.MonkeyPatch, records: Path, tmp_path: Path, during: str
 ) -> None:
     def stop(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -264,7 +269,7 @@ def test_ctrl_c_while_pictures_are_drawn_keeps_the_diagnosis(
     out = tmp_path / "gap"
     monkeypatch.setattr(command, "run", with_a_fit)
     with monkeypatch.context() as patch:
-        patch.setattr("hybrid_id.reporting.diagnosis_figures.diagnosis_figures", stop)
+        patch.setattr(f"hybrid_id.{during}", stop)
         cut = run("diagnose", records, "--out", out)
     assert cut.code == 130
     assert "the diagnosis is complete and in diagnosis.json, pictures and page are not written" in cut.err

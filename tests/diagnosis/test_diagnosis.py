@@ -109,7 +109,7 @@ def test_a_few_samples_are_too_short_to_say() -> None:
         for r in dataset.records[2:]
     ]
     found = module.diagnose(replace(dataset, records=tuple(cut)), today, max_effects=1)
-    assert found.verdict == "inconclusive" and not found.selected and found.vague > 0.1
+    assert found.verdict == "inconclusive" and not found.selected and found.relative_std > 0.1
 
 
 def test_the_graded_answer_adds_up(diagnosed) -> None:

@@ -122,8 +122,8 @@ def test_a_record_that_does_not_see_a_parameter_says_nothing_of_it() -> None:
 def test_what_an_encoder_rounds_is_no_sign_of_something_missing_within_a_record() -> None:
     """Small errors that dwell where the drive rests have a colour, and mean nothing."""
     slow = np.repeat([[0.3], [-0.3]], 50, axis=0)
-    assert _structural(SimpleNamespace(residual=[slow])) < CRITERIA.faint**2  # type: ignore[arg-type]
-    assert _structural(SimpleNamespace(residual=[3.0 * slow])) > CRITERIA.faint**2  # type: ignore[arg-type]
+    assert _structural(SimpleNamespace(residual=[slow])) < CRITERIA.negligible_structure**2  # type: ignore[arg-type]
+    assert _structural(SimpleNamespace(residual=[3.0 * slow])) > CRITERIA.negligible_structure**2  # type: ignore[arg-type]
 
 
 def test_an_encoder_that_ripples_hides_no_drift(drift) -> None:

@@ -6,7 +6,7 @@ import pytest
 from gapcase import small_case
 
 from hybrid_id.components import JointFlexibility
-from hybrid_id.diagnosis.plausibility import implausible_parameters, torque_power
+from hybrid_id.diagnosis.plausibility import implausible_parameters, not_identifiable, torque_power
 from hybrid_id.identification.fit import fit
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.statistics.identifiability import identifiability
@@ -96,3 +96,11 @@ def test_what_the_records_do_not_see_is_said_beside_what_it_may_have_moved() -> 
 )
 def test_power_of_torque_in_a_unit(unit: str, power: int) -> None:
     assert torque_power(unit) == power
+
+
+def test_what_holds_the_scale_is_said_and_free_scales_are_not_said_twice() -> None:
+    dataset, nominal = small_case()
+    assert any("one number" in words and "claim" not in words for words in not_identifiable(dataset, nominal))
+    held = nominal.with_specs({"J": replace(nominal.parameter("J").spec, estimate=False)})
+    words = not_identifiable(dataset, held)
+    assert any("P_m1" in w and "only the claim of J at" in w for w in words), words

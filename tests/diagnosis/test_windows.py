@@ -66,7 +66,8 @@ def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
     monkeypatch.setattr(module, "LENGTHS", (0.3,))
     few = ("spring_load", "thermal_derating", "stribeck_friction")
     monkeypatch.setattr(starts, "CATALOGUE", {name: CATALOGUE[name] for name in few})
-    fits, found = module.search(Fits(dataset), nominal, max_effects=1)
+    measured = module.measure(dataset, nominal)
+    fits, found = module.search(measured.fits, measured.base, nominal, max_effects=1)
     assert (fits.horizon.kind, fits.horizon.seconds) == ("windows", 0.3)
     assert found.chosen.effects == (("spring_load", "joint1/load"),)
     assert all(len(e.result.residual) > len(dataset.train) for e in (found.base, found.chosen))
@@ -76,5 +77,6 @@ def test_a_search_whose_free_runs_are_lost_goes_over_a_shorter_horizon(
 def test_the_horizon_of_the_user_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     dataset, nominal = small_case()
     monkeypatch.setattr(starts, "CATALOGUE", {"spring_load": CATALOGUE["spring_load"]})
-    fits, _ = module.search(Fits(dataset), nominal, horizon=Horizon("windows", 0.3), max_effects=1)
+    measured = module.measure(dataset, nominal, horizon=Horizon("windows", 0.3))
+    fits, _ = module.search(measured.fits, measured.base, nominal, choose_horizon=False, max_effects=1)
     assert fits.horizon == Horizon("windows", 0.3)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from drives import make_records, multisine, rigid_drive
+from drives import make_records, multisine, only, rigid_drive
 
 from hybrid_id.components import PositionDependent
 from hybrid_id.export.target import in_mujoco, target_errors
@@ -28,14 +28,8 @@ def recorded(truth: System, noise: float = 1e-4) -> Dataset:
     return Dataset("drive", *channels, tuple(records), 0.002)
 
 
-def only(dataset: Dataset, role: str) -> Dataset:
+def of_role(dataset: Dataset, role: str) -> Dataset:
     return replace(dataset, records=tuple(r for r in dataset.records if r.role == role))
-
-
-def fixed(system: System, *free: str) -> System:
-    """The system with all parameters held but those named."""
-    specs = {i.name: replace(i.spec, estimate=i.name in free) for i in system.table}
-    return system.with_specs(specs)
 
 
 def test_what_mujoco_lacks_goes_into_the_parameters_that_it_has() -> None:
@@ -44,27 +38,29 @@ def test_what_mujoco_lacks_goes_into_the_parameters_that_it_has() -> None:
     # zero periods a turn: a Coulomb level by another name, which MuJoCo does not know
     other = PositionDependent(A_c=0.6 * level, A_s=0.0, n=0.0)
     split = truth.with_values({"F_c": 0.4 * level}).with_component("joint1/motor_friction", other)
-    found = in_mujoco(fixed(split, "F_c", "F_v", "A_c"), only(data, "test"), train=only(data, "train"))
+    found = in_mujoco(only(split, "F_c", "F_v", "A_c"), of_role(data, "test"), train=of_role(data, "train"))
     assert set(found.refitted) <= {"F_c", "F_v"} and "F_c" in found.refitted
     assert found.system.parameter("F_c").spec.value == pytest.approx(level, rel=0.01)
     assert found.summary.there < 1e-3 < 0.1 < found.before[0].there
-    assert in_mujoco(split, only(data, "test")).refitted == {}, "without train records nothing is fitted anew"
+    assert in_mujoco(split, of_role(data, "test")).refitted == {}, (
+        "without train records nothing is fitted anew"
+    )
 
 
 def test_a_re_fit_stays_within_bounds_that_are_narrow() -> None:
     truth = rigid_drive()
     data, level = recorded(truth), truth.parameter("F_c").spec.value
     other = PositionDependent(A_c=0.6 * level, A_s=0.0, n=0.0)
-    split = fixed(truth.with_values({"F_c": 0.4 * level}), "F_c")
+    split = only(truth.with_values({"F_c": 0.4 * level}), "F_c")
     narrow = replace(split.parameter("F_c").spec, lower=0.399 * level, upper=0.401 * level)
     split = split.with_specs({"F_c": narrow}).with_component("joint1/motor_friction", other)
-    found = in_mujoco(split, only(data, "test"), train=only(data, "train"))
+    found = in_mujoco(split, of_role(data, "test"), train=of_role(data, "train"))
     assert narrow.lower <= found.system.parameter("F_c").spec.value <= narrow.upper
 
 
 def test_what_mujoco_carries_stays_as_it_was_identified() -> None:
     data = recorded(rigid_drive(), noise=0.3)
-    found = in_mujoco(rigid_drive(), only(data, "test"), train=only(data, "train"))
+    found = in_mujoco(rigid_drive(), of_role(data, "test"), train=of_role(data, "train"))
     assert found.refitted == {} and found.rows == found.before
     assert found.summary.role == "test" and found.summary.by_output == {"q_m1": found.summary.there}
 
@@ -122,7 +118,7 @@ def test_errors_are_said_by_output_in_the_unit_that_was_logged() -> None:
 
 
 def test_worse_is_a_corrected_model_beside_a_better_re_fitted_one() -> None:
-    data = only(recorded(rigid_drive()), "test")
+    data = of_role(recorded(rigid_drive()), "test")
     off = rigid_drive().with_values({"F_c": 2 * rigid_drive().parameter("F_c").spec.value})
     pairs = [
         ({"re-fitted": rigid_drive(), "corrected": off}, True),

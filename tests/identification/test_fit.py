@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from drives import make_record, make_records, multisine, rigid_drive
+from drives import make_record, make_records, multisine, only, rigid_drive
 from scipy.optimize import least_squares
 
 from hybrid_id.components import Backlash, Stribeck
@@ -29,10 +29,6 @@ from hybrid_id.systems import System
 from hybrid_id.systems.model_file import load_model
 
 NOISE = {"q_m1": 0.02}
-
-
-def only(system: System, *free: str) -> System:
-    return system.with_specs({i.name: replace(i.spec, estimate=i.name in free) for i in system.table})
 
 
 TRUTH = only(rigid_drive(), "J", "F_c", "F_v")

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
-from drives import STEP, flexible_drive, make_record, make_records, measure, multisine, rigid_drive
+from drives import STEP, flexible_drive, make_record, make_records, measure, multisine, only, rigid_drive
 from scipy import stats
 
 from hybrid_id.components import (
@@ -32,11 +32,6 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System
 
 NOISE = {"q_m1": 0.02, "q_a1": 2e-4, "i1": 0.02, "tau1": 1e-3}
-
-
-def only(system: System, *free: str) -> System:
-    """The system with just these parameters to estimate."""
-    return system.with_specs({i.name: replace(i.spec, estimate=i.name in free) for i in system.table})
 
 
 def away(system: System, factor: float = 1.3) -> System:

@@ -1,18 +1,23 @@
-"""The generator of withheld cases and the diagnosis share no numbers: a grader knows nothing of the graded.
+"""The generator of withheld cases shares no numbers with the diagnosis, nor with the laws' start values and ranges.
 
-Numbers are read off the syntax trees: named constants, tuples and lists of numbers, and the ends of ranges and
-distributions. Names of effects, places, units and physical constants may be the same.
+A grader knows nothing of the graded. Numbers are read off the syntax trees: named constants and defaults of fields,
+tuples and lists of numbers, and the ends of ranges and distributions, of which a factor before a size counts. Names
+of effects, places, units and physical constants may be the same.
 """
 
 import ast
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 import hybrid_id
 
 PACKAGE = Path(hybrid_id.__file__).parent
 RANGES = {"uniform", "log_uniform", "_log", "integers", "range", "geomspace", "linspace", "logspace", "clip"}
 """Calls whose numbers are the ends of a range."""
+STARTS = "free"
+"""Call whose second and third number are the ends of a range, after a start value."""
 ROUND = {0.0, 0.001, 0.1, 0.25, 0.3, 0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 30.0}
 """Round numbers, which two people choose alike: as a named constant they say nothing."""
 PLAIN = {
@@ -33,6 +38,9 @@ SAME_MEANING = {
     "SAMPLE_TIME": "of the records: physics",
     "SETTLING_STEP": "a step of the integrator: physics",
     "DOMINANT": "definition of a dominant effect, stated to both sides",
+    "COPPER": "temperature coefficient of copper [1/K]: physics",
+    "WARM": "temperature coefficient of copper [1/K]: physics",
+    "ADDS": "least share of the gap that a second dominant effect adds; the diagnosis' 0.11 is a difference of rivals",
     "TRIVIAL": "part of the definition of the calibration error, stated to both sides",
 }
 """Named constants of the generator that tell nothing of a decision of the diagnosis."""
@@ -45,6 +53,7 @@ OTHER_QUANTITY = {
     (0.03, 0.15): "damping ratio of a flexible joint",
     (0.05, 0.2): "length of a pulse of torque [s]",
     (0.1, 1.0): "load at the end of an arm [kg]",
+    (0.5, 3.0): "mass of an arm's link [kg]; the law's is a shape exponent",
     (0.3, 1.0): "time of the first pulse of torque [s], share of the dry friction",
 }
 """Ranges of clean machines that stand for something else in the diagnosis; messy machines spread shapes beyond them."""
@@ -66,6 +75,13 @@ def number(node: ast.AST) -> float | None:
     return None
 
 
+def scaled(node: ast.AST) -> float | None:
+    """A number, or the one before what it multiplies or is divided by: a range in units of a size."""
+    if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Mult | ast.Div):
+        return number(node.left)
+    return number(node)
+
+
 def numbers(nodes: list[ast.expr]) -> tuple[float, ...]:
     """All of the nodes that are numbers; none where others are among them."""
     values = [number(node) for node in nodes]
@@ -81,9 +97,14 @@ def of_source(source: str, at: str) -> Iterator[tuple[str, tuple[float, ...], st
             yield "several", found, where
         elif isinstance(node, ast.Call):
             name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
-            ends = tuple(v for v in map(number, node.args) if v is not None)[:2]
-            if name in RANGES and len(ends) == 2:
-                yield "several", ends, where
+            args = node.args[1:3] if name == STARTS else node.args
+            for read in (number, scaled):
+                ends = tuple(v for v in map(read, args) if v is not None)[:2]
+                if name in RANGES | {STARTS} and len(ends) == 2:
+                    yield "several", ends, where
+        elif isinstance(node, ast.AnnAssign):  # of a class: parameters of functions are no assignments
+            if node.value is not None and (single := number(node.value)) is not None:
+                yield "constant", (single,), where
         elif isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name | ast.Tuple):
             target, value = node.targets[0], node.value
             pairs: list[tuple[ast.expr, ast.expr]] = [(target, value)]
@@ -116,8 +137,9 @@ def shared(one: Found, other: Found) -> list[str]:
     )
 
 
-def test_generator_and_diagnosis_share_no_number() -> None:
-    assert not shared(of_package("machines"), of_package("diagnosis"))
+@pytest.mark.parametrize("other", ["diagnosis", "components"])
+def test_generator_shares_no_number(other: str) -> None:
+    assert not shared(of_package("machines"), of_package(other))
 
 
 def test_a_shared_number_would_be_seen() -> None:
@@ -126,4 +148,6 @@ def test_a_shared_number_would_be_seen() -> None:
 
     assert shared(found("A = 0.37"), found("B = 0.37"))
     assert shared(found("x = rng.uniform(0.2, 0.9)"), found("RANGE = (0.2, 0.9)"))
+    assert shared(found("x = size * log_uniform(0.2, 7)"), found("free(2.0 * size, 0.2 * size, 7 * size)"))
+    assert shared(found("A = 0.37"), found("class Criteria:\n    level: float = 0.37"))
     assert not shared(found("A = 0.37"), found("A = 0.36"))

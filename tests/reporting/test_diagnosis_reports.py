@@ -13,7 +13,13 @@ from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.result import FORMER_KEYS, Diagnosis
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.reporting.diagnosis import diagnosis_page, effects_table, parameters_table, summary
+from hybrid_id.reporting.diagnosis import (
+    diagnosis_page,
+    diagnosis_table,
+    effects_table,
+    parameters_table,
+    summary,
+)
 from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 from hybrid_id.reporting.diagnosis_words import (
     error_lines,
@@ -40,6 +46,18 @@ ACTS = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 
 @pytest.fixture(scope="module")
 def figures(diagnosed: tuple[Dataset, System, Diagnosis]) -> dict[str, Drawn]:
     return diagnosis_figures(diagnosed[2])
+
+
+def test_nothing_is_computed_while_pictures_and_page_are_made(
+    diagnosed, monkeypatch: pytest.MonkeyPatch, tmp_path
+) -> None:
+    found = diagnosed[2]
+    found.details.compute()
+    for name in ("torque_map", "after_reversals", "as_identified", "residual_tests", "replay"):
+        monkeypatch.setattr(f"hybrid_id.diagnosis.details.{name}", None)
+    drawn = diagnosis_figures(found)
+    assert diagnosis_page(found, drawn).html() and diagnosis_table(found)
+    write_diagnosis_events(tmp_path, found, {name: one.image for name, one in drawn.items()})
 
 
 def half_explained(found: Diagnosis, **changes: object) -> Diagnosis:

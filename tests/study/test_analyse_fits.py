@@ -5,18 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from drives import make_record, make_records, multisine, rigid_drive
+from drives import make_record, make_records, multisine, only, rigid_drive
 
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.study import analyse_fits, identify, replay
-from hybrid_id.systems import System
 
 CHANNELS = ((Channel("u1", "V"),), (Channel("q_m1", "rad", 0.02),))
-
-
-def only(system: System, *free: str) -> System:
-    return system.with_specs({i.name: replace(i.spec, estimate=i.name in free) for i in system.table})
 
 
 def dataset(**test) -> Dataset:

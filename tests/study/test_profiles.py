@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import make_records, multisine, rigid_drive
+from drives import make_records, multisine, only, rigid_drive
 
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Channel, Dataset
@@ -12,10 +12,6 @@ from hybrid_id.study import Study, identify, profiles
 from hybrid_id.systems import System
 
 CHANNELS = ((Channel("u1", "V"),), (Channel("q_m1", "rad", 0.02),))
-
-
-def only(system: System, *free: str) -> System:
-    return system.with_specs({i.name: replace(i.spec, estimate=i.name in free) for i in system.table})
 
 
 def dataset() -> Dataset:

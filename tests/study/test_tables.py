@@ -11,7 +11,7 @@ from drives import make_records, multisine, rigid_drive
 from hybrid_id import Channel, Dataset
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.study import Study, identify
-from hybrid_id.study.notebook import as_html
+from hybrid_id.study.result import as_html
 
 BAD = "<script>alert(1)</script>"
 
