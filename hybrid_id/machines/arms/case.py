@@ -31,8 +31,9 @@ WRONG = 0.195
 """Values of the description are off by up to this share."""
 SPREAD = (0.008, 0.042)
 """Standard deviation of the factor on a joint's friction between records."""
-DOMINANT = 0.4
-"""Share of the gap that the dominant effect closes at least, on train and on test records."""
+DOMINANT, TWICE = 0.4, 2.0
+"""Share of the gap that the dominant effect closes at least, on train and on test records, and how many times that of
+the largest small one."""
 PLAIN = 1.6
 """Error of the re-fitted joint over that with all effects, at least, where the dominant effect acts."""
 SEEN = 0.01
@@ -140,8 +141,8 @@ def _draw(rng: np.random.Generator, family: str, effect: str | None) -> _Drawn |
         others = [k for k in range(joints) if k != at]
         lead = replace(lead, values={**lead.values, "other": float(rng.choice(others))})
     small = tuple(
-        tuple(one for one in draw_small(rng, k, own, bare.servo) if (one.name, k) != (lead.name, at))
-        for k, own in enumerate(bare.drives)
+        tuple(one for one in own if (one.name, one.joint) != (lead.name, at))
+        for own in draw_small(rng, bare.drives, bare.servo)
     )
     drives = []
     for k, own in enumerate(bare.drives):
@@ -242,6 +243,9 @@ def _fitted(
     lacking = one_by_one.fit([full(k, one) for k in range(joints) for one in drawn.small[k]], ROUNDS)
     rest = iter(lacking)
     without = [[next(rest) for _ in own] for own in drawn.small]
+    largest = max((one.train - floor[one.joint].train for one in lacking), default=0.0) / fits.gap("train")
+    if fits.closes("train") < TWICE * largest:
+        return None
     rivals = _rivals(rng, drawn, one_by_one, base[at], lead)
     if lead.formula and any(_open(base[at], leads[at], one) < 1.0 - IMITATED for one in rivals.values()):
         return None

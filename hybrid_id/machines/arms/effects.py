@@ -1,6 +1,6 @@
 """What may act at a joint of an arm beyond its description."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,21 +93,23 @@ KINDS: Mapping[str, Kind] = {
 """Effects of the catalogue by name."""
 SIGNED = {"uneven": 0.4, "phase": 1.1, "rest": 0.45, "zero": 0.04, "mass": 0.35}
 """Values that may be negative, and what each is measured by in a fit."""
-SMALL: Mapping[str, Callable[[np.random.Generator, Drive], Values]] = {
-    "stribeck_friction": lambda r, d: {
-        "drop": d.friction * _uniform(r, 0.01, 0.07),
+SMALL: Mapping[str, Callable[[np.random.Generator, Drive, float], Values]] = {
+    "stribeck_friction": lambda r, d, g: {
+        "drop": g * d.friction * _uniform(r, 0.01, 0.07),
         "slip": _uniform(r, 0.06, 0.22),
     },
-    "asymmetric_friction": lambda r, d: {"uneven": _uniform(r, -0.025, 0.025)},
-    "position_dependent_friction": lambda r, d: {
-        "ripple": _uniform(r, 0.004, 0.03),
+    "asymmetric_friction": lambda r, d, g: {"uneven": g * _uniform(r, -0.025, 0.025)},
+    "position_dependent_friction": lambda r, d, g: {
+        "ripple": g * _uniform(r, 0.004, 0.03),
         "waves": _uniform(r, 2.2, 5.2),
         "phase": _uniform(r, -np.pi, np.pi),
     },
-    "encoder_zero": lambda r, d: {"zero": np.radians(_uniform(r, -0.02, 0.02))},
-    "link_mass": lambda r, d: {"mass": _uniform(r, -0.022, 0.022)},
+    "encoder_zero": lambda r, d, g: {"zero": g * np.radians(_uniform(r, -0.02, 0.02))},
+    "link_mass": lambda r, d, g: {"mass": g * _uniform(r, -0.022, 0.022)},
 }
-"""Small things at every joint."""
+"""Small things at every joint, larger on one arm than on another by a factor."""
+GROWN = (0.8, 4.5)
+"""Least and greatest of that factor."""
 
 
 def _over_other(rng: np.random.Generator, drive: Drive, moment: float) -> Values:
@@ -151,7 +153,11 @@ def draw_effect(
     return Effect(name, joint, draw(rng, drive, moment), formula)
 
 
-def draw_small(rng: np.random.Generator, joint: int, drive: Drive, servo: bool) -> list[Effect]:
-    """The small effects of a joint."""
+def draw_small(rng: np.random.Generator, drives: Sequence[Drive], servo: bool) -> list[list[Effect]]:
+    """The small effects of every joint of an arm."""
     kinds = {name: draw for name, draw in SMALL.items() if KINDS[name].fits(servo)}
-    return [Effect(name, joint, draw(rng, drive)) for name, draw in kinds.items()]
+    grown = float(np.exp(rng.uniform(*np.log(GROWN))))
+    return [
+        [Effect(name, k, draw(rng, own, grown)) for name, draw in kinds.items()]
+        for k, own in enumerate(drives)
+    ]
