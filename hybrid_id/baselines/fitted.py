@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.baselines.answer import answer, gap_of, named
+from hybrid_id.diagnosis.arm import diagnose_arm
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.fits import Fits, Task
 from hybrid_id.diagnosis.model import FittedModel
@@ -77,8 +78,21 @@ def best_of_each(found: list[FittedModel | None]) -> list[FittedModel]:
 
 
 def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
-    """Content of ``diagnosis.json``, the command of the best next experiment with it."""
+    """Content of ``diagnosis.json``, the command of the best next experiment with it; of a robot joint by joint.
+
+    Raises:
+        KeyboardInterrupt: stopped before its end: half a search is no answer to a case.
+    """
+    if system.tree is not None:
+        arm = diagnose_arm(dataset, system)
+        if arm.interrupted:
+            raise KeyboardInterrupt
+        acting = [joint for joint, one in arm.joints.items() if one.unknown]
+        where = max(acting, key=lambda joint: arm.parts[joint]) if arm.unknown else None
+        return arm.as_dict() | {"unknown_at": where and {"joint": where, "place": None}}
     found = diagnose(dataset, system)
+    if found.interrupted:
+        raise KeyboardInterrupt
     content = found.as_dict()
     for proposed, experiment in zip(content["next_experiments"][:1], found.experiments, strict=False):
         proposed |= {

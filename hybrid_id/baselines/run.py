@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -112,7 +113,7 @@ def run_case(settings: Settings, case: Case) -> dict[str, Any]:
             (folder / name).write_bytes(content)
         system = load_model(folder / "model.yaml")
         dataset = with_train_records(Dataset.load(folder), settings.train_records)
-        wall, processor = time.perf_counter(), time.process_time()
+        wall, processor = time.perf_counter(), _processor_seconds()
         if settings.method == "external":
             said = external(folder, settings.command)
         else:
@@ -123,9 +124,14 @@ def run_case(settings: Settings, case: Case) -> dict[str, Any]:
         "system": system.name,
         "train_records": len(dataset.train),
         "seconds": round(time.perf_counter() - wall, 3),
-        "processor_seconds": round(time.process_time() - processor, 3),
+        "processor_seconds": round(_processor_seconds() - processor, 3),
     }
     return said | {"case": case.name, "run": about}
+
+
+def _processor_seconds() -> float:
+    """Processor time of this process and of the programs that it has run, compilers say [s]."""
+    return sum(os.times()[:4])
 
 
 def with_train_records(dataset: Dataset, count: int | None) -> Dataset:

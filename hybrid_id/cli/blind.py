@@ -67,7 +67,8 @@ RealismOption = Annotated[
     str,
     typer.Option(
         help="clean: one thing lacks, or two. messy: a dominant one among small ones, drifting friction and "
-        "imperfect encoders; with --family none or parameters nothing but those."
+        "imperfect encoders; with --family none or parameters nothing but those. arms: as messy, arms of two to seven "
+        "joints in MuJoCo."
     ),
 ]
 EngineOption = Annotated[

@@ -398,7 +398,7 @@ def gathered(
     for method, cases in judged.items():
         found = scores(cases)
         plain = [dataclasses.asdict(one) for one in cases]
-        realism = "messy" if any(one.realism == "messy" for one in cases) else "clean"
+        realism = next((one.realism for one in cases), "clean")
         methods[method] = {"scores": found, "targets": against_targets(found, realism), "judged": plain}
     first, manifest = next(iter(by_method)), manifests[0]
     asked = sum(one["asked"] for one in manifests)

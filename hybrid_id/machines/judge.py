@@ -3,8 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations, permutations
 from typing import Any
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 Truth = Mapping[str, Any]
 Said = Mapping[str, Any]
@@ -24,11 +26,11 @@ class Judged:
     Attributes:
         case: its name.
         family, level, system, engine: of the case.
-        realism: clean or messy.
+        realism: clean, messy or arms.
         effect: what was at work, of a messy machine what was dominant; several joined by ``+``.
         records: train records that the diagnosis had.
         broken: why there is no diagnosis, empty where there is one.
-        seconds: time that the diagnosis took.
+        seconds, processor: time that the diagnosis took, and of the processors.
         said: what it stands by, in one word: an effect's name (that of the answer where it is accepted), ``unknown``,
             ``none`` or ``broken``.
         top_1, top_3: whether an accepted name is ranked first, among the first three (single effects; a messy machine's
@@ -37,6 +39,9 @@ class Judged:
             test records alone cannot be found.
         place: whether the first one's place is accepted (likewise).
         top_1_at_place: both together.
+        joint: whether its joint is that of a dominant effect, or one that feels it as well (arms).
+        tied: whether an accepted name is the first one's or one of those that are said to be indistinguishable from it
+            (arms).
         pair: hits, named and true effects of a pair.
         whole: whether exactly what was at work is named: all effects and no other, nothing where nothing was, and
             "unknown" with no name beside it where it is outside the catalogue. Of a messy machine: a dominant effect
@@ -66,11 +71,14 @@ class Judged:
     broken: str
     seconds: float
     said: str
+    processor: float = math.nan
     top_1: bool | None = None
     top_3: bool | None = None
     leads_train: bool | None = None
     place: bool | None = None
     top_1_at_place: bool | None = None
+    joint: bool | None = None
+    tied: bool | None = None
     pair: tuple[int, int, int] | None = None
     whole: bool = False
     false_alarm: bool | None = None
@@ -103,16 +111,13 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
     broken = "not run" if said is None else str(run.get("message") or "")
     if broken or said is None:
         said = {}
-    family, truth, realism = (
-        str(answers["family"]),
-        answers["effects"],
-        "messy" if "messy" in answers else "clean",
-    )
+    family, truth = str(answers["family"]), answers["effects"]
+    realism = "arms" if "arm" in answers else "messy" if "messy" in answers else "clean"
     leading = [t for t in truth if t.get("role", "dominant") == "dominant"]
     ranked: Sequence[Said] = said.get("effects", [])
     chosen = [e for e in ranked if e["selected"]]
     unknown = bool(said.get("unknown", False))
-    known, messy = family != "unknown", realism == "messy"
+    known, messy, of_arm = family != "unknown", realism != "clean", realism == "arms"
     asked = family == "single" or (messy and family == "pair")
     hits = _hits(chosen, truth) if known or messy else 0
     first = ranked[0] if ranked else None
@@ -135,12 +140,15 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         records=int(run.get("train_records", 0)),
         broken=broken,
         seconds=float(run.get("seconds", math.nan)),
+        processor=float(run.get("processor_seconds", math.nan)),
         said="broken" if broken else _in_a_word(leading if asked else [], chosen, unknown),
         top_1=any(named[:1]) if asked else None,
         top_3=any(named) if asked else None,
         leads_train=_leads_train(truth) if asked else None,
         place=bool(first and any(first["where"] in t["accept_where"] for t in leading)) if asked else None,
         top_1_at_place=at_place if asked else None,
+        joint=_at_joint(first, leading[0]) if asked and of_arm else None,
+        tied=_among_ties(first, leading[0]) if asked and of_arm else None,
         pair=(hits, len(chosen), len(truth)) if family == "pair" and not messy else None,
         whole=not broken and unknown is not known and whole,
         false_alarm=(bool(chosen) or unknown) if family in SOUND and not broken else None,
@@ -151,7 +159,7 @@ def judge(case: str, answers: Truth, said: Said | None) -> Judged:
         claims=tuple((float(e["probability"]), bool(_hits([e], truth))) for e in ranked),
         shrink_error=error,
         covered=covered,
-        closed=None if broken else _closed(said, answers),
+        closed=None if broken or of_arm else _closed(said, answers),
         share_errors=errors,
         share_covered=share_covered,
     )  # fmt: skip
@@ -176,12 +184,25 @@ def _right(effect: Said, truth: Truth) -> bool:
     return _named(effect, truth) and effect["where"] in truth["accept_where"]
 
 
+def _at_joint(effect: Said | None, truth: Truth) -> bool:
+    """Whether an effect is at a joint that the true one acts at."""
+    joints = {where.rpartition("/")[0] for where in truth["accept_where"]}
+    return effect is not None and effect["where"].rpartition("/")[0] in joints
+
+
+def _among_ties(effect: Said | None, truth: Truth) -> bool:
+    """Whether an accepted name is that of an effect or of one that it is said to be indistinguishable from."""
+    if effect is None:
+        return False
+    return bool({effect["name"], *(one.split("@")[0] for one in effect["tied_with"])} & set(truth["accept"]))
+
+
 def _hits(chosen: Sequence[Said], truth: Sequence[Truth]) -> int:
     """How many of the true effects are among the chosen ones, each of which serves once."""
-    if len(truth) > len(chosen):
-        return max((_hits(chosen, some) for some in combinations(truth, len(chosen))), default=0)
-    orders = permutations(chosen, len(truth))
-    return max(sum(map(_right, order, truth)) for order in orders)
+    right = np.array([[_right(one, t) for t in truth] for one in chosen], bool).reshape(
+        len(chosen), len(truth)
+    )
+    return int(right[linear_sum_assignment(right, maximize=True)].sum())
 
 
 def _in_a_word(leading: Sequence[Truth], chosen: Sequence[Said], unknown: bool) -> str:

@@ -12,22 +12,29 @@ from joblib import Parallel, delayed
 
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.machines import messy
+from hybrid_id.machines.arms import case as arms
+from hybrid_id.machines.arms.effects import KINDS as OF_ARMS
+from hybrid_id.machines.arms.effects import OUTSIDE as OUTSIDE_OF_ARMS
+from hybrid_id.machines.arms.motion import mujoco
 from hybrid_id.machines.draw import FAMILIES, LEAST, SEEN, draw_case, family_and_level
 from hybrid_id.machines.effects import CATALOGUE, OUTSIDE
-from hybrid_id.machines.grading import BANDS, Graded
+from hybrid_id.machines.grading import BANDS
 from hybrid_id.machines.ground_truth import ground_truth, messy_ground_truth
 from hybrid_id.machines.judge import SOUND
 from hybrid_id.machines.rivals import find_rivals, with_only
 from hybrid_id.machines.robots import SYSTEMS
+from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.yaml_file import write_yaml
 
 NEEDED = 1.2
 """Re-fit with one effect of a pair alone over the error of both, at least, on the test records; on the train records,
 where those who diagnose have to see it, `SEEN`."""
-CLEAN, MESSY = "clean", "messy"
-"""Kinds of cases: one thing lacks, or a dominant one among small ones."""
+CLEAN, MESSY, ARMS = "clean", "messy", "arms"
+"""Kinds of cases: one thing lacks, or a dominant one among small ones, or that in an arm of two to seven joints."""
 MESSY_DRAWS = 22
-"""Messy machines that are tried for a case before it is given up."""
+"""Messy machines, and arms, that are tried for a case before it is given up."""
+DESCRIPTION = "arm.xml"
+"""File of an arm's description."""
 DRAWS = 8
 """Machines that are tried for a case before it is given up."""
 
@@ -57,7 +64,8 @@ def make_case(
         level: strong, medium or weak.
         engine: in_house or mujoco.
         realism: clean, where nothing is at work beyond the family; or messy, where that is dominant among small ones,
-            drift and imperfect encoders, and level and engine are not to be chosen.
+            drift and imperfect encoders, and level and engine are not to be chosen; or arms, of two to seven joints in
+            MuJoCo, as messy as that, where the system is not to be chosen either.
         grading: whether to look for other effects that explain the records as well; slower.
 
     Returns:
@@ -66,9 +74,10 @@ def make_case(
     Raises:
         InputError: a name is not known, or no machine could be drawn that the effect shows on.
     """
-    _check(family=family, system=system, effect=effect, level=level, engine=engine)
-    _check_realism(realism, level, engine)
+    _check(realism, family=family, system=system, effect=effect, level=level, engine=engine)
     name, asked = name or f"c{seed:03d}", level
+    if realism == ARMS:
+        return _make_arm(seed, Path(folder), name, family, effect)
     if realism == MESSY:
         return _make_messy(seed, Path(folder), name, family, system, effect)
     family, level = family_and_level(seed, family, effect, level)
@@ -89,7 +98,7 @@ def make_case(
             continue
         truth = ground_truth(graded, family, (seed, draw), rivals=rivals, alone=alone)
         if asked in (None, truth["level"]):
-            return _write(truth, graded, Path(folder))
+            return _write(truth, graded.records.dataset, graded.case.model, Path(folder))
     raise InputError(
         f"case {name}: no machine of {DRAWS} shows {effect or family} at level {level}; give another level or seed"
     )
@@ -103,9 +112,23 @@ def _make_messy(
     for draw in range(MESSY_DRAWS):
         made = messy.same_machine(seed, draw, name=name, family=family, system=system, effect=effect)
         if made is not None:
-            return _write(messy_ground_truth(made, family, (seed, draw)), made.graded, folder)
+            truth = messy_ground_truth(made, family, (seed, draw))
+            return _write(truth, made.graded.records.dataset, made.graded.case.model, folder)
     raise InputError(
         f"case {name}: no machine of {MESSY_DRAWS} has {effect or family} dominant; give another seed"
+    )
+
+
+def _make_arm(seed: int, folder: Path, name: str, family: str | None, effect: str | None) -> Path:
+    """Make one arm."""
+    family = arms.family_of(seed, family, effect)
+    for draw in range(MESSY_DRAWS):
+        made = arms.draw_arm_case(seed, draw, name, family, effect)
+        if made is not None:
+            model = {"robot": {"file": DESCRIPTION}}
+            return _write(made.truth, made.dataset, model, folder, {DESCRIPTION: made.description})
+    raise InputError(
+        f"case {name}: no arm of {MESSY_DRAWS} has {effect or family} dominant; give another seed"
     )
 
 
@@ -131,8 +154,7 @@ def make_cases(
         **options: see `make_case`.
     """
     known = ("family", "system", "effect", "level", "engine")
-    _check(**{option: options.get(option) for option in known})
-    _check_realism(options.get("realism", CLEAN), options.get("level"), options.get("engine"))
+    _check(options.get("realism", CLEAN), **{option: options.get(option) for option in known})
     numbers = range(first, first + n)
     calls = (delayed(_attempt)(seed + i - 1, folder, f"c{i:03d}", options) for i in numbers)
     made = []
@@ -159,37 +181,48 @@ def _attempt(seed: int, folder: str | Path, name: str, options: Mapping[str, Any
         return None
 
 
-def _write(truth: Mapping[str, Any], graded: Graded, folder: Path) -> Path:
-    """Write a case and its answers; the folder appears only when it is complete."""
-    case, path = graded.case, folder / graded.case.name
+def _write(
+    truth: Mapping[str, Any],
+    dataset: Dataset,
+    model: Mapping[str, Any],
+    folder: Path,
+    beside: Mapping[str, str] | None = None,
+) -> Path:
+    """Write a case, named like its dataset, and its answers; the folder appears only when it is complete."""
+    path = folder / dataset.name
     if path.exists():
         raise InputError(f"{path} exists already; remove it or give another folder")
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=folder, prefix=".making-") as temporary:
-        made = graded.records.dataset.save(Path(temporary) / case.name)
-        write_yaml(made / "model.yaml", case.model)
-        write_yaml(folder / "answers" / f"{case.name}.yaml", truth)
+        made = dataset.save(Path(temporary) / path.name)
+        write_yaml(made / "model.yaml", model)
+        for file, text in (beside or {}).items():
+            (made / file).write_text(text, encoding="utf-8")
+        write_yaml(folder / "answers" / f"{path.name}.yaml", truth)
         made.replace(path)
     return path
 
 
-def _check_realism(realism: str, level: str | None, engine: str | None) -> None:
-    """Refuse a kind of cases that is not known, and what a messy machine leaves no choice of."""
-    if realism not in (CLEAN, MESSY):
-        raise InputError(f"blind make: realism '{realism}' is not known; use {CLEAN} or {MESSY}")
-    if realism == MESSY and (level or engine == "mujoco"):
+def _check(realism: str = CLEAN, **given: str | None) -> None:
+    """Refuse a kind of cases or a name that is not known, and what a kind of cases leaves no choice of."""
+    if realism not in (CLEAN, MESSY, ARMS):
+        raise InputError(f"blind make: realism '{realism}' is not known; use {CLEAN}, {MESSY} or {ARMS}")
+    if realism == ARMS:
+        if given["system"] or given["level"] or given["engine"]:
+            raise InputError(
+                "blind make: arms are of two to seven joints, in MuJoCo; leave --system, --level and --engine out"
+            )
+        mujoco()
+    if realism == MESSY and (given["level"] or given["engine"] == "mujoco"):
         raise InputError(
             "blind make: messy machines have neither level nor MuJoCo; leave --level and --engine out"
         )
-
-
-def _check(**given: str | None) -> None:
-    """Refuse a name that is not known."""
-    formulas = [kind.__name__ for kinds in (*CATALOGUE.values(), OUTSIDE) for kind in kinds]
+    unnamed = list(OUTSIDE_OF_ARMS) if realism == ARMS else [kind.__name__ for kind in OUTSIDE]
+    formulas = [] if realism == ARMS else [kind.__name__ for kinds in CATALOGUE.values() for kind in kinds]
     known = {
-        "family": list(FAMILIES),
+        "family": list(arms.FAMILIES if realism == ARMS else FAMILIES),
         "system": list(SYSTEMS),
-        "effect": [*sorted(CATALOGUE), *sorted(formulas)],
+        "effect": [*sorted(OF_ARMS if realism == ARMS else CATALOGUE), *sorted((*formulas, *unnamed))],
         "level": list(BANDS),
         "engine": ["in_house", "mujoco"],
     }
@@ -198,7 +231,7 @@ def _check(**given: str | None) -> None:
             close = difflib.get_close_matches(value, known[option], n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"use one of {', '.join(known[option])}"
             raise InputError(f"blind make: {option} '{value}' is not known; {hint}")
-    outside = given["effect"] in {kind.__name__ for kind in OUTSIDE}
+    outside = given["effect"] in unnamed
     if (
         given["effect"]
         and given["family"] not in (None, *SOUND)

@@ -25,6 +25,8 @@ SHARES: Mapping[str, Callable[[Judged], bool | None]] = {
     "leads_train": lambda one: one.leads_train,
     "place": lambda one: one.place,
     "top_1_at_place": lambda one: one.top_1_at_place,
+    "joint": lambda one: one.joint,
+    "tied": lambda one: one.tied,
     "whole": lambda one: one.whole,
     "false_alarms": lambda one: one.false_alarm,
     "values": lambda one: one.values,
@@ -97,6 +99,7 @@ def figures(judged: Sequence[Judged]) -> dict[str, Score]:
         ("closed", [(one.case, one.closed) for one in judged]),
         ("shrink_error", [(one.case, one.shrink_error) for one in judged]),
         ("seconds", [(one.case, one.seconds) for one in judged]),
+        ("processor", [(one.case, one.processor) for one in judged]),
     ):
         known = [(case, abs(v) if name.endswith("_error") else v) for case, v in values if v is not None]
         known = [(case, v) for case, v in known if math.isfinite(v)]
@@ -186,8 +189,6 @@ def of_ties(rows: Mapping[str, Mapping[str, bool]], target: float) -> dict[str, 
 
     Whether the first one meets its target is in ``met``, whether all of its interval does in ``shown``.
 
-    Whether the first one meets its target is in ``met``, whether all of its interval does in ``shown``.
-
     Args:
         rows: for each case with a tie whether it was ``resolved`` and ``right``.
         target: share of ties that is to be resolved.
@@ -245,6 +246,7 @@ UNITS = {
     "shrink_error": "points",
     "share_error": "points",
     "seconds": "s",
+    "processor": "s",
     "slowest": "s",
     "f1": "",
     "calibration": "",
@@ -266,6 +268,14 @@ MESSY_TARGETS = (
     Target("time per case, median", None, "seconds", 60.0, upper=True),
     Target("time per case, most", None, "slowest", 300.0, upper=True),
 )
+ARM_TARGETS = (
+    Target("joint of the dominant effect", None, "joint", 0.90),
+    Target("its place", None, "place", 0.90),
+    Target("its name", None, "top_1", 0.85),
+    Target("false alarms where the structure is right", None, "false_alarms", 0.05, upper=True),
+    Target("expected calibration error", None, "calibration", 0.05, upper=True),
+    Target("time per case, median", None, "seconds", 240.0, upper=True),
+)
 TARGETS = (
     Target("strong effects: first name right", (_BY, "single, strong"), "top_1", 0.95),
     Target("medium effects: first name right", (_BY, "single, medium"), "top_1", 0.85),
@@ -283,13 +293,13 @@ TARGETS = (
 
 
 def against_targets(scores: Mapping[str, Any], realism: str = "clean") -> list[dict[str, Any]]:
-    """Each target of clean or of messy cases with what was seen.
+    """Each target of clean, messy or arms' cases with what was seen.
 
     ``met`` is None where no case speaks of it, ``shown`` tells whether all of the interval meets it, and ``cases`` are
     those to look at.
     """
     rows = []
-    for target in MESSY_TARGETS if realism == "messy" else TARGETS:
+    for target in {"messy": MESSY_TARGETS, "arms": ARM_TARGETS}.get(realism, TARGETS):
         group = (
             scores["all"] if target.group is None else scores["by"][target.group[0]].get(target.group[1], {})
         )

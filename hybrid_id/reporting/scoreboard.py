@@ -28,6 +28,8 @@ ROWS = {
     "leads_train": "a dominant effect leads on the train records, too",
     "place": "place of the first right",
     "top_1_at_place": "first name right at the right place",
+    "joint": "joint of the first right (arms)",
+    "tied": "right name first or among those indistinguishable from it (arms)",
     "f1": "F1 of the set (pairs)",
     "whole": "exactly what was at work named (all cases)",
     "false_alarms": "false alarms (nothing at work)",
@@ -44,18 +46,31 @@ ROWS = {
     "closed": "closable gap that is closed, median",
     "seconds": "time per case, median [s]",
     "slowest": "time per case, most [s]",
+    "processor": "processor time per case, median [s]",
     "broken": "broken cases",
 }
 INDEX = "README.md"
 """List of the reports in the folder where they are published."""
 INDEX_HEADS = ("date", "commit", "seed", "cases scored", "methods", "exactly right (first method)")
 """Heads of that list."""
-_PLAIN = ("shrink_error", "share_error", "seconds", "slowest")
+_PLAIN = ("shrink_error", "share_error", "seconds", "slowest", "processor")
 """Scores in points or seconds."""
-IN_GROUPS = ("cases", "top_1", "top_3", "place", "f1", "whole", "false_unknown", "sure", "closed", "seconds")
+IN_GROUPS = (
+    "cases",
+    "joint",
+    "top_1",
+    "top_3",
+    "place",
+    "f1",
+    "whole",
+    "false_unknown",
+    "sure",
+    "closed",
+    "seconds",
+)
 """Scores that are shown group by group."""
 SHORT = {
-    "cases": "cases", "top_1": "first name", "top_3": "first three", "place": "place", "f1": "F1",
+    "cases": "cases", "joint": "joint", "top_1": "first name", "top_3": "first three", "place": "place", "f1": "F1",
     "whole": "all right", "false_unknown": "false unknown", "sure": "sure claims right", "closed": "gap closed",
     "seconds": "time [s]",
 }  # fmt: skip
@@ -74,7 +89,7 @@ def value(name: str, score: Mapping[str, Any] | None, *, interval: bool = True) 
         return f"{100 * x:.0f}" if percent else form.format(x)
 
     text = number(score["value"]) + (" %" if percent else "")
-    if not interval or name in ("seconds", "slowest"):
+    if not interval or name in ("seconds", "slowest", "processor"):
         return text
     if score.get("low") is None:  # of few cases
         return f"{text} ({score['n']})"

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import look_at
-from gapcase import small_case
+from gapcase import only, small_case
 from typer.testing import CliRunner
 
 from hybrid_id.baselines import run as runner
@@ -21,6 +21,7 @@ from hybrid_id.machines import experiments as plans
 from hybrid_id.machines import grading
 from hybrid_id.machines import make as making
 from hybrid_id.machines import seal as sealing
+from hybrid_id.machines.arms import motion, robot
 from hybrid_id.machines.seal import seal
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.yaml_file import write_yaml
@@ -192,6 +193,29 @@ def test_parts_are_scored_together(home: Path, monkeypatch: pytest.MonkeyPatch) 
     assert "--seed 4 --cases 2" in told
     call("score", *reversed(parts), *archives[2:], *archives[:2], fails="does not begin with case 1")
     call("score", *parts, *archives[:2], fails="2 folders of runs but 1 archives")
+
+
+def test_an_arm_is_made_diagnosed_joint_by_joint_and_scored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("mujoco")
+    monkeypatch.setattr(robot, "JOINTS", (2, 2))
+    monkeypatch.setattr(robot, "SERVOS", 1.0)
+    monkeypatch.setattr(motion, "LENGTH", 1.5)
+    cases, runs, archive = tmp_path / "a" / "cases", tmp_path / "runs", tmp_path / "sealed" / "a.tar"
+    wish = ("--realism", "arms", "--seed", 27207, "--cases", 1, "--effect", "encoder_zero")
+    call("make", "--out", cases, "--answers", archive, *wish)
+    assert "arm.xml" in {p.name for p in (cases / "c001").iterdir()}
+    with only("encoder_zero", "quadratic_drag"):
+        call("run", cases, "--out", runs)
+    said = json.loads((runs / "diagnose" / "c001" / "diagnosis.json").read_text())
+    assert set(said["joints"]) == {"j1", "j2"} and "unknown_at" in said
+    told = call("score", runs, "--answers", archive)
+    assert "--realism arms" in told and "| joint of the dominant effect | ≥ 90 % | 100 %" in told
+    scores = json.loads((runs / "scores.json").read_text())["methods"]["diagnose"]["scores"]["all"]
+    for name in ("joint", "place", "top_1", "tied"):
+        assert scores[name]["value"] == 1.0, name
+    assert scores["processor"]["value"] > 0
 
 
 def test_wrong_input_is_refused(home: Path, tmp_path: Path) -> None:
