@@ -198,7 +198,7 @@ def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> b
 
 def joint_folders(found: "ArmDiagnosis") -> dict[str, str]:
     """Names of the folders of the joints' own results, by joint: what a path does not bear is replaced."""
-    names, taken = dict[str, str](), set(OTHERS)
+    names, taken = dict[str, str](), set[str](OTHERS)
     for joint in found.joints:
         plain = re.sub(r"[^\w.-]+|^\.+", "_", joint)[:MOST_LETTERS]
         name, k = plain, 1
