@@ -12,7 +12,11 @@ import so101
 import torch
 from sets import CARRIES_NOTHING, CLIPPED, TABLE
 
-from hybrid_id import diagnose_arm
+from hybrid_id import diagnose
+from hybrid_id.diagnosis.arm import moving_records
+from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.systems.by_joint import alone, joint_number, with_others_measured
 from hybrid_id.systems.chain import System
 
 
@@ -27,6 +31,12 @@ def nominal(folder: Path) -> System:
     )
 
 
+def diagnosed(motions: Dataset, system: System, joint: str) -> Diagnosis:
+    """One joint by itself, as :func:`hybrid_id.diagnose_arm` does it before it simulates all joints together."""
+    k = joint_number(system, joint)
+    return diagnose(with_others_measured(moving_records(motions, k), system, k), alone(system, k))
+
+
 def main() -> None:
     """Diagnose each joint of one half; a file a joint and half, those that are there stay."""
     ask = argparse.ArgumentParser(description=__doc__)
@@ -37,16 +47,16 @@ def main() -> None:
     wish = ask.parse_args()
     torch.set_num_threads(1)
     wish.out.mkdir(parents=True, exist_ok=True)
-    motions = so101.load(wish.data)["train"]
+    motions = so101.load(wish.data, "train")["train"]
     motions = replace(motions, records=motions.records[wish.half :: 2])
     for joint in wish.joints or so101.JOINTS:
         file, began = wish.out / f"{joint}_{wish.half}.json", time.process_time()
         if file.exists():
             continue
-        found = diagnose_arm(motions, nominal(wish.data), joints=[joint])
-        one = found.joints[joint]
-        file.write_text(json.dumps(found.as_dict() | {"seconds": time.process_time() - began}))
-        print(f"{joint}, half {wish.half}, {time.process_time() - began:.0f} s\n{one.summary()}", flush=True)
+        found = diagnosed(motions, nominal(wish.data), joint)
+        seconds = time.process_time() - began
+        file.write_text(json.dumps(found.as_dict() | {"seconds": seconds}))
+        print(f"{joint}, half {wish.half}, {seconds:.0f} s\n{found.summary()}", flush=True)
 
 
 if __name__ == "__main__":

@@ -33,17 +33,18 @@ def aside(names: list[str]) -> list[str]:
     return sorted(names, key=lambda name: hashlib.sha256(name.encode()).hexdigest())[:5]
 
 
-def load(folder: Path) -> dict[str, Dataset]:
+def load(folder: Path, only: str | None = None) -> dict[str, Dataset]:
     """Records by role: ``train`` (15), ``aside`` (5), ``test`` (10).
 
     Args:
         folder: holds ``records/*.csv.gz``.
+        only: the role whose files are opened; None for all.
     """
     names = sorted(path.name.removesuffix(".csv.gz") for path in (folder / "records").glob("*.csv.gz"))
     train = [name for name in names if name not in TEST]
     kept = aside(train)
     roles = {"train": [n for n in train if n not in kept], "aside": kept, "test": list(TEST)}
-    return {role: _dataset(folder, own) for role, own in roles.items()}
+    return {role: _dataset(folder, own) for role, own in roles.items() if only in (None, role)}
 
 
 def _dataset(folder: Path, names: list[str]) -> Dataset:

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hybrid_id.cli.console import FitProgress, console, remark, show
+from hybrid_id.cli.console import FitProgress, console, counting, remark, show
 from hybrid_id.cli.folder import (
     CHECKPOINT,
     EVENTS,
@@ -17,6 +17,7 @@ from hybrid_id.cli.folder import (
     live_folder,
     refuse_training,
     required,
+    results_folder,
     resumable,
     stopped,
 )
@@ -56,6 +57,13 @@ def train(
     pooled: PooledOption = None,
     seed: SeedOption = None,
     device: DeviceOption = None,
+    joint: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Joint of a robot, or 'all': a small network for what its physics leaves, by least squares, kept "
+            "where records left out are surely better for it. May be given several times."
+        ),
+    ] = None,
     force: ForceOption = False,
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
@@ -67,12 +75,17 @@ def train(
 
     With a `hybrid` section in the study file, residual networks train beside the physics (configs/study_hybrid.yaml).
     While it runs, `tensorboard --logdir DIR` shows its history. Ctrl-C ends it with what it has; --resume goes on.
+
+    With --joint, a robot's joints get networks one by one, the others as measured: seconds a joint.
     """
     config = config_of(
         source, model, out, identification__pooled=pooled, identification__seed=seed,
         identification__device=device,
     )  # fmt: skip
     home = required(config.output.folder)
+    if joint:
+        by_joint(config, home, joint, force=force, resume=resume, as_json=as_json, threads=threads)
+        return
     with resumable(home):
         refuse_training(home, config, force=force, resume=resume)
         dataset = checked_records(config)
@@ -110,6 +123,75 @@ def train(
             if run(dataset, system, config, home, resume=resume, as_json=as_json):
                 remark(stopped(home))  # what this one replaces is kept
                 raise typer.Exit(130)
+
+
+def by_joint(
+    config: StudyConfig,
+    home: Path,
+    joints: list[str],
+    *,
+    force: bool,
+    resume: bool,
+    as_json: bool,
+    threads: int,
+) -> None:
+    """Networks at a robot's joints, one by one: write the folder of results and print them."""
+    if config.hybrid is not None:
+        raise InputError(
+            "--joint learns one kind of network by itself; leave it out for those of the section 'hybrid', or take "
+            "that section out"
+        )
+    if resume:
+        raise InputError("--joint takes seconds a joint and keeps no fits; leave --resume out")
+    dataset = checked_records(config)
+    use_threads(threads)
+    from hybrid_id.reporting.residual_torques import (
+        residuals_page,
+        residuals_pictures,
+        residuals_result,
+        residuals_table,
+    )
+    from hybrid_id.reporting.results import as_json as to_json
+    from hybrid_id.study import Horizon
+    from hybrid_id.study.residual_torques import learn_residuals
+    from hybrid_id.systems.model_file import save_model
+
+    system = load_system(config, dataset)
+    if system.tree is None:
+        raise InputError(
+            f"{config.model}: --joint takes a joint of a robot, whose description the model names"
+        )
+    with results_folder(home, force=force) as folder:
+        with counting("joints") as bar:
+            bar_id = bar.add_task("joints")
+
+            def say(name: str, done: int, total: int) -> None:
+                bar.update(bar_id, description=name, completed=done, total=total)
+
+            found = learn_residuals(
+                dataset, system, [] if joints == ["all"] else joints,
+                horizon=Horizon.of(config.identification.window),
+                signal_share=config.preprocessing.signal_share, say=say,
+            )  # fmt: skip
+        save_model(found.system, folder / "model.yaml", home)
+        save_model(found.physics, folder / "physics.yaml", home)
+        text = to_json("train", {"dataset": dataset.name} | residuals_result(found))
+        whole = write_report(
+            folder,
+            home,
+            config,
+            "train",
+            figures=lambda: residuals_pictures(found),
+            page=lambda pictures: residuals_page(dataset, found, pictures),
+        )
+        write_last(folder / RESULT, text)
+    if as_json:
+        show(text)
+    else:
+        show(residuals_table(found))
+        show(files_in(home, config, RESULT, "model.yaml", "physics.yaml"))
+    if found.interrupted or not whole:
+        raise typer.Exit(130)
 
 
 def say_how_long(system: "System") -> None:

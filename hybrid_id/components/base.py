@@ -494,7 +494,15 @@ class Coupling(Component):
         raise NotImplementedError
 
 
-class Attached(Component):
+class Shared(Component):
+    """Place ``load`` of one joint: acts on all joints of a robot that it concerns, of which that one is listed."""
+
+    places = ("load",)
+    point: str = ""
+    """Where it sits, by its name in the robot's description; empty for nowhere in particular."""
+
+
+class Attached(Shared):
     """Place ``load``: sits at a named point of a robot's description, and so acts on all joints that carry it.
 
     Args:
@@ -502,7 +510,6 @@ class Attached(Component):
         values: see :class:`Component`.
     """
 
-    places = ("load",)
     option: ClassVar[str] = "point"
     """What a model file calls the name."""
     names: ClassVar[str] = "the name of a site or body of the robot"

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from hybrid_id.diagnosis.catalogue import brought
+from hybrid_id.components.base import Shared
+from hybrid_id.diagnosis.catalogue import brought, effect
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
@@ -223,7 +224,7 @@ class ArmDiagnosis:
         return sorted(self.parts.items(), key=lambda one: -one[1])
 
 
-def _moving(dataset: Dataset, joint: int) -> Dataset:
+def moving_records(dataset: Dataset, joint: int) -> Dataset:
     """The dataset without the train and validation records in which a joint, by its number from 0, does not move."""
     return replace(
         dataset,
@@ -335,7 +336,7 @@ def diagnose_arm(
 
         try:
             found[name] = diagnose(
-                with_others_measured(_moving(dataset, k), system, k), alone(system, k), horizon=horizon,
+                with_others_measured(moving_records(dataset, k), system, k), alone(system, k), horizon=horizon,
                 max_effects=max_effects, jobs=jobs, seed=seed, level=level, signal_share=signal_share, kept=kept,
                 progress=say,
             )  # fmt: skip
@@ -465,21 +466,26 @@ def common_sizes(
         model: the corrected robot.
         known: its parameters with their standard errors, which are compared.
     """
-    sizes: dict[tuple[str, str, str], list[tuple[str, ParameterInfo]]] = {}
+    sizes: dict[tuple[str, str, str], list[tuple[str, tuple[float, float], ParameterInfo]]] = {}
     for joint, one in found.items():
         for each in one.selected:
-            for symbol, info in brought(model, each.name, each.where).items():
-                if symbol in each.parameters and info.name in known:
+            # what acts on all joints stands in the robot once: each joint has its own estimate
+            whole, own = model, {}
+            if any(issubclass(law, Shared) for law in effect(each.name).laws):
+                whole, own = one.model, {s: v for s, v in each.parameters.items() if v[1] > 0.0}
+            for symbol, info in brought(whole, each.name, each.where).items():
+                size = own.get(symbol) or known.get(info.name)
+                if symbol in each.parameters and size is not None:
                     place = each.where.rpartition("/")[2]
-                    sizes.setdefault((each.name, place, symbol), []).append((joint, info))
+                    sizes.setdefault((each.name, place, symbol), []).append((joint, size, info))
     result = []
     for (name, *_), each in sizes.items():
-        values, stds = np.array([known[info.name] for _, info in each]).T
+        values, stds = np.array([size for _, size, _ in each]).T
         if len(each) > 1 and np.isfinite(stds).all() and (stds > 0.0).all():
             weights = stds**-2.0
             mean = float((weights * values).sum() / weights.sum())
             chance = float(chi2.sf(float((weights * (values - mean) ** 2).sum()), len(each) - 1))
-            joints, info = tuple(joint for joint, _ in each), each[0][1]
+            joints, info = tuple(joint for joint, _, _ in each), each[0][2]
             size = float(weights.sum() ** -0.5)
             result.append(CommonSize(name, info.symbol, info.spec.unit, joints, mean, size, chance))
     return tuple(result)

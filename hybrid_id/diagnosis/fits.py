@@ -392,11 +392,14 @@ def _predicted_records(result: FitResult, batch: Batch, fold: np.ndarray) -> lis
     rippled = autocorrelation(result.residual) > CRITERIA.coloured
     starts = started_without(result, batch, fold) if rippled else None
     found: list[np.ndarray] = [np.empty(0)] * batch.rows
+    slopes = slopes_at(result.system, batch, result.engine, result.x0)  # where all these fits begin
     for k in np.unique(fold):
         inside, outside = (torch.as_tensor(np.flatnonzero(rows)) for rows in (fold != k, fold == k))
         others = batch.take(inside)
-        settings = {"engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()]}
-        again = finite_difference_fit(result.system, others, **settings)
+        settings = {
+            "engine": result.engine, "iterations": AGAIN, "x0": result.x0[inside.numpy()], "tangents": False
+        }  # fmt: skip
+        again = finite_difference_fit(result.system, others, begin=slopes.of_rows(inside.numpy()), **settings)
         if starts is not None and again.cost > (1.0 - STUCK) * again.history[0]:
             with suppress(InputError):  # a step may leave an arm no mass matrix
                 start = result.system.with_values(dict(zip(result.names, starts[k].tolist(), strict=True)))

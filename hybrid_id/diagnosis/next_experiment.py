@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.systems.arm import MOTION
+from hybrid_id.systems.chain import System
 
 RESTING = (*DRIVES, *MOTION[1:])
 """Stems of the channels that are zero where a joint rests."""
@@ -106,7 +107,7 @@ def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Exp
     moving = time >= REST
     found = []
     names = list(combinations(_names(models), 2))
-    now = np.max([_distances(dataset, [record], models, noise) for record in dataset.train], axis=0)
+    now = np.max([_distances(_runs([record], models, noise), noise) for record in dataset.train], axis=0)
     for joint in models[0].system.joints:
         name = next(
             (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None
@@ -114,23 +115,29 @@ def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Exp
         if name is None:
             continue
         centre, amplitude = _room(dataset, name)
-        for title, signal in signals(amplitude, 0.15 * amplitude).items():
+        offered = signals(amplitude, 0.15 * amplitude).items()
+        for (title, signal), (posture, angles) in product(offered, _postures(dataset).items()):
             command = centre + np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
             # a supply, a loop's gain and a switch stay as they were; the other joints and their drives rest
             inputs = {
                 other: np.full_like(time, 0.0 if stem(other) in RESTING else float(np.median(values)))
                 for other, values in reference.inputs.items()
-            } | {name: command}
+            }
+            inputs |= {other: np.full_like(time, angle) for other, angle in angles.items()} | {name: command}
             outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
             record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
-            apart = _distances(dataset, [record], models, noise)
-            if not np.isfinite(apart).all():
-                continue  # one of the models diverges under it
+            runs = _runs([record], models, noise)
+            apart = _distances(runs, noise)
+            if not np.isfinite(apart).all() or not _within_limits(
+                dataset, models[0].system, list(noise), runs
+            ):
+                continue  # one of the models diverges under it, or leaves the joint's range
             distinguished = apart >= DISTINGUISHABLE
             shown = distinguished if distinguished.any() else apart == apart.max()
             found.append(
                 Experiment(
-                    title, joint.number, time, inputs, name, float(apart[shown].min()), float(now[shown].max()),
+                    title + posture, joint.number, time, inputs, name, float(apart[shown].min()),
+                    float(now[shown].max()),
                     tuple(pair for pair, one in zip(names, distinguished, strict=True) if not one),
                 )
             )  # fmt: skip
@@ -160,13 +167,53 @@ def _names(models: Sequence[FittedModel]) -> list[str]:
     return [" and ".join("@".join(n) for n in e.effects if n not in common) for e in models]
 
 
-def _distances(
-    dataset: Dataset, records: Sequence[Record], models: Sequence[FittedModel], noise: Mapping[str, float]
-) -> np.ndarray:
-    """RMS difference between the outputs of every two models ``(pairs,)``, in units of the noise."""
-    scale, runs = np.array(list(noise.values())), []
+def _postures(dataset: Dataset) -> dict[str, dict[str, float]]:
+    """Angles at which the other joints of a robot rest, by words for them; one posture without any elsewhere."""
+    names = [c.name for c in dataset.inputs if stem(c.name) == MOTION[0]]
+    if not names:
+        return {"": {}}
+    reached = {name: np.concatenate([record.inputs[name] for record in dataset.train]) for name in names}
+    return {
+        f", the other joints at the {words} of what they have reached": {
+            name: float(np.quantile(values, share)) for name, values in reached.items()
+        }
+        for words, share in (("middle", 0.5), ("low end", 0.1), ("high end", 0.9))
+    }
+
+
+def _within_limits(
+    dataset: Dataset, system: System, names: Sequence[str], runs: Sequence[np.ndarray]
+) -> bool:
+    """Whether a joint of a robot stays inside its description's limits, or where the records have been beyond them."""
+    if system.tree is None:
+        return True
+    for column, name in enumerate(names):
+        joint = next((j for j in system.joints if name in (f"q_m{j.number}", f"q_a{j.number}")), None)
+        if joint is None:
+            continue
+        ratio = joint.gear_ratio if name.startswith("q_m") else 1.0
+        limits = system.tree.joints[system.arm.seats[joint.number - 1]].limits
+        been = np.concatenate([r.outputs[name] for r in dataset.train if name in r.outputs])
+        low, high = sorted(limit * ratio for limit in limits)
+        low, high = min(low, been.min()), max(high, been.max())
+        if any(run[..., column].min() < low or run[..., column].max() > high for run in runs):
+            return False
+    return True
+
+
+def _runs(
+    records: Sequence[Record], models: Sequence[FittedModel], noise: Mapping[str, float]
+) -> list[np.ndarray]:
+    """Outputs of every model on the records, ``(R, T, outputs)`` each."""
+    runs = []
     for one in models:
         batch = make_batch(one.system, records, outputs=list(noise), noise_std=noise)
         fine = with_substeps(one.system, one.result.engine, batch)
-        runs.append(simulate(one.system, fine, batch).y.numpy() / scale)
-    return np.array([np.sqrt(np.mean(np.square(a - b))) for a, b in combinations(runs, 2)])
+        runs.append(simulate(one.system, fine, batch).y.numpy())
+    return runs
+
+
+def _distances(runs: Sequence[np.ndarray], noise: Mapping[str, float]) -> np.ndarray:
+    """RMS difference between the outputs of every two models ``(pairs,)``, in units of the noise."""
+    scale = np.array(list(noise.values()))
+    return np.array([np.sqrt(np.mean(np.square((a - b) / scale))) for a, b in combinations(runs, 2)])

@@ -299,6 +299,9 @@ class _Edit(Drives):
             lines += ["<tendon>", *(f"  {line}" for line in self.shafts), "</tendon>"]
         if self.set_step:
             lines.append(f'<option timestep="{number(self.step)}"/>')
+        if self.system.arm.tilts:
+            pull = self.tree.falling(self.system.arm.gravity(self.p)).gravity
+            lines.append(_written("option", {"gravity": numbers(pull)}))
         self.text.append(root, lines)
 
     def _joint(self, joint: Joint, known: TreeJoint) -> str:

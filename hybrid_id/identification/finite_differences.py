@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -68,22 +68,27 @@ class Rollouts:
     def residuals(self, points: np.ndarray, first: np.ndarray | None = None) -> np.ndarray:
         """Residuals ``(P, R, T, n_y)`` at the points ``(P, n_f)``, from first states ``(P, R, n_x)`` or the batch's."""
         batch, rows, count = self.batch, self.batch.rows, len(points)
+        shape = count, rows, batch.x.shape[1]
         theta = self.theta[:, None].repeat(1, count)
         theta[self.free] = torch.tensor(points.T)
-        theta = theta.repeat_interleave(rows, 1)
         x = batch.x.repeat(count, 1, 1)
         if first is not None:
             x[:, 0] = torch.as_tensor(first).flatten(0, 1)
-        u = {name: channel.repeat(count, 1) for name, channel in batch.u.items()}
+        # channels that the points delay differ from point to point; the records' own are as they are
+        delayed = {name.split("@")[0] for name in batch.u if "@" in name}
+        u = {
+            name: channel.expand(shape) if name.split("@")[0] in delayed else channel
+            for name, channel in batch.u.items()
+        }
         with torch.no_grad():
-            views = self.system.views(list(theta[:, :, None]))  # the same for all samples of a lane
+            views = self.system.views(list(theta[:, :, None, None]))  # the same for all samples of a lane
             channels = self.system.hold(u, views)
-            arrived = {name: channels[name].expand_as(x[..., 0]) for name in self.plain.input_names}
-            arrived |= {name: channel for name, channel in u.items() if name.startswith("enable")}
-            dt = batch.dt.repeat(count, 1)
-            x = shoot(self.plain, self.engine, x, arrived, dt, theta[self.rows], x.shape[1])
+            arrived = {name: channels[name].reshape(-1, shape[2]) for name in self.plain.input_names}
+            arrived |= {name: channel for name, channel in batch.u.items() if name.startswith("enable")}
+            lanes = theta[self.rows].repeat_interleave(rows, 1)
+            x = shoot(self.plain, self.engine, x, arrived, batch.dt, lanes, shape[2]).view(*shape, -1)
             y = self.system.outputs(batch.outputs, x.unbind(-1), channels, views)
-        run = torch.stack([one.expand(x.shape[:2]) for one in y], -1).unflatten(0, (count, rows))
+        run = torch.stack([one.expand(shape) for one in y], -1)
         residual = ((batch.y - run) * batch.weight).nan_to_num(WORST, WORST, -WORST).clamp_(-WORST, WORST)
         return residual.numpy()
 
@@ -101,6 +106,12 @@ class Slopes:
     parameters: Mapping[tuple[str, str], np.ndarray]
     first: Mapping[str, np.ndarray]
     least: float = math.inf
+
+    def of_rows(self, rows: np.ndarray) -> Slopes:
+        """The slopes of some rows of the batch."""
+        count = len(next(iter(self.first.values()))) if self.first else 1
+        parameters = {k: s.reshape(count, -1)[rows].ravel() for k, s in self.parameters.items()}
+        return replace(self, parameters=parameters, first={k: s[rows] for k, s in self.first.items()})
 
 
 class Cost:
@@ -215,6 +226,8 @@ def finite_difference_fit(
     iterations: int = 20,
     x0: np.ndarray | None = None,
     near: Slopes | None = None,
+    begin: Slopes | None = None,
+    tangents: bool = True,
 ) -> FitResult:
     """Fit one parameter set and the first states of all rows of a batch.
 
@@ -229,6 +242,8 @@ def finite_difference_fit(
         iterations: steps at most.
         x0: where the search for the first states starts, ``(R, n_x)`` (default: as measured).
         near: slopes of a model close to the start, to begin with.
+        begin: slopes at the start itself, where they are known.
+        tangents: whether the result has a Jacobian; without one it has no standard errors, and is had sooner.
 
     Raises:
         InputError: nothing to estimate.
@@ -237,8 +252,9 @@ def finite_difference_fit(
     point = cost.point(cost.start, batch.x[:, 0].numpy() if x0 is None else x0)
     residual = cost.residuals(point[None])[0]
     damping, stage, history = 1e-2, 0, [0.5 * float(residual @ residual)]
-    jacobian = None if near is None else cost.slopes(point, residual, STEPS[0], near)
-    fresh = False
+    known = near or begin
+    jacobian = None if known is None else cost.slopes(point, residual, STEPS[0], known)
+    fresh = begin is not None
     while stage < len(STEPS) and len(history) <= iterations:
         if jacobian is None:
             jacobian, fresh = cost.slopes(point, residual, STEPS[stage]), True
@@ -260,12 +276,15 @@ def finite_difference_fit(
         if gained > 0:
             point, residual, damping = points[best], trials[best], float(dampings[best])
         history.append(least)
-    if jacobian is None or near is None:
-        jacobian = cost.slopes(point, residual, STEPS[-1])
     shape, n_f = batch.y.shape, cost.n_f
-    tangents = -eliminated(jacobian, n_f)[0][: batch.y.numel()].reshape(*shape, n_f)
+    found: tuple[np.ndarray, ...] = ()
     runs = residual[: batch.y.numel()].reshape(shape)
     keep = [(batch.weight[r] > 0).any(1).numpy() for r in range(batch.rows)]
+    if tangents:
+        if jacobian is None or near is None:
+            jacobian = cost.slopes(point, residual, STEPS[-1])
+        reduced = -eliminated(jacobian, n_f)[0][: batch.y.numel()].reshape(*shape, n_f)
+        found = tuple(part[k] for part, k in zip(reduced, keep, strict=True))
     info = [system.table[i] for i in cost.rollouts.free]
     names = tuple(i.name for i in info)
     return FitResult(
@@ -278,7 +297,7 @@ def finite_difference_fit(
         cost=history[-1],
         n_samples=int((batch.weight > 0).sum()),
         iterations=len(history) - 1,
-        jacobian=tuple(part[k] for part, k in zip(tangents, keep, strict=True)),
+        jacobian=found,
         residual=tuple(part[k] for part, k in zip(runs, keep, strict=True)),
         prior_precision=cost.precision[:n_f],
         x0=cost.first_states(point[None])[0],
@@ -287,10 +306,10 @@ def finite_difference_fit(
     )
 
 
-def slopes_at(system: System, batch: Batch, engine: Engine) -> Slopes:
-    """Slopes at a model's own values, from measured first states, for coarse fits of its neighbours."""
+def slopes_at(system: System, batch: Batch, engine: Engine, x0: np.ndarray | None = None) -> Slopes:
+    """Slopes at a model's own values, from first states ``(R, n_x)``, by default the measured ones."""
     cost = Cost(system, batch, engine)
-    point = cost.point(cost.start, cost.measured)
+    point = cost.point(cost.start, cost.measured if x0 is None else x0)
     return cost.shared(cost.slopes(point, cost.residuals(point[None])[0], STEPS[0]))
 
 

@@ -9,7 +9,7 @@ rigid bodies (section 6.2), here with 3-vectors. Differs from them by a fixed ba
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from typing import Literal
@@ -38,6 +38,10 @@ from hybrid_id.robots.rows import (
 )
 
 Rows = Sequence[Row]
+Motion = tuple[Vector, Vector, Vector]
+"""Angular velocity and acceleration of a frame, and the acceleration of its origin less gravity."""
+Pair = tuple[Vector, Vector]
+"""Spin of a body and speed of its point at a frame's origin, or a force and its moment about it."""
 
 
 @dataclass(frozen=True)
@@ -381,6 +385,10 @@ class RigidBodyTree:
         named = {body.name: body for body in (*self.bodies, *bodies)}
         return replace(self, bodies=tuple(named.values()))
 
+    def falling(self, gravity: Vector) -> RigidBodyTree:
+        """The tree under another gravity [m/s^2], tensors of one value as plain numbers."""
+        return replace(self, gravity=constant_vector([_number(value) for value in gravity]))
+
     def inertias(self, bodies: Sequence[Body] = ()) -> list[SpatialInertia]:
         """What each joint carries rigidly, about the joint's origin.
 
@@ -447,6 +455,7 @@ class RigidBodyTree:
         v: Rows,
         a: Rows | None = None,
         pushes: Sequence[tuple[Point, Vector]] = (),
+        gravity: Vector | None = None,
     ) -> list[Row]:
         """Torques or forces at the joints for a motion, rotors' armature left out.
 
@@ -458,10 +467,12 @@ class RigidBodyTree:
             v: speeds [rad/s or m/s].
             a: accelerations [rad/s^2 or m/s^2]; None for none.
             pushes: forces from outside [N], in the base's axes, and the points where they act.
+            gravity: acceleration of free fall [m/s^2], in the base's axes; None for the description's.
         """
         n = len(self.joints)
         forces, moments = [ZERO] * n, [ZERO] * n
-        for k, motion in enumerate(self._motions(poses, v, [0.0] * n if a is None else a)):
+        pull = self.gravity if gravity is None else gravity
+        for k, motion in enumerate(self._motions(poses, v, [0.0] * n if a is None else a, pull)):
             forces[k], moments[k] = _needed(inertias[k], *motion)
         for point, push in pushes:
             force = scale(-1.0, times(transposed(self.pose(poses, point.joint)[0]), push))
@@ -476,6 +487,70 @@ class RigidBodyTree:
                 forces[joint.parent] = plus(forces[joint.parent], force)
                 moments[joint.parent] = plus(moments[joint.parent], moment)
         return found
+
+    def one_joint(
+        self,
+        number: int,
+        q: Rows,
+        v: Rows,
+        a: Rows,
+        inertias: Sequence[SpatialInertia],
+        contacts: Sequence[tuple[Point, Callable[[Row], Row]]] = (),
+        gravity: Vector | None = None,
+    ) -> tuple[Row, Row]:
+        """Inertia of one joint, and the torque or force that opposes it, while the others move as given.
+
+        They are those of :meth:`mass_matrix` and :meth:`inverse_dynamics`. But what the joint carries is seen from the
+        joint's own frame: as one body that the others deform, and a torque by each component of the frame's spin
+        (Coriolis). So little depends on the joint's own position and speed, and the rest is found once a sample.
+
+        Args:
+            number: of the joint, from 0.
+            q: positions of all joints [rad or m].
+            v: speeds [rad/s or m/s].
+            a: accelerations [rad/s^2 or m/s^2]; that of the joint itself is not read.
+            inertias: see :meth:`inertias`.
+            contacts: points, and the force upwards on each [N] by its height [m].
+            gravity: acceleration of free fall [m/s^2], in the base's axes; None for the description's.
+        """
+        own = self.joints[number]
+        poses = self.poses([0.0 if k == number else angle for k, angle in enumerate(q)])
+        frames, moves, faster = {number: (_IDENTITY, ZERO)}, {number: (ZERO, ZERO)}, {number: (ZERO, ZERO)}
+        body, momentum, needed, slope = inertias[number], (ZERO, ZERO), (ZERO, ZERO), ZERO
+        for k in (k for k in range(number + 1, len(self.joints)) if self.carries(number, k)):
+            joint, above = self.joints[k], self.joints[k].parent
+            frames[k] = chained([frames[above], poses[k]])
+            axis, before = transposed(frames[k][0])[2], moves[above]
+            along = (ZERO, axis) if joint.kind == "slide" else (axis, cross(frames[k][1], axis))
+            moves[k] = _plus(before, _scaled(v[k], along))
+            faster[k] = _plus(faster[above], _scaled(a[k], along), _scaled(v[k], _crossed(before, along)))
+            one = inertias[k].seen_from(*frames[k])
+            body, own_momentum = body + one, _momentum(one, *moves[k])
+            momentum = _plus(momentum, own_momentum)
+            needed = _plus(needed, _momentum(one, *faster[k]), _crossed_force(moves[k], own_momentum))
+            slope = plus(slope, _inertia_slope(one, *moves[k]))
+        if own.kind == "hinge":  # by the inertia's rate of change, and by the momentum that the spin turns
+            coriolis = plus(slope, (momentum[1][1], multiply(-1.0, momentum[1][0]), 0.0))
+        else:
+            coriolis = (multiply(2.0, momentum[0][1]), multiply(-2.0, momentum[0][0]), 0.0)
+        motion: Motion = ZERO, ZERO, scale(-1.0, self.gravity if gravity is None else gravity)
+        for k in (k for k in range(number) if self.carries(k, number)):
+            motion = _moved(self.joints[k], *poses[k], *motion, v[k], a[k])
+        motion = _moved(own, *poses[number], *motion, 0.0, 0.0)
+        # all before this holds whatever the joint's own position and speed are
+        turn, shift = _pose(replace(own, rotation=_IDENTITY, position=ZERO), q[number])
+        motion = _moved(own, turn, shift, *motion, v[number], 0.0)
+        torques = [_along(own, *_needed(body, *motion)), _along(own, *needed), dot(coriolis, motion[0])]
+        base, origin = self.pose(poses, number)
+        for point, force in contacts:
+            if point.joint not in frames:  # the joint does not carry it
+                continue
+            rotation, position = frames[point.joint]
+            place = plus(position, times(rotation, point.position))
+            height = add(origin[2], dot(base[2], plus(shift, times(turn, place))))
+            push = scale(multiply(-1.0, force(height)), times(transposed(turn), base[2]))
+            torques.append(_along(own, push, cross(place, push)))
+        return _along(own, *_unit_acceleration(own, body)), total(torques)
 
     def regressor(self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows) -> list[list[Row]]:
         """W(q, v, a) with ``tau = W phi``: the inverse dynamics as it depends on the inertial parameters, linearly.
@@ -492,7 +567,7 @@ class RigidBodyTree:
             a: accelerations [rad/s^2 or m/s^2].
         """
         found: list[list[Row]] = [[0.0] * (len(TEN) * len(self.joints)) for _ in self.joints]
-        for k, motion in enumerate(self._motions(poses, v, a)):
+        for k, motion in enumerate(self._motions(poses, v, a, self.gravity)):
             for column, unit in enumerate(_UNITS, len(TEN) * k):
                 (force, moment), below = _needed(unit, *motion), k
                 while below >= 0:
@@ -502,11 +577,11 @@ class RigidBodyTree:
         return found
 
     def _motions(
-        self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows
-    ) -> list[tuple[Vector, Vector, Vector]]:
+        self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows, gravity: Vector
+    ) -> list[Motion]:
         """Angular velocity and acceleration of each joint's frame, and the acceleration of its origin less gravity."""
-        motion: list[tuple[Vector, Vector, Vector]] = []
-        base = (ZERO, ZERO, scale(-1.0, self.gravity))
+        motion: list[Motion] = []
+        base = (ZERO, ZERO, scale(-1.0, gravity))
         for k, joint in enumerate(self.joints):
             before = base if joint.parent < 0 else motion[joint.parent]
             motion.append(_moved(joint, *poses[k], *before, v[k], a[k]))
@@ -596,6 +671,39 @@ def _moved(
     if joint.kind == "slide":
         return spin, turn, plus(pull, scale(2.0, cross(spin, along)), faster)
     return plus(spin, along), plus(turn, cross(spin, along), faster), pull
+
+
+def _plus(*pairs: Pair) -> Pair:
+    first, second = zip(*pairs, strict=True)
+    return plus(*first), plus(*second)
+
+
+def _scaled(factor: Row, pair: Pair) -> Pair:
+    return scale(factor, pair[0]), scale(factor, pair[1])
+
+
+def _crossed(moves: Pair, other: Pair) -> Pair:
+    """Rate of change of a spin and a speed, fixed to what moves."""
+    return cross(moves[0], other[0]), plus(cross(moves[0], other[1]), cross(moves[1], other[0]))
+
+
+def _crossed_force(moves: Pair, momentum: Pair) -> Pair:
+    """Rate of change of a momentum and its moment, fixed to what moves."""
+    return cross(moves[0], momentum[0]), plus(cross(moves[0], momentum[1]), cross(moves[1], momentum[0]))
+
+
+def _momentum(body: SpatialInertia, spin: Vector, speed: Vector) -> Pair:
+    """Momentum, and its moment about the frame's origin, of a body that turns and of which that point has a speed."""
+    moment = plus(times(body.inertia, spin), cross(body.moment, speed))
+    return plus(scale(body.mass, speed), cross(spin, body.moment)), moment
+
+
+def _inertia_slope(body: SpatialInertia, spin: Vector, speed: Vector) -> Vector:
+    """Rate of change of the inertia's last row while a body moves so."""
+    x, y, z = body.inertia
+    turned = plus(scale(spin[0], y), scale(multiply(-1.0, spin[1]), x), cross(spin, z))
+    shifted = plus(scale(body.moment[2], speed), scale(speed[2], body.moment))
+    return plus(turned, scale(-1.0, shifted), (0.0, 0.0, multiply(2.0, dot(speed, body.moment))))
 
 
 def _needed(body: SpatialInertia, spin: Vector, turn: Vector, pull: Vector) -> tuple[Vector, Vector]:

@@ -97,8 +97,11 @@ def shoot(
     """
     u, path = _arrived(system, u, theta), x.contiguous().clone()
     code, constants = _library(system, engine, tuple(u))
-    point, sizes = _point(u, dt / engine.substeps, theta, constants), (*dt.shape, length, engine.substeps)
-    call(code, "shoot", path, *point, *sizes)
+    channels, step = [channel.contiguous() for channel in u.values()], (dt / engine.substeps).contiguous()
+    # addresses and rows of the channels: those of few rows stay where they are, however many lanes they drive
+    places, rows = (torch.tensor(list(map(f, channels)), dtype=torch.int64) for f in (Tensor.data_ptr, len))
+    sizes = len(x), len(step), x.shape[1], length, engine.substeps
+    call(code, "shoot", path, places, rows, step, _values(theta, constants), *sizes)
     return path
 
 
@@ -156,18 +159,20 @@ def _point(
     u: Mapping[str, Tensor], step: Tensor, theta: Tensor, constants: Tensor
 ) -> tuple[Tensor, Tensor, Tensor]:
     held = torch.stack(list(u.values())) if u else step.new_empty(0)
-    values = torch.cat([theta.T, constants.expand(theta.shape[1], -1)], 1)
-    return held, step.contiguous(), values.contiguous()
+    return held, step.contiguous(), _values(theta, constants)
+
+
+def _values(theta: Tensor, constants: Tensor) -> Tensor:
+    """Parameters and constants of each row, ``(R, n)``."""
+    return torch.cat([theta.T, constants.expand(theta.shape[1], -1)], 1).contiguous()
 
 
 def _arrived(system: System, u: Mapping[str, Tensor], theta: Tensor) -> Mapping[str, Tensor]:
     """Channels ``(R, T)`` as they arrive at the motors, without the past that a delay needs."""
     if not any(joint.drive.delay for joint in system.joints):
         return u
-    shape = next(iter(u.values())).shape
-    p = system.views(list(theta.repeat_interleave(shape[1], 1)))
-    arrived = system.hold({name: channel.reshape(-1) for name, channel in u.items()}, p)
-    return {name: channel.reshape(shape) for name, channel in arrived.items() if "@" not in name}
+    arrived = system.hold(u, system.views(list(theta[:, :, None])))
+    return {name: channel for name, channel in arrived.items() if "@" not in name}
 
 
 def _delay_slopes(
@@ -182,15 +187,13 @@ def _delay_slopes(
         row = next(i for i, info in enumerate(system.table) if info.component == drive.delay[0])
         if row not in free:
             continue
-        shape = u[f"step{joint.number}"].shape
-        values = list(theta.repeat_interleave(shape[1], 1))
-        values[row] = values[row].requires_grad_()
+        values = list(theta[:, :, None])
+        values[row] = values[row].expand_as(u[f"step{joint.number}"]).contiguous().requires_grad_()
         with torch.enable_grad():
-            flat = {name: channel.reshape(-1) for name, channel in u.items()}
-            arrived = drive.hold(flat, system.views(values))
+            arrived = drive.hold(u, system.views(values))
             for name in (f"{c}{joint.number}" for c in drive.input[1].channels):
                 (slope,) = torch.autograd.grad(arrived[name].sum(), values[row], retain_graph=True)
-                found.append((name, list(free).index(row), slope.reshape(shape)))
+                found.append((name, list(free).index(row), slope))
     return found
 
 

@@ -281,6 +281,8 @@ def shoot(
 
     The defects that remain sit between chunks. A reversal whose time is off then costs one Newton step instead of
     one for each sample by which it moves. Arguments as in :func:`linearise`; returns the new nodes ``(R, T, n_x)``.
+
+    Channels and sample times may have fewer rows, of which R is a multiple: then they repeat.
     """
     if supports_compiled(system, engine, x):
         return compiled.shoot(system, engine, x, u, dt, theta, length)
@@ -289,6 +291,7 @@ def shoot(
     pad = chunks * length - samples
 
     def chunked(tensor: Tensor) -> Tensor:
+        tensor = tensor.repeat(rows // len(tensor), 1)
         return torch.nn.functional.pad(tensor, (0, pad)).reshape(rows * chunks, length)
 
     starts = x[:, ::length].reshape(rows * chunks, n_x)

@@ -94,7 +94,7 @@ def check_base_parameters(dataset: Dataset, system: System) -> BaseParameterChec
 
 
 def tree_of(system: System) -> RigidBodyTree:
-    """A robot's tree with the inertias and rotors that the model's values say.
+    """A robot's tree with the inertias, rotors and gravity that the model's values say.
 
     Raises:
         InputError: the model has no description of a robot.
@@ -103,6 +103,7 @@ def tree_of(system: System) -> RigidBodyTree:
         raise InputError("Base parameters belong to a robot; give a model that names its description.")
     views = system.views([value.reshape(1) for value in system.theta().detach()])
     tree = system.tree.with_bodies([body.held() for body in system.arm.bodies(views).values()])
+    tree = tree.falling(system.arm.gravity(views))
     joints = tuple(
         replace(known, armature=float(joint.inertia[1].rotor(views[joint.inertia[0]], r)) * r**2)
         for known, joint, r in zip(tree.joints, system.joints, system.gear_ratio, strict=True)

@@ -297,9 +297,13 @@ def _mean_error(runs: tuple[Replay, ...]) -> float:
     return error if np.isfinite(error) else np.inf
 
 
-def weighted_errors(system: System, engine: Engine, batch: Batch) -> dict[str, float]:
-    """RMS of the weighted error of the free runs by record; infinite where one diverged."""
-    run = simulate(system, stable_engine(system, engine, batch), batch)
+def weighted_errors(
+    system: System, engine: Engine, batch: Batch, horizon: Horizon = WHOLE
+) -> dict[str, float]:
+    """RMS of the weighted error of the free runs over a horizon by record; infinite where one diverged."""
+    engine = stable_engine(system, engine, batch)
+    part = horizon.cut(system, engine, batch)
+    run, batch = (simulate if part is batch else free_runs)(system, engine, part), part
     square = ((run.y - batch.y) * batch.weight).square().sum((1, 2))
     count = (batch.weight > 0).sum((1, 2))
     found: dict[str, float] = {}

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import cast
 
 import torch
 from torch import Tensor
 
-from hybrid_id.components.base import Attached, Component, Coupling
+from hybrid_id.components.base import Attached, Component, Coupling, Shared
+from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.components.load.payload import Payload
@@ -70,13 +72,19 @@ class Arm:
         self.masses = [
             (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
         ]
+        self.tilts = [(key, part) for key, part in components.items() if isinstance(part, BaseTilt)]
+        shared = [part for part in components.values() if isinstance(part, Shared)]
         for key, part in components.items():
             if isinstance(part, Attached):
                 self._check_attached(key, part)
-        known = [(part.kind, part.point) for _, part in self.masses]
+            elif isinstance(part, Shared) and tree is None:
+                place = key.rsplit("/", 1)[0]
+                raise InputError(f"{part.kind} at '{place}' acts on a robot with a description; remove it.")
+        known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
         for kind, point in known:
             if known.count((kind, point)) > 1:
-                raise InputError(f"{kind} is listed twice at '{point}'; keep one of them.")
+                at = f" at '{point}'" if point else ""
+                raise InputError(f"{kind} is listed twice{at}; keep one of them.")
         for key, part in components.items():
             if tree is None and isinstance(part, RotorInertia):
                 raise InputError(
@@ -156,6 +164,13 @@ class Arm:
             found[key] = replace(body, inertia=inertia)
         return found
 
+    def gravity(self, p: Views) -> Vector:
+        """Acceleration of free fall in the base's axes [m/s^2], of a robot with a tree."""
+        found = cast(RigidBodyTree, self.tree).gravity
+        for key, part in self.tilts:
+            found = part.gravity(p[key], found)
+        return found
+
     def couple(
         self, speeds: list[SpeedBalance], x: Sequence[Tensor], u: Mapping[str, Tensor], p: Views
     ) -> Balances:
@@ -222,11 +237,35 @@ class Arm:
         u: Mapping[str, Tensor],
         p: Views,
     ) -> tuple[Mass, list[Tensor | float]]:
-        poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * len(angles), u, p)
-        whole, n = tree.mass_matrix(poses, inertias), len(angles)
-        pairs = {(i, j): whole[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
+        pairs: Mass
+        torques: list[Tensor | float]
+        if len(self.seats) == 1:
+            q, v, a = self._motion(tree, angles, rates, [0.0], u)
+            inertias, gravity = tree.inertias(tuple(self.bodies(p).values())), self.gravity(p)
+            contacts = [(tree.points[part.point], partial(part.force, p[key])) for key, part in self.contacts]
+            pairs, torques = {}, [0.0]
+            pairs[0, 0], torques[0] = tree.one_joint(self.seats[0], q, v, a, inertias, contacts, gravity)
+        else:
+            poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * len(angles), u, p)
+            whole, n = tree.mass_matrix(poses, inertias), len(angles)
+            pairs = {(i, j): whole[self.seats[i]][self.seats[j]] for i in range(n) for j in range(i, n)}
         mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
         return mass, torques
+
+    def _motion(
+        self,
+        tree: RigidBodyTree,
+        angles: Sequence[Tensor],
+        rates: Sequence[Tensor],
+        accelerations: Sequence[Tensor | float],
+        u: Mapping[str, Tensor],
+    ) -> list[list[Tensor | float]]:
+        """Positions, speeds and accelerations of all joints of the tree: the system's, and those that are logged."""
+        seat = {number: k for k, number in enumerate(self.seats)}
+        return [
+            [own[seat[j]] if j in seat else u[f"{name}{j + 1}"] for j in range(len(tree.joints))]
+            for name, own in zip(MOTION, (angles, rates, accelerations), strict=True)
+        ]
 
     def _needed(
         self,
@@ -238,18 +277,13 @@ class Arm:
         p: Views,
     ) -> tuple[list[tuple[Matrix, Vector]], list[SpatialInertia], list[Tensor | float]]:
         """Poses and inertias of the tree, and the torque that each of the system's links needs to move so."""
-        seat = {number: k for k, number in enumerate(self.seats)}
-        every: list[list[Tensor | float]] = []
-        for name, own in zip(MOTION, (angles, rates, accelerations), strict=True):
-            every.append(
-                [own[seat[j]] if j in seat else u[f"{name}{j + 1}"] for j in range(len(tree.joints))]
-            )
+        every = self._motion(tree, angles, rates, accelerations, u)
         poses, inertias = tree.poses(every[0]), tree.inertias(tuple(self.bodies(p).values()))
         pushes: list[tuple[Point, Vector]] = []
         for key, part in self.contacts:
             point = tree.points[part.point]
             pushes.append((point, (0.0, 0.0, part.force(p[key], tree.place(poses, point)[2]))))
-        torques = tree.inverse_dynamics(poses, inertias, every[1], every[2], pushes)
+        torques = tree.inverse_dynamics(poses, inertias, every[1], every[2], pushes, self.gravity(p))
         return poses, inertias, [torques[number] for number in self.seats]
 
     def needed(

@@ -11,7 +11,7 @@ from typing import cast
 
 import numpy as np
 
-from hybrid_id.components.base import Attached, Component
+from hybrid_id.components.base import Component, Shared
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.records.dataset import Channel, Dataset
@@ -89,8 +89,11 @@ def some(system: System, joints: Sequence[int]) -> System:
             moved[key] = key if own else here[0] + key.split("/", 1)[1]
             parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
-    bodies = system.arm.bodies(system.views([value.reshape(1) for value in system.theta().detach()]))
+    views = system.views([value.reshape(1) for value in system.theta().detach()])
+    bodies = system.arm.bodies(views)
     tree = tree.with_bodies([body.held() for key, body in bodies.items() if not key.startswith(here)])
+    if not any(key.startswith(here) for key, _ in system.arm.tilts):
+        tree = tree.falling(system.arm.gravity(views))
     one = System([system.gear_ratio[joint] for joint in joints], parts, aliases, system.name, tree, joints)
     one.whole = (system,)
     return one
@@ -108,10 +111,10 @@ def with_drive(whole: System, one: System) -> System:
         key.split("/", 1)[1]: key for key, part in whole.components.items() if isinstance(part, FloorContact)
     }
     parts = {key: part for key, part in whole.components.items() if not key.startswith(here)}
-    taken = {(part.kind, part.point) for part in parts.values() if isinstance(part, Attached)}
+    taken = {(part.kind, part.point) for part in parts.values() if isinstance(part, Shared)}
     for key, part in one.components.items():
         if (
-            isinstance(part, Attached)
+            isinstance(part, Shared)
             and not isinstance(part, FloorContact)
             and (part.kind, part.point) in taken
         ):

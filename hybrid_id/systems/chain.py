@@ -159,8 +159,11 @@ class System(nn.Module):
         return system
 
     def _copied(self) -> System:
-        """A copy to be changed and wired anew; a tree never changes, and what is wired need not be copied before."""
-        kept = self.joints, self.arm, self.table, self.tree
+        """A copy to be changed and wired anew, for which what is wired need not be copied.
+
+        Neither need what never changes: a tree, and the robot that a joint was taken out of.
+        """
+        kept = self.joints, self.arm, self.table, self.tree, self.whole
         return copy.deepcopy(self, {id(one): one for one in kept})
 
     def parameter(self, name: str) -> ParameterInfo:

@@ -10,11 +10,14 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from browser import look_at
 from gapcase import only
+from servo_arm import described, records_of
 
 from hybrid_id.cli.ablate import planned
 from hybrid_id.cli.diagnose import joint_folders
 from hybrid_id.cli.options import config_of
+from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
 from hybrid_id.machines.twin.desk_arm import write_arm
 from hybrid_id.records.dataset import Channel, Dataset
@@ -199,6 +202,26 @@ def test_an_arm_is_trained_with_a_network_at_a_joint_by_its_name(run, arm: Path,
     (network,) = json.loads((tmp_path / "out" / "result.json").read_text())["networks"]
     assert "joint2/motor_friction" in network.values()
     load_model(tmp_path / "out" / "model.yaml")
+
+
+def test_networks_are_learnt_joint_by_joint(run, tmp_path: Path) -> None:
+    machine = described(tmp_path).with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4))
+    records_of(machine, 6).save(tmp_path / "records")
+    source = ("train", tmp_path / "records", "--model", tmp_path / "model.yaml")
+    done = run(*source, "--joint", "elbow", "--joint", "pan", "--out", tmp_path / "out")
+    assert done.code == 0, done.err
+    assert "A network earns its place at elbow, and at none of the others." in " ".join(done.out.split())
+    said = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert [said["joints"][name]["network"] for name in ("elbow", "pan")] == [True, False]
+    look_at(tmp_path / "out" / "report.html", tmp_path, figures=1)
+    load_model(tmp_path / "out" / "model.yaml")
+    for more, words in (
+        (("--joint", "hand"), "The robot has no joint 'hand'"),
+        (("--joint", "all", "--resume"), "leave --resume out"),
+    ):
+        done = run(*source, *more, "--out", tmp_path / "other")
+        assert done.code == 2 and words in " ".join(done.err.split())
+        assert not (tmp_path / "other").exists()
 
 
 def test_training_refuses_a_torque_that_jumps_with_dry_friction(run, arm: Path, tmp_path: Path) -> None:

@@ -98,11 +98,27 @@ def test_each_published_scoreboard_is_listed_once_and_prints_what_makes_it_again
 
 
 @pytest.mark.parametrize(
-    "page", [DOCS / "blind.md", *sorted((DOCS / "boards").glob("*.md"))], ids=lambda p: p.name
+    "page",
+    [
+        *(DOCS / f"{name}.md" for name in ("blind", "results", "measurements")),
+        *sorted((DOCS / "boards").glob("*.md")),
+    ],
+    ids=lambda p: p.name,
 )
-def test_links_of_the_blind_check_lead_somewhere(page: Path) -> None:
-    links = re.findall(r"\]\(([^)#:]+)\)", page.read_text(encoding="utf-8"))
+def test_links_beside_the_figures_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
     assert not [link for link in links if not (page.parent / link).exists()]
+
+
+@pytest.mark.parametrize("page", ["results.md", "measurements.md"])
+def test_a_result_is_one_short_row(page: str) -> None:
+    tables = re.findall(
+        r"^\| claim .*\n\| ---.*\n((?:\| .*\n)+)", (DOCS / page).read_text("utf-8"), re.MULTILINE
+    )
+    rows = [[cell.strip() for cell in row.split("|")[1:-1]] for table in tables for row in table.splitlines()]
+    assert rows and not [row[0] for row in rows if len(row) != 6 or not all(row)]
+    long = [row[0] for row in rows if len(re.sub(r"\(\[.*?\]\(.*?\)", "", row[2]).split()) > 50]
+    assert not long, f"more than 50 words are seen; what does not fit goes to docs/measurements.md: {long}"
 
 
 def test_a_change_takes_two_lines_of_the_changelog() -> None:

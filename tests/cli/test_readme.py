@@ -71,7 +71,7 @@ def test_tour_runs_as_written(run, workplace: Path, capsys: pytest.CaptureFixtur
 
 def test_python_of_the_tour_that_takes_minutes_imports_what_there_is() -> None:
     found = blocks(TOUR, "pycon")
-    assert len(found) == 4
+    assert len(found) == 5
     for block in found:
         source = "\n".join(line.removeprefix(">>> ") for line in block.splitlines())
         compile(source, "tour.md", "exec")

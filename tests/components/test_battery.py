@@ -25,6 +25,7 @@ from hybrid_id.components.base import (
     Motor,
     RotorTorque,
     Sensor,
+    Shared,
     Transmission,
     Winding,
 )
@@ -32,6 +33,7 @@ from hybrid_id.components.bristle import Bristle, relax
 from hybrid_id.components.input.delay import Delay
 from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.components.input.torque_command import TorqueCommand
+from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.components.load.payload import Payload
@@ -158,6 +160,8 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found |= {"mass": mass * one} | {
             f"centre {axis}": c * one for axis, c in zip("xyz", centre, strict=True)
         }
+    if isinstance(part, BaseTilt):
+        found |= {f"gravity {i}": e for i, e in enumerate(part.gravity(p, (0.0, 0.0, -9.81)))}
     if isinstance(part, BodyInertia):
         found["mass"] = p.c_m * one
         found |= {f"shift {axis}": c * one for axis, c in zip("xyz", part.shift(p), strict=True)}
@@ -370,7 +374,7 @@ def test_refuses_what_is_out_of_bounds(kind: str) -> None:
 def hosts(part: Component, place: str) -> list[Callable[[], System]]:
     """Systems into which a component fits."""
     arm = [lambda: two_link((50.0, 30.0))]
-    if isinstance(part, RotorInertia | Attached):
+    if isinstance(part, RotorInertia | Shared):
         robots = [lambda: robot(TREE, (50.0, 30.0)).with_component("joint2/input", TorqueCommand())]
         return [
             *robots,

@@ -11,65 +11,20 @@ import numpy as np
 import pytest
 from gapcase import only
 from rich.console import Console
+from servo_arm import NOISE, described, records_of
 
 from hybrid_id import Dataset, Diagnosis, diagnose, diagnose_arm
 from hybrid_id.components import REGISTRY
+from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.arm import NOT_ASKED, STANDS, STOPPED, ArmDiagnosis, joints_to_diagnose
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
-from hybrid_id.records.dataset import Channel
-from hybrid_id.records.record import Record
 from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
-from hybrid_id.simulation.prepare import make_batch
-from hybrid_id.simulation.rollout import simulate
-from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
-from hybrid_id.systems.model_file import load_model
 
 pytest.importorskip("mujoco")
-
-STEP, NOISE = 0.01, 1e-3
-ARM = """<mujoco><compiler angle="radian"/><worldbody>
-<body quat="0 1 0 0"><joint name="pan" axis="0 0 1" armature="0.02" damping="0.1" frictionloss="0.05"/>
-<inertial mass="0.5" pos="0.02 0 0.05" diaginertia="0.001 0.001 0.001"/>
-<body pos="0 0 0.1"><joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
-<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
-<body name="elbow_link" pos="0 0 0.2">
-<joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
-<inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/>
-</body></body></body></worldbody><actuator><position joint="pan" kp="6" kv="0.1"/>
-<position joint="lift" kp="8"/><position joint="elbow" kp="3"/></actuator></mujoco>"""
-JOINTS = (1, 2, 3)
-
-
-def described(folder: Path) -> System:
-    (folder / "arm.xml").write_text(ARM)
-    (folder / "model.yaml").write_text("robot: {file: arm.xml}\n")
-    return load_model(folder / "model.yaml")
-
-
-def records_of(system: System, count: int = 4) -> Dataset:
-    """Goals and the motor angles that a system answers with, the last record a test record."""
-    rng, time, records = np.random.default_rng(5), STEP * np.arange(300), []
-    for k in range(count):
-        inputs = {
-            f"goal{j}": 0.4
-            * sum(np.sin(2 * np.pi * f * time + rng.uniform(0, 6.28)) for f in (0.4, 0.9, 1.7))
-            * np.minimum(time / 0.3, 1.0)
-            for j in JOINTS
-        }
-        blank = Record(f"run_{k}", time, inputs, {f"q_m{j}": 0.0 * time for j in JOINTS})
-        batch = make_batch(system, [blank], noise_std={f"q_m{j}": 1e-6 for j in JOINTS})
-        angles = simulate(system, Engine("dry", 4, compiled=True), batch).y[0].numpy()
-        angles = angles + NOISE * rng.standard_normal(angles.shape)
-        outputs = {f"q_m{j}": angles[:, j - 1] for j in JOINTS}
-        records.append(Record(blank.name, time, inputs, outputs, "train" if k < count - 1 else "test"))
-    goals = tuple(Channel(f"goal{j}", "rad") for j in JOINTS)
-    return Dataset(
-        "arm", goals, tuple(Channel(f"q_m{j}", "rad", NOISE) for j in JOINTS), tuple(records), STEP
-    )
 
 
 @pytest.fixture
@@ -222,6 +177,11 @@ SERVOS = {
     "link_mass": (  # of the body beyond: that of its own link is a scale of all torques, which nobody knows
         "lift",
         lambda whole: whole.with_component("joint3/load", BodyInertia("elbow_link", c_m=2.5)),
+    ),
+    "base_tilt": ("lift", lambda whole: whole.with_component("joint2/load", BaseTilt(e_x=0.15, e_y=-0.1))),
+    "cable_pull": (
+        "lift",
+        lambda whole: whole.with_component("joint2/load", REGISTRY["cable"](k_c=3.0, q_c=0.2)),
     ),
 }
 """What servos and descriptions get wrong: the joint that shows it, and the machine that has it."""

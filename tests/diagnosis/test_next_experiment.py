@@ -1,17 +1,21 @@
 """Which record would part models that the records at hand do not: simulated before it is proposed."""
 
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from gapcase import small_case
 
-from hybrid_id.components import PositionLoop, Stribeck
+from hybrid_id.components import ConstantTorque, PositionLoop, Stribeck
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.next_experiment import REST, next_experiment
-from hybrid_id.records.dataset import Channel
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.record import Record
 from hybrid_id.systems import System
+from hybrid_id.systems.by_joint import alone, with_others_measured
+from hybrid_id.systems.model_file import load_model
 
 GOAL = Channel("goal1", "rad"), Channel("gain1", "1"), Channel("supply1", "V")
 
@@ -79,3 +83,33 @@ def test_models_that_are_alike_are_parted_by_none() -> None:
     assert found
     assert not any(one.distinguishes or one.distance for one in found)
     assert next_experiment(short, [explanation(today)]) == []
+
+
+def test_a_robots_joint_stays_in_its_range_and_the_others_take_postures(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    text = (
+        '<mujoco><compiler angle="radian"/><worldbody><body>'
+        '<joint name="lift" axis="0 1 0" range="{}" armature="0.02" damping="0.1"/>'
+        '<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/><body pos="0 0 0.2">'
+        '<joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05"/><inertial mass="0.2" pos="0 0 0.08" '
+        'diaginertia="0.0004 0.0004 0.0001"/></body></body></worldbody></mujoco>'
+    )
+    time = 0.01 * np.arange(100)
+    torques = {f"tau{k}": 0.3 * np.sin(8.0 * time) for k in (1, 2)}
+    angles = {"q_m1": 0.05 * np.sin(8.0 * time), "q_m2": np.linspace(0.0, 1.0, 100)}
+    drives = (
+        tuple(Channel(f"tau{k}", "N m") for k in (1, 2)),
+        tuple(Channel(f"q_m{k}", "rad", 1e-3) for k in (1, 2)),
+    )
+    records = Dataset("arm", *drives, (Record("run", time, torques, angles),), 0.01)
+    found = {}
+    for name, limits in {"wide": "-100 100", "narrow": "-0.1 0.1"}.items():
+        (tmp_path / "arm.xml").write_text(text.format(limits))
+        (tmp_path / "model.yaml").write_text("robot: {file: arm.xml}\n")
+        system = load_model(tmp_path / "model.yaml")
+        lift, seen = alone(system, 0), with_others_measured(records, system, 0)
+        biased = lift.with_component("joint1/load", ConstantTorque(T_0=0.05))
+        found[name] = next_experiment(seen, [explanation(lift), explanation(biased, "bias")])
+    postures = sorted({float(one.inputs["angle2"][0]) for one in found["wide"]})
+    assert postures == pytest.approx([0.1, 0.5, 0.9], abs=0.03)
+    assert len({one.name for one in found["wide"]}) == len(found["wide"]) > len(found["narrow"])

@@ -208,3 +208,28 @@ def test_pushes_act_as_mujoco_has_them(tmp_path, seed):
     alone = tree.inverse_dynamics(poses, tree.inertias(), still)
     pushed = tree.inverse_dynamics(poses, tree.inertias(), still, pushes=[(point, push)])
     np.testing.assert_allclose(numbers(alone) - numbers(pushed), (jacobian.T @ force)[order], atol=EXACT)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_one_joint_alone_moves_as_the_whole_tree_has_it(tmp_path, seed):
+    path = tmp_path / "robot.xml"
+    path.write_text(random_text(seed))
+    tree, rng = load_tree(path), np.random.default_rng(seed)
+    n, points, fall = len(tree.joints), list(tree.points.values()), (1.0, 0.5, -9.0)
+    q, v, a = ([torch.tensor(one) for one in rng.normal(size=(n, 3))] for _ in range(3))
+
+    def force(height):
+        return 300.0 * (0.1 - height).clamp_min(0.0)
+
+    poses, inertias = tree.poses(q), tree.inertias()
+    pushes = [(point, (0.0, 0.0, force(tree.place(poses, point)[2]))) for point in points]
+    for k in range(n):
+        bias = tree.inverse_dynamics(
+            poses, inertias, v, [0.0 * x if j == k else x for j, x in enumerate(a)], pushes, fall
+        )
+        found = tree.one_joint(k, q, v, a, inertias, [(point, force) for point in points], fall)
+        expected = tree.mass_matrix(poses, inertias)[k][k], bias[k]
+        for one, other in zip(found, expected, strict=True):
+            torch.testing.assert_close(
+                torch.as_tensor(one), torch.as_tensor(other), rtol=1e-11, atol=1e-11, check_dtype=False
+            )

@@ -141,6 +141,18 @@ def test_compiled_sensitivities_equal_eager_ones(name: str, substeps: int) -> No
             assert_same(getattr(found, one), getattr(expected, one))
 
 
+@pytest.mark.parametrize("compiled", [True, False])
+def test_channels_of_fewer_rows_repeat(compiled: bool) -> None:
+    system, engine = SYSTEMS["stribeck"], Engine(compiled=compiled)
+    batch, theta = moved(system)
+    twice = torch.cat([theta, 1.1 * theta], 1)
+    x = batch.x.repeat(2, 1, 1)
+    every = {name: channel.repeat(2, 1) for name, channel in batch.u.items()}
+    whole = shoot(system, engine, x, every, batch.dt.repeat(2, 1), twice, 120)
+    assert torch.equal(shoot(system, engine, x, batch.u, batch.dt, twice, 120), whole)
+    assert torch.equal(whole[1, 101:], whole[1, 100:101].expand(19, -1))  # behind its end a record stays
+
+
 @pytest.mark.parametrize("name", ["stribeck", "load", "dahl", "flexible", "coulomb", "arm", "loaded arm"])
 def test_compiled_steps_with_smooth_friction_equal_eager_ones(name: str) -> None:
     system, compiled = SYSTEMS[name], Engine("smooth", substeps=12, width=0.4, compiled=True)

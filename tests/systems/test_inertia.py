@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from hybrid_id.components import BodyInertia, Payload
+from hybrid_id.components import BaseTilt, BodyInertia, Payload
 from hybrid_id.errors import InputError
 from hybrid_id.export.mjcf import to_mjcf
 from hybrid_id.export.own_file import mujoco_model
@@ -20,6 +20,7 @@ from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study import identify
+from hybrid_id.systems.builders import one_link
 from hybrid_id.systems.by_joint import alone, together
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model, save_model
@@ -131,6 +132,31 @@ def test_the_files_own_inertial_says_what_was_found(tmp_path: Path) -> None:
     assert {body.name for body in again.bodies} == {"base", "upper", "lower", "payload_hand"}
     same = to_mjcf(arm(tmp_path, "robot: {file: arm.xml}\ncomponents:\n" + MODEL.splitlines()[-1]))
     assert same.text.count("<inertial") == 3 and "fullinertia" not in same.text
+
+
+def test_a_tilted_base_turns_gravity_and_the_file_says_so(tmp_path: Path) -> None:
+    system = arm(tmp_path, "robot: {file: arm.xml}\n").with_component(
+        "joint2/load", BaseTilt(e_x=0.2, e_y=-0.1)
+    )
+    about_x = np.array([[1, 0, 0], [0, np.cos(0.2), -np.sin(0.2)], [0, np.sin(0.2), np.cos(0.2)]])
+    about_y = np.array([[np.cos(0.1), 0, -np.sin(0.1)], [0, 1, 0], [np.sin(0.1), 0, np.cos(0.1)]])
+    pull = (about_x @ about_y).T @ [0, 0, -9.81]
+    model = mujoco_model(to_mjcf(system))
+    np.testing.assert_allclose(model.opt.gravity, pull, atol=1e-8)
+    q, v = np.random.default_rng(5).normal(size=(2, 3))
+    x = [torch.tensor([value]) for pair in zip(q, v, strict=True) for value in pair]
+    views = system.views([value[None] for value in system.theta().detach()])
+    needed = system.arm.needed(x, [torch.zeros(1, dtype=torch.float64)] * 3, {}, views)
+    np.testing.assert_allclose(
+        [float(torch.as_tensor(n)) for n in needed], of_mujoco(model, q, v)[1], atol=1e-7
+    )
+    alone_and_held = alone(system, 2)  # its tilt is the lift's to estimate
+    assert alone_and_held.tree is not None
+    np.testing.assert_allclose(np.array(alone_and_held.tree.gravity, float), pull, atol=1e-12)
+    with pytest.raises(InputError, match="base_tilt is listed twice"):
+        system.with_component("joint3/load", BaseTilt())
+    with pytest.raises(InputError, match="base_tilt at 'joint1/load' acts on a robot with a description"):
+        one_link(50.0).with_component("joint1/load", BaseTilt())
 
 
 def test_a_body_whose_mass_its_shapes_give_gets_an_inertial(tmp_path: Path) -> None:

@@ -51,9 +51,12 @@ class Delay(Component):
     def held(self, p: SimpleNamespace, history: Sequence[Tensor], sample_time: Tensor) -> Tensor:
         """Delayed channel, ``(B,)``, from it and its past samples, newest first."""
         samples = p.T_d / sample_time.clamp_min(1e-9)
-        whole = samples.detach().floor().clamp(0, len(history) - 2).expand_as(history[0])
-        past, pick = torch.stack(list(history)), whole.long()[None]
-        newer, older = past.gather(0, pick)[0], past.gather(0, pick + 1)[0]
+        whole = samples.detach().floor().clamp(0, len(history) - 2)
+        if bool((whole == (one := whole.flatten()[0])).all()):  # as it nearly always is
+            newer, older = history[int(one)], history[int(one) + 1]
+        else:
+            past, pick = torch.stack(list(history)), whole.expand_as(history[0]).long()[None]
+            newer, older = past.gather(0, pick)[0], past.gather(0, pick + 1)[0]
         return newer + (samples - whole) * (older - newer)
 
     @staticmethod

@@ -1,0 +1,61 @@
+"""A base that does not stand as the robot's description says, so that gravity points elsewhere."""
+
+from types import SimpleNamespace
+
+import torch
+from torch import Tensor
+
+from hybrid_id.components.base import Effect, Shared
+from hybrid_id.components.site import free
+from hybrid_id.parameters import Parameter
+
+POSTURES = (
+    "rests in many postures: a tilted base loads each joint as its axis lies, a {} is the same in all of them"
+)
+
+
+class BaseTilt(Shared):
+    """Gravity ``R^T g_0`` in the base's axes, ``R = R_x(e_x) R_y(e_y)``: it acts on all joints.
+
+    | symbol | unit | meaning |
+    | --- | --- | --- |
+    | g_0 | m/s^2 | gravity in the description, in the base's axes |
+    | e_x, e_y | rad | how far the base is turned about its x axis, then about its new y axis |
+
+    A fit of one joint by itself estimates it at that joint alone.
+
+    Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 9.3 (gravity in the
+    base's axes).
+    """
+
+    kind = "base_tilt"
+    e_x = Parameter(0.0, lower=-3.2, upper=3.2, unit="rad", doc="turn of the base about x")
+    e_y = Parameter(0.0, lower=-3.2, upper=3.2, unit="rad", doc="turn of the base about y")
+    effect = Effect(
+        "base_tilt",
+        "base that stands on a slope or is mounted askew, or gravity that points elsewhere in the description; "
+        "usually a few degrees",
+        "W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002",
+        {
+            "constant_torque": POSTURES.format("bias"),
+            "encoder_zero": POSTURES.format("wrong zero"),
+            "link_mass": "rests in many postures, axes upright among them: a mass leaves an upright axis alone, a tilt "
+            "loads it",
+            "gravity_load": "rests in many postures: a tilt loads each joint as its axis lies, a weight at one joint "
+            "turns with that joint alone",
+        },
+    )
+
+    def gravity(
+        self, p: SimpleNamespace, described: tuple[float | Tensor, float | Tensor, float | Tensor]
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Acceleration of free fall in the base's axes [m/s^2], ``(B,)`` each, of the described one."""
+        x, y, z = described
+        s_x, c_x, s_y, c_y = torch.sin(p.e_x), torch.cos(p.e_x), torch.sin(p.e_y), torch.cos(p.e_y)
+        y, z = c_x * y + s_x * z, c_x * z - s_x * y
+        return c_y * x - s_y * z, y, s_y * x + c_y * z
+
+    @staticmethod
+    def starts(site):
+        level = free(0.0, -0.8, 0.8)
+        return [{"e_x": level, "e_y": level}] if site.bodies else []

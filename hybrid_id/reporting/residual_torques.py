@@ -1,0 +1,153 @@
+"""Networks joint by joint: as plain data, a table, pictures and one page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.reporting.diagnosis_words import joined, percent
+from hybrid_id.reporting.interactive import Drawn, drawn
+from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.style import journal, new_figure
+from hybrid_id.reporting.tables import count, records_table, table
+from hybrid_id.study.residual_torques import ArmHybrid, JointHybrid, TorqueMap
+
+_HOW = (
+    "Each joint is taken by itself, the others as measured. Physics is fitted alone, then a network of the joint's "
+    "angle and speed beside it; no physical parameter moves by more than two of its standard errors without it. A "
+    "network stays where it surely lowers the errors of records left out (95 % over all sizes of its weights that were "
+    "tried). Errors are RMS of free runs in units of the measurement's noise: 1 is as good as it gets."
+)
+
+
+def residuals_result(found: ArmHybrid) -> dict[str, Any]:
+    """Everything that it says, as plain data."""
+    return {
+        "interrupted": found.interrupted,
+        "skipped": dict(found.skipped),
+        "joints": {
+            name: {
+                "network": one.size is not None,
+                "size": one.size,
+                "gain": {"mean": one.gain.mean, "lower": one.gain.lower, "upper": one.gain.upper},
+                "left_out": _pairs(one.left_out),
+                "tested": _pairs(one.tested),
+                "drift_sigma": one.drift,
+                "share_of_torque": None if one.map is None else one.map.share,
+                "horizon": str(one.horizon),
+            }
+            for name, one in found.joints.items()
+        },
+        "tested": _pairs(found.tested),
+    }
+
+
+def _pairs(errors: Mapping[str, tuple[float, float]]) -> dict[str, dict[str, float]]:
+    return {name: {"physics": a, "hybrid": b} for name, (a, b) in errors.items()}
+
+
+def lead(found: ArmHybrid) -> str:
+    """The outcome in plain words."""
+    stay = [name for name, one in found.joints.items() if one.size is not None]
+    others = "" if len(stay) == len(found.joints) else ", and at none of the others"
+    said = (
+        f"A network earns its place at {joined(stay)}{others}."
+        if stay
+        else "No network earns its place at any joint: physics alone is kept."
+    )
+    if stay and found.tested:
+        before, after = _means(found.tested)
+        said += (
+            f" Error of the whole robot on {count(len(found.tested), 'test record')}, all joints simulated: "
+            f"{before:.3g} times the noise by physics alone, {after:.3g} with it."
+        )
+    return said + (" It was stopped: not all joints were taken." if found.interrupted else "")
+
+
+def _means(errors: Mapping[str, tuple[float, float]]) -> tuple[float, float]:
+    before, after = np.sqrt(np.mean(np.square(list(errors.values())), 0))
+    return float(before), float(after)
+
+
+def joints_table(found: ArmHybrid) -> Table:
+    """A row a joint: whether its network stays, and both errors on records left out and on test records."""
+    rows = [
+        (
+            name, "stays" if one.size is not None else "none", *_cells(one.left_out), *_cells(one.tested),
+            "" if one.map is None else percent(one.map.share), _moved(one),
+        )
+        for name, one in found.joints.items()
+    ]  # fmt: skip
+    heads = ("joint", "network", "left out: physics>", "with network>", "test: physics>", "hybrid>",
+             "share of torque>", "parameters moved [σ]>")  # fmt: skip
+    return table(heads, rows)
+
+
+def _cells(errors: Mapping[str, tuple[float, float]]) -> tuple[str, str]:
+    if not errors:
+        return "", ""
+    before, after = _means(errors)
+    return f"{before:.3g}", f"{after:.3g}"
+
+
+def _moved(one: JointHybrid) -> str:
+    """The largest change of a physical parameter."""
+    if one.size is None or not one.drift:
+        return ""
+    name = max(one.drift, key=lambda n: abs(one.drift[n]))
+    return f"at most {abs(one.drift[name]):.1f} ({name})"
+
+
+def residuals_table(found: ArmHybrid) -> RenderableType:
+    """What the terminal shows."""
+    skipped = [Text(f"not taken: {name} ({why}).") for name, why in found.skipped.items()]
+    return Group(Text(lead(found), style="bold"), joints_table(found), *skipped)
+
+
+@journal()
+def map_figure(name: str, of: TorqueMap) -> Figure:
+    """A network's torque over angle and speed, and the motion of the records."""
+    figure = new_figure(2.6, 4.6)
+    axes = figure.subplots()
+    reach = float(np.abs(of.torque).max()) or 1.0
+    image = axes.pcolormesh(
+        of.angle, of.speed, of.torque, cmap="RdBu_r", vmin=-reach, vmax=reach, rasterized=True
+    )
+    axes.plot(of.seen[:, 0], of.seen[:, 1], ".", ms=1.2, color="black", alpha=0.35)
+    axes.set(xlabel="angle [rad]", ylabel="speed [rad/s]", title=name)
+    figure.colorbar(image, label="opposing torque [N\u2009m]")
+    return figure
+
+
+def residuals_pictures(found: ArmHybrid) -> dict[str, Drawn]:
+    """Figures by the name of their file."""
+    maps = {name: one.map for name, one in found.joints.items() if one.map is not None}
+    return {f"map_{k}": drawn(map_figure(name, of)) for k, (name, of) in enumerate(maps.items(), 1)}
+
+
+def residuals_page(dataset: Dataset, found: ArmHybrid, pictures: Mapping[str, Drawn]) -> Page:
+    """The page of networks joint by joint.
+
+    Args:
+        dataset: the records.
+        found: the result.
+        pictures: its pictures by name.
+    """
+    page = Page(f"Physics and networks on {dataset.name}", lead(found))
+    joints = page.section("Joints").add(joints_table(found), _HOW)
+    joints.add(*(Text(f"not taken: {name} ({why}).") for name, why in found.skipped.items()))
+    if pictures:
+        maps = page.section("Networks")
+        for picture in pictures.values():
+            maps.figure(
+                picture, "Torque that opposes the drive, over angle and speed; dots: where the records are."
+            )
+    page.section("Records").add(records_table(dataset))
+    return page

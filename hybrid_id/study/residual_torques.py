@@ -1,0 +1,350 @@
+"""Hybrid of a robot, joint by joint: a small network for what the physics of a joint leaves, where that is not noise.
+
+Each joint is taken by itself, the others as measured. Physics is fitted alone; a network of angle and speed is fitted
+to what it leaves, by the same least squares, then both together, no physical parameter moving further than its standard
+error without the network allows, so that it keeps its meaning. Records left out decide whether the network stays, and
+how small its weights have to be.
+
+Sources: Y. Yin et al., APHYNITY, ICLR 2021 (physics plus a network of least norm); C. Nadeau, Y. Bengio, Inference for
+the Generalization Error, Machine Learning 52, 2003 (intervals over records that took turns).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hybrid_id.components.load.residual_torque import ResidualTorque
+from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import fit
+from hybrid_id.identification.horizons import WHOLE, Horizon, choose_horizon
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.result import FitResult
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.compiled import compiled_for
+from hybrid_id.simulation.prepare import SIGNAL_SHARE
+from hybrid_id.simulation.step import Engine
+from hybrid_id.statistics.uncertainty import robust_covariance
+from hybrid_id.statistics.variation import PairedDifference, paired_difference
+from hybrid_id.study.replays import batch_of, weighted_errors
+from hybrid_id.systems.by_joint import alone, joint_number, with_drive, with_others_measured
+from hybrid_id.systems.chain import System
+
+SIZES = (1.0, 0.1, 0.01)
+"""Standard deviations that priors give the weights of the network's output, in units of its scale: which one, records
+left out choose."""
+SHAPES = 1.0
+"""The same of the weights inside the network."""
+HELD = 2.0
+"""How far beside a network a physical parameter may move, in its standard errors without."""
+FOLDS = 4
+"""Parts of the train records that are left out in turn, at most."""
+ITERATIONS = 40
+GRID, SHOWN = 41, 600
+"""Points of a map along either axis, and samples beside it, at most."""
+
+Say = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueMap:
+    """Torque of a network over angle and speed of its joint, where the records have been.
+
+    Attributes:
+        angle, speed: grid, ``(n_q,)`` [rad] and ``(n_v,)`` [rad/s].
+        torque: that it opposes the drive with, ``(n_v, n_q)`` [N m].
+        seen: angle and speed at samples of the train records, ``(n, 2)``.
+        share: RMS of the torque at all samples over that of the drive's torque.
+    """
+
+    angle: np.ndarray
+    speed: np.ndarray
+    torque: np.ndarray
+    seen: np.ndarray
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class JointHybrid:
+    """Physics of a joint, with and without a network.
+
+    Attributes:
+        physics: fit of the physics alone to all train records.
+        hybrid: fit of the network beside it to them; the physics alone where the network has not earned its place.
+        size: of the network's weights, see :data:`SIZES`; None where there is none.
+        gain: by how much the network lowers the logarithm of the RMS error on records left out, with its interval, at
+            the best size.
+        left_out: RMS of the weighted errors of each record while it was left out, physics alone and with the network.
+        tested: the same of the test records.
+        horizon: how long the free runs are.
+        map: of the network that stays; None without.
+    """
+
+    physics: FitResult
+    hybrid: FitResult
+    size: float | None
+    gain: PairedDifference
+    left_out: Mapping[str, tuple[float, float]]
+    tested: Mapping[str, tuple[float, float]]
+    horizon: Horizon
+    map: TorqueMap | None
+
+    @property
+    def drift(self) -> dict[str, float]:
+        """By how many of its standard errors without the network each physical parameter has moved."""
+        std = _standard_errors(self.physics)
+        after = dict(zip(self.hybrid.names, self.hybrid.values, strict=True))
+        before = zip(self.physics.names, self.physics.values, strict=True)
+        return {name: float(after[name] - value) / std[name] for name, value in before if name in std}
+
+
+@dataclass(frozen=True, eq=False)
+class ArmHybrid:
+    """Result of :func:`learn_residuals`.
+
+    Attributes:
+        joints: by name.
+        skipped: joints without a result, each with the reason.
+        physics, system: the whole robot, physics re-fitted joint by joint, and with the networks that stay.
+        tested: RMS of the weighted errors of both on each test record, all joints simulated.
+        interrupted: whether it was stopped before the last joint.
+    """
+
+    joints: Mapping[str, JointHybrid]
+    skipped: Mapping[str, str]
+    physics: System
+    system: System
+    tested: Mapping[str, tuple[float, float]]
+    interrupted: bool = False
+
+
+def learn_residuals(
+    dataset: Dataset,
+    system: System,
+    joints: Sequence[str] = (),
+    *,
+    horizon: Horizon | None = None,
+    signal_share: float = SIGNAL_SHARE,
+    say: Say | None = None,
+) -> ArmHybrid:
+    """Let a network at each joint of a robot learn what physics leaves there, and keep those that earn their place.
+
+    Args:
+        dataset: of the whole robot: train records, validation records if there are any (else the train records are
+            left out in turn), test records.
+        system: the robot, with values to start from.
+        joints: names; none for all.
+        horizon: how long free runs are; None for what the records of each joint ask for.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        say: called with (joint, done, total).
+
+    Ctrl-C ends it with the joints that are done.
+
+    Raises:
+        InputError: a joint that the robot has not, fewer than two train records, or no joint that can be taken.
+    """
+    if system.tree is None:
+        raise InputError(
+            "Networks are learnt joint by joint for a robot; give a model that names its description."
+        )
+    names, skipped = list(joints or system.tree.names), dict[str, str]()
+    numbers = {name: joint_number(system, name) for name in names}
+    found: dict[str, JointHybrid] = {}
+    physics = whole = system
+    interrupted = False
+    for done, (name, k) in enumerate(numbers.items()):
+        try:
+            if say is not None:
+                say(name, done, len(names))
+            one = alone(system, k)
+            found[name] = _learn(with_others_measured(dataset, system, k), one, horizon, signal_share)
+        except InputError as error:
+            skipped[name] = str(error).removesuffix(".")
+            continue
+        except KeyboardInterrupt:
+            if not found:
+                raise
+            skipped |= dict.fromkeys((n for n in names if n not in found and n not in skipped), "stopped")
+            interrupted = True
+            break
+        taken = [result.system for result in (found[name].physics, found[name].hybrid)]
+        for each in taken:
+            each.whole = one.whole
+        physics, whole = with_drive(physics, taken[0]), with_drive(whole, taken[1])
+    if not found:
+        raise InputError(
+            "No joint can be taken by itself: " + "; ".join(f"{n}: {w}" for n, w in skipped.items())
+        )
+    tested: dict[str, tuple[float, float]] = {}
+    if dataset.test:
+        errors = [_errors(dataset, one, dataset.test, WHOLE, signal_share) for one in (physics, whole)]
+        tested = {name: (errors[0][name], errors[1][name]) for name in errors[0]}
+    return ArmHybrid(found, skipped, physics, whole, tested, interrupted)
+
+
+def _learn(dataset: Dataset, system: System, horizon: Horizon | None, signal_share: float) -> JointHybrid:
+    """Physics alone and with a network, of one joint by itself."""
+    train = dataset.train
+    if len(train) < 2:
+        raise InputError(
+            f"Dataset '{dataset.name}' has {len(train)} train records; a network needs two or more."
+        )
+    physics = _fitted(dataset, system, train, WHOLE, signal_share)
+    if horizon is None:
+        batch = batch_of(dataset, system, train, signal_share)
+        horizon = choose_horizon(system, physics.engine, batch, [physics])
+        if horizon.kind != "whole":
+            physics = _fitted(dataset, system, train, horizon, signal_share)
+    held = (
+        [dataset.validation]
+        if dataset.validation
+        else [train[k::FOLDS] for k in range(min(FOLDS, len(train)))]
+    )
+    errors: dict[float, dict[str, tuple[float, float]]] = {size: {} for size in SIZES}
+    for part in held:
+        rest = [record for record in train if record.name not in {r.name for r in part}]
+        before = _fitted(dataset, physics.system, rest, horizon, signal_share)
+        own = _errors(dataset, before.system, part, horizon, signal_share)
+        for size in SIZES:
+            after = _with_network(dataset, before, rest, size, horizon, signal_share)
+            richer = _errors(dataset, after.system, part, horizon, signal_share)
+            errors[size] |= {name: (own[name], richer[name]) for name in own}
+    apart = sum(map(len, held)) / len(held)
+    overlap = apart / (len(train) if dataset.validation else len(train) - apart)
+    level = 1.0 - 0.05 / len(SIZES)  # the best of several
+    gains = {
+        size: paired_difference(*np.log(list(pairs.values())).T, overlap=overlap, level=level)
+        for size, pairs in errors.items()
+    }
+    best = max(gains, key=lambda size: np.nan_to_num(gains[size].mean, nan=-np.inf))
+    stays = gains[best].lower > 0.0
+    hybrid = _with_network(dataset, physics, train, best, horizon, signal_share) if stays else physics
+    tested = [_errors(dataset, one.system, dataset.test, horizon, signal_share) for one in (physics, hybrid)]
+    return JointHybrid(
+        physics, hybrid, best if stays else None, gains[best], errors[best],
+        {name: (tested[0][name], tested[1][name]) for name in tested[0]}, horizon,
+        _map(dataset, hybrid.system, signal_share) if stays else None,
+    )  # fmt: skip
+
+
+def _fitted(
+    dataset: Dataset, system: System, records: Sequence[Record], horizon: Horizon, signal_share: float
+) -> FitResult:
+    """One set of the estimated parameters for all of some records."""
+    engine = compiled_for(system, Engine())
+    batch = horizon.cut(system, engine, batch_of(dataset, system, records, signal_share))
+    return fit(system, batch, pooled=True, engine=engine, options=Options(max_iterations=ITERATIONS))[0]
+
+
+def _with_network(
+    dataset: Dataset,
+    physics: FitResult,
+    records: Sequence[Record],
+    size: float,
+    horizon: Horizon,
+    signal_share: float,
+) -> FitResult:
+    """Fit of a network to what a model leaves, first with the model held, then of both."""
+    system = physics.system
+    held = {i.name: replace(i.spec, estimate=False) for i in system.table}
+    angle, speed, torque = _motion(dataset, system, records, signal_share)
+    low, high = float(angle.min()), float(angle.max())
+    network = ResidualTorque(
+        S_r=_rms(torque), m_q=0.5 * (low + high), s_q=0.5 * (high - low) or 1.0, s_v=_rms(speed)
+    )
+    place = f"{system.joints[0].name}/load"
+    richer = system.with_specs(held).with_component(place, network)
+    priors = {
+        info.name: replace(
+            info.spec, prior_mean=info.spec.value, prior_std=size if info.symbol.startswith("c_") else SHAPES
+        )
+        for info in richer.table
+        if info.component == f"{place}/{ResidualTorque.kind}" and info.spec.estimate
+    }
+    richer = richer.with_specs(priors)
+    engine = compiled_for(richer, physics.engine)
+    part = horizon.cut(richer, engine, batch_of(dataset, richer, records, signal_share))
+    settings = {
+        "pooled": True,
+        "engine": engine,
+        "options": Options(max_iterations=ITERATIONS),
+        "warm": False,
+    }
+    learnt = fit(richer, part, **settings)[0].system
+    reach = {name: HELD * std for name, std in _standard_errors(physics).items()}
+    known = {name: learnt.parameter(name).spec for name in reach}
+    freed = {
+        name: replace(
+            spec, estimate=True, lower=max(spec.lower, spec.value - reach[name]),
+            upper=min(spec.upper, spec.value + reach[name]),
+        )
+        for name, spec in known.items()
+    }  # fmt: skip
+    both = fit(learnt.with_specs(freed), part, **settings)[0]
+    ends = {
+        name: replace(spec.at(both.system.parameter(name).spec.value), estimate=True)
+        for name, spec in known.items()
+    }
+    return replace(both, system=both.system.with_specs(ends))
+
+
+def _motion(
+    dataset: Dataset, system: System, records: Sequence[Record], signal_share: float
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Angle [rad], speed [rad/s] and the drive's torque [N m] of a joint by itself at its link, ``(N,)`` each."""
+    batch = batch_of(dataset, system, records, signal_share)
+    used = (batch.weight > 0).any(2)
+    joint, ratio = system.joints[0], system.gear_ratio[0]
+    states = [column[used] for column in batch.x.unbind(2)]
+    channels = {name: channel[used] for name, channel in batch.u.items()}
+    row = joint.positions[0]
+    with torch.no_grad():
+        views = system.views([value.reshape(1) for value in system.theta()])
+        torque = joint.drive.torque(states, channels, views)
+    return states[row] / ratio, states[row + 1] / ratio, torque * ratio
+
+
+def _rms(values: Tensor) -> float:
+    """Root mean square, 1 of nothing."""
+    return float(values.square().mean().sqrt()) or 1.0
+
+
+@torch.no_grad()
+def _map(dataset: Dataset, system: System, signal_share: float) -> TorqueMap:
+    """What a joint's network does, over the range of its train records."""
+    angle, speed, drive = _motion(dataset, system, dataset.train, signal_share)
+    network = cast(ResidualTorque, system.components[f"{system.joints[0].name}/load/{ResidualTorque.kind}"])
+    grids = [
+        torch.linspace(float(s.min()), float(s.max()), GRID, dtype=torch.float64) for s in (angle, speed)
+    ]
+    over, along = torch.meshgrid(grids[1], grids[0], indexing="ij")
+    share = _rms(network.torque(network.view(), angle, speed)) / _rms(drive)
+    every = max(1, len(angle) // SHOWN)
+    return TorqueMap(
+        grids[0].numpy(), grids[1].numpy(), network.torque(network.view(), along, over).numpy(),
+        torch.stack((angle, speed), 1)[::every].numpy(), share,
+    )  # fmt: skip
+
+
+def _standard_errors(physics: FitResult) -> dict[str, float]:
+    """Autocorrelation-robust standard errors of the parameters that have one, by name."""
+    std = robust_covariance(
+        physics.jacobian, physics.residual, prior_precision=physics.prior_precision
+    ).std_error
+    return {n: float(s) for n, s in zip(physics.names, std, strict=True) if 0.0 < s < np.inf}
+
+
+def _errors(
+    dataset: Dataset, system: System, records: Sequence[Record], horizon: Horizon, signal_share: float
+) -> dict[str, float]:
+    """RMS of the weighted errors of a model's free runs, by record."""
+    if not records:
+        return {}
+    batch = batch_of(dataset, system, records, signal_share)
+    return weighted_errors(system, compiled_for(system, Engine()), batch, horizon)

@@ -1,0 +1,55 @@
+"""An arm of three servos for tests: its description, and records that a system answers goals with."""
+
+from pathlib import Path
+
+import numpy as np
+
+from hybrid_id import Dataset
+from hybrid_id.records.dataset import Channel
+from hybrid_id.records.record import Record
+from hybrid_id.simulation.prepare import make_batch
+from hybrid_id.simulation.rollout import simulate
+from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_file import load_model
+
+STEP, NOISE = 0.01, 1e-3
+ARM = """<mujoco><compiler angle="radian"/><worldbody>
+<body quat="0 1 0 0"><joint name="pan" axis="0 0 1" armature="0.02" damping="0.1" frictionloss="0.05"/>
+<inertial mass="0.5" pos="0.02 0 0.05" diaginertia="0.001 0.001 0.001"/>
+<body pos="0 0 0.1"><joint name="lift" axis="0 1 0" armature="0.015" damping="0.08" frictionloss="0.04"/>
+<inertial mass="0.4" pos="0 0 0.1" diaginertia="0.001 0.001 0.0003"/>
+<body name="elbow_link" pos="0 0 0.2">
+<joint name="elbow" axis="0 1 0" armature="0.01" damping="0.05" frictionloss="0.03"/>
+<inertial mass="0.2" pos="0 0 0.08" diaginertia="0.0004 0.0004 0.0001"/>
+</body></body></body></worldbody><actuator><position joint="pan" kp="6" kv="0.1"/>
+<position joint="lift" kp="8"/><position joint="elbow" kp="3"/></actuator></mujoco>"""
+JOINTS = (1, 2, 3)
+
+
+def described(folder: Path) -> System:
+    (folder / "arm.xml").write_text(ARM)
+    (folder / "model.yaml").write_text("robot: {file: arm.xml}\n")
+    return load_model(folder / "model.yaml")
+
+
+def records_of(system: System, count: int = 4) -> Dataset:
+    """Goals and the motor angles that a system answers with, the last record a test record."""
+    rng, time, records = np.random.default_rng(5), STEP * np.arange(300), []
+    for k in range(count):
+        inputs = {
+            f"goal{j}": 0.4
+            * sum(np.sin(2 * np.pi * f * time + rng.uniform(0, 6.28)) for f in (0.4, 0.9, 1.7))
+            * np.minimum(time / 0.3, 1.0)
+            for j in JOINTS
+        }
+        blank = Record(f"run_{k}", time, inputs, {f"q_m{j}": 0.0 * time for j in JOINTS})
+        batch = make_batch(system, [blank], noise_std={f"q_m{j}": 1e-6 for j in JOINTS})
+        angles = simulate(system, Engine("dry", 4, compiled=True), batch).y[0].numpy()
+        angles = angles + NOISE * rng.standard_normal(angles.shape)
+        outputs = {f"q_m{j}": angles[:, j - 1] for j in JOINTS}
+        records.append(Record(blank.name, time, inputs, outputs, "train" if k < count - 1 else "test"))
+    goals = tuple(Channel(f"goal{j}", "rad") for j in JOINTS)
+    return Dataset(
+        "arm", goals, tuple(Channel(f"q_m{j}", "rad", NOISE) for j in JOINTS), tuple(records), STEP
+    )

@@ -1,0 +1,65 @@
+"""Networks at a robot's joints: one where something is missing, none elsewhere, and physics keeps its meaning."""
+
+from pathlib import Path
+
+import pytest
+from servo_arm import described, records_of
+
+from hybrid_id.components import REGISTRY
+from hybrid_id.errors import InputError
+from hybrid_id.study.residual_torques import learn_residuals
+from hybrid_id.systems.builders import one_link
+from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_file import load_model, save_model
+
+pytest.importorskip("mujoco")
+
+
+@pytest.fixture
+def nominal(tmp_path: Path) -> System:
+    return described(tmp_path)
+
+
+def test_a_network_stays_where_something_is_missing_alone(nominal: System, tmp_path: Path) -> None:
+    machine = nominal.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4))
+    dataset, stages = records_of(machine, 5), list[str]()
+    found = learn_residuals(dataset, nominal, ["lift", "elbow"], say=lambda name, *_: stages.append(name))
+    assert stages == ["lift", "elbow"] and not found.skipped
+    elbow, lift = found.joints["elbow"], found.joints["lift"]
+    assert lift.size is None and lift.hybrid is lift.physics and lift.map is None
+    assert elbow.size is not None and elbow.map is not None and elbow.map.share > 0.1
+    assert all(abs(moved) < 2.0 for moved in elbow.drift.values())
+    ((before, after),) = elbow.tested.values()
+    assert after < 0.3 * before
+    ((before, after),) = found.tested.values()  # all joints simulated
+    assert after < 0.5 * before
+    assert "joint3/load/residual_torque" in found.system.components
+    assert not any("residual" in key for key in found.physics.components)
+    save_model(found.system, tmp_path / "hybrid.yaml")
+    again = load_model(tmp_path / "hybrid.yaml")
+    assert [i.spec.value for i in again.table] == [i.spec.value for i in found.system.table]
+
+
+def test_nothing_missing_nothing_learnt(nominal: System) -> None:
+    found = learn_residuals(records_of(nominal, 5), nominal, ["elbow"])
+    assert found.joints["elbow"].size is None
+    assert found.system.theta().tolist() == found.physics.theta().tolist()
+
+
+def test_what_cannot_be_learnt_is_refused(nominal: System) -> None:
+    dataset = records_of(nominal, 2)
+    with pytest.raises(InputError, match="has 1 train records; a network needs two or more"):
+        learn_residuals(dataset, nominal, ["elbow"])
+    with pytest.raises(InputError, match="The robot has no joint 'wrist'"):
+        learn_residuals(dataset, nominal, ["wrist"])
+    with pytest.raises(InputError, match="for a robot"):
+        learn_residuals(dataset, one_link(50.0))
+
+
+def test_ctrl_c_keeps_the_joints_that_are_done(nominal: System) -> None:
+    def stop(name: str, done: int, total: int) -> None:
+        if name == "elbow":
+            raise KeyboardInterrupt
+
+    found = learn_residuals(records_of(nominal, 4), nominal, ["lift", "elbow"], say=stop)
+    assert found.interrupted and set(found.joints) == {"lift"} and found.skipped == {"elbow": "stopped"}
