@@ -192,7 +192,7 @@ def _within_limits(
         if joint is None:
             continue
         ratio = joint.gear_ratio if name.startswith("q_m") else 1.0
-        limits = system.tree.joints[system.arm.seats[joint.number - 1]].limits
+        limits = system.tree.joints[system.arm.seats[system.joints.index(joint)]].limits
         been = np.concatenate([r.outputs[name] for r in dataset.train if name in r.outputs])
         low, high = sorted(limit * ratio for limit in limits)
         low, high = min(low, been.min()), max(high, been.max())

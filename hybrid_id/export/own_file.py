@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,6 +32,8 @@ from hybrid_id.systems.joint import Joint
 
 SAME = 1e-9
 """Relative difference below which a value of the file stands."""
+AT_JOINT = (0, 1)
+"""MuJoCo's numbers of transmissions to a joint: in its own frame, and in its parent's."""
 UNITS = {"V": "voltage [V]", "A": "current [A]", "N m": "torque [N m]"}
 """What a motor's command is."""
 
@@ -366,23 +369,22 @@ class _Edit(Drives):
             for e in self.text.elements
             if "actuator" in e.above and known.name in (e.values.get("joint"), e.values.get("jointinparent"))
         ]
-        if mine and self._same(mine[0], attributes, tag):
-            return mine[0].values["name"]
-        if (
-            len(mine) == 1
-            and self.closes(joint)
-            and "joint" in attributes
-            and self._adjusted(mine[0], attributes)
-        ):
-            return mine[0].values["name"]
+        here = self._known(mine, known)
+        if here is not None and (new := self._kept(joint, mine, here, tag, attributes)) is not None:
+            named = {} if "name" in mine[0].values else {"name": attributes["name"]}
+            if named or new:
+                self.text.put(mine[0], named | new)
+            return (mine[0].values | named)["name"]
         gives = joint.drive.input[1].gives
         command = "motor's " + UNITS.get(gives, f"command [{gives}]")
         if self.closes(joint):
             command = "goal [rad]" if known.kind == "hinge" else "goal [m]"
         if tag == "general":  # no default of the file is to reach into it
+            attributes = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"} | attributes
+            if here is not None and not self.closes(joint):
+                attributes |= _limits(here, ("force",), here.gear[0] / float(attributes["gear"]))
             limits = ("ctrllimited", "ctrlrange"), ("forcelimited", "forcerange")
-            set_here = {name: str(end in attributes).lower() for name, end in limits}
-            attributes = {"dyntype": "none", "gaintype": "fixed", "biastype": "none"} | attributes | set_here
+            attributes |= {name: str(end in attributes).lower() for name, end in limits}
         if not mine:
             self.added.append(_written(tag, attributes))
             return attributes["name"]
@@ -393,46 +395,78 @@ class _Edit(Drives):
         self.replaced.setdefault((" and a ".join(e.tag for e in mine), command), []).append(known.name)
         return attributes["name"]
 
-    def _adjusted(self, element: _Element, attributes: Attributes) -> bool:
-        """Set what of a file's own position loop differs from the drive's; False where its element cannot carry it."""
+    def _known(self, mine: list[_Element], known: TreeJoint) -> Any | None:
+        """What MuJoCo knows of the first of a joint's actuators in the text; None where it has others elsewhere."""
+        joint = self.model.joint(known.name).id
+        acting = [
+            one
+            for one in map(self.model.actuator, range(self.model.nu))
+            if int(one.trntype[0]) in AT_JOINT and int(one.trnid[0]) == joint
+        ]
+        return acting[0] if mine and len(acting) == len(mine) else None
+
+    def _kept(
+        self, joint: Joint, mine: list[_Element], here: Any, tag: str, attributes: Attributes
+    ) -> Attributes | None:
+        """Attributes that make a drive's motor of the joint's own actuator; None where it cannot become that."""
+        if tag != "general" or "joint" not in attributes:
+            return None
+        if self.closes(joint):
+            return self._adjusted(joint, mine[0], here, attributes) if len(mine) == 1 else None
+        plain = not (here.gaintype[0] or here.biastype[0] or here.dyntype[0]) and here.gainprm[0] > 0.0
+        if not plain or set(attributes) - {"name", "joint", "gear", "gainprm"}:  # limits or a delay
+            return None
+        gear = float(attributes["gear"]) * float(attributes["gainprm"]) / here.gainprm[0]
+        if math.isclose(here.gear[0], gear, rel_tol=SAME):
+            return {}
+        if len(mine) != 1 or gear <= 0.0:
+            return None
+        self.notes.append(
+            f"{self.tree.names[joint.number - 1]}: its actuator has the gear {gear:g} in the place of "
+            f"{here.gear[0]:g}, and takes the motor's torque [N m]; its limits are the same at the joint"
+        )
+        return {"gear": number(gear)} | _limits(here, ("ctrl", "force"), here.gear[0] / gear)
+
+    def _adjusted(
+        self, joint: Joint, element: _Element, here: Any, attributes: Attributes
+    ) -> Attributes | None:
+        """What of a file's own position loop differs from the drive's; None where its element cannot carry it."""
         taken = {"position": ("kp", "kv"), "general": ("gainprm", "biasprm")}.get(element.tag)
         others = {"dampratio", "timeconst", "inheritrange", "delay"} & set(element.values)
-        if taken is None or "name" not in element.values or others:
-            return False
-        here = self.model.actuator(element.values["name"])
-        if here.gear[0] != 1.0 or here.dyntype[0] != 0:
-            return False
+        if taken is None or others or here.dyntype[0] != 0:
+            return None
         bias = [float(v) for v in attributes["biasprm"].split()]
         new: Attributes = {}
+        if not math.isclose(here.gear[0], 1.0, rel_tol=SAME):
+            new["gear"] = attributes["gear"]
+            self.notes.append(
+                f"{self.tree.names[joint.number - 1]}: its actuator has the gear 1 in the place of "
+                f"{here.gear[0]:g}, so that its goal is the joint's"
+            )
         if not np.allclose([-bias[1], *bias], [here.gainprm[0], *here.biasprm[:3]], rtol=SAME, atol=0.0):
             both = (
                 number(-bias[1]),
                 number(0.0 - bias[2]) if element.tag == "position" else attributes["biasprm"],
             )
-            new = dict(zip(taken, both, strict=True))
+            new |= dict(zip(taken, both, strict=True))
         for limit in ("force", "ctrl"):
             name, flag = f"{limit}range", f"{limit}limited"
             limited = bool(getattr(here, flag)[0])
             if limited and name not in attributes:
-                return False
+                new |= {flag: "false"}
             after = [float(v) for v in attributes.get(name, "").split()]
             if after and not (limited and np.allclose(after, getattr(here, name), rtol=SAME, atol=0.0)):
-                new |= {name: attributes[name], flag: "true"}
-        held = {name: attributes[name] for name in ("delay", "nsample") if name in attributes}
-        if new or held:
-            self.text.put(element, new | held)
-        return True
+                new |= {name: attributes[name]} | ({} if limited else {flag: "true"})
+        return new | {name: attributes[name] for name in ("delay", "nsample") if name in attributes}
 
-    def _same(self, element: _Element, attributes: Attributes, tag: str) -> bool:
-        """Whether the file's actuator does what the drive's would."""
-        if "name" not in element.values or tag != "general":
-            return False
-        if set(attributes) - {"name", "joint", "gear", "gainprm"}:  # limits or a delay
-            return False
-        here = self.model.actuator(element.values["name"])
-        gain = float(attributes["gear"]) * float(attributes["gainprm"])
-        plain = int(here.gaintype[0]) == 0 and int(here.biastype[0]) == 0 and int(here.dyntype[0]) == 0
-        return plain and math.isclose(here.gear[0] * here.gainprm[0], gain, rel_tol=SAME)
+
+def _limits(here: Any, names: Iterable[str], times: float) -> Attributes:
+    """Limits of an actuator, so many times as wide, as attributes; those that it has."""
+    found: Attributes = {}
+    for name in names:
+        if getattr(here, f"{name}limited")[0]:
+            found[f"{name}range"] = numbers(sorted(times * end for end in getattr(here, f"{name}range")))
+    return found
 
 
 def _ten(body: Body) -> list[float]:

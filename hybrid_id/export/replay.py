@@ -62,6 +62,11 @@ class Agreement:
     there: float
     rmse: float
 
+    @property
+    def known_apart(self) -> float:
+        """``apart``; NaN where what was measured stands still, so that both simulations may move by rounding alone."""
+        return math.nan if math.isnan(self.here) else self.apart
+
 
 @dataclass(frozen=True)
 class Summary:
@@ -113,7 +118,8 @@ def summarise(rows: Sequence[Agreement]) -> Summary:
         for of in ("there", "rmse")
     )
     missed = known_mean(row.here for row in rows)
-    worst = max((row.apart for row in rows if not math.isnan(row.apart)), default=math.nan)
+    known = [apart for row in rows if not math.isnan(apart := row.known_apart)]
+    worst = max(known, default=math.nan)
     n_records = len({row.record for row in judges})
     strange = missed if missed > STRANGE else None
     return Summary(worst, role, n_records, there, here, by_output, by_unit, strange)

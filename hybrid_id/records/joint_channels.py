@@ -23,6 +23,7 @@ from hybrid_id.records.proposal import (
     angle_unit,
     beyond_limits,
     correlation,
+    counted_unit,
     derivative_ratio,
     drive_fit,
     encoder_bits,
@@ -128,6 +129,8 @@ class _Joint:
     inputs: list[Chosen] = field(default_factory=list)
     outputs: list[Chosen] = field(default_factory=list)
     side_said: bool = False
+    firm: bool = False
+    """Whether the angle's name or its encoder's steps say its unit."""
 
     def choose(self, angle: ColumnWords | None, speed: ColumnWords | None) -> None:
         """Choose the channels in the order in which one is evidence for the next."""
@@ -244,7 +247,9 @@ class _Joint:
             q = np.unwrap(log.columns[column.name], period=period) if period else log.columns[column.name]
             found, related = derivative_ratio(self.evidence.time(log), q, log.columns[speed.name])
             ratio = found if abs(related) > RELATED else 0.0
+        self.firm = bool(column.unit or counted_unit(values))
         times = [self.evidence.time(log) for log in logs]
+        geared = self.drive.side == "m" and self.evidence.sheet.gear_ratio is None
         guess = angle_unit(
             values,
             times,
@@ -255,13 +260,20 @@ class _Joint:
             speed.unit if speed else "",
             counts,
             1.0 if self.side_said else self.gear,
+            geared,
         )
         chosen = Chosen(name, column.name, guess.value, guesses=[_why(name, column, "angle"), guess])
         self._scale_angle(chosen, guess.value)
         if period:
             chosen.unwrap = period
             chosen.guesses.append(Guess(f"turns of {name}", f"unwrap {period:g}", "it jumps by a whole turn"))
-        if not guess.sure:
+        if not guess.sure and guess.value == "deg" and geared and self.joint is not None:
+            self.evidence.ask_of(
+                column.name,
+                "Degrees of the joint, or rad of a motor behind its gear: {}? Degrees of the joint are taken, for both "
+                "fit the ranges in the robot's file; give gear_ratio in --motor.",
+            )
+        elif not guess.sure:
             self._ask_unit(chosen, guess)
         elif guess.value == "deg" and not (column.unit or ratio or encoder_bits(values, 360.0)):
             known = self.joint is not None or logs[0].file.file_format == "lerobot"
@@ -332,9 +344,12 @@ class _Joint:
         guess = speed_unit(ratio, abs(angle.factor), f"unit of {name}", column.unit)
         if not guess.sure:
             self.evidence.leave(column.name, f"a speed in no usual unit ({guess.evidence})")
-            self.evidence.ask(
-                f"In which unit is the speed '{column.name}'? {guess.evidence}.", f"{name}: {column.name}"
-            )
+            if self.firm:
+                self.evidence.ask(
+                    f"In which unit is the speed '{column.name}'? {guess.evidence}.", f"{name}: {column.name}"
+                )
+            else:
+                self._doubt_unit(f"1 of '{column.name}' {guess.evidence.removeprefix('one of it ')}")
             return
         chosen = Chosen(name, column.name, guess.value, factor=SPEED_FACTORS[guess.value])
         chosen.guesses += [_why(name, column, "speed"), guess]
@@ -343,6 +358,20 @@ class _Joint:
             words = f"opposed to the derivative of '{angle.column}' (correlation {related:+.2f})"
             chosen.guesses.append(Guess(f"sign of {name}", "-1", words))
         self.outputs.append(chosen)
+
+    def _doubt_unit(self, words: str) -> None:
+        """Take the angle's unit for unsure, and ask: its speed contradicts it."""
+        angle = self.outputs[0]
+        about = f"unit of {angle.name}"
+        angle.guesses = [
+            replace(one, evidence=f"{one.evidence}, but {words}: percent of its range?", sure=False)
+            if one.about == about
+            else one
+            for one in angle.guesses
+        ]
+        questions = self.evidence.proposal.questions
+        questions[:] = [q for q in questions if not q.words.startswith(f"In which unit is '{angle.column}'")]
+        self._ask_unit(angle, next(one for one in angle.guesses if one.about == about))
 
     def _speed_alone(self, column: ColumnWords, name: str) -> None:
         """A speed without an angle, in the unit of its name."""
@@ -422,7 +451,8 @@ class _Joint:
             guess = goal_unit(goal, moved, abs(angle.factor), angle.column, about)
         chosen.guesses.append(guess)
         if angle is not None and guess.value == "same":
-            chosen.guesses[-1] = replace(guess, value=angle.unit)
+            doubted = any(one.about == f"unit of {angle.name}" and not one.sure for one in angle.guesses)
+            chosen.guesses[-1] = replace(guess, value=angle.unit, sure=guess.sure and not doubted)
             chosen.unit, chosen.scale, chosen.factor = angle.unit, abs(angle.scale), abs(angle.factor)
         else:
             self._scale_angle(chosen, guess.value)
@@ -570,13 +600,22 @@ class _Joint:
 
     def _lag(self) -> None:
         """How late the angle follows its goal, the median of the logs that show it."""
-        if self.drive.command == "goal":
-            logs = self.evidence.liveliest(self.outputs[0].column, FITTED)
-            lags = [
-                goal_lag(self.evidence.time(log), self.inputs[0].values(log), angle)
-                for log, angle in zip(logs, self.at_joint(logs), strict=True)
-            ]
-            self.drive.lag = float(np.median([lag for lag in lags if lag] or [0.0]))
+        if self.drive.command != "goal":
+            return
+        logs, goal = self.evidence.liveliest(self.outputs[0].column, FITTED), self.inputs[0]
+        lags = [
+            goal_lag(self.evidence.time(log), goal.values(log), angle)
+            for log, angle in zip(logs, self.at_joint(logs), strict=True)
+        ]
+        if not (shown := [lag for lag in lags if lag]):
+            return
+        self.drive.lag = float(np.median(shown))
+        words = (
+            f"distance of angle and goal over the speed, median of {len(shown)} of {len(lags)} logs ({min(shown):.3g} "
+            f"to {max(shown):.3g} s); that of a loop is its damping over its stiffness"
+        )
+        most = 2 * len(shown) > len(lags)
+        goal.guesses.append(Guess(f"lag of {goal.name}", f"{self.drive.lag:.3g} s", words, most))
 
     def _current(self) -> None:
         """A measured current is an output beside a commanded voltage."""

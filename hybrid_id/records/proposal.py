@@ -287,6 +287,7 @@ def angle_unit(
     speed_unit: str = "",
     counts_per_turn: float = 0.0,
     gear: float = 1.0,
+    geared: bool = False,
 ) -> Guess:
     """Unit of an angle: ``rad``, ``deg``, ``rev``, ``mrad``, ``counts``, or at a slide ``m`` or ``mm``.
 
@@ -300,6 +301,7 @@ def angle_unit(
         speed_unit: of that speed, where its name says it.
         counts_per_turn: of the encoder, where a data sheet says it.
         gear: turns of the motor for one of the joint; the angle may be that of either.
+        geared: whether it may be that of a motor behind a gear that is not known.
     """
     every = np.concatenate(list(values))
     low, high = float(every.min()), float(every.max())
@@ -313,10 +315,10 @@ def angle_unit(
     if ratio and (pair := _by_speed(ratio, speed_unit)):
         return Guess(about, *pair)
     whole = bool(np.all(every == np.round(every))) and np.unique(every).size > 8
-    for unit, turn in (("deg", 360.0), ("rad", 2 * math.pi), ("rev", 1.0)):
-        if bits := encoder_bits(values, turn):
-            words = f"values up to {far:.4g} in steps of {turn / 2**bits:.4g}, 2^{bits} = {2**bits} a turn"
-            return Guess(about, unit, words)
+    if counted := counted_unit(values):
+        unit, step, bits = counted
+        words = f"values up to {far:.4g} in steps of {step:.4g}, 2^{bits} = {2**bits} a turn"
+        return Guess(about, unit, words)
     if joint is not None and math.isfinite(joint.range):
         factors = {"rad": 1.0, "deg": math.pi / 180}
         if whole:
@@ -329,8 +331,11 @@ def angle_unit(
         words += f"; at the motor, behind the gear, {span / gear / joint.range:.3g} times" if motor else ""
         for unit in ("counts", "deg") if whole and span > 400 else ("deg", "counts"):
             if unit in fits:
-                sure = unit == "deg" and not motor
-                return Guess(about, unit, f"{words}; as {unit} {span * factors[unit]:.3g} rad", sure)
+                sure = unit == "deg" and not (motor or geared)
+                words += f"; as {unit} {span * factors[unit]:.3g} rad"
+                if unit == "deg" and geared:
+                    words += f", but as a motor's rad it fits behind any gear from {span / joint.range / 1.1:.2g} on"
+                return Guess(about, unit, words, sure)
         if motor:
             return Guess(about, "rad", words)
     if whole and span > 400:
@@ -352,6 +357,18 @@ def angle_unit(
     if far <= 10 * math.pi and fastest < 100.0:
         return Guess(about, "rad", words, False)
     return Guess(about, "deg" if far <= 400 and fastest < 4000 else "rad", words, False)
+
+
+def counted_unit(values: Sequence[np.ndarray]) -> tuple[str, float, int] | None:
+    """Unit in which an encoder's steps divide a turn, their size, its bits; None where there are no such steps.
+
+    Args:
+        values: of each record.
+    """
+    for unit, turn in (("deg", 360.0), ("rad", 2 * math.pi), ("rev", 1.0)):
+        if bits := encoder_bits(values, turn):
+            return unit, turn / 2**bits, bits
+    return None
 
 
 def encoder_bits(values: Sequence[np.ndarray], turn: float) -> int:

@@ -189,6 +189,8 @@ def _sentence(fault: Any, schema: type[BaseModel]) -> str:
     if fault["type"] == "extra_forbidden":
         name, beside = str(fault["loc"][-1]), _keys_beside(schema, fault["loc"])
         others = [known for known in _all_keys(schema) if known != name]  # right in another section
+        if len(fault["loc"]) == 1 and (instead := getattr(schema, "instead", {}).get(name)):
+            return f"key '{key}' is unknown; {instead}"
         close = difflib.get_close_matches(name, beside, n=1) or difflib.get_close_matches(name, others, n=1)
         hint = f"did you mean '{close[0]}'?" if close else "remove it"
         return f"key '{key}' is unknown; {hint}"

@@ -157,7 +157,7 @@ def comparison_table(comparison: Comparison) -> Table:
     every = [(tables[measure][label], form) for label in labels for measure, form in forms]
     for row, replay in enumerate(comparison.replays[labels[0]]):
         for column, signal in enumerate(comparison.signals):
-            cells = (_number(values[row, column], form) for values, form in every)
+            cells = (error_words(values[row, column], form) for values, form in every)
             found.add_row(
                 replay.record.name, replay.record.role, titles.get(signal, signal), *cells, shown[column][0]
             )  # fmt: skip
@@ -233,13 +233,14 @@ def open_table(*heads: str) -> Table:
     return table
 
 
-def _number(value: float, form: str) -> str:
+def error_words(value: float, form: str) -> str:
+    """An error as it is printed; in words where the output stands still (NaN) or the simulation diverged."""
     return format(value, form) if np.isfinite(value) else "diverged" if np.isinf(value) else "constant"
 
 
 def _mean(values: np.ndarray, form: str) -> str:
     known = values[~np.isnan(values)]
-    return _number(float(known.mean()), form) if known.size else "constant"
+    return error_words(float(known.mean()), form) if known.size else "constant"
 
 
 def _sentence(text: str) -> str:

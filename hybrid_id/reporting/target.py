@@ -12,7 +12,7 @@ from hybrid_id.export.replay import Agreement, summarise
 from hybrid_id.export.target import CORRECTED, REFITTED, InTarget, TargetErrors
 from hybrid_id.records.dataset import Channel
 from hybrid_id.reporting.page import Page, how_made
-from hybrid_id.reporting.tables import count, table
+from hybrid_id.reporting.tables import count, error_words, table
 from hybrid_id.reporting.units import in_unit, symbols_line, title
 
 
@@ -80,7 +80,7 @@ def replays_table(rows: Sequence[Agreement], outputs: Sequence[Channel]) -> Tabl
             r.record,
             r.role,
             title(r.output, outputs),
-            *(f"{value:.5f}" for value in (r.apart, r.here, r.there)),
+            *(error_words(value, ".5f") for value in (r.known_apart, r.here, r.there)),
         )
         for r in rows
     )

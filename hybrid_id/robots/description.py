@@ -232,6 +232,7 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
         reference=float(model.qpos_spring[int(model.jnt_qposadr[j])]),
         servo=_servo(mujoco, model, j),
         torque_limit=_torque_limit(mujoco, model, j),
+        gear=_motor_gear(mujoco, model, j),
     )
 
 
@@ -253,36 +254,53 @@ def _speed_limits(path: Path) -> dict[str, float]:
     return found
 
 
+def _acting(mujoco: Any, model: Any, j: int) -> list[int]:
+    """Numbers of the actuators at a joint."""
+    at = model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT
+    return [int(i) for i in np.flatnonzero(at & (model.actuator_trnid[:, 0] == j))]
+
+
+def _motor_gear(mujoco: Any, model: Any, j: int) -> float:
+    """Gear of a joint's only actuator where its command alone makes its force; else 1."""
+    own = _acting(mujoco, model, j)
+    fixed = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE, mujoco.mjtDyn.mjDYN_NONE
+    if len(own) != 1:
+        return 1.0
+    (i,) = own
+    plain = (model.actuator_gaintype[i], model.actuator_biastype[i], model.actuator_dyntype[i]) == fixed
+    return float(model.actuator_gear[i][0]) if plain else 1.0
+
+
 def _torque_limit(mujoco: Any, model: Any, j: int) -> float:
     """Largest torque [N m or N] that a joint's actuator may give; inf where nothing limits it."""
     least = np.inf
     if model.jnt_actfrclimited[j]:
         least = float(np.min(np.abs(model.jnt_actfrcrange[j])))
-    for i in range(model.nu):
-        acts = model.actuator_trntype[i] == mujoco.mjtTrn.mjTRN_JOINT
-        if acts and int(model.actuator_trnid[i][0]) == j and model.actuator_forcelimited[i]:
+    for i in _acting(mujoco, model, j):
+        if model.actuator_forcelimited[i]:
             gear = abs(float(model.actuator_gear[i][0]))
             least = min(least, gear * float(np.min(np.abs(model.actuator_forcerange[i]))))
     return least
 
 
 def _servo(mujoco: Any, model: Any, j: int) -> Servo | None:
-    """The position loop of a joint: an actuator whose force is ``kp (ctrl - q) - kv v``."""
-    for i in range(model.nu):
-        if model.actuator_trntype[i] != mujoco.mjtTrn.mjTRN_JOINT or int(model.actuator_trnid[i][0]) != j:
-            continue
+    """The position loop of a joint: an actuator whose force is ``kp (ctrl - l) - kv l'``, ``l`` the gear times q."""
+    for i in _acting(mujoco, model, j):
         stiffness, (constant_part, by_angle, by_speed) = (
             model.actuator_gainprm[i][0],
             model.actuator_biasprm[i][:3],
         )
-        alone = model.actuator_gear[i][0] == 1.0 and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
+        gear = float(model.actuator_gear[i][0])
+        alone = gear > 0.0 and model.actuator_dyntype[i] == mujoco.mjtDyn.mjDYN_NONE
         fixed = model.actuator_gaintype[i] == mujoco.mjtGain.mjGAIN_FIXED
         if alone and fixed and stiffness > 0 and by_angle == -stiffness and constant_part == 0.0:
             low, high = (abs(float(end)) for end in model.actuator_forcerange[i])
-            largest = min(low, high) if model.actuator_forcelimited[i] else None
-            least, most = model.actuator_ctrlrange[i]
-            goals = (float(least), float(most)) if model.actuator_ctrllimited[i] else None
-            return Servo(float(stiffness), 0.0 - float(by_speed), largest, goals)  # no -0.0
+            largest = gear * min(low, high) if model.actuator_forcelimited[i] else None
+            least, most = (float(end) / gear for end in model.actuator_ctrlrange[i])
+            goals = (least, most) if model.actuator_ctrllimited[i] else None
+            return Servo(
+                gear**2 * float(stiffness), 0.0 - gear**2 * float(by_speed), largest, goals
+            )  # no -0.0
     return None
 
 

@@ -216,6 +216,7 @@ class TreeJoint:
         limits: least and largest position [rad or m].
         speed_limit: largest speed [rad/s or m/s]; inf where the file names none.
         torque_limit: largest torque or force of its actuator [N m or N]; inf where the file names none.
+        gear: by which the file multiplies the command of its motor; 1 where it says none, or where a servo turns it.
         armature: inertia of its rotor at the joint [kg m^2 or kg].
         damping: [N m s/rad or N s/m].
         friction_loss: dry friction [N m or N].
@@ -238,6 +239,7 @@ class TreeJoint:
     servo: Servo | None = None
     speed_limit: float = float("inf")
     torque_limit: float = float("inf")
+    gear: float = 1.0
 
 
 @dataclass(frozen=True)

@@ -181,6 +181,21 @@ def without_rotor(system: System) -> list[str]:
     ]
 
 
+def geared(system: System) -> dict[str, float]:
+    """Gears of the description's motors at joints whose model takes a torque and has the gear ratio 1, by joint.
+
+    Such a gear may be the drive's, or a mere scale of commands, which nobody can tell from the file.
+    """
+    if system.tree is None:
+        return {}
+    joints = zip(system.tree.joints, system.joints, strict=True)
+    return {
+        known.name: known.gear
+        for known, joint in joints
+        if known.gear != 1.0 and joint.gear_ratio == 1.0 and joint.drive.input[1].channels == ("tau",)
+    }
+
+
 def joint_names(tree: RigidBodyTree, parts: Sequence[tuple[str, Component]]) -> dict[tuple[str, str], str]:
     """Result names of a robot's parameters: symbol and joint, ``F_c_elbow``; place and kind too where that is twice."""
     named: dict[tuple[str, str], tuple[str, str]] = {}

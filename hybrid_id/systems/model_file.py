@@ -130,7 +130,7 @@ def _refuse_odd_ratios(ratios: Sequence[float], slides: Sequence[bool], path: st
 
 
 def _with_servos(system: System, tree: RigidBodyTree, file: ModelFile, path: str) -> System:
-    """The robot with the servos that the file names, at one joint or at ``all``."""
+    """The robot with the servos that the file names, at one joint or at ``all``; limits of goals stay the robot's."""
     every = {name: entry for name, entry in file.servos.items() if name != EVERY_JOINT}
     if EVERY_JOINT in file.servos:
         every = {name: file.servos[EVERY_JOINT] for name in tree.names} | every
@@ -143,7 +143,9 @@ def _with_servos(system: System, tree: RigidBodyTree, file: ModelFile, path: str
         if entry.preset not in SERVOS:
             raise InputError(f"{path}: servo '{entry.preset}' is not known; use one of {', '.join(SERVOS)}.")
         number = tree.names.index(name)
-        loop, friction = drive_of(SERVOS[entry.preset], entry.p, system.gear_ratio[number], entry.voltage)
+        own, ratio = tree.joints[number].servo, system.gear_ratio[number]
+        goals = None if own is None else own.goals
+        loop, friction = drive_of(SERVOS[entry.preset], entry.p, ratio, entry.voltage, goals)
         system = system.with_component(f"joint{number + 1}/input", loop)
         system = system.with_component(f"joint{number + 1}/motor_friction", friction)
     return system

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -236,6 +237,13 @@ class ModelFile(_Section):
         components: what acts beyond the system's own parts; one of a kind that a place holds once replaces it.
     """
 
+    instead: ClassVar[Mapping[str, str]] = {
+        "joints": "list what sits at a joint under 'components' ({place: elbow/input, kind: position_servo}), a servo "
+        "that is known by name under 'servos' (elbow: {preset: sts3215, p: 16})",
+        "inertias": "list a body whose inertia is to be estimated under 'components' ({place: wrist/load, kind: "
+        "body_inertia, options: {point: hand}})",
+    }
+    """What to write in the place of keys that one may expect."""
     system: str = Field(default=ROBOT, json_schema_extra=one_of(lambda: [*FLAT, ROBOT]))
     robot: RobotEntry | None = None
     gear_ratio: list[float] = []

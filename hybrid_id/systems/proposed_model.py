@@ -249,6 +249,15 @@ def _robot(
     else:
         model.why["robot"] += "; gear_ratio is 1, so that all parameters are seen at the joints"
     still = tree.holding(dict.fromkeys(held, 0.0)) if held else tree
+    gears = {joint.name: abs(joint.gear) for joint in still.joints if joint.gear not in (0.0, 1.0)}
+    if gears and not ratios:
+        words = ", ".join(f"{gear:g} at {name}" for name, gear in gears.items())
+        line = ", ".join(f"{gears.get(joint.name, 1.0):g}" for joint in still.joints)
+        model.ask(
+            f"Are the gears by which the robot's file multiplies commands those of the drives ({words})? They are not "
+            "taken: torques and motors are those at the joints. Else give gear_ratio in --motor.",
+            f"gear_ratio: [{line}]",
+        )
     mass = still.mass_matrix(still.poses([0.0] * len(still.joints)), still.inertias())
     servos: dict[str, dict[str, Any]] = {}
     placeholders: dict[str, list[str]] = {}

@@ -49,7 +49,11 @@ SERVOS: Mapping[str, Servo] = {
 
 
 def drive_of(
-    servo: Servo, gain: float, gear_ratio: float = 1.0, voltage: float | None = None
+    servo: Servo,
+    gain: float,
+    gear_ratio: float = 1.0,
+    voltage: float | None = None,
+    goals: tuple[float, float] | None = None,
 ) -> tuple[PositionServo, Viscous]:
     """Position loop and viscous friction; the back-EMF is part of the friction.
 
@@ -60,11 +64,14 @@ def drive_of(
         gain: value of the register P.
         gear_ratio: motor turns per joint turn in the model; 1 where its motors are seen at their joints.
         voltage: supply [V]; the data sheet's where it is None.
+        goals: least and largest goal [rad], which no data sheet knows; None where there is no limit.
     """
     stall = servo.stall * (1.0 if voltage is None else voltage / servo.voltage)
     stiffness, friction = gain * servo.duty_per_gain * stall, servo.stall / servo.no_load / gear_ratio**2
+    limits = {} if goals is None else dict(zip(("goal_min", "goal_max"), goals, strict=True))
     loop = PositionServo(
         k_p=Bounded(stiffness, stiffness / ROOM, stiffness * ROOM, "N m/rad"),
         tau_max=Bounded(stall, stall / ROOM, stall * ROOM, "N m", False),
+        **limits,
     )
     return loop, Viscous(F_v=Bounded(friction, 0.0, friction * ROOM, "N m s/rad"))

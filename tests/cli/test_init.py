@@ -1,6 +1,7 @@
 """`init`: logs of many shapes get the files that a person would have written, and doubts are asked."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -258,6 +259,7 @@ def test_two_joints_of_a_robot(run, tmp_path: Path, actuators: str) -> None:
     assert model["robot"]["file"] == "../arm.xml"
     kinds = [one["kind"] for one in model.get("components", [])]
     assert kinds == ([] if actuators else ["position_servo"] * 2)
+    assert re.search(r"lag of goal1 +0\.1[12]\d* s +yes +distance of angle and goal over the speed", done.out)
     checked = run("check", folder)
     assert checked.code == 0, checked.err
 
@@ -280,6 +282,21 @@ def one_joint(
             folder / f"run{seed}.csv", table, header=",".join(columns), comments="", delimiter=",", fmt="%.9g"
         )
     return folder
+
+
+def test_the_gear_of_a_motor_in_the_robots_file_is_asked_about(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    columns = {"t": lambda t, g, q: t, "torque_cmd": lambda t, g, q: g - q, "pos_rad": lambda t, g, q: q}
+    folder = one_joint(tmp_path / "logs", columns, '<motor joint="elbow" gear="50"/>')
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    assert "multiplies commands those of the drives (50 at elbow)?" in done.out
+    assert "gear_ratio: [50]" in (folder / "model.yaml").read_text()
+    words = "where it is the drive's gear, and they are before it, add 'gear_ratio: [50]' to model.yaml"
+    assert words in run("check", folder).err
+    with (folder / "model.yaml").open("a") as file:
+        file.write("gear_ratio: [1]\n")
+    assert words not in run("check", folder).err
 
 
 COUNTS = {
@@ -318,6 +335,38 @@ def test_percent_of_a_range_is_asked_about(run, tmp_path: Path) -> None:
         )
         assert done.code == 0, done.err
         assert ("percent" in done.out.split("are written")[1]) is asked
+
+
+def test_a_speed_in_no_usual_unit_makes_the_angles_unit_doubtful(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    columns = {
+        "time": lambda t, g, q: t,
+        "goal_elbow": lambda t, g, q: g / 3.0,
+        "position_elbow": lambda t, g, q: q / 3.0,
+        "velocity_elbow": lambda t, g, q: 0.43 * 8.0 * (g - q),
+    }
+    done = run("init", one_joint(tmp_path / "logs", columns), "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    assert re.search(r"unit of q_a1 +rad +\? ", done.out) and re.search(r"unit of goal1 +rad +\? ", done.out)
+    assert "In which unit is 'position_elbow'?" in done.out and "1 of 'velocity_elbow' is 0.775" in done.out
+
+
+def test_degrees_of_a_joint_may_be_rad_of_its_motor(run, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    columns = {
+        "t": lambda t, g, q: t,
+        "torque_cmd": lambda t, g, q: g - q,
+        "motor_angle": lambda t, g, q: 40 * q,
+    }
+    folder = one_joint(tmp_path / "logs", columns)
+    done = run("init", folder, "--robot", tmp_path / "arm.xml")
+    assert done.code == 0, done.err
+    assert re.search(r"unit of q_m1 +deg +\? ", done.out)
+    assert "Degrees of the joint, or rad of a motor behind its gear: 'motor_angle'?" in done.out
+    (tmp_path / "motor.yaml").write_text("gear_ratio: 40\n")
+    done = run("init", folder, "--robot", tmp_path / "arm.xml", "--motor", tmp_path / "motor.yaml", "--force")
+    assert done.code == 0, done.err
+    assert re.search(r"unit of q_m1 +rad +yes ", done.out)
 
 
 def test_gains_that_the_logs_contradict_are_no_start(run, tmp_path: Path) -> None:

@@ -172,6 +172,8 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
         found["output"] = part.output(p, [v], [])
     if isinstance(part, Motor):
         found["torque"] = part.torque(p, 5.0 * q, v)
+        if type(part).current is not Motor.current:
+            found["current"] = part.current(p, 0.1 * torch.cos(q))
     if isinstance(part, Transmission) and not part.rigid:
         found["torque"] = part.torque(p, 0.01 * q, 1e-3 * v, 0.05 * one)
         found["loaded"] = part.loaded(p)

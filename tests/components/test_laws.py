@@ -42,6 +42,7 @@ from hybrid_id.components.base import Component
 from hybrid_id.components.bristle import relax
 from hybrid_id.components.friction.dahl import Dahl
 from hybrid_id.components.friction.lugre import LuGre
+from hybrid_id.components.motor.free_rotor import FreeRotor
 from hybrid_id.errors import InputError
 
 SPEED = np.array([-400.0, -60.0, -8.0, -0.5, 0.5, 8.0, 60.0, 400.0])
@@ -164,8 +165,9 @@ def test_motors_behind_current_and_torque_loops() -> None:
     assert motor.current(view(motor), tensor([0.04])).item() == pytest.approx(0.8)
     ideal = TorqueMotor()
     assert ideal.torque(view(ideal), command, speed).item() == 0.8
-    with pytest.raises(InputError, match="torque_motor has no current output"):
-        ideal.current(view(ideal), command)
+    assert ideal.current(view(TorqueMotor(k_t=0.05)), tensor([0.04])).item() == pytest.approx(0.8)
+    with pytest.raises(InputError, match="free_rotor has no current output"):
+        FreeRotor().current(view(FreeRotor()), command)
 
 
 def test_inputs_turn_channels_into_the_command() -> None:

@@ -142,6 +142,72 @@ components:
     assert apart(system, switched) < 1e-2
 
 
+def test_a_servo_by_name_leaves_class_and_goals_of_the_actuators(tmp_path: Path) -> None:
+    """Of the six actuators of SO-101's file the preset changes gains and largest torque alone."""
+    file = Path(__file__).parents[3] / "shared" / "data" / "so101" / "so101_new_calib.xml"
+    if not file.exists():
+        pytest.skip("the shared data are not beside the project")
+    text = file.read_text()
+    system = arm(tmp_path, "robot: {file: arm.xml}\nservos: {all: {preset: sts3215, p: 16}}\n", text)
+    before, after = (
+        [
+            dict(re.findall(r'(\w+)="([^"]*)"', line))
+            for line in re.findall("<(?:position|general) .*name.*", one)
+        ]
+        for one in (text, to_mjcf(system).text)
+    )
+    assert len(before) == len(after) == 6
+    for old, new in zip(before, after, strict=True):
+        assert {name for name in old | new if old.get(name) != new.get(name)} == {"kp", "kv", "forcerange"}
+
+
+def test_limits_that_a_drive_lacks_are_switched_off_in_place(tmp_path: Path) -> None:
+    own = "components: [{place: lift/input, kind: position_servo, parameters: {k_p: 50}}]\n"
+    exported = to_mjcf(arm(tmp_path, "robot: {file: arm.xml}\n" + own))
+    assert (
+        '<position name="servo" joint="lift" kp="50" ctrlrange="-90 90" ctrllimited="false"/>'
+        in exported.text
+    )
+
+
+@pytest.mark.parametrize(
+    ("actuator", "ratio", "written"),
+    [
+        (  # the gear is the drive's
+            '<motor joint="lift" gear="50" ctrlrange="-2 2"/>',
+            50,
+            '<motor joint="lift" gear="50" ctrlrange="-2 2" name="motor_lift"/>',
+        ),
+        (  # torque at the joint: limits are those of the same torque there
+            '<motor name="m" joint="lift" gear="50" ctrlrange="-2 2" forcerange="-1 1"/>',
+            1,
+            '<motor name="m" joint="lift" gear="1" ctrlrange="-100 100" forcerange="-50 50"/>',
+        ),
+        (
+            '<velocity joint="lift" kv="5" gear="2" forcerange="-3 3"/>',
+            1,
+            'joint="lift" gear="1" gainprm="1" forcerange="-6 6" ctrllimited="false" forcelimited="true"/>',
+        ),
+        (
+            '<position joint="lift" kp="5" kv="1" gear="2" ctrlrange="-1 1" forcerange="-3 3"/>',
+            1,
+            '<position joint="lift" kp="20" kv="4" gear="1" ctrlrange="-0.5 0.5" forcerange="-6 6" name="motor_lift"/>',
+        ),
+    ],
+    ids=["gear_ratio", "joint", "velocity", "position"],
+)
+def test_gear_and_limits_of_an_actuator_are_kept(
+    tmp_path: Path, actuator: str, ratio: float, written: str
+) -> None:
+    text = re.sub("<position.*/>", actuator, ARM)
+    system = arm(tmp_path, f"robot: {{file: arm.xml}}\ngear_ratio: [{ratio}, 1]\n", text)
+    exported = to_mjcf(system)
+    assert written in exported.text
+    assert mujoco_model(exported).nu == 2
+    command = "goal1" if actuator.startswith("<position") else "tau1"
+    assert apart(system, waves(system, [0.3 / ratio, 0.1], [command, "tau2"])) < 2e-3
+
+
 def test_drives_of_other_kinds_move_alike(tmp_path: Path) -> None:
     system = arm(
         tmp_path,

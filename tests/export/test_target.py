@@ -11,7 +11,7 @@ from hybrid_id.components import PositionDependent
 from hybrid_id.export.target import in_mujoco, target_errors
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
-from hybrid_id.reporting.target import error_lines
+from hybrid_id.reporting.target import error_lines, replays_table
 from hybrid_id.study.replays import replay
 from hybrid_id.systems import System
 from hybrid_id.systems.model_file import load_model
@@ -94,6 +94,18 @@ def test_of_a_robot_the_joints_that_mujoco_loses_are_fitted_there(tmp_path: Path
     assert {split.parameter(name).component.split("/")[0] for name in found.refitted} == {"joint2"}
     assert found.summary.there < 0.5 * np.mean([row.there for row in found.before])
     assert stages[0] == ("replays", 0, 1) and all(0 <= done <= total for _, done, total in stages)
+
+
+def test_an_output_that_stands_still_is_left_out() -> None:
+    """Its simulations move by rounding, or creep: how far they are apart is no share of anything."""
+    data = recorded(rigid_drive())
+    still = replace(data.records[3], outputs={"q_m1": np.full(500, 0.3)})
+    found = target_errors({"exported": rigid_drive()}, replace(data, records=(*data.records[:3], still)))
+    row = found.exported.rows[-1]
+    assert row.record == still.name and np.isnan([row.known_apart, row.here, row.there]).all()
+    assert found.exported.summary.worst < 1e-2
+    last = [list(column.cells)[-1] for column in replays_table(found.exported.rows, data.outputs).columns]
+    assert last[-3:] == ["constant"] * 3
 
 
 def test_errors_are_said_by_output_in_the_unit_that_was_logged() -> None:

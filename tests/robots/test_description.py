@@ -106,6 +106,18 @@ def test_what_a_drive_starts_from_is_kept(tmp_path):
     assert found.reference == 0.1
 
 
+def test_a_servo_behind_a_gear_is_one_at_the_joint(tmp_path):
+    limits = 'ctrlrange="-1 3" forcerange="-6 6"'
+    actuator = f'<actuator><position joint="turn" gear="2" kp="5" kv="0.1" {limits}/></actuator>'
+    (found,) = load_tree(described(tmp_path, arm(), actuator)).joints
+    assert found.servo is not None and found.servo.goals == (-0.5, 1.5)
+    assert (found.servo.stiffness, found.servo.damping, found.servo.largest) == (20.0, 0.4, 12.0)
+    assert (found.gear, found.torque_limit) == (1.0, 12.0)
+    motor = '<actuator><motor joint="turn" gear="50"/></actuator>'
+    (found,) = load_tree(described(tmp_path, arm(), motor)).joints
+    assert found.servo is None and found.gear == 50.0
+
+
 @pytest.mark.parametrize("file", ["so101/so101_new_calib.xml", "so101/so101_new_calib.urdf"])
 def test_the_so101_has_six_joints_under_their_own_names(file):
     if not (SHARED / file).exists():

@@ -213,6 +213,11 @@ components:
         ),
         ("robot: {file: arm.xml, hold: {wrist: 0.0}}\n", "no joint 'wrist' to hold"),
         (
+            "robot: {file: arm.xml}\njoints: {pan: {gear_ratio: 345}}\n",
+            "key 'joints' is unknown; list what .* under 'components' .*, a servo .* under 'servos'",
+        ),
+        ("robot: {file: arm.xml}\ninertias: {estimate: [hand]}\n", "under 'components' .*body_inertia"),
+        (
             "robot: {file: arm.xml}\ncomponents: [{place: elbow/load, kind: floor_contact}]\n",
             "needs one option, point",
         ),

@@ -16,6 +16,7 @@ from hybrid_id.components.input.torque_command import TorqueCommand
 from hybrid_id.components.load.constant_torque import ConstantTorque
 from hybrid_id.components.load.gravity import Gravity
 from hybrid_id.components.motor.torque_motor import TorqueMotor
+from hybrid_id.components.sensor.unsigned_current import UnsignedCurrent
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Channel, Dataset
@@ -255,6 +256,19 @@ def test_a_servo_with_all_parts_is_recovered() -> None:
     found = identify(data, start, engine=engine, pooled=True).selected.system
     for name, value in free.items():
         assert found.parameter(name).spec.value == pytest.approx(value, rel=0.02), name
+
+
+def test_a_servo_reads_the_size_of_its_torque_over_the_torque_constant() -> None:
+    system = servo().with_component("joint1/motor", TorqueMotor(k_t=2.0))
+    system = system.with_component("joint1/sensor", UnsignedCurrent(i_0=0.05))
+    goal = steps(200)
+    record = Record(
+        "r", STEP * np.arange(200), {"goal1": goal}, {"q_m1": np.zeros(200), "i1": np.full(200, 0.05)}
+    )
+    run = simulate(system, Engine("dry", 2), make_batch(system, [record], noise_std={"q_m1": 1.0, "i1": 1.0}))
+    q, v = run.x[0, :, 0].numpy(), run.x[0, :, 1].numpy()
+    np.testing.assert_allclose(run.y[0, :, 1], np.abs(K_P * (goal - q) - K_D * v) / 2.0 + 0.05, rtol=1e-9)
+    assert (run.y[0, :, 1] > 0.1).any()
 
 
 def test_a_stage_without_a_position_loop_is_refused() -> None:

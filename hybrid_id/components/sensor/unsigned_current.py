@@ -11,7 +11,7 @@ class UnsignedCurrent(Sensor):
     | --- | --- | --- |
     | i_0 | A | reading without motor current: the electronics' own |
 
-    The motor has a current (``dc_motor``, ``current_motor``).
+    The motor has a current (``dc_motor``, ``current_motor``, ``torque_motor``).
     """
 
     kind = "unsigned_current"
