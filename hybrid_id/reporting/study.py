@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -161,7 +162,7 @@ def test_words(study: Study) -> str:
     """Error of the selected set in each output on the test records, in the unit that was logged, and normalised."""
     said = [
         f"{title(name, study.outputs)} {' '.join(in_unit(name, [one.rmse], study.outputs, study.system))} "
-        f"(normalised {one.nrmse:.4g})"
+        f"({'it stands still' if math.isnan(one.nrmse) else f'normalised {one.nrmse:.4g}'})"
         for name, one in study.test_errors.items()
     ]
     mean = f"; normalised, mean of the outputs, {study.test_error:.4g}" if len(said) > 1 else ""
