@@ -19,9 +19,9 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 
 MAX_PUBLIC_NAMES = 40
 
-MAX_LINES = 55
+MAX_LINES = 60
 """Of a function's code, without signature and docstring: a screen."""
-LONGER = {"machines.messy._rivals": 66, "machines.judge.judge": 56}
+LONGER = {"machines.messy._rivals": 66}
 """Functions that are longer as yet."""
 
 FLOORS = {

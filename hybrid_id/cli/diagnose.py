@@ -90,15 +90,7 @@ def diagnose(
     )  # fmt: skip
     home = required(config.output.folder)
     with kept_fits(home, "diagnosis", force=force, resume=resume, reads=config.reads) as kept:
-        said, plain = config.identification, Identification()
-        if idle := [
-            k
-            for k in type(said).model_fields
-            if k not in ("seed", "window") and getattr(said, k) != getattr(plain, k)
-        ]:
-            remark(
-                f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
-            )
+        remark_idle(config.identification)
         dataset = checked_records(config)
         with config.at("identification.window"):
             check_window(config.identification.window, dataset.records)
@@ -140,6 +132,19 @@ def diagnose(
         more = f"; {count} fits are kept, and the same command with --resume goes on" if count else ""
         remark(f"stopped: {there}{', '.join(lacks)}{more}")
         raise typer.Exit(130)
+
+
+def remark_idle(said: Identification) -> None:
+    """Say which settings of the section 'identification' a diagnosis does without."""
+    plain = Identification()
+    if idle := [
+        k
+        for k in type(said).model_fields
+        if k not in ("seed", "window") and getattr(said, k) != getattr(plain, k)
+    ]:
+        remark(
+            f"diagnose fits least squares in its own way; of 'identification' it does without {', '.join(idle)}"
+        )
 
 
 def fitting_jobs(dataset: "Dataset") -> int:

@@ -1,6 +1,6 @@
 """A case of an arm: its records, its description, and its ground truth."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -288,6 +288,17 @@ def _counts(base: Fit, lead: Fit, rival: Fit) -> bool:
     )
 
 
+def _small_answers(drawn: _Drawn, fits: _Fits, gap: float) -> Iterator[dict[str, Any]]:
+    """Entries of the small effects without which a re-fit errs enough to be seen; ``gap`` of the train records."""
+    for k, own in enumerate(drawn.small):
+        for one, lacking in zip(own, fits.without[k], strict=True):
+            lift = float(np.sqrt(lacking.train / fits.floor[k].train)) - 1.0
+            if lift >= SEEN:
+                share = round((lacking.train - fits.floor[k].train) / gap, 4)
+                about = {"role": "small", "share_train": share, "closes_train": share, "lift": round(lift, 3)}
+                yield _answer(drawn.arm, one, []) | about
+
+
 def _truth(drawn: _Drawn, fits: _Fits, family: str, source: tuple[int, int]) -> dict[str, Any]:
     """The ground truth, in the form of that of messy machines."""
     arm, lead = drawn.arm, drawn.lead
@@ -309,18 +320,7 @@ def _truth(drawn: _Drawn, fits: _Fits, family: str, source: tuple[int, int]) -> 
         ):
             effects[0][name] = round(fits.closes(of), 4)
         ratio = float(np.sqrt(fits.base[at].test / fits.floor[at].test))
-        for k, own in enumerate(drawn.small):
-            for one, lacking in zip(own, fits.without[k], strict=True):
-                lift = float(np.sqrt(lacking.train / fits.floor[k].train)) - 1.0
-                if lift >= SEEN:
-                    share = round((lacking.train - fits.floor[k].train) / gap, 4)
-                    about = {
-                        "role": "small",
-                        "share_train": share,
-                        "closes_train": share,
-                        "lift": round(lift, 3),
-                    }
-                    effects.append(_answer(arm, one, []) | about)
+        effects += _small_answers(drawn, fits, gap)
     return {
         "family": family,
         "effects": effects,
