@@ -22,7 +22,8 @@ STIFFEST = 0.5
 """Largest such frequency times the time step: a stiffer bristle is unstable."""
 HARD = "0.99 0.999 0.001"
 """Impedance of constraints that hardly give way."""
-DRY = {"solreffriction": "0.0005 1", "solimpfriction": HARD}
+DRY = {"solreffriction": "0.0005 1", "solimpfriction": "0.9999 0.9999 0.001"}
+"""Dry friction that holds: at MuJoCo's largest impedance, with less of which an arm creeps under its weight."""
 TOP_SPEED = 500.0
 """Speed [rad/s] of a rotor up to which friction is fitted where no back-EMF bounds it."""
 
