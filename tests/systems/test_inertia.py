@@ -153,6 +153,8 @@ def test_a_tilted_base_turns_gravity_and_the_file_says_so(tmp_path: Path) -> Non
     alone_and_held = alone(system, 2)  # its tilt is the lift's to estimate
     assert alone_and_held.tree is not None
     np.testing.assert_allclose(np.array(alone_and_held.tree.gravity, float), pull, atol=1e-12)
+    save_model(system, tmp_path / "tilted.yaml")
+    assert load_model(tmp_path / "tilted.yaml").theta().tolist() == system.theta().tolist()
     with pytest.raises(InputError, match="base_tilt is listed twice"):
         system.with_component("joint3/load", BaseTilt())
     with pytest.raises(InputError, match="base_tilt at 'joint1/load' acts on a robot with a description"):

@@ -21,7 +21,7 @@ from hybrid_id.components import (
     MotorEncoder,
     Stribeck,
 )
-from hybrid_id.components.base import Attached, Coupling
+from hybrid_id.components.base import Shared, Coupling
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
@@ -122,7 +122,7 @@ def test_round_trip_of_structures(name: str, tmp_path: Path) -> None:
 )
 def test_round_trip_with_every_component(kind: str, tmp_path: Path) -> None:
     part = REGISTRY[kind]()
-    if isinstance(part, RotorInertia | Attached):
+    if isinstance(part, RotorInertia | Shared):
         pytest.skip("it needs a robot: tests/systems/test_robot_model.py writes and reads it")
     for place in part.places:
         host = one_link(20.0) if getattr(part, "rigid", False) else one_link_flexible(20.0)
