@@ -21,7 +21,7 @@ from hybrid_id.components import (
     MotorEncoder,
     Stribeck,
 )
-from hybrid_id.components.base import Shared, Coupling
+from hybrid_id.components.base import Coupling, Shared
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
