@@ -8,7 +8,6 @@ from typing import Any
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.errors_on_test import errors, shrink
 from hybrid_id.diagnosis.fits import engine
-from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.chain import System
 
@@ -47,18 +46,16 @@ def answer(
     }
 
 
-def gap_of(dataset: Dataset, nominal: System, before: FitResult, after: FitResult) -> dict[str, Any]:
+def gap_of(dataset: Dataset, nominal: System, before: System, after: System) -> dict[str, Any]:
     """Errors on the test records of the nominal model, of its re-fit, and of the model that a baseline stands by.
 
     Args:
         dataset: with test records, else nothing is known.
         nominal: the model as it was given.
         before: its re-fit.
-        after: the fit of the corrected one.
+        after: the corrected one, fitted.
     """
-    given = errors(dataset, nominal, engine())
-    first = errors(dataset, before.system, before.engine)
-    last = errors(dataset, after.system, after.engine)
+    given, first, last = (errors(dataset, one, engine()) for one in (nominal, before, after))
     if given is None or first is None or last is None:
         return {}
     closed = shrink(first, last, min(last.noise, last.nrmse))

@@ -22,7 +22,7 @@ Share = Annotated[float, Field(allow_inf_nan=False)]
 
 class _Effect(BaseModel):
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*$")
-    where: str = Field(pattern=r"^joint[12]/[a-z_]+$")
+    where: str = Field(pattern=r"^[^/\s]+/[a-z_]+$")
     probability: float = Field(ge=0.0, le=1.0)
     selected: StrictBool
 
@@ -36,7 +36,7 @@ class _Gap(BaseModel):
 
 
 class _Place(BaseModel):
-    joint: str | None = Field(default=None, pattern=r"^joint[12]$")
+    joint: str | None = Field(default=None, pattern=r"^[^/\s]+$")
     place: Literal["motor", "load", None] = None
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.baselines.answer import answer, gap_of, named
+from hybrid_id.baselines.by_joint import Part, joined, parts_of
 from hybrid_id.diagnosis.arm import diagnose_arm
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.fits import Fits, Task
@@ -26,15 +27,22 @@ ITERATIONS = 15
 
 
 def stribeck(dataset: Dataset, system: System) -> dict[str, Any]:
-    """Name Stribeck friction, whatever the records say."""
-    fits = Fits(dataset)
-    base = fits.base(system, free=True)
-    todo = [task for task in tasks(fits, base) if task.effects[0][0] == NAME]
-    found = sorted((one for one in fits.run(todo, ITERATIONS) if one is not None), key=lambda one: one.error)
-    places = list(dict.fromkeys(one.effects[0][1] for one in found)) or ["joint1/motor_friction"]
+    """Name Stribeck friction, whatever the records say; of a robot at the joint with the largest error."""
+    tried: list[tuple[Part, FittedModel, list[FittedModel]]] = []
+    for part in parts_of(dataset, system):
+        fits = Fits(part.dataset)
+        base = fits.base(part.system, free=True)
+        todo = [task for task in tasks(fits, base) if task.effects[0][0] == NAME]
+        found = sorted((o for o in fits.run(todo, ITERATIONS) if o is not None), key=lambda one: one.error)
+        tried.append((part, base, found))
+    tried.sort(key=lambda own: -own[1].error)
+    places = [part.placed(one.effects[0][1]) for part, _, found in tried for one in found]
+    places = list(dict.fromkeys(places)) or [tried[0][0].placed("joint1/motor_friction")]
     effects = [named(NAME, where, 1.0 if k == 0 else 0.0, selected=k == 0) for k, where in enumerate(places)]
-    after = found[0] if found else base
-    return answer(dataset.name, effects, gap_of(dataset, system, base.result, after.result))
+    before = joined(system, [base.system for _, base, _ in tried])
+    leading = next((found[0].system for _, _, found in tried if found), None)
+    after = before if leading is None else joined(before, [leading])
+    return answer(dataset.name, effects, gap_of(dataset, system, before, after))
 
 
 COARSE, FULL = 2, 20
@@ -44,22 +52,30 @@ FINALISTS = 5
 
 
 def bic(dataset: Dataset, system: System) -> dict[str, Any]:
-    """Name the effect with the least criterion, if any is below that of the nominal model."""
-    fits = Fits(dataset)
-    base = fits.base(system, free=True)
-    coarse = best_of_each(fits.run(tasks(fits, base), COARSE))
-    finals = fits.run([Task(one.effects, one.system) for one in coarse[:FINALISTS]], FULL)
-    ranked = best_of_each([*coarse, *finals])
-    criteria = np.array([criterion(base), *(criterion(one) for one in ranked)])
-    weights = np.exp(-0.5 * (criteria - criteria.min()))
+    """Name the effect with the least criterion, if any is below that of the nominal model, of a robot at any joint."""
+    before: list[System] = []
+    ranked: list[tuple[float, Part, FittedModel]] = []
+    for part in parts_of(dataset, system):
+        fits = Fits(part.dataset)
+        base = fits.base(part.system, free=True)
+        coarse = best_of_each(fits.run(tasks(fits, base), COARSE))
+        finals = fits.run([Task(one.effects, one.system) for one in coarse[:FINALISTS]], FULL)
+        ranked += [(criterion(one) - criterion(base), part, one) for one in best_of_each([*coarse, *finals])]
+        before.append(base.system)
+    ranked.sort(key=lambda own: own[0])
+    against = np.array(
+        [0.0, *(surplus for surplus, _, _ in ranked)]
+    )  # the nominal model's, and each effect's
+    weights = np.exp(-0.5 * (against - against.min()))
     weights = weights / weights.sum()
-    found = bool(ranked) and bool(criteria[1] < criteria[0])
+    found = bool(ranked) and ranked[0][0] < 0.0
     effects = [
-        named(*one.effects[0], weight, selected=found and k == 0)
-        for k, (one, weight) in enumerate(zip(ranked, weights[1:], strict=True))
+        named(one.effects[0][0], part.placed(one.effects[0][1]), weight, selected=found and k == 0)
+        for k, ((_, part, one), weight) in enumerate(zip(ranked, weights[1:], strict=True))
     ]
-    chosen = ranked[0] if found else base
-    return answer(dataset.name, effects, gap_of(dataset, system, base.result, chosen.result))
+    first = joined(system, before)
+    chosen = joined(first, [ranked[0][2].system]) if ranked else first
+    return answer(dataset.name, effects, gap_of(dataset, system, first, chosen))
 
 
 def criterion(one: FittedModel) -> float:

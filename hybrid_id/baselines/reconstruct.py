@@ -5,6 +5,9 @@ The acceleration of each joint, which is its torque up to a factor, is a sum of 
 that has an algebraic one. Both sides are filtered alike, so that the derivatives fall on the filter (weak form: D. A.
 Messenger and D. M. Bortz, Multiscale Model. Simul. 19, 2021). Play and flexibility have no terms here, what has a
 memory by a proxy.
+
+Of a robot's joint it is the torque on the links, by the description's inverse dynamics along the measured motion of all
+joints: ``tau_i(q, q', q'') = k_p (goal - q_i) - J_m q_i'' - F_v q_i' - F_c sgn q_i' + ...``.
 """
 
 from __future__ import annotations
@@ -19,6 +22,9 @@ from scipy.signal import lfilter
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import smooth_derivatives
 from hybrid_id.records.record import Record
+from hybrid_id.robots.base_parameters import inertial_parameters, whole_regressor
+from hybrid_id.robots.tree import TEN, RigidBodyTree
+from hybrid_id.systems.by_joint import measured_motion
 from hybrid_id.systems.chain import System
 
 WAVES = (1, 2, 3, 4, 6, 8, 12)
@@ -38,10 +44,10 @@ class Torque:
     """Regression of one joint's acceleration in one record.
 
     Attributes:
-        target: the acceleration [rad/s^2], ``(N,)``.
+        target: the acceleration [rad/s^2], of a robot the torque on the links [N m], ``(N,)``.
         own: columns of what the nominal model has, ``(N, m)``.
         library: columns of the effects, ``(N, k)`` each.
-        signals: what acts in each place of the joint, ``(N, k)``.
+        signals: what acts in each place of the joint, ``(N, k)``; of a robot all of it, as ``joint``.
     """
 
     target: np.ndarray
@@ -51,7 +57,9 @@ class Torque:
 
 
 def reconstructed(dataset: Dataset, record: Record, system: System, joint: int) -> Torque:
-    """The acceleration of a joint and all terms, where the joint moves."""
+    """The acceleration of a joint and all terms, where the joint moves; of a robot's joint the torque on its links."""
+    if system.tree is not None:
+        return _of_robot(record, system, system.tree, joint)
     noise = {channel.name: channel.noise_std for channel in dataset.outputs}
     own, step = system.joints[joint], record.sample_time
     angles = [record.signal(f"q_m{j.number}") / j.gear_ratio for j in system.joints]
@@ -83,6 +91,50 @@ def reconstructed(dataset: Dataset, record: Record, system: System, joint: int) 
         {name: columns(terms) for name, terms in library.items()},
         {place: columns(terms, False) for place, terms in signals.items()},
     )
+
+
+def _of_robot(record: Record, system: System, tree: RigidBodyTree, joint: int) -> Torque:
+    """The torque on the links of a robot's joint [N m] and all terms, every sample where it moves."""
+    step, drive, name = record.sample_time, system.joints[joint].name, tree.names[joint]
+    motions = [measured_motion(record, system, k) for k in range(len(system.joints))]
+    q, v, a = (np.stack(rows, 1) for rows in zip(*motions, strict=True))
+    links = whole_regressor(tree, q, v, a)[:, joint]
+    known = inertial_parameters(tree)
+    known[len(TEN) :: len(TEN) + 1] = 0.0  # the rotors belong to the drives
+    own = slice(joint * (len(TEN) + 1), joint * (len(TEN) + 1) + len(TEN))
+    angle, speed = q[:, joint], v[:, joint]
+    fastest = float(np.abs(speed).max())
+    goal = record.inputs.get(f"goal{joint + 1}")
+    kinds = (kind for kind in ("tau", "i", "u") if f"{kind}{joint + 1}" in record.inputs)
+    u = goal - angle if goal is not None else record.inputs[f"{next(kinds)}{joint + 1}"]
+    base, library = _terms(set(system.components.keys()), drive, step, u, angle, speed, angle)
+    library["link_mass", f"{drive}/load"] = [links[:, own] @ known[own]]
+    if goal is not None:
+        library["delay", f"{drive}/input"] = [
+            goal - np.concatenate([np.full(k, goal[0]), goal[:-k]]) for k in (2, 5)
+        ]
+        library["goal_rate_limit", f"{drive}/input"] = [
+            goal - _limited(goal, w * fastest * step) for w in (0.8, 1.1)
+        ]
+    moves = np.abs(speed) > STILL * fastest
+
+    def columns(terms: Sequence[np.ndarray], filtered: bool = True) -> np.ndarray:
+        return np.stack([_filtered(t, step) if filtered else t for t in terms], 1)[moves]
+
+    return Torque(
+        _filtered(links @ known, step)[moves],
+        columns([*base, a[:, joint]]),
+        {(one, where.replace(f"{drive}/", f"{name}/")): columns(t) for (one, where), t in library.items()},
+        {"joint": columns([angle, speed, a[:, joint], u], False)},
+    )
+
+
+def _limited(goal: np.ndarray, most: float) -> np.ndarray:
+    """A goal that is followed by so much a sample at most."""
+    found = goal.copy()
+    for k in range(1, len(goal)):
+        found[k] = found[k - 1] + np.clip(goal[k] - found[k - 1], -most, most)
+    return found
 
 
 def _terms(

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from hybrid_id.baselines.cma import cma
 from hybrid_id.baselines.external import external
 from hybrid_id.baselines.fitted import bic, diagnosis, stribeck
 from hybrid_id.baselines.network import network
@@ -27,6 +28,7 @@ METHODS: Mapping[str, Callable[[Dataset, System], dict[str, Any]]] = {
     "sparse": sparse,
     "network": network,
     "stribeck": stribeck,
+    "cma": cma,
 }
 
 

@@ -42,6 +42,7 @@ class Method(StrEnum):
     sparse = "sparse"
     network = "network"
     stribeck = "stribeck"
+    cma = "cma"
     external = "external"
 
 
@@ -81,7 +82,7 @@ MethodsOption = Annotated[
     list[Method] | None,
     typer.Option(
         "--method",
-        help="diagnose, or a baseline: bic, sparse, network, stribeck; or external. May be repeated.",
+        help="diagnose, or a baseline: bic, sparse, network, stribeck, cma; or external. May be repeated.",
         show_default="diagnose",
     ),
 ]
