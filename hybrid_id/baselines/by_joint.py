@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from hybrid_id.diagnosis.arm import joints_to_diagnose
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.systems.by_joint import alone, joint_number, with_drive, with_others_measured
+from hybrid_id.systems.by_joint import alone, joint_number, named, with_drive, with_others_measured
 from hybrid_id.systems.chain import System
 
 
@@ -28,7 +28,7 @@ class Part:
 
     def placed(self, where: str) -> str:
         """A place as the whole has it."""
-        return where.replace("joint1/", f"{self.joint}/") if self.joint else where
+        return named(self.system, where)
 
 
 def parts_of(dataset: Dataset, system: System) -> list[Part]:

@@ -37,7 +37,9 @@ def stribeck(dataset: Dataset, system: System) -> dict[str, Any]:
         tried.append((part, base, found))
     tried.sort(key=lambda own: -own[1].error)
     places = [part.placed(one.effects[0][1]) for part, _, found in tried for one in found]
-    places = list(dict.fromkeys(places)) or [tried[0][0].placed("joint1/motor_friction")]
+    places = list(dict.fromkeys(places)) or [
+        tried[0][0].placed(f"{tried[0][0].system.joints[0].name}/motor_friction")
+    ]
     effects = [named(NAME, where, 1.0 if k == 0 else 0.0, selected=k == 0) for k, where in enumerate(places)]
     before = joined(system, [base.system for _, base, _ in tried])
     leading = next((found[0].system for _, _, found in tried if found), None)

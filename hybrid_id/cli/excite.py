@@ -111,7 +111,7 @@ def excite(
     band = band or ((0.3, 8.0) if system is None else (0.1, 2.0))
     amplitude = 10.0 if amplitude is None else amplitude
     _refuse(rest, sample_time, duration, band, amplitude)
-    _refuse_files(file, plot)
+    _refuse_file(file)
     from hybrid_id.records.excitation import STARTS, usual_tones
     from hybrid_id.reporting.results import as_json as as_json_text
     from hybrid_id.study.arm_excitation import STARTS_A_JOINT
@@ -125,6 +125,8 @@ def excite(
         table = files.enter_context(result_file(file, force=force))
         words = files.enter_context(result_file(file.with_suffix(".json"), force=force, beside=file))
         picture = files.enter_context(result_file(plot, force=force)) if plot else None
+        if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
+            raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
         if system is None:
             found = _excite_drive(band, amplitude=amplitude, gear=gear, model=model, rest=rest, **asked)
         else:
@@ -211,8 +213,8 @@ def _excite_drive(
     return Designed(table, described, lines, figure)
 
 
-def _refuse_files(file: Path, plot: Path | None) -> None:
-    """Refuse names of files that cannot be.
+def _refuse_file(file: Path) -> None:
+    """Refuse the name of a file that cannot be.
 
     Raises:
         InputError: names the option.
@@ -221,8 +223,6 @@ def _refuse_files(file: Path, plot: Path | None) -> None:
         raise InputError(f"--out {file} is a folder; give the name of a file, multisine.csv say")
     if file.with_suffix(".json") == file:
         raise InputError(f"{file} would also be the name of the description beside it; take another ending")
-    if plot is not None and (plot.suffix.lower() != ".png" or plot.resolve() == file.resolve()):
-        raise InputError(f"--plot {plot} must be a PNG of its own; give it a name that ends in .png")
 
 
 def _refuse(

@@ -226,8 +226,9 @@ def test_torque_and_current_commands_drive_the_rotor() -> None:
     expected = (0.03 - 0.01) / 2e-5 * STEP * np.arange(40)
     np.testing.assert_allclose(run(by_torque, {"tau1": 0.03}, samples=40)["v_m1"], expected)
     np.testing.assert_allclose(run(by_current, {"i1": 0.6}, samples=40)["v_m1"], expected)
-    with pytest.raises(InputError, match="no current output"):
-        measure(by_torque, {"tau1": 0.03}, samples=5, outputs=("i1",))
+    wound = base.with_component(MOTOR, TorqueMotor(k_t=0.05)).with_component("joint1/input", TorqueCommand())
+    seen = measure(wound, {"tau1": 0.03}, samples=5, outputs=("i1",))["i1"]
+    np.testing.assert_allclose(seen, 0.6)
 
 
 def test_duty_times_supply_equals_its_voltage() -> None:
