@@ -208,11 +208,10 @@ def test_networks_are_learnt_joint_by_joint(run, tmp_path: Path) -> None:
     machine = described(tmp_path).with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4))
     records_of(machine, 6).save(tmp_path / "records")
     source = ("train", tmp_path / "records", "--model", tmp_path / "model.yaml")
-    done = run(*source, "--joint", "elbow", "--joint", "pan", "--out", tmp_path / "out")
+    done = run(*source, "--joint", "elbow", "--out", tmp_path / "out")
     assert done.code == 0, done.err
-    assert "A network earns its place at elbow, and at none of the others." in " ".join(done.out.split())
-    said = json.loads((tmp_path / "out" / "result.json").read_text())
-    assert [said["joints"][name]["network"] for name in ("elbow", "pan")] == [True, False]
+    assert "A network earns its place at elbow." in " ".join(done.out.split())
+    assert json.loads((tmp_path / "out" / "result.json").read_text())["joints"]["elbow"]["network"]
     look_at(tmp_path / "out" / "report.html", tmp_path, figures=1)
     load_model(tmp_path / "out" / "model.yaml")
     for more, words in (

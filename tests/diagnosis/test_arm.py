@@ -14,7 +14,7 @@ from rich.console import Console
 from servo_arm import NOISE, described, records_of
 
 from hybrid_id import Dataset, Diagnosis, diagnose, diagnose_arm
-from hybrid_id.components import REGISTRY
+from hybrid_id.components import REGISTRY, Component
 from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.diagnosis import arm
@@ -178,11 +178,6 @@ SERVOS = {
         "lift",
         lambda whole: whole.with_component("joint3/load", BodyInertia("elbow_link", c_m=2.5)),
     ),
-    "base_tilt": ("lift", lambda whole: whole.with_component("joint2/load", BaseTilt(e_x=0.15, e_y=-0.1))),
-    "cable_pull": (
-        "lift",
-        lambda whole: whole.with_component("joint2/load", REGISTRY["cable"](k_c=3.0, q_c=0.2)),
-    ),
 }
 """What servos and descriptions get wrong: the joint that shows it, and the machine that has it."""
 
@@ -197,6 +192,20 @@ def test_what_servos_and_descriptions_get_wrong_is_named(nominal: System, effect
     assert effect in alike and best.probability > 0.3, found.joints[joint].summary()
     if effect == "encoder_zero":  # which a bias torque is, but for the weight that it turns
         assert alike <= {"encoder_zero", "constant_torque", "gravity_load", "link_mass"}
+
+
+@pytest.mark.parametrize(
+    ("effect", "part"),
+    [("base_tilt", BaseTilt(e_x=0.15, e_y=-0.1)), ("cable_pull", REGISTRY["cable"](k_c=3.0, q_c=0.2))],
+)
+def test_a_tilted_base_and_a_taut_cable_are_named_among_loads(
+    nominal: System, effect: str, part: Component
+) -> None:
+    dataset = records_of(nominal.with_component("joint2/load", part))
+    with only("base_tilt", "cable_pull", "constant_torque", "link_mass", "spring_load", "encoder_zero"):
+        found = diagnose_arm(dataset, nominal, joints=["lift"], max_effects=1)
+    (best,) = found.selected
+    assert effect in {best.name, *(tie.split("@")[0] for tie in best.tied_with)} and best.probability > 0.3
 
 
 @pytest.mark.usefixtures("few")

@@ -41,7 +41,7 @@ def test_a_network_stays_where_something_is_missing_alone(nominal: System, tmp_p
 
 
 def test_nothing_missing_nothing_learnt(nominal: System) -> None:
-    found = learn_residuals(records_of(nominal, 5), nominal, ["elbow"])
+    found = learn_residuals(records_of(nominal, 4), nominal, ["elbow"])
     assert found.joints["elbow"].size is None
     assert found.system.theta().tolist() == found.physics.theta().tolist()
 
@@ -61,5 +61,5 @@ def test_ctrl_c_keeps_the_joints_that_are_done(nominal: System) -> None:
         if name == "elbow":
             raise KeyboardInterrupt
 
-    found = learn_residuals(records_of(nominal, 4), nominal, ["lift", "elbow"], say=stop)
+    found = learn_residuals(records_of(nominal, 3), nominal, ["lift", "elbow"], say=stop)
     assert found.interrupted and set(found.joints) == {"lift"} and found.skipped == {"elbow": "stopped"}
