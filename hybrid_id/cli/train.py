@@ -159,7 +159,7 @@ def by_joint(
     system = load_system(config, dataset)
     if system.tree is None:
         raise InputError(
-            f"{config.model}: --joint takes a joint of a robot, whose description the model names"
+            f"{config.model}: --joint takes joints of a robot only, whose description the model has to name"
         )
     with results_folder(home, force=force) as folder:
         with counting("joints") as bar:
@@ -169,7 +169,7 @@ def by_joint(
                 bar.update(bar_id, description=name, completed=done, total=total)
 
             found = learn_residuals(
-                dataset, system, [] if joints == ["all"] else joints,
+                dataset, system, [] if "all" in joints else joints,
                 horizon=Horizon.of(config.identification.window),
                 signal_share=config.preprocessing.signal_share, say=say,
             )  # fmt: skip

@@ -23,8 +23,13 @@ _HOW = (
     "Each joint is taken by itself, the others as measured. Physics is fitted alone, then a network of the joint's "
     "angle and speed beside it; no physical parameter moves by more than two of its standard errors without it. A "
     "network stays where it surely lowers the errors of records left out (95 % over all sizes of its weights that were "
-    "tried). Errors are RMS of free runs in units of the measurement's noise: 1 is as good as it gets."
+    "tried). Errors are RMS of free runs in units of the standard deviation that a fit gives each measurement: its "
+    "noise and 0.4 % of its signal."
 )
+
+
+MISSED = 1.5
+"""Error from which on a joint without a network is said to be badly explained."""
 
 
 def residuals_result(found: ArmHybrid) -> dict[str, Any]:
@@ -65,9 +70,14 @@ def lead(found: ArmHybrid) -> str:
     if stay and found.tested:
         before, after = _means(found.tested)
         said += (
-            f" Error of the whole robot on {count(len(found.tested), 'test record')}, all joints simulated: "
-            f"{before:.3g} times the noise by physics alone, {after:.3g} with it."
+            f" Error of the whole robot on {count(len(found.tested), 'test record')}, all joints simulated"
+            f"{', those not taken as the model has them' if found.others else ''}: {before:.3g} by physics alone, "
+            f"{after:.3g} with {'it' if len(stay) == 1 else 'them'} (1: as measurements are weighted)."
         )
+    if left := [
+        name for name, one in found.joints.items() if one.size is None and _means(one.left_out)[0] > MISSED
+    ]:
+        said += f" What physics leaves at {joined(left)} is no torque over angle and speed: diagnose it."
     return said + (" It was stopped: not all joints were taken." if found.interrupted else "")
 
 
@@ -85,8 +95,9 @@ def joints_table(found: ArmHybrid) -> Table:
         )
         for name, one in found.joints.items()
     ]  # fmt: skip
-    heads = ("joint", "network", "left out: physics>", "with network>", "test: physics>", "hybrid>",
-             "share of torque>", "parameters moved [σ]>")  # fmt: skip
+    heads = ("joint", "network", "records left out: physics alone>", "with network>",
+             "test records: physics alone>", "with network >", "its torque over the drive's>",
+             "parameters moved [σ]>")  # fmt: skip
     return table(heads, rows)
 
 

@@ -123,6 +123,12 @@ class ArmHybrid:
     tested: Mapping[str, tuple[float, float]]
     interrupted: bool = False
 
+    @property
+    def others(self) -> list[str]:
+        """Joints of the robot that were not taken."""
+        names = () if self.system.tree is None else self.system.tree.names
+        return [name for name in names if name not in self.joints]
+
 
 def learn_residuals(
     dataset: Dataset,
@@ -193,7 +199,7 @@ def _learn(dataset: Dataset, system: System, horizon: Horizon | None, signal_sha
     train = dataset.train
     if len(train) < 2:
         raise InputError(
-            f"Dataset '{dataset.name}' has {len(train)} train records; a network needs two or more."
+            f"Dataset '{dataset.name}' has {len(train)} to train on; a network needs two records or more."
         )
     physics = _fitted(dataset, system, train, WHOLE, signal_share)
     if horizon is None:

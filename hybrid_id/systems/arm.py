@@ -79,7 +79,9 @@ class Arm:
                 self._check_attached(key, part)
             elif isinstance(part, Shared) and tree is None:
                 place = key.rsplit("/", 1)[0]
-                raise InputError(f"{part.kind} at '{place}' acts on a robot with a description; remove it.")
+                raise InputError(
+                    f"{part.kind} at '{place}' acts only on a robot whose description the model names; remove it."
+                )
         known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
         for kind, point in known:
             if known.count((kind, point)) > 1:

@@ -48,7 +48,7 @@ def test_nothing_missing_nothing_learnt(nominal: System) -> None:
 
 def test_what_cannot_be_learnt_is_refused(nominal: System) -> None:
     dataset = records_of(nominal, 2)
-    with pytest.raises(InputError, match="has 1 train records; a network needs two or more"):
+    with pytest.raises(InputError, match="has 1 to train on; a network needs two records or more"):
         learn_residuals(dataset, nominal, ["elbow"])
     with pytest.raises(InputError, match="The robot has no joint 'wrist'"):
         learn_residuals(dataset, nominal, ["wrist"])

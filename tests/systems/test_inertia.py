@@ -157,7 +157,7 @@ def test_a_tilted_base_turns_gravity_and_the_file_says_so(tmp_path: Path) -> Non
     assert load_model(tmp_path / "tilted.yaml").theta().tolist() == system.theta().tolist()
     with pytest.raises(InputError, match="base_tilt is listed twice"):
         system.with_component("joint3/load", BaseTilt())
-    with pytest.raises(InputError, match="base_tilt at 'joint1/load' acts on a robot with a description"):
+    with pytest.raises(InputError, match="base_tilt at 'joint1/load' acts only on a robot"):
         one_link(50.0).with_component("joint1/load", BaseTilt())
 
 

@@ -29,8 +29,8 @@ class BaseTilt(Shared):
     """
 
     kind = "base_tilt"
-    e_x = Parameter(0.0, lower=-3.2, upper=3.2, unit="rad", doc="turn of the base about x")
-    e_y = Parameter(0.0, lower=-3.2, upper=3.2, unit="rad", doc="turn of the base about y")
+    e_x = Parameter(0.0, lower=-1.6, upper=1.6, unit="rad", doc="turn of the base about x")
+    e_y = Parameter(0.0, lower=-1.6, upper=1.6, unit="rad", doc="turn of the base about y")
     effect = Effect(
         "base_tilt",
         "base that stands on a slope or is mounted askew, or gravity that points elsewhere in the description; "
