@@ -35,7 +35,8 @@ DOMINANT, TWICE = 0.4, 2.0
 """Share of the gap that the dominant effect closes at least, on train and on test records, and how many times that of
 the largest small one."""
 PLAIN = 1.6
-"""Error of the re-fitted joint over that with all effects, at least, where the dominant effect acts."""
+"""Error of the re-fitted joint over that with all effects, at least, where the dominant effect acts; where nothing is
+missing, of the described arm over the re-fitted one."""
 SEEN = 0.01
 """Rise of a joint's error from which a small effect that lacks is one that is at work."""
 ROUNDS = 11
@@ -236,7 +237,7 @@ def _fitted(
     first = one_by_one.fit([Fit(k, own) for k, own in enumerate(described_arm.drives)], 0)
     fits = _Fits(first, base, floor, leads, [[] for _ in range(joints)], {})
     if lead is None:
-        return fits
+        return fits if _error(first) >= PLAIN * _error(base) else None
     plainly = np.sqrt(base[at].test / floor[at].test) >= PLAIN
     if not plainly or not min(fits.closes("train"), fits.closes("test")) >= DOMINANT:
         return None
@@ -280,6 +281,11 @@ def _open(base: Fit, lead: Fit, rival: Fit, of: str = "test") -> float:
     )
 
 
+def _error(joints: Sequence[Fit]) -> float:
+    """Normalised RMSE on the test record, mean of the joints."""
+    return float(np.mean([np.sqrt(one.test) for one in joints]))
+
+
 def _counts(base: Fit, lead: Fit, rival: Fit) -> bool:
     """Whether a rival explains the records as well as the true effect."""
     return all(
@@ -302,10 +308,6 @@ def _small_answers(drawn: _Drawn, fits: _Fits, gap: float) -> Iterator[dict[str,
 def _truth(drawn: _Drawn, fits: _Fits, family: str, source: tuple[int, int]) -> dict[str, Any]:
     """The ground truth, in the form of that of messy machines."""
     arm, lead = drawn.arm, drawn.lead
-
-    def error(some: Sequence[Fit]) -> float:
-        return _short(np.mean([np.sqrt(one.test) for one in some]))
-
     effects: list[dict[str, Any]] = []
     ratio = 1.0
     if lead is not None:
@@ -326,10 +328,10 @@ def _truth(drawn: _Drawn, fits: _Fits, family: str, source: tuple[int, int]) -> 
         "effects": effects,
         "level": level_of(ratio) if lead is not None else "none",
         "oracle": {
-            "nominal": error(fits.nominal),
-            "refit": error(fits.base),
-            "with_effect": error([fits.lead.get(k, one) for k, one in enumerate(fits.base)]),
-            "noise_floor": error(fits.floor),
+            "nominal": _short(_error(fits.nominal)),
+            "refit": _short(_error(fits.base)),
+            "with_effect": _short(_error([fits.lead.get(k, one) for k, one in enumerate(fits.base)])),
+            "noise_floor": _short(_error(fits.floor)),
         },
         "made_by": {
             "engine": "mujoco",

@@ -27,6 +27,8 @@ WIDEST = 0.65
 """Largest step of a parameter."""
 TRUNCATED = 400.0
 """Error in noise standard deviations beyond which it counts no more."""
+RUNAWAY = 50.0
+"""Error [rad] beyond which a motion is lost."""
 LANES = 6000
 """Windows that run side by side, at most."""
 
@@ -143,7 +145,7 @@ class OneByOne:
         error = self._errors(fits, [[own] for own in drives])[:, :, 0]  # (W, K, N)
         result = []
         for k, (one, own) in enumerate(zip(fits, drives, strict=True)):
-            squares = error[:, k] ** 2
+            squares = np.nan_to_num(np.clip(error[:, k], -RUNAWAY, RUNAWAY), nan=RUNAWAY) ** 2
             train, test = (
                 float(np.mean(squares[:, rows]) / variance[one.joint])
                 for rows, variance in zip((self.train, ~self.train), self.variance, strict=True)
@@ -153,8 +155,9 @@ class OneByOne:
 
     def _residuals(self, fits: Sequence[Fit], drives: Sequence[Sequence[Drive]]) -> np.ndarray:
         """Errors (K, P, samples) on the train records in standard deviations of the noise."""
-        error = self._errors(fits, drives)[..., self.train] / self.noise
-        error = np.clip(np.nan_to_num(error, nan=TRUNCATED), -TRUNCATED, TRUNCATED)
+        most = TRUNCATED * self.noise
+        error = self._errors(fits, drives)[..., self.train]
+        error = np.clip(np.nan_to_num(error, nan=most), -most, most) / self.noise
         return np.moveaxis(error, 0, 2).reshape(*error.shape[1:3], -1)
 
     def _errors(self, fits: Sequence[Fit], drives: Sequence[Sequence[Drive]]) -> np.ndarray:
