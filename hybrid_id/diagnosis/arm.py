@@ -27,7 +27,7 @@ from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.horizons import WHOLE, Horizon, shortest
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
@@ -35,7 +35,6 @@ from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
 from hybrid_id.records.record import Record
-from hybrid_id.records.units import number_of
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
@@ -98,8 +97,11 @@ class ArmDiagnosis:
         case: name of the dataset.
         joints: the diagnosis of each joint by the joint's name, the others moving as they were measured.
         skipped: joints that were not diagnosed, each with the reason.
-        parts: what share of the re-fitted robot's error each diagnosed joint has, on train records, all joints
-            simulated (mean squares over the signal's variance).
+        horizon: how long the free runs are over which the joints' parts and the whole robot are measured: the shortest
+            that a joint's records call for.
+        parts: what share of the re-fitted robot's error beyond noise each diagnosed joint has, on train records, the
+            others moving as they were measured (mean squares over the signal's variance): simulated, an error of one
+            joint would be one of all that feel it.
         estimates: parameters of the corrected robot with their standard errors, by name, from the fit of all joints;
             empty where that fit was not better than the joints' own, or the search was stopped before it.
         common: parameters of effects that several joints have.
@@ -113,6 +115,7 @@ class ArmDiagnosis:
     case: str
     joints: Mapping[str, Diagnosis]
     skipped: Mapping[str, str]
+    horizon: Horizon
     parts: Mapping[str, float]
     estimates: Mapping[str, tuple[float, float]]
     common: tuple[CommonSize, ...]
@@ -207,6 +210,7 @@ class ArmDiagnosis:
                 [self._placed(name, j) for name in tie] for j, one in self.joints.items() for tie in one.ties
             ],
             "remainder": {"share": self.remainder},
+            "horizon": self.horizon.as_dict(),
             "gap": gap_entry(
                 self.nominal_errors, self.refit_errors, self.model_errors, self.shrink, self.contradiction
             ),
@@ -380,28 +384,31 @@ def _of_whole_robot(
     if now.seats is not None:
         refit, model = some(refit, now.seats), some(model, now.seats)
     whole, lacking = None, any(one.search.chosen.effects for one in found.values())
+    horizon = shortest([one.horizon for one in found.values()])
     if not stopped:  # who stops waits for no more fits
-        refit, whole = fitted_coupled(moving, refit, signal_share)
-        model, whole = fitted_coupled(moving, model, signal_share) if lacking else (refit, whole)
-    trained = errors(moving, refit, engine(), moving.train, signal_share=signal_share)
-    tested = [errors(moving, one, engine(), signal_share=signal_share) for one in (now, refit, model)]
+        refit, whole = fitted_coupled(moving, refit, horizon, signal_share)
+        model, whole = fitted_coupled(moving, model, horizon, signal_share) if lacking else (refit, whole)
+    gap, contradiction = None, ""
+    nominal_errors, before, after = (
+        errors(moving, one, engine(), horizon=horizon, signal_share=signal_share)
+        for one in (now, refit, model)
+    )
     if now.seats is not None:
         refit, model = together(refit), together(model)
-    before, after, gap, contradiction = tested[1], tested[2], None, ""
     if before is not None and after is not None:
         rest = after.nrmse * float(np.sqrt(1.0 - min(max(after.autocorrelation, 0.0), 1.0)))
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
-    parts, known = _parts(moving, found, nominal, trained), estimates_of(whole)
+    parts, known = _parts(found, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
-        dataset.name, found, skipped, parts, known, common_sizes(found, model, known), refit, model, tested[0], before,
-        after, gap, contradiction, stopped,
+        dataset.name, found, skipped, horizon, parts, known, common_sizes(found, model, known), refit, model,
+        nominal_errors, before, after, gap, contradiction, stopped,
     )  # fmt: skip
 
 
 def fitted_coupled(
-    dataset: Dataset, system: System, signal_share: float = SIGNAL_SHARE
+    dataset: Dataset, system: System, horizon: Horizon = WHOLE, signal_share: float = SIGNAL_SHARE
 ) -> tuple[System, FitResult | None]:
     """A robot fitted to train and validation records, all joints simulated; as it was where that errs no less.
 
@@ -410,6 +417,7 @@ def fitted_coupled(
     Args:
         dataset: of the whole robot.
         system: the robot, from whose values the fit starts.
+        horizon: how long its free runs are.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
 
     Returns:
@@ -417,33 +425,34 @@ def fitted_coupled(
     """
     records = [record for record in dataset.records if record.role != "test"]
     with suppress(InputError, RuntimeError, np.linalg.LinAlgError):
-        batch = batch_of(dataset, system, records, signal_share, "cpu")
+        batch = horizon.cut(system, engine(), batch_of(dataset, system, records, signal_share, "cpu"))
         options = Options(max_iterations=COUPLED)
         again = fit(system, batch, pooled=True, engine=engine(), options=options, warm=False)[0]
         both = [
-            errors(dataset, s, engine(), records, signal_share=signal_share) for s in (system, again.system)
+            errors(dataset, s, engine(), records, horizon=horizon, signal_share=signal_share)
+            for s in (system, again.system)
         ]
         if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
             return again.system, again
     return system, None
 
 
-def _parts(
-    dataset: Dataset, found: Mapping[str, Diagnosis], system: System, trained: Errors | None
-) -> dict[str, float]:
-    """Share of each diagnosed joint in the errors of the re-fitted robot on train records, beyond the noise."""
+def _parts(found: Mapping[str, Diagnosis], horizon: Horizon, signal_share: float) -> dict[str, float]:
+    """Share of each diagnosed joint in the re-fitted robot's errors on train records, beyond the noise."""
     size = dict.fromkeys(found, 0.0)
-    errors_of = {} if trained is None else trained.rmse
-    for name in found:
+    for name, one in found.items():
+        dataset, base = one.details.dataset, one.search.base.system
+        trained = errors(dataset, base, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
+        if trained is None:
+            continue
         for channel in dataset.outputs:
-            error = errors_of.get(channel.name, 0.0)
-            if number_of(channel.name) == str(joint_number(system, name) + 1) and error > 0.0:
-                logged = [
-                    noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs
-                ]
-                noise = min((channel.noise_std or float(np.mean(logged))) / error, 1.0)
-                relative = trained.by_output[channel.name] if trained else 0.0
-                size[name] += relative**2 * (1.0 - noise**2)
+            logged = [
+                noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs
+            ]
+            noise, error = channel.noise_std or float(np.mean(logged)), trained.rmse.get(channel.name, 0.0)
+            if error > noise:  # records in which a joint stands still are not among its own
+                beyond = trained.by_output[channel.name] ** 2 * (1.0 - (noise / error) ** 2)
+                size[name] += len(dataset.train) * beyond
     whole = sum(size.values())
     return {name: value / whole if whole > 0.0 else 1.0 / len(size) for name, value in size.items()}
 

@@ -239,7 +239,7 @@ class Diagnosis:
             "effects": [effect_entry(one) for one in self._shown],
             "ties": [[self._named(name) for name in group] for group in self.ties],
             "remainder": {"share": self.remainder, "interval": list(self.remainder_interval)},
-            "horizon": {"kind": self.horizon.kind, "seconds": self.horizon.seconds, "words": str(self.horizon)},
+            "horizon": self.horizon.as_dict(),
             "sample_time": self.sample_time,
             "gap": gap_entry(self.nominal, self.refit, self.with_effect, self.shrink, self.contradiction)
             | {"rest_positions_differ": self.rest_differs},

@@ -79,10 +79,18 @@ class Horizon:
                 return Horizon("windows", float(wish))
         raise InputError(f"window '{wish}' is not known; give a length in seconds, whole, strokes or auto")
 
-    def __str__(self) -> str:
+    @property
+    def length(self) -> str:
+        """How long free runs are, in words."""
         names = {"whole": "free runs over whole records", "strokes": "free runs from rest to rest"}
-        words = names.get(self.kind, f"free runs of {self.seconds:g} s from measured states")
-        return f"{words}, for {self.reason}" if self.reason else words
+        return names.get(self.kind, f"free runs of {self.seconds:g} s from measured states")
+
+    def __str__(self) -> str:
+        return f"{self.length}, for {self.reason}" if self.reason else self.length
+
+    def as_dict(self) -> dict[str, object]:
+        """What JSON files say of it: ``kind``, ``seconds``, and ``words``."""
+        return {"kind": self.kind, "seconds": self.seconds, "words": str(self)}
 
     def check(self, samples: int, step: float) -> None:
         """Refuse windows of too few samples, and windows of which no record has four.
@@ -120,6 +128,12 @@ class Horizon:
 
 
 WHOLE = Horizon()
+
+
+def shortest(horizons: Sequence[Horizon]) -> Horizon:
+    """The shortest of several horizons: windows before strokes before whole records."""
+    order = ("windows", "strokes", "whole")
+    return min(horizons, key=lambda one: (order.index(one.kind), one.seconds))
 
 
 def windows(system: System, engine: Engine, batch: Batch, seconds: float) -> Batch:

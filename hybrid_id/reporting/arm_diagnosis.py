@@ -55,8 +55,8 @@ _GAP = (
     "sensors' noise."
 )
 _PART = (
-    "A joint's part of the gap is its share in that of the whole robot, all joints simulated over the train records "
-    "and the errors of each taken relative to how far it moves."
+    "A joint's part of the gap is its share in the re-fitted robot's errors beyond noise on the train records, the "
+    "others moving as they were measured and each joint's errors taken relative to how far it moves."
 )
 _CAPTION = (
     "RMSE on the test records, all joints simulated from their commands, of the nominal, the re-fitted and the "
@@ -157,9 +157,11 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
     if nominal is None or gap is None:
         return [f"{unmeasured(next(iter(found.joints.values())).details.dataset)}."]
     corrected = f", corrected {gap.with_effect:.3g}" if found.selected else ""
+    anew = "" if found.horizon.kind == "whole" else f" in {found.horizon.length}"
     lines = [
-        f"NRMSE on {count(len(nominal.by_record), 'test record')}, all joints simulated from their commands, mean of "
-        f"the joints: nominal {nominal.nrmse:.3g}, re-fitted {gap.refit:.3g}{corrected}; noise floor {gap.floor:.3g}."
+        f"NRMSE on {count(len(nominal.by_record), 'test record')}, all joints simulated from their commands{anew}, "
+        f"mean of the joints: nominal {nominal.nrmse:.3g}, re-fitted {gap.refit:.3g}{corrected}; "
+        f"noise floor {gap.floor:.3g}."
     ]
     if found.selected:
         lines.append(shrink_line(gap))

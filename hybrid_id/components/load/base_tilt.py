@@ -41,8 +41,6 @@ class BaseTilt(Shared):
             "encoder_zero": POSTURES.format("wrong zero"),
             "link_mass": "rests in many postures, axes upright among them: a mass leaves an upright axis alone, a tilt "
             "loads it",
-            "gravity_load": "rests in many postures: a tilt loads each joint as its axis lies, a weight at one joint "
-            "turns with that joint alone",
         },
     )
 

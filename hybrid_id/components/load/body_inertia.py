@@ -52,8 +52,6 @@ class BodyInertia(Attached):
         "mass of a link, a tool or what it carries that the description does not have; usually up to half of it",
         "W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, Hermes Penton, 2002",
         {
-            "gravity_load": "the same slow motion with the joints beyond it in two postures: a body's weight changes "
-            "with the posture, a weight at the joint's own link does not",
             "constant_torque": "slow motion over the whole range: a weight changes with the angle, a bias does not",
         },
     )

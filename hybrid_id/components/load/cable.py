@@ -31,7 +31,7 @@ class Cable(LoadTorque):
         {
             "spring_load": TAUT.format("spring"),
             "constant_torque": TAUT.format("bias"),
-            "gravity_load": TAUT.format("weight"),
+            "link_mass": TAUT.format("weight"),
             "encoder_zero": TAUT.format("wrong zero acts"),
         },
         smoothness="kinks where it is taut",

@@ -41,9 +41,13 @@ class Gravity(LoadTorque):
 
     @staticmethod
     def starts(site):
+        if (
+            len(site.ratios) > 1 or site.bodies
+        ):  # the bodies of a robot have their weight: a wrong one is their mass
+            return []
         torque = site.torque * site.ratio
         size = {"G_l": free(0.05 * torque, -3.0 * torque, 3.0 * torque)}
-        return hanging(site.at().get("gravity_load"), size) if len(site.ratios) == 1 else []
+        return hanging(site.at().get("gravity_load"), size)
 
     def mjcf(self, p):
         return {}, ""  # the link's body weighs so
