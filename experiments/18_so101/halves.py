@@ -13,10 +13,9 @@ import torch
 from sets import CARRIES_NOTHING, CLIPPED, TABLE
 
 from hybrid_id import diagnose
-from hybrid_id.diagnosis.arm import moving_records
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.systems.by_joint import alone, joint_number, with_others_measured
+from hybrid_id.systems.by_joint import alone, joint_number, moving_records, with_others_measured
 from hybrid_id.systems.chain import System
 
 

@@ -34,7 +34,6 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
-from hybrid_id.records.record import Record
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
@@ -42,6 +41,8 @@ from hybrid_id.systems.by_joint import (
     alone,
     check_angles,
     joint_number,
+    moves,
+    moving_records,
     named,
     some,
     together,
@@ -53,8 +54,6 @@ from hybrid_id.systems.chain import System
 COUPLED = 10
 """Iterations of the fit of the whole robot, which begins where the joints' own fits have ended."""
 VERDICTS = ("effects", "outside_catalogue", "parameters_only", "inconclusive", "no_gap")
-STILL = 10.0
-"""Range of an angle, in standard deviations of its noise, up to which a joint has not moved."""
 NOT_ASKED, STANDS, STOPPED = (
     "not asked for",
     "stands still in all train records, so it is held where it was measured",
@@ -228,19 +227,6 @@ class ArmDiagnosis:
         return sorted(self.parts.items(), key=lambda one: -one[1])
 
 
-def moving_records(dataset: Dataset, joint: int) -> Dataset:
-    """The dataset without the train and validation records in which a joint, by its number from 0, does not move."""
-    return replace(
-        dataset,
-        records=tuple(r for r in dataset.records if r.role == "test" or _moves(r, joint)),
-    )
-
-
-def _moves(record: Record, joint: int) -> bool:
-    seen = (record.outputs[n] for n in (f"q_m{joint + 1}", f"q_a{joint + 1}") if n in record.outputs)
-    return any(np.ptp(one) > STILL * max(float(noise_level(one)), 1e-12) for one in seen)
-
-
 def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dict[str, str]]:
     """Names of the joints of a robot that can be diagnosed, and of the others, each with the reason.
 
@@ -256,7 +242,7 @@ def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dic
     for k, name in enumerate(() if system.tree is None else system.tree.names):
         if system.tree is not None and system.tree.coupling(k) is not None:
             skipped[name] = "motor turns other joints, too"
-        elif not any(_moves(record, k) for record in dataset.train):
+        elif not any(moves(record, k) for record in dataset.train):
             skipped[name] = STANDS
         else:
             taken.append(name)

@@ -33,7 +33,13 @@ from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.statistics.variation import PairedDifference, paired_difference
 from hybrid_id.study.replays import batch_of, weighted_errors
-from hybrid_id.systems.by_joint import alone, joint_number, with_drive, with_others_measured
+from hybrid_id.systems.by_joint import (
+    alone,
+    joint_number,
+    moving_records,
+    with_drive,
+    with_others_measured,
+)
 from hybrid_id.systems.chain import System
 
 SIZES = (1.0, 0.1, 0.01)
@@ -169,7 +175,8 @@ def learn_residuals(
             if say is not None:
                 say(name, done, len(names))
             one = alone(system, k)
-            found[name] = _learn(with_others_measured(dataset, system, k), one, horizon, signal_share)
+            own = with_others_measured(moving_records(dataset, k), system, k)
+            found[name] = _learn(own, one, horizon, signal_share)
         except InputError as error:
             skipped[name] = str(error).removesuffix(".")
             continue

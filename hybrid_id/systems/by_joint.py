@@ -28,6 +28,8 @@ THRESHOLD = 0.25
 """Of the smoothing of the others' motion: six times below the usual one, for noise averages out and bias does not."""
 NOISIER = 2
 """Times that a fit is made again with noisier motion of the others, for how far it moves the estimates."""
+STILL = 10.0
+"""Range of an angle, in standard deviations of its noise, up to which a joint has not moved."""
 UNITS = {"hinge": ("rad", "rad/s", "rad/s^2"), "slide": ("m", "m/s", "m/s^2")}
 
 
@@ -157,6 +159,20 @@ def with_others_measured(dataset: Dataset, system: System, *joints: int) -> Data
         for name, unit in zip(MOTION, UNITS[other.kind], strict=True)
     )
     return replace(dataset, inputs=(*inputs, *motion), outputs=outputs, records=tuple(records))
+
+
+def moving_records(dataset: Dataset, joint: int) -> Dataset:
+    """The dataset without the train and validation records in which a joint, by its number from 0, does not move."""
+    return replace(
+        dataset,
+        records=tuple(r for r in dataset.records if r.role == "test" or moves(r, joint)),
+    )
+
+
+def moves(record: Record, joint: int) -> bool:
+    """Whether a joint, by its number from 0, moves in a record."""
+    seen = (record.outputs[n] for n in (f"q_m{joint + 1}", f"q_a{joint + 1}") if n in record.outputs)
+    return any(np.ptp(one) > STILL * max(float(noise_level(one)), 1e-12) for one in seen)
 
 
 def as_in_robot(inputs: Mapping[str, np.ndarray], system: System) -> dict[str, np.ndarray]:
