@@ -34,13 +34,15 @@ from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.statistics.variation import PairedDifference, paired_difference
 from hybrid_id.study.replays import batch_of, weighted_errors
 from hybrid_id.systems.by_joint import (
-    alone,
     joint_number,
     moving_records,
+    some,
+    turned_together,
     with_drive,
     with_others_measured,
 )
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
 
 SIZES = (1.0, 0.1, 0.01)
 """Standard deviations that priors give the weights of the network's output, in units of its scale: which one, records
@@ -151,7 +153,8 @@ def learn_residuals(
         dataset: of the whole robot: train records, validation records if there are any (else the train records are
             left out in turn), test records.
         system: the robot, with values to start from.
-        joints: names; none for all.
+        joints: names; none for all. Those that a coupled gear turns together are taken together, with a network each,
+            which all stay or none.
         horizon: how long free runs are; None for what the records of each joint ask for.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         say: called with (joint, done, total).
@@ -171,12 +174,15 @@ def learn_residuals(
     physics = whole = system
     interrupted = False
     for done, (name, k) in enumerate(numbers.items()):
+        if name in found:
+            continue
         try:
             if say is not None:
                 say(name, done, len(names))
-            one = alone(system, k)
-            own = with_others_measured(moving_records(dataset, k), system, k)
-            found[name] = _learn(own, one, horizon, signal_share)
+            part = turned_together(system, k)
+            one = some(system, part)
+            own = with_others_measured(moving_records(dataset, *part), system, *part)
+            learnt = _learn(own, one, horizon, signal_share)
         except InputError as error:
             skipped[name] = str(error).removesuffix(".")
             continue
@@ -186,7 +192,8 @@ def learn_residuals(
             skipped |= dict.fromkeys((n for n in names if n not in found and n not in skipped), "stopped")
             interrupted = True
             break
-        taken = [result.system for result in (found[name].physics, found[name].hybrid)]
+        found |= {system.tree.names[k]: each for k, each in zip(part, learnt, strict=True)}
+        taken = [result.system for result in (learnt[0].physics, learnt[0].hybrid)]
         for each in taken:
             each.whole = one.whole
         physics, whole = with_drive(physics, taken[0]), with_drive(whole, taken[1])
@@ -201,8 +208,10 @@ def learn_residuals(
     return ArmHybrid(found, skipped, physics, whole, tested, interrupted)
 
 
-def _learn(dataset: Dataset, system: System, horizon: Horizon | None, signal_share: float) -> JointHybrid:
-    """Physics alone and with a network, of one joint by itself."""
+def _learn(
+    dataset: Dataset, system: System, horizon: Horizon | None, signal_share: float
+) -> list[JointHybrid]:
+    """Physics alone and with a network at each joint, of a joint by itself or of those of a coupled gear together."""
     train = dataset.train
     if len(train) < 2:
         raise InputError(
@@ -239,11 +248,14 @@ def _learn(dataset: Dataset, system: System, horizon: Horizon | None, signal_sha
     stays = gains[best].lower > 0.0
     hybrid = _with_network(dataset, physics, train, best, horizon, signal_share) if stays else physics
     tested = [_errors(dataset, one.system, dataset.test, horizon, signal_share) for one in (physics, hybrid)]
-    return JointHybrid(
+    found = JointHybrid(
         physics, hybrid, best if stays else None, gains[best], errors[best],
-        {name: (tested[0][name], tested[1][name]) for name in tested[0]}, horizon,
-        _map(dataset, hybrid.system, signal_share) if stays else None,
+        {name: (tested[0][name], tested[1][name]) for name in tested[0]}, horizon, None,
     )  # fmt: skip
+    maps = [
+        _map(dataset, hybrid.system, joint, signal_share) if stays else None for joint in hybrid.system.joints
+    ]
+    return [replace(found, map=one) for one in maps]
 
 
 def _fitted(
@@ -263,22 +275,22 @@ def _with_network(
     horizon: Horizon,
     signal_share: float,
 ) -> FitResult:
-    """Fit of a network to what a model leaves, first with the model held, then of both."""
+    """Fit of a network at each joint to what a model leaves, first with the model held, then of both."""
     system = physics.system
-    held = {i.name: replace(i.spec, estimate=False) for i in system.table}
-    angle, speed, torque = _motion(dataset, system, records, signal_share)
-    low, high = float(angle.min()), float(angle.max())
-    network = ResidualTorque(
-        S_r=_rms(torque), m_q=0.5 * (low + high), s_q=0.5 * (high - low) or 1.0, s_v=_rms(speed)
-    )
-    place = f"{system.joints[0].name}/load"
-    richer = system.with_specs(held).with_component(place, network)
+    richer = system.with_specs({i.name: replace(i.spec, estimate=False) for i in system.table})
+    for joint in system.joints:
+        angle, speed, torque = _motion(dataset, system, joint, records, signal_share)
+        low, high = float(angle.min()), float(angle.max())
+        network = ResidualTorque(
+            S_r=_rms(torque), m_q=0.5 * (low + high), s_q=0.5 * (high - low) or 1.0, s_v=_rms(speed)
+        )
+        richer = richer.with_component(f"{joint.name}/load", network)
     priors = {
         info.name: replace(
             info.spec, prior_mean=info.spec.value, prior_std=size if info.symbol.startswith("c_") else SHAPES
         )
         for info in richer.table
-        if info.component == f"{place}/{ResidualTorque.kind}" and info.spec.estimate
+        if info.component.endswith(f"/{ResidualTorque.kind}") and info.spec.estimate
     }
     richer = richer.with_specs(priors)
     engine = compiled_for(richer, physics.engine)
@@ -308,19 +320,17 @@ def _with_network(
 
 
 def _motion(
-    dataset: Dataset, system: System, records: Sequence[Record], signal_share: float
+    dataset: Dataset, system: System, joint: Joint, records: Sequence[Record], signal_share: float
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Angle [rad], speed [rad/s] and the drive's torque [N m] of a joint by itself at its link, ``(N,)`` each."""
+    """Angle [rad], speed [rad/s] and its own drive's torque [N m] of a joint at its link, ``(N,)`` each."""
     batch = batch_of(dataset, system, records, signal_share)
     used = (batch.weight > 0).any(2)
-    joint, ratio = system.joints[0], system.gear_ratio[0]
     states = [column[used] for column in batch.x.unbind(2)]
     channels = {name: channel[used] for name, channel in batch.u.items()}
-    row = joint.positions[0]
     with torch.no_grad():
         views = system.views([value.reshape(1) for value in system.theta()])
-        torque = joint.drive.torque(states, channels, views)
-    return states[row] / ratio, states[row + 1] / ratio, torque * ratio
+        torque = joint.drive.torque(states, channels, views) * joint.gear_ratio
+        return *joint.link_motion(states, views), torque
 
 
 def _rms(values: Tensor) -> float:
@@ -329,10 +339,10 @@ def _rms(values: Tensor) -> float:
 
 
 @torch.no_grad()
-def _map(dataset: Dataset, system: System, signal_share: float) -> TorqueMap:
+def _map(dataset: Dataset, system: System, joint: Joint, signal_share: float) -> TorqueMap:
     """What a joint's network does, over the range of its train records."""
-    angle, speed, drive = _motion(dataset, system, dataset.train, signal_share)
-    network = cast(ResidualTorque, system.components[f"{system.joints[0].name}/load/{ResidualTorque.kind}"])
+    angle, speed, drive = _motion(dataset, system, joint, dataset.train, signal_share)
+    network = cast(ResidualTorque, system.components[f"{joint.name}/load/{ResidualTorque.kind}"])
     grids = [
         torch.linspace(float(s.min()), float(s.max()), GRID, dtype=torch.float64) for s in (angle, speed)
     ]

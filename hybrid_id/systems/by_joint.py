@@ -72,6 +72,17 @@ def alone(system: System, joint: int) -> System:
     return some(system, [joint])
 
 
+def turned_together(system: System, joint: int) -> list[int]:
+    """Numbers of the joints that are taken together with one, itself included: those of its coupled gear.
+
+    Args:
+        system: a robot with a tree.
+        joint: number of the joint, from 0.
+    """
+    gear = _tree(system).coupling(joint)
+    return [joint] if gear is None else list(gear.joints)
+
+
 def some(system: System, joints: Sequence[int]) -> System:
     """The drives of some joints in the robot's tree; the motion of the others comes with the records.
 
@@ -161,12 +172,10 @@ def with_others_measured(dataset: Dataset, system: System, *joints: int) -> Data
     return replace(dataset, inputs=(*inputs, *motion), outputs=outputs, records=tuple(records))
 
 
-def moving_records(dataset: Dataset, joint: int) -> Dataset:
-    """The dataset without the train and validation records in which a joint, by its number from 0, does not move."""
-    return replace(
-        dataset,
-        records=tuple(r for r in dataset.records if r.role == "test" or moves(r, joint)),
-    )
+def moving_records(dataset: Dataset, *joints: int) -> Dataset:
+    """The dataset without the train and validation records in which no joint of these numbers, from 0, moves."""
+    kept = (r for r in dataset.records if r.role == "test" or any(moves(r, joint) for joint in joints))
+    return replace(dataset, records=tuple(kept))
 
 
 def moves(record: Record, joint: int) -> bool:

@@ -9,6 +9,7 @@ from hybrid_id.components import REGISTRY
 from hybrid_id.errors import InputError
 from hybrid_id.study.residual_torques import learn_residuals
 from hybrid_id.systems.builders import one_link
+from hybrid_id.systems.by_joint import turned_together
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import load_model, save_model
 
@@ -38,6 +39,27 @@ def test_a_network_stays_where_something_is_missing_alone(nominal: System, tmp_p
     save_model(found.system, tmp_path / "hybrid.yaml")
     again = load_model(tmp_path / "hybrid.yaml")
     assert [i.spec.value for i in again.table] == [i.spec.value for i in found.system.table]
+
+
+def test_joints_of_a_coupled_gear_are_taken_together(nominal: System, tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text(
+        "robot: {file: arm.xml}\ncouplings: [{joints: [lift, elbow], matrix: [[1, 0], [1, 1]]}]\n"
+    )
+    wrist = load_model(tmp_path / "model.yaml")
+    assert [turned_together(wrist, k) for k in range(3)] == [[0], [1, 2], [1, 2]]
+    assert turned_together(nominal, 2) == [2]
+    machine = wrist.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4))
+    stages = list[str]()
+    found = learn_residuals(
+        records_of(machine, 5), wrist, ["elbow", "lift"], say=lambda name, *_: stages.append(name)
+    )
+    assert stages == ["elbow"] and not found.skipped and found.others == ["pan"]
+    lift, elbow = found.joints["lift"], found.joints["elbow"]
+    assert lift.size is not None and lift.hybrid is elbow.hybrid
+    assert lift.map is not None and elbow.map is not None and elbow.map.share > lift.map.share
+    ((before, after),) = elbow.tested.values()
+    assert after < 0.75 * before
+    assert all(f"joint{k}/load/residual_torque" in found.system.components for k in (2, 3))
 
 
 def test_nothing_missing_nothing_learnt(nominal: System) -> None:
