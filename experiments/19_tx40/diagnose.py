@@ -17,10 +17,9 @@ from hybrid_id import diagnose
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.diagnosis.result import Diagnosis
-from hybrid_id.identification.horizons import Horizon, free_runs
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.resample import resample_record
-from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import some, with_others_measured
 from hybrid_id.systems.chain import System
@@ -61,14 +60,13 @@ def diagnosed(
 
 
 def errors(found: Diagnosis, model: FittedModel) -> dict[str, object]:
-    """Of a fitted model: RMS of each motor's angle over its gear ratio in its own windows [mrad], weighted RMS of the
+    """Of a fitted model: RMS of each motor's angle over its gear ratio in its own free runs [mrad], weighted RMS of the
     records left out, and what neighbouring samples of what it leaves have in common."""
-    batch = found.horizon.cut(
-        model.system, engine(), batch_of(found.details.dataset, model.system, found.details.dataset.train)
-    )
-    run = free_runs(model.system, with_substeps(model.system, engine(), batch), batch)
-    square = ((run.y - batch.y) * (batch.weight > 0)).square().sum((0, 1)) / (batch.weight > 0).sum((0, 1))
-    own = 1e3 * square.sqrt().numpy() / np.array(model.system.gear_ratio)
+    dataset = found.details.dataset
+    batch = found.horizon.cut(model.system, engine(), batch_of(dataset, model.system, dataset.train))
+    weights = [row[(row > 0).any(1)] for row in batch.weight.numpy()]
+    left = np.concatenate([row / one for row, one in zip(model.result.residual, weights, strict=True)])
+    own = 1e3 * np.sqrt((left**2).mean(0)) / np.array(model.system.gear_ratio)
     return {
         "mrad": own.round(2).tolist(),
         "left_out": model.validation.error**0.5,

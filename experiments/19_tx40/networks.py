@@ -1,4 +1,4 @@
-"""Staubli TX40: a network at each of joints 1 to 4 for what the drives leave: networks.py --data FOLDER [JOINT]."""
+"""Staubli TX40: a network at each joint for what the drives leave: networks.py --data FOLDER [JOINT]."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def main() -> None:
     wish.out.mkdir(parents=True, exist_ok=True)
     dataset, system = pieces(wish.data), load_model(wish.model)
     count = len(dataset)
-    for joint in wish.joints or [f"joint_{k}" for k in range(1, 5)]:
+    for joint in wish.joints or [f"joint_{k}" for k in range(1, 6)]:  # joint 6 is learnt with joint 5
         file, began = wish.out / f"{joint}_{wish.window}.json", time.process_time()
         if file.exists():
             continue
@@ -51,12 +51,12 @@ def main() -> None:
             thirds.append(said)
             tested |= said["tested"]
         before, after = np.array([[one["physics"], one["hybrid"]] for one in tested.values()]).T
-        lower = paired_difference(np.log(before), np.log(after), overlap=OVERLAP)
+        gain = paired_difference(np.log(before), np.log(after), overlap=OVERLAP)
         found = {
             "stays": [one["network"] for one in thirds],
             "gain_left_out": [one["gain"] for one in thirds],
             "tested": {"physics": float(np.sqrt((before**2).mean())), "hybrid": float(np.sqrt((after**2).mean()))},
-            "log_ratio": vars(lower),
+            "log_ratio": vars(gain),
             "largest_drift": [max(map(abs, one["drift_sigma"].values())) for one in thirds],
         }  # fmt: skip
         seconds = time.process_time() - began
