@@ -81,20 +81,24 @@ def main() -> None:
     ask.add_argument("--model", type=Path, default=Path("runs/19_tx40_drives/model.yaml"), help="the drives")
     ask.add_argument("--out", type=Path, default=Path("runs/19_tx40_diagnosis"))
     ask.add_argument("--window", default=str(inverse.WINDOW), help="seconds, whole or auto")
+    ask.add_argument("--half", type=int, choices=(0, 1), help="every second piece alone, from this one on")
     ask.add_argument("parts", nargs="*", default=[])
     wish = ask.parse_args()
     torch.set_num_threads(1)
     wish.out.mkdir(parents=True, exist_ok=True)
-    dataset, system = pieces(wish.data), load_model(wish.model)
+    dataset, system, which = pieces(wish.data), load_model(wish.model), wish.window
+    if wish.half is not None:
+        dataset = replace(dataset, records=dataset.records[wish.half :: 2])
+        which = f"{which}_half_{wish.half}"
     for part in wish.parts or PARTS:
-        file, began = wish.out / f"{part}_{wish.window}.json", time.process_time()
+        file, began = wish.out / f"{part}_{which}.json", time.process_time()
         if file.exists():
             continue
         found = diagnosed(dataset, system, PARTS[part], Horizon.of(wish.window))
         seconds = time.process_time() - began
         models = {name: errors(found, one) for name, one in found.fitted.items()}
         file.write_text(json.dumps(found.as_dict() | {"models": models, "seconds": seconds}))
-        print(f"{part}, {wish.window}, {seconds:.0f} s, {models}\n{found.summary()}", flush=True)
+        print(f"{part}, {which}, {seconds:.0f} s, {models}\n{found.summary()}", flush=True)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,9 @@ from hybrid_id.diagnosis.arm import NOT_ASKED, STANDS, STOPPED, ArmDiagnosis, jo
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
 from hybrid_id.reporting.arm_diagnosis import arm_headline, arm_table
+from hybrid_id.systems.by_joint import some, turned_together, with_others_measured
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.model_file import load_model
 
 pytest.importorskip("mujoco")
 
@@ -95,6 +97,21 @@ def test_one_joint_alone_is_diagnosed_where_it_is_asked_for(nominal: System) -> 
     assert "joint2" not in json.dumps(said) and "joint1" not in json.dumps(said)
     with pytest.raises(InputError, match=r"no joint 'lfit'.*lift"):
         diagnose_arm(dataset, nominal, joints=["lfit"])
+
+
+@pytest.mark.usefixtures("few")
+def test_joints_of_a_coupled_gear_are_diagnosed_as_one_part(nominal: System, tmp_path: Path) -> None:
+    (tmp_path / "model.yaml").write_text(
+        "robot: {file: arm.xml}\ncouplings: [{joints: [lift, elbow], matrix: [[1, 0], [1, 1]]}]\n"
+    )
+    wrist = load_model(tmp_path / "model.yaml")
+    dataset = records_of(wrist.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4)))
+    assert joints_to_diagnose(dataset, wrist)[0] == ["pan"]
+    part = turned_together(wrist, 2)
+    found = diagnose(with_others_measured(dataset, wrist, *part), some(wrist, part), max_effects=1)
+    said = found.as_dict()["effects"][0]
+    assert (said["name"], said["where"], said["selected"]) == ("spring_load", "elbow/load", True)
+    assert said["parameters"]["k_s"][0] == pytest.approx(0.8, rel=0.05)
 
 
 @pytest.mark.usefixtures("few")
