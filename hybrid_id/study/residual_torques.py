@@ -80,7 +80,7 @@ class TorqueMap:
 
 @dataclass(frozen=True, eq=False)
 class JointHybrid:
-    """Physics of a joint, with and without a network.
+    """Physics of a joint, with and without a network; joints of a coupled gear share all but the map.
 
     Attributes:
         physics: fit of the physics alone to all train records.
