@@ -18,8 +18,12 @@ from hybrid_id.diagnosis.arm import diagnose_arm
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.fits import Fits, Task
 from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.diagnosis.starts import tasks
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.units import stem
+from hybrid_id.systems.arm import MOTION
+from hybrid_id.systems.by_joint import as_in_robot
 from hybrid_id.systems.chain import System
 
 NAME = "stribeck_friction"
@@ -96,25 +100,43 @@ def best_of_each(found: list[FittedModel | None]) -> list[FittedModel]:
 
 
 def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
-    """Content of ``diagnosis.json``, the command of the best next experiment with it; of a robot joint by joint.
+    """Content of ``diagnosis.json``, with all that the proposed experiment is made of; of a robot joint by joint.
+
+    A robot's ``next_experiments`` are the best of each joint with a tie.
 
     Raises:
         KeyboardInterrupt: stopped before its end: half a search is no answer to a case.
     """
-    if system.tree is not None:
-        arm = diagnose_arm(dataset, system)
-        if arm.interrupted:
+    if system.tree is None:
+        found = diagnose(dataset, system)
+        if found.interrupted:
             raise KeyboardInterrupt
-        acting = [joint for joint, one in arm.joints.items() if one.unknown]
-        where = max(acting, key=lambda joint: arm.parts[joint]) if arm.unknown else None
-        return arm.as_dict() | {"unknown_at": where and {"joint": where, "place": None}}
-    found = diagnose(dataset, system)
-    if found.interrupted:
+        content = found.as_dict()
+        return content | {"next_experiments": proposed(found) + content["next_experiments"][1:]}
+    arm = diagnose_arm(dataset, system)
+    if arm.interrupted:
         raise KeyboardInterrupt
-    content = found.as_dict()
-    for proposed, experiment in zip(content["next_experiments"][:1], found.experiments, strict=False):
-        proposed |= {
-            "sample_time": float(experiment.time[1] - experiment.time[0]),
-            "command": [round(float(u), 4) for u in experiment.command],
+    acting = [joint for joint, one in arm.joints.items() if one.unknown]
+    where = max(acting, key=lambda joint: arm.parts[joint]) if arm.unknown else None
+    experiments = [entry for one in arm.joints.values() if one.ties for entry in proposed(one)]
+    return arm.as_dict() | {
+        "unknown_at": where and {"joint": where, "place": None}, "next_experiments": experiments,
+    }  # fmt: skip
+
+
+def proposed(found: Diagnosis) -> list[dict[str, Any]]:
+    """The best proposed experiment with all that it is made of; none where none distinguishes.
+
+    Beside the entry of ``diagnosis.json``: ``sample_time``, the ``command``, the robot's other angles ``held`` and
+    the outputs at its ``start``, by channel.
+    """
+    entries: list[dict[str, Any]] = found.as_dict()["next_experiments"][:1]
+    for entry, one in zip(entries, found.experiments, strict=False):
+        given = as_in_robot(one.inputs, found.model)
+        entry |= {
+            "sample_time": float(one.time[1] - one.time[0]),
+            "command": [round(float(u), 4) for u in one.command],
+            "held": {n: float(v[0]) for n, v in given.items() if stem(n) == MOTION[0]},
+            "start": dict(one.start),
         }
-    return content
+    return entries

@@ -41,6 +41,7 @@ class Experiment:
         time: [s], ``(T,)``.
         inputs: all channels of the record, in SI units as the records hold them, ``(T,)`` each.
         channel: that of the command that moves.
+        start: outputs at which it begins, at rest.
         distance: RMS difference of the outputs of two such models, in units of the encoders' noise: the smallest of
             those pairs that the record distinguishes, or the largest where it distinguishes none.
         distance_now: the largest distance of these pairs on the records at hand.
@@ -52,6 +53,7 @@ class Experiment:
     time: np.ndarray
     inputs: Mapping[str, np.ndarray]
     channel: str
+    start: Mapping[str, float]
     distance: float
     distance_now: float
     together: tuple[tuple[str, str], ...] = ()
@@ -124,7 +126,8 @@ def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Exp
                 for other, values in reference.inputs.items()
             }
             inputs |= {other: np.full_like(time, angle) for other, angle in angles.items()} | {name: command}
-            outputs = {other: np.full_like(time, reference.outputs[other][0]) for other in reference.outputs}
+            start = {other: float(values[0]) for other, values in reference.outputs.items()}
+            outputs = {other: np.full_like(time, value) for other, value in start.items()}
             record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
             runs = _runs([record], models, noise)
             apart = _distances(runs, noise)
@@ -136,7 +139,7 @@ def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Exp
             shown = distinguished if distinguished.any() else apart == apart.max()
             found.append(
                 Experiment(
-                    title + posture, joint.number, time, inputs, name, float(apart[shown].min()),
+                    title + posture, joint.number, time, inputs, name, start, float(apart[shown].min()),
                     float(now[shown].max()),
                     tuple(pair for pair, one in zip(names, distinguished, strict=True) if not one),
                 )

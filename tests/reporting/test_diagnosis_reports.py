@@ -33,7 +33,9 @@ from hybrid_id.reporting.study import bound_cells
 from hybrid_id.reporting.tensorboard import write_diagnosis_events
 from hybrid_id.systems import System
 
-PROPOSED = Experiment("reversals of growing size", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", 12.345, 1.3)
+PROPOSED = Experiment(
+    "reversals of growing size", 1, np.arange(2.0), {"u1": np.zeros(2)}, "u1", {"q_m1": 0.0}, 12.345, 1.3
+)
 TIED = ("spring_load@joint1/load", "gravity_load@joint1/load")
 MANY = (
     "asymmetric_friction@joint1/motor_friction", "asymmetric_friction@joint1/link_friction",
