@@ -257,31 +257,33 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     tied = tied_cases(runs / "diagnose")
     sheets = open_answers(answers, about["cases"]["answers"]["sha256"])
     read_cases(cases, about["cases"], list(tied))
-    among = about["train_records"]  # the follow-up record comes before them, and displaces none
-    folder, settings = runs / TIES, Settings("diagnose", among and among + 1)
+    among = about["train_records"]  # follow-up records come before them, and displace none
+    most = max(map(len, tied.values()), default=0)
+    folder, settings = runs / TIES, Settings("diagnose", among and among + most)
     folder.mkdir(exist_ok=True)
     with whole_pool():
         richer: Any = Parallel(n_jobs=jobs)(
-            delayed(extended)(cases / name, experiment, sheets[name], about["cases"]["options"])
-            for name, experiment in tied.items()
+            delayed(extended)(cases / name, experiments, sheets[name], about["cases"]["options"])
+            for name, experiments in tied.items()
         )
     with sole_writer(folder):
-        _diagnose(list(richer), folder, settings, TIES, jobs, scheduler)
+        _diagnose([case for case in richer if case is not None], folder, settings, TIES, jobs, scheduler)
     found = resolved({name: load(folder, name) for name in tied}, sheets) | {"commit": commit()}
     write_json(runs / f"{TIES}.json", found)
     return found
 
 
-def tied_cases(folder: Path) -> dict[str, Mapping[str, Any]]:
-    """The proposed experiment of each case with a tie, of a run of the diagnosis."""
+def tied_cases(folder: Path) -> dict[str, list[Mapping[str, Any]]]:
+    """The proposed experiments of each case with a tie, of a run of the diagnosis; one, or one of each such joint."""
     from hybrid_id.baselines.keep import load, read_run
 
     found, about = {}, read_run(folder)
     for name in about["cases"]["names"]:
         said = load(folder, name) or {}
         current = said.get("run", {}).get("commit") == about["commit"]
-        if current and said.get("ties") and said.get("next_experiments"):
-            found[name] = said["next_experiments"][0]
+        proposed = [one for one in said.get("next_experiments", ()) if "command" in one]
+        if current and said.get("ties") and proposed:
+            found[name] = proposed
     return found
 
 
@@ -310,40 +312,31 @@ def resolved(again: Mapping[str, Any], sheets: Mapping[str, Any]) -> dict[str, A
 
 
 def extended(
-    folder: Path, experiment: Mapping[str, Any], sheet: Mapping[str, Any], options: Mapping[str, Any]
-) -> "Case":
-    """A case with one more record.
+    folder: Path,
+    experiments: Sequence[Mapping[str, Any]],
+    sheet: Mapping[str, Any],
+    options: Mapping[str, Any],
+) -> "Case | None":
+    """A case with one more record of each experiment; None where one makes an arm run away.
 
-    Args:
-        folder: of the case.
-        experiment: ``joint``, ``command`` and ``sample_time``.
-        sheet: its answers, with ``seed`` and ``draw`` that it was made from.
-        options: with which all cases were made.
+    See :func:`hybrid_id.machines.further.further_records`.
     """
     from hybrid_id.baselines.run import read_case
-    from hybrid_id.machines.case import further_record
-    from hybrid_id.machines.draw import same_case
+    from hybrid_id.machines.arms.motion import Unstable
+    from hybrid_id.machines.further import further_records
     from hybrid_id.records.dataset import Dataset
 
-    source = sheet["made_by"]
-    seed = source["seed"]
-    machine = same_case(seed, source["draw"], name=folder.name, **options)
-    again = {"engine": machine.engine, "formulas": [type(effect).__name__ for effect in machine.effects]}
-    sizes = [effect.size() for effect in machine.effects]
-    other = any(source.get(key, value) != value for key, value in again.items())
-    if other or sizes != [effect["size"] for effect in sheet["effects"]]:
-        raise InputError(
-            f"case {folder.name} cannot be made again here as its answers say ({source['engine']}, "
-            f"{', '.join(source['formulas'])}, their sizes); install MuJoCo, and take the version that made the cases"
-        )
-    record = further_record(
-        machine, experiment["joint"], experiment["command"], experiment["sample_time"], seed=seed
-    )
     dataset = Dataset.load(folder)
+    try:
+        records = further_records(folder.name, experiments, sheet, options)
+    except Unstable:
+        return None
     with tempfile.TemporaryDirectory() as temporary:
-        richer = dataclasses.replace(dataset, records=(record, *dataset.records))
+        richer = dataclasses.replace(dataset, records=(*records, *dataset.records))
         place = richer.save(Path(temporary) / folder.name)
-        (place / "model.yaml").write_bytes((folder / "model.yaml").read_bytes())
+        for file in folder.iterdir():  # model and description
+            if not (place / file.name).exists():
+                (place / file.name).write_bytes(file.read_bytes())
         return read_case(place)
 
 

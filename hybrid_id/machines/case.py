@@ -188,7 +188,7 @@ NAME = "further"
 
 
 def further_record(
-    case: Case, joint: int, command: Sequence[float], sample_time: float, *, seed: int
+    case: Case, joint: int, command: Sequence[float], sample_time: float, *, seed: int, name: str = NAME
 ) -> Record:
     """Measure the machine of a case under an open-loop voltage.
 
@@ -200,6 +200,7 @@ def further_record(
         command: voltage (T,) [V]; the supply limits it.
         sample_time: [s]; has to be that of the case.
         seed: of the noise.
+        name: of the record.
     """
     if abs(sample_time - SAMPLE_TIME) > 1e-9:
         raise InputError(f"a further record of {case.name} needs the sample time {SAMPLE_TIME} s of its case")
@@ -217,7 +218,7 @@ def further_record(
     volts, measured = run(case.plant(), program, encoders, sample_time=SAMPLE_TIME)
     outputs = [f"q_m{i + 1}" for i in range(joints)] + ["q_a1"] * encoders.link
     return Record(
-        name=NAME,
+        name=name,
         time=np.round(SAMPLE_TIME * np.arange(samples), 6),
         inputs={f"u{i + 1}": volts[:, i, 0] for i in range(joints)},
         outputs={name: np.round(measured[:, i, 0], 7) for i, name in enumerate(outputs)},

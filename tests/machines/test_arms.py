@@ -13,6 +13,7 @@ from hybrid_id.machines.arms import case as cases
 from hybrid_id.machines.arms import motion, robot
 from hybrid_id.machines.arms.effects import KINDS, OUTSIDE, draw_effect
 from hybrid_id.machines.arms.refit import Fit, OneByOne
+from hybrid_id.machines.further import further_records
 from hybrid_id.machines.make import make_case, make_cases
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.systems.model_file import load_model
@@ -54,6 +55,34 @@ def test_seed_decides_an_arm(tmp_path: Path) -> None:
         assert file.read_bytes() == (other / file.name).read_bytes()
     sheets = [(tmp_path / n / "answers" / f"{one.name}.yaml").read_bytes() for n in "ab"]
     assert sheets[0] == sheets[1] and yaml.safe_load(sheets[0])["effects"] == []
+
+
+def test_an_arm_is_moved_again_by_a_proposed_experiment(tmp_path: Path) -> None:
+    case = make_case(27203, tmp_path, realism="arms", effect="constant_torque")
+    sheet = yaml.safe_load((tmp_path / "answers" / f"{case.name}.yaml").read_text())
+    data = Dataset.load(case)
+    moving = data.train[0]
+    servo = "goal1" in moving.inputs
+    command = (0.3 if servo else 0.05) * np.sin(0.06 * np.arange(200))
+    asked = {
+        "joint": 1,
+        "command": command,
+        "sample_time": 0.01,
+        "held": {"angle2": 0.2},
+        "start": {"q_a1": 0.0},
+    }
+    options = {"realism": "arms", "family": None, "effect": "constant_torque"}
+    one, other = further_records(case.name, [asked, asked], sheet, options)
+    assert (one.name, other.name, one.role) == ("further", "further_2", "train")
+    assert one.inputs.keys() == moving.inputs.keys() and one.outputs.keys() == moving.outputs.keys()
+    assert np.allclose(one.inputs["goal1" if servo else "tau1"], command)
+    assert np.ptp(one.outputs["q_a1"]) > 0.02 and np.abs(one.outputs["q_a2"] - 0.2).max() < 0.2
+    assert not np.array_equal(one.outputs["q_a1"], other.outputs["q_a1"])  # noise and friction are new
+    with pytest.raises(InputError, match="sample time"):
+        further_records(case.name, [asked | {"sample_time": 0.02}], sheet, options)
+    sheet["effects"][0]["size"]["bias"] *= 1.01
+    with pytest.raises(InputError, match="cannot be made again"):
+        further_records(case.name, [asked], sheet, options)
 
 
 def test_families_are_drawn_as_often_as_they_say() -> None:

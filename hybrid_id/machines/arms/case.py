@@ -1,11 +1,12 @@
 """A case of an arm: its records, its description, and its ground truth."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from hybrid_id.errors import InputError
 from hybrid_id.machines.arms.effects import FRICTION, KINDS, OUTSIDE, Effect, draw_effect, draw_small
 from hybrid_id.machines.arms.motion import (
     SAMPLE,
@@ -24,7 +25,10 @@ from hybrid_id.machines.grading import level_of
 from hybrid_id.machines.judge import SOUND
 from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.records.record import Record
+from hybrid_id.records.units import number_of
 
+SOURCE = 6
+"""Of the random numbers that arms are drawn from, beside the seed."""
 FAMILIES = {"single": 0.775, "unknown": 0.125, "parameters": 0.10}
 """Families of arms: one dominant effect, one outside the catalogue, or nothing but wrong values."""
 WRONG = 0.195
@@ -81,6 +85,16 @@ class _Drawn:
     lead: Effect | None
     small: tuple[tuple[Effect, ...], ...]
 
+    @property
+    def outside(self) -> list[Effect]:
+        """The dominant effect where its drives do not have it."""
+        return [self.lead] if self.lead is not None and self.lead.formula else []
+
+    @property
+    def formulas(self) -> list[str]:
+        """Formula or name of the dominant effect, as the ground truth keeps it."""
+        return [] if self.lead is None else [self.lead.formula or self.lead.name]
+
 
 def family_of(seed: int, family: str | None, effect: str | None) -> str:
     """Family of a case, drawn where it is not given."""
@@ -102,17 +116,17 @@ def draw_arm_case(seed: int, draw: int, name: str, family: str, effect: str | No
     Raises:
         InputError: MuJoCo is not installed.
     """
-    rng = np.random.default_rng([seed, 6, draw])
+    rng = np.random.default_rng([seed, SOURCE, draw])
     drawn = _draw(rng, family, effect)
     if drawn is None:
         return None
     arm, joints = drawn.arm, len(drawn.arm.links)
     spread = rng.uniform(*SPREAD, joints)
     drift = 1.0 + spread * np.clip(rng.standard_normal((TRAIN + 1, joints)), -2.0, 2.0)
-    outside = [drawn.lead] if drawn.lead is not None and drawn.lead.formula else []
     try:
         motions = [
-            moved(arm, draw_goals(rng, joints), outside, own, rng.uniform(-np.pi, np.pi)) for own in drift
+            moved(arm, draw_goals(rng, joints), drawn.outside, own, rng.uniform(-np.pi, np.pi))
+            for own in drift
         ]
     except Unstable:
         return None
@@ -124,6 +138,64 @@ def draw_arm_case(seed: int, draw: int, name: str, family: str, effect: str | No
     truth = _truth(drawn, fits, family, (seed, draw))
     truth["messy"]["drift_of_friction"] = [_short(one) for one in drift.std(axis=0)]
     return ArmCase(_dataset(name, arm, motions, angles), mjcf(nominal), truth)
+
+
+class SameArm:
+    """The arm of a case once more, for experiments beyond its own.
+
+    Args:
+        seed: of the case, as its answers tell.
+        draw: which of the arms that were tried, as its answers tell.
+        family: as it was given to :func:`draw_arm_case`.
+        effect: likewise.
+
+    Attributes:
+        engine, formulas, sizes: as the ground truth has them.
+    """
+
+    engine = "mujoco"
+
+    def __init__(self, seed: int, draw: int, family: str, effect: str | None) -> None:
+        rng = np.random.default_rng([seed, SOURCE, draw])
+        drawn = _draw(rng, family, effect)
+        if drawn is None:
+            raise InputError("its answers belong to another version of the generator")
+        self.drawn, self.spread = drawn, rng.uniform(*SPREAD, len(drawn.arm.links))
+        self.formulas = drawn.formulas
+        self.sizes = [] if drawn.lead is None else [_size(drawn.lead)]
+
+    def record(self, experiment: Mapping[str, Any], name: str, *, seed: int) -> Record:
+        """Move the arm by a proposed experiment, the other joints held.
+
+        Noise and drift of the friction are new, of the case's size.
+
+        Args:
+            experiment: number of the ``joint`` that moves, its ``command`` (T,) [rad, or N m where torques are
+                commanded], the ``sample_time``, the angles at which others are ``held``, and the ``start``, by channel.
+            name: of the record.
+            seed: of noise and drift.
+
+        Raises:
+            InputError: another sample time than the case's.
+            Unstable: the arm runs away.
+        """
+        arm, joints = self.drawn.arm, len(self.drawn.arm.links)
+        if abs(experiment["sample_time"] - SAMPLE) > 1e-9:
+            raise InputError(f"a further record of an arm needs the sample time {SAMPLE} s of its case")
+        rng, own, command = (
+            np.random.default_rng([seed, 7]),
+            experiment["joint"] - 1,
+            np.array(experiment["command"]),
+        )
+        goals = np.zeros((len(command), joints))
+        for channel, angle in (*experiment["held"].items(), *experiment["start"].items()):
+            goals[:, int(number_of(channel)) - 1] = angle
+        torques = None if arm.servo else {own: command}
+        if arm.servo:
+            goals[:, own] = command
+        drift = 1.0 + self.spread * np.clip(rng.standard_normal(joints), -2.0, 2.0)
+        motion = moved(arm, goals, self.drawn.outside, drift, rng.uniform(-np.pi, np.pi), torques)
+        return _record(name, arm, motion, np.round(counted(arm, motion.angle, rng), 7), "train")
 
 
 def _draw(rng: np.random.Generator, family: str, effect: str | None) -> _Drawn | None:
@@ -338,7 +410,7 @@ def _truth(drawn: _Drawn, fits: _Fits, family: str, source: tuple[int, int]) -> 
             "system": "robot",
             "seed": source[0],
             "draw": source[1],
-            "formulas": [] if lead is None else [lead.formula or lead.name],
+            "formulas": drawn.formulas,
         },
         "messy": {"dominant_outside": family == UNKNOWN},
         "arm": {
@@ -372,8 +444,12 @@ def _answer(arm: Arm, effect: Effect, rivals: Sequence[str]) -> dict[str, Any]:
         "accept": list(dict.fromkeys(name for name, _ in known)),
         "accept_where": list(dict.fromkeys(where for _, where in pairs)),
         "right": list(dict.fromkeys(f"{name}@{where}" for name, where in known)),
-        "size": {key: _short(value) for key, value in effect.values.items()},
+        "size": _size(effect),
     }
+
+
+def _size(effect: Effect) -> dict[str, float]:
+    return {key: _short(value) for key, value in effect.values.items()}
 
 
 def _places(arm: Arm, effect: Effect) -> list[str]:
@@ -393,25 +469,34 @@ def _at(joint: str, place: str) -> list[str]:
 
 def _dataset(name: str, arm: Arm, motions: Sequence[Motion], angles: Sequence[np.ndarray]) -> Dataset:
     """The records as they were logged."""
-    kind, unit = ("goal", "rad") if arm.servo else ("tau", "N m")
     numbers = range(1, len(arm.links) + 1)
     records = [
-        Record(
-            name=f"rec_{r:02d}",
-            time=np.round(SAMPLE * np.arange(len(motion.angle)), 6),
-            inputs={f"{kind}{k}": np.round(motion.command[:, k - 1], 7) for k in numbers},
-            outputs={f"q_a{k}": angle[:, k - 1] for k in numbers},
-            role="train" if r < TRAIN else "test",
-        )
+        _record(f"rec_{r:02d}", arm, motion, angle, "train" if r < TRAIN else "test")
         for r, (motion, angle) in enumerate(zip(motions, angles, strict=True))
     ]
     return Dataset(
         name,
-        tuple(Channel(f"{kind}{k}", unit) for k in numbers),
+        tuple(Channel(f"{_command(arm)}{k}", "rad" if arm.servo else "N m") for k in numbers),
         tuple(Channel(f"q_a{k}", "rad", _short(arm.noise)) for k in numbers),
         tuple(records),
         SAMPLE,
     )
+
+
+def _record(name: str, arm: Arm, motion: Motion, angle: np.ndarray, role: Literal["train", "test"]) -> Record:
+    """One record as it was logged: what was commanded, and the angles that the encoders read."""
+    numbers = range(1, len(arm.links) + 1)
+    return Record(
+        name=name,
+        time=np.round(SAMPLE * np.arange(len(angle)), 6),
+        inputs={f"{_command(arm)}{k}": np.round(motion.command[:, k - 1], 7) for k in numbers},
+        outputs={f"q_a{k}": angle[:, k - 1] for k in numbers},
+        role=role,
+    )
+
+
+def _command(arm: Arm) -> str:
+    return "goal" if arm.servo else "tau"
 
 
 def _short(value: Any) -> float:
