@@ -144,6 +144,57 @@ _NOTHING = SpatialInertia(0.0, ZERO, (ZERO, ZERO, ZERO))
 
 
 @dataclass(frozen=True)
+class Carried:
+    """What one joint carries while the others move as given, seen from the joint's own frame at position 0.
+
+    One body, which the others deform, and a torque by each component of the frame's spin: so little depends on the
+    joint's own position and speed, and this, which does not, is found once a sample.
+
+    Attributes:
+        motion: of the frame where the joint stands still at 0.
+        body: all that the joint carries, as one.
+        needed: torque or force at the joint that the motion of what it carries within the frame needs.
+        coriolis: torque or force at the joint by each component of the frame's spin.
+        up: the vertical in the frame's axes.
+        height: of the frame's origin [m].
+        places: of points that may touch something, in the frame [m].
+    """
+
+    motion: Motion
+    body: SpatialInertia
+    needed: Row
+    coriolis: Vector
+    up: Vector
+    height: Row
+    places: tuple[Vector, ...]
+
+    @staticmethod
+    def count(places: int) -> int:
+        """Number of :attr:`rows`."""
+        return 27 + 3 * places if places else 23
+
+    @property
+    def rows(self) -> list[Row]:
+        """All of it in one list; the vertical and the height where there are places."""
+        spin, turn, pull = self.motion
+        found = [*spin, *turn, *pull, *self.body.ten, self.needed, *self.coriolis]
+        touching = [*self.up, self.height, *(row for place in self.places for row in place)]
+        return found + touching if self.places else found
+
+    @classmethod
+    def of(cls, rows: Sequence[Row]) -> Carried:
+        """From its :attr:`rows`."""
+        vectors = [(rows[i], rows[i + 1], rows[i + 2]) for i in (0, 3, 6, 10, 20)]
+        mass, (xx, xy, xz, yy, yz, zz) = rows[9], rows[13:19]
+        body = SpatialInertia(mass, vectors[3], ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)))
+        motion, up, height = (vectors[0], vectors[1], vectors[2]), ZERO, 0.0
+        places = [(rows[i], rows[i + 1], rows[i + 2]) for i in range(27, len(rows), 3)]
+        if places:
+            up, height = (rows[23], rows[24], rows[25]), rows[26]
+        return cls(motion, body, rows[19], vectors[4], up, height, tuple(places))
+
+
+@dataclass(frozen=True)
 class Body:
     """A named body of the description, rigidly fixed to what one joint moves.
 
@@ -490,29 +541,26 @@ class RigidBodyTree:
                 moments[joint.parent] = plus(moments[joint.parent], moment)
         return found
 
-    def one_joint(
+    def carried(
         self,
         number: int,
         q: Rows,
         v: Rows,
         a: Rows,
         inertias: Sequence[SpatialInertia],
-        contacts: Sequence[tuple[Point, Callable[[Row], Row]]] = (),
+        points: Sequence[Point] = (),
         gravity: Vector | None = None,
-    ) -> tuple[Row, Row]:
-        """Inertia of one joint, and the torque or force that opposes it, while the others move as given.
-
-        They are those of :meth:`mass_matrix` and :meth:`inverse_dynamics`. But what the joint carries is seen from the
-        joint's own frame: as one body that the others deform, and a torque by each component of the frame's spin
-        (Coriolis). So little depends on the joint's own position and speed, and the rest is found once a sample.
+    ) -> Carried:
+        """What one joint carries while the others move as given; see :class:`Carried` and :meth:`opposing`.
 
         Args:
             number: of the joint, from 0.
-            q: positions of all joints [rad or m].
+            q: positions of all joints [rad or m]; that of the joint itself is not read, nor are its speed and
+                acceleration.
             v: speeds [rad/s or m/s].
-            a: accelerations [rad/s^2 or m/s^2]; that of the joint itself is not read.
+            a: accelerations [rad/s^2 or m/s^2].
             inertias: see :meth:`inertias`.
-            contacts: points, and the force upwards on each [N] by its height [m].
+            points: of which those that the joint carries may touch something.
             gravity: acceleration of free fall [m/s^2], in the base's axes; None for the description's.
         """
         own = self.joints[number]
@@ -539,20 +587,37 @@ class RigidBodyTree:
         for k in (k for k in range(number) if self.carries(k, number)):
             motion = _moved(self.joints[k], *poses[k], *motion, v[k], a[k])
         motion = _moved(own, *poses[number], *motion, 0.0, 0.0)
-        # all before this holds whatever the joint's own position and speed are
-        turn, shift = _pose(replace(own, rotation=_IDENTITY, position=ZERO), q[number])
-        motion = _moved(own, turn, shift, *motion, v[number], 0.0)
-        torques = [_along(own, *_needed(body, *motion)), _along(own, *needed), dot(coriolis, motion[0])]
         base, origin = self.pose(poses, number)
-        for point, force in contacts:
-            if point.joint not in frames:  # the joint does not carry it
-                continue
-            rotation, position = frames[point.joint]
-            place = plus(position, times(rotation, point.position))
-            height = add(origin[2], dot(base[2], plus(shift, times(turn, place))))
-            push = scale(multiply(-1.0, force(height)), times(transposed(turn), base[2]))
+        places = [
+            plus(frames[point.joint][1], times(frames[point.joint][0], point.position))
+            for point in points
+            if point.joint in frames
+        ]
+        return Carried(motion, body, _along(own, *needed), coriolis, base[2], origin[2], tuple(places))
+
+    def opposing(
+        self, number: int, load: Carried, q: Row, v: Row, forces: Sequence[Callable[[Row], Row]] = ()
+    ) -> tuple[Row, Row]:
+        """Inertia of one joint, and the torque or force that opposes it, while the others move as given.
+
+        They are those of :meth:`mass_matrix` and :meth:`inverse_dynamics`.
+
+        Args:
+            number: of the joint, from 0.
+            load: what it carries, by :meth:`carried`.
+            q: its position [rad or m].
+            v: its speed [rad/s or m/s].
+            forces: upwards on each of the places [N], by its height [m].
+        """
+        own = replace(self.joints[number], rotation=_IDENTITY, position=ZERO)
+        turn, shift = _pose(own, q)
+        motion = _moved(own, turn, shift, *load.motion, v, 0.0)
+        torques = [_along(own, *_needed(load.body, *motion)), load.needed, dot(load.coriolis, motion[0])]
+        for place, force in zip(load.places, forces, strict=True):
+            height = add(load.height, dot(load.up, plus(shift, times(turn, place))))
+            push = scale(multiply(-1.0, force(height)), times(transposed(turn), load.up))
             torques.append(_along(own, push, cross(place, push)))
-        return _along(own, *_unit_acceleration(own, body)), total(torques)
+        return _along(own, *_unit_acceleration(own, load.body)), total(torques)
 
     def regressor(self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows) -> list[list[Row]]:
         """W(q, v, a) with ``tau = W phi``: the inverse dynamics as it depends on the inertial parameters, linearly.

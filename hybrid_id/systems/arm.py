@@ -19,11 +19,13 @@ from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
 from hybrid_id.robots.rows import ZERO, Matrix, Vector
-from hybrid_id.robots.tree import Body, Point, RigidBodyTree, SpatialInertia
+from hybrid_id.robots.tree import Body, Carried, Point, RigidBodyTree, SpatialInertia
 from hybrid_id.systems.balance import Balances, SpeedBalance
 from hybrid_id.systems.joint import Joint
 
 Views = Mapping[str, SimpleNamespace]
+LOAD = "load"
+"""Channels of what a joint by itself carries, without their number: rows of :class:`hybrid_id.robots.tree.Carried`."""
 MOTION = ("angle", "speed", "acceleration")
 """Channels of a joint whose motion is logged and not simulated, without its number [rad, rad/s, rad/s^2]."""
 Mass = dict[tuple[int, int], Tensor | float]
@@ -46,6 +48,7 @@ class Arm:
 
     Attributes:
         channels: names of those that bring the motion of joints that are not the system's.
+        loads: names of those that a batch holds beside them for a joint by itself, see :meth:`with_loads`.
     """
 
     def __init__(
@@ -73,6 +76,7 @@ class Arm:
             (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
         ]
         self.tilts = [(key, part) for key, part in components.items() if isinstance(part, BaseTilt)]
+        self.loads, self._touching = list[str](), list[tuple[str, FloorContact]]()
         shared = [part for part in components.values() if isinstance(part, Shared)]
         for key, part in components.items():
             if isinstance(part, Attached):
@@ -82,6 +86,8 @@ class Arm:
                 raise InputError(
                     f"{part.kind} at '{place}' acts only on a robot whose description the model names; remove it."
                 )
+        if tree is not None and len(self.seats) == 1:
+            self._take_alone(tree)
         known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
         for kind, point in known:
             if known.count((kind, point)) > 1:
@@ -108,6 +114,14 @@ class Arm:
                 raise InputError(
                     f"{part.kind} sits at both joints; it acts on both from either, so keep one of them."
                 )
+
+    def _take_alone(self, tree: RigidBodyTree) -> None:
+        """Find the contacts that a joint by itself moves, and name the channels of what it carries."""
+        own, contacts = self.seats[0], self.contacts
+        self._touching = [one for one in contacts if tree.carries(own, tree.points[one[1].point].joint)]
+        self.loads = (
+            [f"{LOAD}{k}" for k in range(Carried.count(len(self._touching)))] if self.channels else []
+        )
 
     def _couple_gears(self) -> None:
         """Tell the joints of a coupled gear which motors turn them; of a joint by itself, it refuses that."""
@@ -242,11 +256,10 @@ class Arm:
         pairs: Mass
         torques: list[Tensor | float]
         if len(self.seats) == 1:
-            q, v, a = self._motion(tree, angles, rates, [0.0], u)
-            inertias, gravity = tree.inertias(tuple(self.bodies(p).values())), self.gravity(p)
-            contacts = [(tree.points[part.point], partial(part.force, p[key])) for key, part in self.contacts]
-            pairs, torques = {}, [0.0]
-            pairs[0, 0], torques[0] = tree.one_joint(self.seats[0], q, v, a, inertias, contacts, gravity)
+            number, forces = self.seats[0], [partial(part.force, p[key]) for key, part in self._touching]
+            load = Carried.of([u[n] for n in self.loads]) if self._loaded(u) else self._carried(tree, u, p)
+            inertia, torque = tree.opposing(number, load, angles[0], rates[0], forces)
+            pairs, torques = {(0, 0): inertia}, [torque]
         else:
             poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * len(angles), u, p)
             whole, n = tree.mass_matrix(poses, inertias), len(angles)
@@ -254,11 +267,41 @@ class Arm:
         mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
         return mass, torques
 
+    def read(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Those of the channels that the equations read: the others' motion or what it makes the joint carry."""
+        unread = self.channels if self._loaded(u) else self.loads
+        return {name: channel for name, channel in u.items() if name not in unread}
+
+    def _loaded(self, u: Mapping[str, Tensor]) -> bool:
+        """Whether channels tell all that a joint by itself carries: none of its parameters changes that."""
+        return not self.masses and not self.tilts and bool(self.loads) and self.loads[-1] in u
+
+    @torch.no_grad()
+    def with_loads(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Channels with what a joint by itself carries by the description, from the motion of the others."""
+        if not self.loads:
+            return dict(u)
+        rows = self._carried(cast(RigidBodyTree, self.tree), u).rows
+        like = next(iter(u.values()))
+        found = {
+            name: torch.as_tensor(row).to(like).expand_as(like)
+            for name, row in zip(self.loads, rows, strict=True)
+        }
+        return {**u, **found}
+
+    def _carried(self, tree: RigidBodyTree, u: Mapping[str, Tensor], p: Views | None = None) -> Carried:
+        """What a joint by itself carries; without views of parameters, by the description alone."""
+        still: list[Tensor | float] = [0.0]
+        q, v, a = self._motion(tree, still, still, still, u)
+        bodies, gravity = ((), None) if p is None else (tuple(self.bodies(p).values()), self.gravity(p))
+        points = [tree.points[part.point] for _, part in self._touching]
+        return tree.carried(self.seats[0], q, v, a, tree.inertias(bodies), points, gravity)
+
     def _motion(
         self,
         tree: RigidBodyTree,
-        angles: Sequence[Tensor],
-        rates: Sequence[Tensor],
+        angles: Sequence[Tensor | float],
+        rates: Sequence[Tensor | float],
         accelerations: Sequence[Tensor | float],
         u: Mapping[str, Tensor],
     ) -> list[list[Tensor | float]]:

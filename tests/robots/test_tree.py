@@ -11,7 +11,7 @@ from trees import numbers, random_text, rows
 from hybrid_id.errors import InputError
 from hybrid_id.robots.description import load_tree
 from hybrid_id.robots.rows import constant
-from hybrid_id.robots.tree import Body, RigidBodyTree, SpatialInertia, TreeJoint, frame
+from hybrid_id.robots.tree import Body, Carried, RigidBodyTree, SpatialInertia, TreeJoint, frame
 
 EXACT = 1e-10
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -227,7 +227,10 @@ def test_one_joint_alone_moves_as_the_whole_tree_has_it(tmp_path, seed):
         bias = tree.inverse_dynamics(
             poses, inertias, v, [0.0 * x if j == k else x for j, x in enumerate(a)], pushes, fall
         )
-        found = tree.one_joint(k, q, v, a, inertias, [(point, force) for point in points], fall)
+        load = tree.carried(k, q, v, a, inertias, points, fall)
+        assert len(load.rows) == Carried.count(len(load.places))
+        load = Carried.of(load.rows)
+        found = tree.opposing(k, load, q[k], v[k], [force] * len(load.places))
         expected = tree.mass_matrix(poses, inertias)[k][k], bias[k]
         for one, other in zip(found, expected, strict=True):
             torch.testing.assert_close(
