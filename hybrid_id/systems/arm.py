@@ -18,14 +18,14 @@ from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
-from hybrid_id.robots.rows import ZERO, Matrix, Vector
+from hybrid_id.robots.rows import ZERO, Matrix, Vector, plus, scale
 from hybrid_id.robots.tree import Body, Carried, Point, RigidBodyTree, SpatialInertia
 from hybrid_id.systems.balance import Balances, SpeedBalance
 from hybrid_id.systems.joint import Joint
 
 Views = Mapping[str, SimpleNamespace]
-LOAD = "load"
-"""Channels of what a joint by itself carries, without their number: rows of :class:`hybrid_id.robots.tree.Carried`."""
+LOAD = ":"
+"""Between group and number in the name of a channel of what a joint by itself carries, see :meth:`Arm.with_loads`."""
 MOTION = ("angle", "speed", "acceleration")
 """Channels of a joint whose motion is logged and not simulated, without its number [rad, rad/s, rad/s^2]."""
 Mass = dict[tuple[int, int], Tensor | float]
@@ -48,7 +48,6 @@ class Arm:
 
     Attributes:
         channels: names of those that bring the motion of joints that are not the system's.
-        loads: names of those that a batch holds beside them for a joint by itself, see :meth:`with_loads`.
     """
 
     def __init__(
@@ -76,7 +75,7 @@ class Arm:
             (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
         ]
         self.tilts = [(key, part) for key, part in components.items() if isinstance(part, BaseTilt)]
-        self.loads, self._touching = list[str](), list[tuple[str, FloorContact]]()
+        self._groups, self._touching = list[str](), list[tuple[str, FloorContact]]()
         shared = [part for part in components.values() if isinstance(part, Shared)]
         for key, part in components.items():
             if isinstance(part, Attached):
@@ -116,12 +115,19 @@ class Arm:
                 )
 
     def _take_alone(self, tree: RigidBodyTree) -> None:
-        """Find the contacts that a joint by itself moves, and name the channels of what it carries."""
-        own, contacts = self.seats[0], self.contacts
-        self._touching = [one for one in contacts if tree.carries(own, tree.points[one[1].point].joint)]
-        self.loads = (
-            [f"{LOAD}{k}" for k in range(Carried.count(len(self._touching)))] if self.channels else []
-        )
+        """Find the contacts that a joint by itself moves, and what it reads of :attr:`Carried.groups`."""
+        own, points = self.seats[0], tree.points
+        self._touching = [one for one in self.contacts if tree.carries(own, points[one[1].point].joint)]
+        self._groups = ["load"]
+        if self.tilts or self._touching:
+            self._groups.append("base")
+        if self._touching:
+            self._groups.append("touch")
+        named = {body.name: body.joint for body in tree.bodies}
+        for _, part in self.masses:
+            joint = points[part.point].joint if isinstance(part, Payload) else named[part.point]
+            if joint != own and f"link{joint + 1}" not in self._groups:
+                self._groups.append(f"link{joint + 1}")
 
     def _couple_gears(self) -> None:
         """Tell the joints of a coupled gear which motors turn them; of a joint by itself, it refuses that."""
@@ -257,7 +263,11 @@ class Arm:
         torques: list[Tensor | float]
         if len(self.seats) == 1:
             number, forces = self.seats[0], [partial(part.force, p[key]) for key, part in self._touching]
-            load = Carried.of([u[n] for n in self.loads]) if self._loaded(u) else self._carried(tree, u, p)
+            load = self._carried(tree, u)
+            for body in self.bodies(p).values():
+                load = load.heavier(body.joint, tree.deviation(body))
+            if self.tilts:
+                load = load.falling(plus(self.gravity(p), scale(-1.0, tree.gravity)))
             inertia, torque = tree.opposing(number, load, angles[0], rates[0], forces)
             pairs, torques = {(0, 0): inertia}, [torque]
         else:
@@ -268,34 +278,49 @@ class Arm:
         return mass, torques
 
     def read(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Those of the channels that the equations read: the others' motion or what it makes the joint carry."""
-        unread = self.channels if self._loaded(u) else self.loads
-        return {name: channel for name, channel in u.items() if name not in unread}
+        """Those of the channels that the equations read: of a joint by itself what it carries, where that is known."""
+        if not self._known(u):
+            return {name: channel for name, channel in u.items() if LOAD not in name}
+        others = {
+            name: channel for name, channel in u.items() if name not in self.channels and LOAD not in name
+        }
+        return others | {
+            n: c for group in self._groups for n, c in u.items() if n.startswith(f"{group}{LOAD}")
+        }
 
-    def _loaded(self, u: Mapping[str, Tensor]) -> bool:
-        """Whether channels tell all that a joint by itself carries: none of its parameters changes that."""
-        return not self.masses and not self.tilts and bool(self.loads) and self.loads[-1] in u
+    def _known(self, u: Mapping[str, Tensor]) -> bool:
+        """Whether channels tell all that a joint by itself carries by the description."""
+        return bool(self.channels) and len(self.seats) == 1 and all(f"{g}{LOAD}0" in u for g in self._groups)
 
     @torch.no_grad()
     def with_loads(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Channels with what a joint by itself carries by the description, from the motion of the others."""
-        if not self.loads:
+        """Channels with what a joint by itself carries by the description, from the motion of the others.
+
+        They are the rows of :attr:`hybrid_id.robots.tree.Carried.groups`, so that no equation needs the tree.
+        """
+        if self.tree is None or not self.channels or len(self.seats) > 1:
             return dict(u)
-        rows = self._carried(cast(RigidBodyTree, self.tree), u).rows
         like = next(iter(u.values()))
         found = {
-            name: torch.as_tensor(row).to(like).expand_as(like)
-            for name, row in zip(self.loads, rows, strict=True)
+            f"{group}{LOAD}{k}": torch.as_tensor(row).to(like).expand_as(like)
+            for group, rows in self._carried(self.tree, u).groups.items()
+            for k, row in enumerate(rows)
         }
         return {**u, **found}
 
-    def _carried(self, tree: RigidBodyTree, u: Mapping[str, Tensor], p: Views | None = None) -> Carried:
-        """What a joint by itself carries; without views of parameters, by the description alone."""
+    def _carried(self, tree: RigidBodyTree, u: Mapping[str, Tensor]) -> Carried:
+        """What a joint by itself carries by the description."""
+        own = self.seats[0]
+        if self._known(u):
+            groups = {
+                group: [channel for name, channel in u.items() if name.startswith(f"{group}{LOAD}")]
+                for group in self._groups
+            }
+            return Carried.of(tree.joints[own].kind, groups)
         still: list[Tensor | float] = [0.0]
         q, v, a = self._motion(tree, still, still, still, u)
-        bodies, gravity = ((), None) if p is None else (tuple(self.bodies(p).values()), self.gravity(p))
         points = [tree.points[part.point] for _, part in self._touching]
-        return tree.carried(self.seats[0], q, v, a, tree.inertias(bodies), points, gravity)
+        return tree.carried(own, q, v, a, tree.inertias(), points)
 
     def _motion(
         self,
