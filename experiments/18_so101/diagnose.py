@@ -31,22 +31,21 @@ def model(folder: Path) -> System:
 
 
 def compare(role: str, models: dict[str, System], data: Dataset) -> None:
-    """RMSE [mrad] of both models, all joints simulated from their goals, and the paired difference over motions."""
+    """RMSE [mrad] of each model, all joints simulated from their goals, and its ratio to the first one's over motions."""
     found = {name: errors(system, batch_of(system, data)) for name, system in models.items()}
     for k, record in enumerate(data.records):
-        cells = "   ".join("".join(f"{e:7.2f}" for e in found[name][k]) for name in models)
+        cells = "   ".join("".join(f"{e:7.2f}" for e in own[k]) for own in found.values())
         print(f"  {record.name:26}{cells}")
+    first = next(iter(found.values())).mean(1)
     for name, own in found.items():
         each = "  ".join(f"{joint} {e:.2f}" for joint, e in zip(so101.JOINTS, own.mean(0), strict=True))
+        ratio = np.log(own.mean(1) / first)
+        half = student.ppf(0.975, len(ratio) - 1) * ratio.std(ddof=1) / np.sqrt(len(ratio))
+        low, mid, high = (np.exp(ratio.mean() + s * half) for s in (-1.0, 0.0, 1.0))
         print(f"{role}, {name}: {each}; mean {own.mean():.2f} mrad")
-    first, second = (own.mean(1) for own in found.values())
-    ratio = np.log(first / second)
-    half = student.ppf(0.975, len(ratio) - 1) * ratio.std(ddof=1) / np.sqrt(len(ratio))
-    low, mid, high = (np.exp(ratio.mean() + s * half) for s in (-1.0, 0.0, 1.0))
-    print(
-        f"{role}: error of the first over the second, paired over motions: {mid:.3f} ({low:.3f} to {high:.3f})",
-        flush=True,
-    )
+        print(
+            f"  over the chosen model's, paired over motions: {mid:.3f} ({low:.3f} to {high:.3f})", flush=True
+        )
 
 
 def main() -> None:
@@ -60,6 +59,8 @@ def main() -> None:
     torch.set_num_threads(1)
     if wish.open:
         models = {"chosen": model(wish.chosen), "corrected": load_model(wish.out / "model.yaml")}
+        if (file := wish.chosen / "cma" / "model.yaml").exists():
+            models["CMA-ES"] = load_model(file)
         compare(wish.open, models, so101.load(wish.data, wish.open)[wish.open])
         return
     wish.out.mkdir(parents=True, exist_ok=True)
