@@ -1,4 +1,4 @@
-"""SO-101: the rivals' parameters (stiffness, damping, armature, dry friction, delay) by an evolution strategy, no table."""
+"""SO-101: the rivals' parameters (stiffness, damping, armature, friction, delay) by CMA-ES, without a table."""
 
 from __future__ import annotations
 

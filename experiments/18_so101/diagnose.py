@@ -31,7 +31,7 @@ def model(folder: Path) -> System:
 
 
 def compare(role: str, models: dict[str, System], data: Dataset) -> None:
-    """RMSE [mrad] of each model, all joints simulated from their goals, and its ratio to the first one's over motions."""
+    """RMSE [mrad] of each model, all joints simulated from their goals, and its ratio to the first."""
     found = {name: errors(system, batch_of(system, data)) for name, system in models.items()}
     for k, record in enumerate(data.records):
         cells = "   ".join("".join(f"{e:7.2f}" for e in own[k]) for own in found.values())
