@@ -296,14 +296,16 @@ class Arm:
     def with_loads(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Channels with what a joint by itself carries by the description, from the motion of the others.
 
-        They are the rows of :attr:`hybrid_id.robots.tree.Carried.groups`, so that no equation needs the tree.
+        They are the rows of :attr:`hybrid_id.robots.tree.Carried.groups`, so that no equation needs the tree: those
+        that this system reads, and of the joints at the ends of the tree, where a payload may be tried.
         """
         if self.tree is None or not self.channels or len(self.seats) > 1:
             return dict(u)
-        like = next(iter(u.values()))
+        like, inner = next(iter(u.values())), {f"link{joint.parent + 1}" for joint in self.tree.joints}
         found = {
             f"{group}{LOAD}{k}": torch.as_tensor(row).to(like).expand_as(like)
             for group, rows in self._carried(self.tree, u).groups.items()
+            if group not in inner or group in self._groups
             for k, row in enumerate(rows)
         }
         return {**u, **found}
