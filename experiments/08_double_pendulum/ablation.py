@@ -1,8 +1,10 @@
 """Which joint wants a network, and does it have to know the other joint? Windows of DFKI's arm, see README.md."""
 
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -22,9 +24,10 @@ from hybrid_id.study.ablation_result import gather
 INPUTS = ("angle", "speed", "direction", "command")
 JOINTS = ("joint1/motor", "joint2/motor")
 SEEDS = (0, 1, 2)
+Role = Literal["train", "test"]
 
 
-def windows(config: dict, records: list[Record], role: str) -> list[Record]:
+def windows(config: dict[str, Any], records: Sequence[Record], role: Role) -> list[Record]:
     """Parts of records as records of their own, one in `every` of their lengths."""
     length = round(config["window"] / config["sample_time"]) + 1
     found = []
@@ -49,7 +52,9 @@ def main(folder: Path, design: str) -> None:
     system = build(config | {"networks": {}}, published, 0)
     parts = [*windows(config, [*train, *looked], "train"), *windows(config, test, "test")]
     outputs = tuple(
-        Channel(f"{kind}{k}", unit, config["noise"]) for k in (1, 2) for kind, unit in (("q_m", "rad"), ("v_m", "rad/s"))
+        Channel(f"{kind}{k}", unit, config["noise"])
+        for k in (1, 2)
+        for kind, unit in (("q_m", "rad"), ("v_m", "rad/s"))
     )
     inputs = tuple(Channel(f"tau{k}", "N m") for k in (1, 2))
     dataset = Dataset(f"dfki_{design}", inputs, outputs, tuple(parts))
@@ -59,11 +64,22 @@ def main(folder: Path, design: str) -> None:
         horizon=config["window"] / 2, signal_share=0.0,
     )  # fmt: skip
     hybrid = Arm(STATIC, JOINTS, 6)
-    arms = [Arm(NONE), *(replace(hybrid, places=(place,)) for place in JOINTS), hybrid, replace(hybrid, reads=ALL)]
+    arms = [
+        Arm(NONE),
+        *(replace(hybrid, places=(place,)) for place in JOINTS),
+        hybrid,
+        replace(hybrid, reads=ALL),
+    ]
     results = []
     for result in run_cells(task, [Cell(arm, seed) for seed in SEEDS for arm in arms]):
         results.append(result)
-        print(result.cell.name, result.status, f"{result.error('test'):.4g}", f"{result.seconds:.0f} s", flush=True)
+        print(
+            result.cell.name,
+            result.status,
+            f"{result.error('test'):.4g}",
+            f"{result.seconds:.0f} s",
+            flush=True,
+        )
     Console(width=160).print(ablation_tables(gather(results)))
 
 
