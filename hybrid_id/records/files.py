@@ -56,6 +56,8 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
             made.append((temporary, path))
             with os.fdopen(handle, "wb") as file:
                 file.write(content.encode() if isinstance(content, str) else content)
+                file.flush()
+                os.fsync(file.fileno())  # else a loss of power may leave the new name with nothing in it
             os.chmod(temporary, 0o644)  # mkstemp makes files that nobody else may read
         for temporary, path in made:
             os.replace(temporary, path)
