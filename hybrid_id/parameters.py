@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 from hybrid_id.errors import InputError
 
+MOST_NEURONS, MOST_LAYERS, MOST_STATES = 1000, 10, 100
+"""Of a residual network at most: neurons of a hidden layer, hidden layers, hidden states."""
 NARROWEST_PRIOR = 1e-9
 """Least standard deviation of a prior as a share of the parameter; a narrower one only spoils the numerics."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hybrid_id import __version__
-from hybrid_id.cli.console import counting, printable, remark, show
+from hybrid_id.cli.console import counting, remark, show
 from hybrid_id.cli.folder import make_parents, refuse_taken, remove_empty, sole_writer, visible
 from hybrid_id.errors import InputError, MachineError
 from hybrid_id.reporting.provenance import DIRTY, UNKNOWN, commit, short
@@ -231,7 +231,7 @@ def _diagnose(
                 done, broken = done + 1, broken + bool(about["message"])
                 bar.advance(task)
                 how = about["message"] or f"{said['verdict']}, {about['seconds']:.0f} s"
-                line = f"{noun} {done} of {len(todo)}: {case.name}, {printable(how)}"
+                line = f"{noun} {done} of {len(todo)}: {case.name}, {' '.join(how.split())}"
                 bar.console.print(line, markup=False, soft_wrap=True, style="dim")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(

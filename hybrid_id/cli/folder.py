@@ -15,7 +15,7 @@ import typer
 from hybrid_id import __version__
 from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
-from hybrid_id.errors import InputError
+from hybrid_id.errors import CONTROL, InputError, has_control, shown
 
 if TYPE_CHECKING:
     from hybrid_id.study import Kept
@@ -172,6 +172,8 @@ def sole_writer(path: Path) -> Iterator[None]:
 def make_parents(path: Path) -> list[Path]:
     """Make the folders above a path, and try one beside it; returns those that were not there, innermost first."""
     missing: list[Path] = []
+    if has_control(str(path.absolute())):  # results hold paths
+        raise InputError(f"the path {shown(str(path.absolute()))} {CONTROL}; work in another folder")
     try:
         missing = [folder for folder in path.absolute().parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)

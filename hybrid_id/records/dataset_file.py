@@ -112,6 +112,7 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     """Read all records of a checked dataset file."""
     units = {"t": "s"} | {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)}
     _refuse_strange_columns(spec, units, file)
+    _refuse_shared_columns(spec, file)
     inputs, outputs = _channels(spec, "inputs", file), _channels(spec, "outputs", file)
     records = tuple(
         _read_record(entry, spec, units, data_file, file)
@@ -168,6 +169,23 @@ def _refuse_strange_columns(spec: DatasetFile, units: Mapping[str, str], file: P
                 _ = column.unit and to_si(column.unit, channel)
             except InputError as error:
                 raise InputError(f"{file}: key '{key}.{channel}': {error}") from None
+
+
+def _refuse_shared_columns(spec: DatasetFile, file: Path) -> None:
+    """Raise InputError where a channel is read from the column of the stamps, or an input from that of an output."""
+    inputs, outputs = ({entry.name for entry in group} for group in (spec.inputs, spec.outputs))
+    for index, entry in enumerate(spec.records):
+        columns = {name: name for name in ("t", *inputs, *outputs)}
+        columns |= {name: column.column for name, column in (spec.columns | entry.columns).items()}
+        for one in columns:
+            for other in columns:
+                stamps, crossed = one != "t" and other == "t", one in inputs and other in outputs
+                if (stamps or crossed) and columns[one] == columns[other]:
+                    key = f"records[{index}].columns" if {one, other} & entry.columns.keys() else "columns"
+                    raise InputError(
+                        f"{file}: key '{key}': '{one}' and '{other}' are both read from column '{columns[one]}'; "
+                        "correct one of them"
+                    )
 
 
 def _files(entry: RecordEntry, folder: Path, where: str) -> Iterator[Path]:

@@ -129,8 +129,6 @@ class RecordEntry(_Part):
     @field_validator("file")
     @classmethod
     def _inside(cls, value: str) -> str:
-        if not value.isprintable():
-            raise ValueError("must be a file's name without control characters")
         if any("**" in part and part != "**" for part in value.split("/")):
             raise ValueError("has '**' beside other characters; '*' stands for any of them within a name")
         posix, windows = PurePosixPath(value), PureWindowsPath(value)

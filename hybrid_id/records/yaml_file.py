@@ -1,6 +1,7 @@
 """Reading, checking and writing of the YAML files of a user, every fault as one sentence."""
 
 import difflib
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -10,13 +11,15 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from hybrid_id import __version__
-from hybrid_id.errors import InputError
+from hybrid_id.errors import CONTROL, InputError, has_control, shown
 from hybrid_id.records.files import write_whole
 
 Schema = TypeVar("Schema", bound=BaseModel)
 MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser
 ODD_NUMBER = re.compile(r"[-+]?([1-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?|0[0-7_]+)")
 """What YAML takes for a number to base 60 or 8, and nobody else does: ``1:40`` is 100, ``0100`` is 64."""
+LARGEST_WHOLE = 2**63 - 1
+"""What machines count to."""
 KINDS = {"study": "dataset", "dataset": "records", "model": "system"}
 """Kinds of files, and a key that each must have."""
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -71,6 +74,7 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
     Raises:
         InputError: when a key is unknown, missing or has a value out of range.
     """
+    _refuse_unusable(values, "", path)
     try:
         found = schema.model_validate(values)
         _refuse_truth_as_number(values, found.model_dump(), "", path)
@@ -146,10 +150,30 @@ def _refuse_what_misleads(text: str, path: Path) -> None:
                 waiting.append(value)
 
 
+def _refuse_unusable(given: Any, key: str, path: str | Path) -> None:
+    """Raise InputError at a number beyond all use, and at words that no file or screen can hold."""
+    if isinstance(given, Mapping):
+        for name, value in given.items():
+            below = f"{key}.{shown(str(name))}".lstrip(".")
+            if has_control(str(name)):
+                raise InputError(f"{path}: key '{below}' {CONTROL}; correct it")
+            _refuse_unusable(value, below, path)
+    elif isinstance(given, list | tuple):
+        for i, value in enumerate(given):
+            _refuse_unusable(value, f"{key}[{i}]", path)
+    elif isinstance(given, str) and has_control(given, lines=True):
+        raise InputError(f"{path}: key '{key}' {CONTROL} ('{shown(given)}'); correct it")
+    elif isinstance(given, int) and abs(given) > LARGEST_WHOLE:
+        digits = 1 + int(given.bit_length() * math.log10(2))
+        raise InputError(f"{path}: key '{key}' is a number of {digits} digits, beyond all use; correct it")
+
+
 def _refuse_truth_as_number(given: Any, found: Any, key: str, path: str | Path) -> None:
     """Raise InputError where a file says true or false for a number, which pydantic takes for 1 or 0."""
     if isinstance(given, bool) and isinstance(found, int | float) and not isinstance(found, bool):
         raise InputError(f"{path}: key '{key}' is {str(given).lower()}, but a number is needed; give one")
+    if isinstance(given, bool) and isinstance(found, Mapping):  # a value short for a mapping of it
+        _refuse_truth_as_number(given, next(iter(found.values()), None), key, path)
     if isinstance(given, Mapping) and isinstance(found, Mapping):
         for name in given.keys() & found.keys():
             _refuse_truth_as_number(given[name], found[name], f"{key}.{name}".lstrip("."), path)
