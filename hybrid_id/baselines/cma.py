@@ -43,7 +43,7 @@ def cma(dataset: Dataset, system: System) -> dict[str, Any]:
         for joint in part.system.joints:
             if f"{joint.name}/input/delay" not in late.components:
                 late = late.with_component(f"{joint.name}/input", Delay(T_d=0.0))
-        found.append((part, *_fitted(part, late)))
+        found.append((part, *fitted(part, late)))
     found.sort(key=lambda own: -own[2])  # the joint with the largest improvement first
     delays = [
         (part.placed(info.component.rpartition("/")[0]), info.spec.value)
@@ -57,7 +57,7 @@ def cma(dataset: Dataset, system: System) -> dict[str, Any]:
     return answer(dataset.name, effects, gap_of(dataset, system, after, after))
 
 
-def _fitted(part: Part, start: System) -> tuple[System, float]:
+def fitted(part: Part, start: System) -> tuple[System, float]:
     """A model with the best of the parameters that were tried, and by what factor its error on train records fell."""
     infos = [info for info in start.table if info.spec.estimate]
 

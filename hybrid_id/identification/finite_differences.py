@@ -22,6 +22,7 @@ from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import shoot
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
+from hybrid_id.systems.arm import LOAD
 from hybrid_id.systems.chain import System
 
 WORST = 1e3
@@ -84,7 +85,7 @@ class Rollouts:
             views = self.system.views(list(theta[:, :, None, None]))  # the same for all samples of a lane
             channels = self.system.hold(u, views)
             arrived = {name: channels[name].reshape(-1, shape[2]) for name in self.plain.input_names}
-            arrived |= {name: channel for name, channel in batch.u.items() if name.startswith("enable")}
+            arrived |= {n: c for n, c in batch.u.items() if n.startswith("enable") or LOAD in n}
             lanes = theta[self.rows].repeat_interleave(rows, 1)
             x = shoot(self.plain, self.engine, x, arrived, batch.dt, lanes, shape[2]).view(*shape, -1)
             y = self.system.outputs(batch.outputs, x.unbind(-1), channels, views)

@@ -102,7 +102,7 @@ class Linearised:
         self.mean = bounds.prior_mean.numpy()[self.inside]
         self.precision = bounds.prior_precision.numpy()[self.inside]
         jacobian = np.concatenate([j[..., self.inside] for j in result.jacobian])
-        self.size = np.sqrt(np.maximum(np.square(jacobian).sum((0, 1)), 1e-300))
+        self.size = np.sqrt(np.maximum(np.square(jacobian).sum((0, 1)) + self.precision, 1e-300))
         self.scaled = jacobian / self.size
         own = [self.scaled[self.parts == i].reshape(-1, len(self.inside)) for i in range(PARTS)]
         hessian = sum(j.T @ j for j in own) + np.diag(self.precision / self.size**2)

@@ -20,6 +20,7 @@ from hybrid_id.reporting.diagnosis_words import (
     called,
     capital,
     headline,
+    implausible_lines,
     joined,
     measured,
     percent,
@@ -163,6 +164,11 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
         f"mean of the joints: nominal {nominal.nrmse:.3g}, re-fitted {gap.refit:.3g}{corrected}; "
         f"noise floor {gap.floor:.3g}."
     ]
+    if gap.refit > nominal.nrmse:
+        lines.append(
+            "The re-fit of the train records predicts the test records worse than the nominal values: they do not "
+            "determine all parameters."
+        )
     if found.selected:
         lines.append(shrink_line(gap))
     if found.contradiction:
@@ -171,16 +177,16 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
 
 
 def remark_lines(found: ArmDiagnosis) -> list[str]:
-    """Sizes of the effects, what several joints have in common, and which joints nobody has asked for."""
+    """Sizes of the effects, what several joints have in common, values that moved far, and joints not asked for."""
     lines = [
         f"{one.where.rpartition('/')[0]}: {words_of(one.name)}, {', '.join(values)}."
         for one in found.selected
         if (values := _sizes(found, one))
     ]
     lines += [common_words(one) for one in found.common]
-    lines += [
-        f"{joint}: {one.changes.removesuffix('.')}." for joint, one in found.joints.items() if one.changes
-    ]
+    for joint, one in found.joints.items():
+        lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
+        lines += [f"{joint}: {line}" for line in implausible_lines(one)]
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
 

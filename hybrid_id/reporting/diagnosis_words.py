@@ -251,8 +251,9 @@ def unmeasured(dataset: Dataset) -> str:
 
 def shrink_line(gap: Shrink) -> str:
     """How far the gap shrinks on the test records, said of which the line stands below."""
-    low, high = (100 * min(end, 1.0) for end in gap.interval)
-    return f"shrink of the gap on them: {percent(gap.share)} ({low:.0f}-{high:.0f} %)."
+    low, high = (round(100 * min(end, 1.0)) for end in gap.interval)
+    between = "-" if low >= 0 else " to "
+    return f"shrink of the gap on them: {percent(gap.share)} ({low}{between}{high} %)."
 
 
 def _errors_words(diagnosis: Diagnosis, output: str, models: Sequence[Errors]) -> str:
@@ -353,7 +354,9 @@ def implausible_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str
     more = len(diagnosis.implausible) - len(shown)
     words = ", ".join(shown) + (f" and {more} more" if more else "")
     why = (
-        "a missing effect may hide in them" if not diagnosis.selected else "the missing effect hides in them"
+        "their values were wrong, or a missing effect hides in them"
+        if not diagnosis.selected
+        else "the missing effect hides in them"
     )
     return [f"implausible parameters: the re-fit moves them beyond data-sheet tolerance, so {why}: {words}."]
 
@@ -472,7 +475,7 @@ def place_words(where: str) -> str:
 
 def percent(share: float) -> str:
     """A share as it is printed."""
-    return f"{100 * min(share, 1.0):.0f} %"
+    return f"{round(100 * min(share, 1.0))} %"
 
 
 def range_percent(interval: Interval) -> str:

@@ -117,6 +117,12 @@ class SpatialInertia:
         (xx, xy, xz), (_, yy, yz), (_, _, zz) = self.inertia
         return self.mass, *self.moment, xx, xy, xz, yy, yz, zz
 
+    def less(self, other: SpatialInertia) -> SpatialInertia:
+        """What this one has more than another."""
+        x, y, z = (plus(a, scale(-1.0, b)) for a, b in zip(self.inertia, other.inertia, strict=True))
+        moment = plus(self.moment, scale(-1.0, other.moment))
+        return SpatialInertia(subtract(self.mass, other.mass), moment, (x, y, z))
+
     def __add__(self, other: SpatialInertia) -> SpatialInertia:
         x, y, z = (plus(a, b) for a, b in zip(self.inertia, other.inertia, strict=True))
         return SpatialInertia(add(self.mass, other.mass), plus(self.moment, other.moment), (x, y, z))
@@ -141,6 +147,121 @@ def _of_ten(ten: Sequence[Row]) -> SpatialInertia:
 
 _UNITS = tuple(_of_ten([float(i == k) for i in range(len(TEN))]) for k in range(len(TEN)))
 _NOTHING = SpatialInertia(0.0, ZERO, (ZERO, ZERO, ZERO))
+
+
+@dataclass(frozen=True)
+class Within:
+    """The frame of a joint as it moves within the frame of another one that carries it.
+
+    Attributes:
+        rotation, position: its pose [m].
+        moves: spin and speed of the point at the other frame's origin, as if fixed to it.
+        faster: rate of change of both.
+    """
+
+    rotation: Matrix
+    position: Vector
+    moves: Pair
+    faster: Pair
+
+
+@dataclass(frozen=True)
+class Carried:
+    """What one joint carries while the others move as given, seen from the joint's own frame at position 0.
+
+    One body, which the others deform, and a torque by each component of the frame's spin: so little depends on the
+    joint's own position and speed, and this, which does not, is found once a batch.
+
+    Attributes:
+        kind: of the joint, hinge or slide.
+        motion: of the frame where the joint stands still at 0.
+        body: all that the joint carries, as one.
+        needed: torque or force at the joint that the motion of what it carries within the frame needs.
+        coriolis: torque or force at the joint by each component of the frame's spin.
+        base: turns vectors of the frame into the base's axes.
+        height: of the frame's origin [m].
+        places: of points that may touch something, in the frame [m].
+        within: frames of the joints that it carries, by their numbers.
+    """
+
+    kind: str
+    motion: Motion
+    body: SpatialInertia
+    needed: Row
+    coriolis: Vector
+    base: Matrix
+    height: Row
+    places: tuple[Vector, ...]
+    within: Mapping[int, Within]
+
+    @property
+    def groups(self) -> dict[str, list[Row]]:
+        """All of it as rows, by what they are needed for: ``link<k>`` for another inertia at joint k, from 1."""
+        spin, turn, pull = self.motion
+        found = {
+            "load": [*spin, *turn, *pull, *self.body.ten, self.needed, *self.coriolis],
+            "base": [*self.base[0], *self.base[1], *self.base[2]],
+            "touch": [self.height, *(row for place in self.places for row in place)],
+        }
+        for number, one in self.within.items():
+            rows = [*one.rotation[0], *one.rotation[1], *one.rotation[2], *one.position]
+            found[f"link{number + 1}"] = [*rows, *one.moves[0], *one.moves[1], *one.faster[0], *one.faster[1]]
+        return found
+
+    @classmethod
+    def of(cls, kind: str, groups: Mapping[str, Sequence[Row]]) -> Carried:
+        """From its :attr:`groups`, of which all but ``load`` may be left out where nothing needs them."""
+        load = _vectors(groups["load"][:13])
+        mass, (xx, xy, xz, yy, yz, zz) = groups["load"][9], groups["load"][13:19]
+        body = SpatialInertia(
+            mass, _vectors(groups["load"][10:13])[0], ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+        )
+        height, *touch = groups.get("touch", [0.0])
+        base = _vectors(groups.get("base", [0.0] * 9))
+        within = {}
+        for name, rows in groups.items():
+            if name.startswith("link"):
+                one = _vectors(rows)
+                pose = (one[0], one[1], one[2]), one[3]
+                within[int(name[4:]) - 1] = Within(*pose, (one[4], one[5]), (one[6], one[7]))
+        return cls(
+            kind, (load[0], load[1], load[2]), body, groups["load"][19], _vectors(groups["load"][20:23])[0],
+            (base[0], base[1], base[2]), height, tuple(_vectors(touch)), within,
+        )  # fmt: skip
+
+    def falling(self, more: Vector) -> Carried:
+        """The same where gravity in the base's axes is more by a vector [m/s^2]."""
+        spin, turn, pull = self.motion
+        return replace(self, motion=(spin, turn, plus(pull, scale(-1.0, times(transposed(self.base), more)))))
+
+    def heavier(self, joint: int, body: SpatialInertia) -> Carried:
+        """The same with another body, fixed to what a joint moves that it carries.
+
+        Args:
+            joint: its number, from 0; of the joint itself, one that is not among ``within``.
+            body: about that joint's origin, in its axes.
+        """
+        if joint not in self.within:
+            return replace(self, body=self.body + body)
+        frame = self.within[joint]
+        one = body.seen_from(frame.rotation, frame.position)
+        momentum = _momentum(one, *frame.moves)
+        needed = _plus(_momentum(one, *frame.faster), _crossed_force(frame.moves, momentum))
+        if self.kind == "hinge":  # by the inertia's rate of change, and by the momentum that the spin turns
+            turned = momentum[1][1], multiply(-1.0, momentum[1][0]), 0.0
+            coriolis = plus(_inertia_slope(one, *frame.moves), turned)
+        else:
+            coriolis = multiply(2.0, momentum[0][1]), multiply(-2.0, momentum[0][0]), 0.0
+        return replace(
+            self,
+            body=self.body + one,
+            needed=add(self.needed, needed[1][2] if self.kind == "hinge" else needed[0][2]),
+            coriolis=plus(self.coriolis, coriolis),
+        )
+
+
+def _vectors(rows: Sequence[Row]) -> list[Vector]:
+    return [(rows[k], rows[k + 1], rows[k + 2]) for k in range(0, len(rows) - 2, 3)]
 
 
 @dataclass(frozen=True)
@@ -403,6 +524,11 @@ class RigidBodyTree:
             found[body.joint] = found[body.joint] + seen[name]
         return found
 
+    def deviation(self, body: Body) -> SpatialInertia:
+        """What a body adds to the description's of the same name, or all of it, about its joint's origin."""
+        seen = body.inertia.seen_from(body.rotation, body.position)
+        return seen.less(self._fixed[body.name]) if body.name in self._fixed else seen
+
     def poses(self, q: Rows) -> list[tuple[Matrix, Vector]]:
         """Pose of each joint's frame in its parent's: rotation and position [m].
 
@@ -490,69 +616,74 @@ class RigidBodyTree:
                 moments[joint.parent] = plus(moments[joint.parent], moment)
         return found
 
-    def one_joint(
+    def carried(
         self,
         number: int,
         q: Rows,
         v: Rows,
         a: Rows,
         inertias: Sequence[SpatialInertia],
-        contacts: Sequence[tuple[Point, Callable[[Row], Row]]] = (),
-        gravity: Vector | None = None,
-    ) -> tuple[Row, Row]:
-        """Inertia of one joint, and the torque or force that opposes it, while the others move as given.
-
-        They are those of :meth:`mass_matrix` and :meth:`inverse_dynamics`. But what the joint carries is seen from the
-        joint's own frame: as one body that the others deform, and a torque by each component of the frame's spin
-        (Coriolis). So little depends on the joint's own position and speed, and the rest is found once a sample.
+        points: Sequence[Point] = (),
+    ) -> Carried:
+        """What one joint carries while the others move as given; see :class:`Carried` and :meth:`opposing`.
 
         Args:
             number: of the joint, from 0.
-            q: positions of all joints [rad or m].
+            q: positions of all joints [rad or m]; that of the joint itself is not read, nor are its speed and
+                acceleration.
             v: speeds [rad/s or m/s].
-            a: accelerations [rad/s^2 or m/s^2]; that of the joint itself is not read.
+            a: accelerations [rad/s^2 or m/s^2].
             inertias: see :meth:`inertias`.
-            contacts: points, and the force upwards on each [N] by its height [m].
-            gravity: acceleration of free fall [m/s^2], in the base's axes; None for the description's.
+            points: of which those that the joint carries may touch something.
         """
         own = self.joints[number]
         poses = self.poses([0.0 if k == number else angle for k, angle in enumerate(q)])
-        frames, moves, faster = {number: (_IDENTITY, ZERO)}, {number: (ZERO, ZERO)}, {number: (ZERO, ZERO)}
-        body, momentum, needed, slope = inertias[number], (ZERO, ZERO), (ZERO, ZERO), ZERO
-        for k in (k for k in range(number + 1, len(self.joints)) if self.carries(number, k)):
-            joint, above = self.joints[k], self.joints[k].parent
-            frames[k] = chained([frames[above], poses[k]])
-            axis, before = transposed(frames[k][0])[2], moves[above]
-            along = (ZERO, axis) if joint.kind == "slide" else (axis, cross(frames[k][1], axis))
-            moves[k] = _plus(before, _scaled(v[k], along))
-            faster[k] = _plus(faster[above], _scaled(a[k], along), _scaled(v[k], _crossed(before, along)))
-            one = inertias[k].seen_from(*frames[k])
-            body, own_momentum = body + one, _momentum(one, *moves[k])
-            momentum = _plus(momentum, own_momentum)
-            needed = _plus(needed, _momentum(one, *faster[k]), _crossed_force(moves[k], own_momentum))
-            slope = plus(slope, _inertia_slope(one, *moves[k]))
-        if own.kind == "hinge":  # by the inertia's rate of change, and by the momentum that the spin turns
-            coriolis = plus(slope, (momentum[1][1], multiply(-1.0, momentum[1][0]), 0.0))
-        else:
-            coriolis = (multiply(2.0, momentum[0][1]), multiply(-2.0, momentum[0][0]), 0.0)
-        motion: Motion = ZERO, ZERO, scale(-1.0, self.gravity if gravity is None else gravity)
+        motion: Motion = ZERO, ZERO, scale(-1.0, self.gravity)
         for k in (k for k in range(number) if self.carries(k, number)):
             motion = _moved(self.joints[k], *poses[k], *motion, v[k], a[k])
         motion = _moved(own, *poses[number], *motion, 0.0, 0.0)
-        # all before this holds whatever the joint's own position and speed are
-        turn, shift = _pose(replace(own, rotation=_IDENTITY, position=ZERO), q[number])
-        motion = _moved(own, turn, shift, *motion, v[number], 0.0)
-        torques = [_along(own, *_needed(body, *motion)), _along(own, *needed), dot(coriolis, motion[0])]
+        within = {number: Within(_IDENTITY, ZERO, (ZERO, ZERO), (ZERO, ZERO))}
+        for k in (k for k in range(number + 1, len(self.joints)) if self.carries(number, k)):
+            joint, above = self.joints[k], within[self.joints[k].parent]
+            pose = chained([(above.rotation, above.position), poses[k]])
+            axis = transposed(pose[0])[2]
+            along = (ZERO, axis) if joint.kind == "slide" else (axis, cross(pose[1], axis))
+            changes = _scaled(a[k], along), _scaled(v[k], _crossed(above.moves, along))
+            moves = _plus(above.moves, _scaled(v[k], along))
+            within[k] = Within(*pose, moves, _plus(above.faster, *changes))
         base, origin = self.pose(poses, number)
-        for point, force in contacts:
-            if point.joint not in frames:  # the joint does not carry it
-                continue
-            rotation, position = frames[point.joint]
-            place = plus(position, times(rotation, point.position))
-            height = add(origin[2], dot(base[2], plus(shift, times(turn, place))))
-            push = scale(multiply(-1.0, force(height)), times(transposed(turn), base[2]))
+        places = [
+            plus(within[point.joint].position, times(within[point.joint].rotation, point.position))
+            for point in points
+            if point.joint in within
+        ]
+        del within[number]
+        found = Carried(own.kind, motion, inertias[number], 0.0, ZERO, base, origin[2], tuple(places), within)
+        return reduce(lambda one, k: one.heavier(k, inertias[k]), within, found)
+
+    def opposing(
+        self, number: int, load: Carried, q: Row, v: Row, forces: Sequence[Callable[[Row], Row]] = ()
+    ) -> tuple[Row, Row]:
+        """Inertia of one joint, and the torque or force that opposes it, while the others move as given.
+
+        They are those of :meth:`mass_matrix` and :meth:`inverse_dynamics`.
+
+        Args:
+            number: of the joint, from 0.
+            load: what it carries, by :meth:`carried`.
+            q: its position [rad or m].
+            v: its speed [rad/s or m/s].
+            forces: upwards on each of the places [N], by its height [m].
+        """
+        own = replace(self.joints[number], rotation=_IDENTITY, position=ZERO)
+        turn, shift = _pose(own, q)
+        motion = _moved(own, turn, shift, *load.motion, v, 0.0)
+        torques = [_along(own, *_needed(load.body, *motion)), load.needed, dot(load.coriolis, motion[0])]
+        for place, force in zip(load.places, forces, strict=True):
+            height = add(load.height, dot(load.base[2], plus(shift, times(turn, place))))
+            push = scale(multiply(-1.0, force(height)), times(transposed(turn), load.base[2]))
             torques.append(_along(own, push, cross(place, push)))
-        return _along(own, *_unit_acceleration(own, body)), total(torques)
+        return _along(own, *_unit_acceleration(own, load.body)), total(torques)
 
     def regressor(self, poses: Sequence[tuple[Matrix, Vector]], v: Rows, a: Rows) -> list[list[Row]]:
         """W(q, v, a) with ``tau = W phi``: the inverse dynamics as it depends on the inertial parameters, linearly.

@@ -172,7 +172,8 @@ def _values(theta: Tensor, constants: Tensor) -> Tensor:
 
 
 def _arrived(system: System, u: Mapping[str, Tensor], theta: Tensor) -> Mapping[str, Tensor]:
-    """Channels ``(R, T)`` as they arrive at the motors, without the past that a delay needs."""
+    """Channels ``(R, T)`` that the equations read as they arrive at the motors, without the past that a delay needs."""
+    u = system.arm.read(u)
     if not any(joint.drive.delay for joint in system.joints):
         return u
     arrived = system.hold(u, system.views(list(theta[:, :, None])))

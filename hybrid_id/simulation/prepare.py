@@ -66,6 +66,7 @@ def make_batch(
         _check(system, record, outputs)
     samples = max(record.n_samples for record in records)
     u = {name: _padded([r.signal(name) for r in records], samples) for name in system.input_names}
+    u = system.arm.with_loads(u)
     for name in (f"enable{joint.number}" for joint in system.joints):
         if any(name in r.inputs for r in records):  # a motor without a switch is on
             u[name] = _padded([r.inputs.get(name, np.ones(r.n_samples)) for r in records], samples)

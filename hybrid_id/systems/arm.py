@@ -18,12 +18,14 @@ from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.components.load.payload import Payload
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.errors import InputError
-from hybrid_id.robots.rows import ZERO, Matrix, Vector
-from hybrid_id.robots.tree import Body, Point, RigidBodyTree, SpatialInertia
+from hybrid_id.robots.rows import ZERO, Matrix, Vector, plus, scale
+from hybrid_id.robots.tree import Body, Carried, Point, RigidBodyTree, SpatialInertia
 from hybrid_id.systems.balance import Balances, SpeedBalance
 from hybrid_id.systems.joint import Joint
 
 Views = Mapping[str, SimpleNamespace]
+LOAD = ":"
+"""Between group and number in the name of a channel of what a joint by itself carries, see :meth:`Arm.with_loads`."""
 MOTION = ("angle", "speed", "acceleration")
 """Channels of a joint whose motion is logged and not simulated, without its number [rad, rad/s, rad/s^2]."""
 Mass = dict[tuple[int, int], Tensor | float]
@@ -73,6 +75,7 @@ class Arm:
             (key, part) for key, part in components.items() if isinstance(part, Payload | BodyInertia)
         ]
         self.tilts = [(key, part) for key, part in components.items() if isinstance(part, BaseTilt)]
+        self._groups, self._touching = list[str](), list[tuple[str, FloorContact]]()
         shared = [part for part in components.values() if isinstance(part, Shared)]
         for key, part in components.items():
             if isinstance(part, Attached):
@@ -82,6 +85,8 @@ class Arm:
                 raise InputError(
                     f"{part.kind} at '{place}' acts only on a robot whose description the model names; remove it."
                 )
+        if tree is not None and len(self.seats) == 1:
+            self._take_alone(tree)
         known = [(part.kind, part.point) for part in shared if not isinstance(part, FloorContact)]
         for kind, point in known:
             if known.count((kind, point)) > 1:
@@ -108,6 +113,21 @@ class Arm:
                 raise InputError(
                     f"{part.kind} sits at both joints; it acts on both from either, so keep one of them."
                 )
+
+    def _take_alone(self, tree: RigidBodyTree) -> None:
+        """Find the contacts that a joint by itself moves, and what it reads of :attr:`Carried.groups`."""
+        own, points = self.seats[0], tree.points
+        self._touching = [one for one in self.contacts if tree.carries(own, points[one[1].point].joint)]
+        self._groups = ["load"]
+        if self.tilts or self._touching:
+            self._groups.append("base")
+        if self._touching:
+            self._groups.append("touch")
+        named = {body.name: body.joint for body in tree.bodies}
+        for _, part in self.masses:
+            joint = points[part.point].joint if isinstance(part, Payload) else named[part.point]
+            if joint != own and f"link{joint + 1}" not in self._groups:
+                self._groups.append(f"link{joint + 1}")
 
     def _couple_gears(self) -> None:
         """Tell the joints of a coupled gear which motors turn them; of a joint by itself, it refuses that."""
@@ -242,11 +262,14 @@ class Arm:
         pairs: Mass
         torques: list[Tensor | float]
         if len(self.seats) == 1:
-            q, v, a = self._motion(tree, angles, rates, [0.0], u)
-            inertias, gravity = tree.inertias(tuple(self.bodies(p).values())), self.gravity(p)
-            contacts = [(tree.points[part.point], partial(part.force, p[key])) for key, part in self.contacts]
-            pairs, torques = {}, [0.0]
-            pairs[0, 0], torques[0] = tree.one_joint(self.seats[0], q, v, a, inertias, contacts, gravity)
+            number, forces = self.seats[0], [partial(part.force, p[key]) for key, part in self._touching]
+            load = self._carried(tree, u)
+            for body in self.bodies(p).values():
+                load = load.heavier(body.joint, tree.deviation(body))
+            if self.tilts:
+                load = load.falling(plus(self.gravity(p), scale(-1.0, tree.gravity)))
+            inertia, torque = tree.opposing(number, load, angles[0], rates[0], forces)
+            pairs, torques = {(0, 0): inertia}, [torque]
         else:
             poses, inertias, torques = self._needed(tree, angles, rates, [0.0] * len(angles), u, p)
             whole, n = tree.mass_matrix(poses, inertias), len(angles)
@@ -254,11 +277,58 @@ class Arm:
         mass: Mass = {pair: m for pair, m in pairs.items() if not isinstance(m, float | int) or m != 0.0}
         return mass, torques
 
+    def read(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Those of the channels that the equations read: of a joint by itself what it carries, where that is known."""
+        if not self._known(u):
+            return {name: channel for name, channel in u.items() if LOAD not in name}
+        others = {
+            name: channel for name, channel in u.items() if name not in self.channels and LOAD not in name
+        }
+        return others | {
+            n: c for group in self._groups for n, c in u.items() if n.startswith(f"{group}{LOAD}")
+        }
+
+    def _known(self, u: Mapping[str, Tensor]) -> bool:
+        """Whether channels tell all that a joint by itself carries by the description."""
+        return bool(self.channels) and len(self.seats) == 1 and all(f"{g}{LOAD}0" in u for g in self._groups)
+
+    @torch.no_grad()
+    def with_loads(self, u: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """Channels with what a joint by itself carries by the description, from the motion of the others.
+
+        They are the rows of :attr:`hybrid_id.robots.tree.Carried.groups`, so that no equation needs the tree: those
+        that this system reads, and of the joints at the ends of the tree, where a payload may be tried.
+        """
+        if self.tree is None or not self.channels or len(self.seats) > 1:
+            return dict(u)
+        like, inner = next(iter(u.values())), {f"link{joint.parent + 1}" for joint in self.tree.joints}
+        found = {
+            f"{group}{LOAD}{k}": torch.as_tensor(row).to(like).expand_as(like)
+            for group, rows in self._carried(self.tree, u).groups.items()
+            if group not in inner or group in self._groups
+            for k, row in enumerate(rows)
+        }
+        return {**u, **found}
+
+    def _carried(self, tree: RigidBodyTree, u: Mapping[str, Tensor]) -> Carried:
+        """What a joint by itself carries by the description."""
+        own = self.seats[0]
+        if self._known(u):
+            groups = {
+                group: [channel for name, channel in u.items() if name.startswith(f"{group}{LOAD}")]
+                for group in self._groups
+            }
+            return Carried.of(tree.joints[own].kind, groups)
+        still: list[Tensor | float] = [0.0]
+        q, v, a = self._motion(tree, still, still, still, u)
+        points = [tree.points[part.point] for _, part in self._touching]
+        return tree.carried(own, q, v, a, tree.inertias(), points)
+
     def _motion(
         self,
         tree: RigidBodyTree,
-        angles: Sequence[Tensor],
-        rates: Sequence[Tensor],
+        angles: Sequence[Tensor | float],
+        rates: Sequence[Tensor | float],
         accelerations: Sequence[Tensor | float],
         u: Mapping[str, Tensor],
     ) -> list[list[Tensor | float]]:

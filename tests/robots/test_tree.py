@@ -11,7 +11,7 @@ from trees import numbers, random_text, rows
 from hybrid_id.errors import InputError
 from hybrid_id.robots.description import load_tree
 from hybrid_id.robots.rows import constant
-from hybrid_id.robots.tree import Body, RigidBodyTree, SpatialInertia, TreeJoint, frame
+from hybrid_id.robots.tree import Body, Carried, RigidBodyTree, SpatialInertia, TreeJoint, frame
 
 EXACT = 1e-10
 IDENTITY = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -221,13 +221,24 @@ def test_one_joint_alone_moves_as_the_whole_tree_has_it(tmp_path, seed):
     def force(height):
         return 300.0 * (0.1 - height).clamp_min(0.0)
 
-    poses, inertias = tree.poses(q), tree.inertias()
+    # every body has another mass and centre, and one is added
+    bodies = [
+        replace(body, inertia=body.inertia.deviating(1.3, (0.02, -0.01, 0.03), IDENTITY))
+        for body in tree.bodies
+    ]
+    bodies.append(replace(bodies[-1], name="payload"))
+    poses, inertias = tree.poses(q), tree.inertias(bodies)
     pushes = [(point, (0.0, 0.0, force(tree.place(poses, point)[2]))) for point in points]
     for k in range(n):
         bias = tree.inverse_dynamics(
             poses, inertias, v, [0.0 * x if j == k else x for j, x in enumerate(a)], pushes, fall
         )
-        found = tree.one_joint(k, q, v, a, inertias, [(point, force) for point in points], fall)
+        load = tree.carried(k, q, v, a, tree.inertias(), points)
+        load = Carried.of(tree.joints[k].kind, load.groups)
+        for body in bodies:
+            load = load.heavier(body.joint, tree.deviation(body)) if tree.carries(k, body.joint) else load
+        load = load.falling(tuple(new - old for new, old in zip(fall, tree.gravity, strict=True)))
+        found = tree.opposing(k, load, q[k], v[k], [force] * len(load.places))
         expected = tree.mass_matrix(poses, inertias)[k][k], bias[k]
         for one, other in zip(found, expected, strict=True):
             torch.testing.assert_close(
