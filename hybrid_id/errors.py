@@ -4,6 +4,8 @@ import difflib
 from collections.abc import Iterable
 
 MOST_NAMES = 30
+LONGEST_MESSAGE = 1200
+"""Signs of a message; of a longer one the middle is left out, for the file comes first and the remedy last."""
 
 
 class InputError(Exception):
@@ -20,9 +22,18 @@ class InputError(Exception):
         hybrid_id.errors.InputError: my_robot/rec_00.csv, row 17: column u1 is empty; fill it or drop the row
     """
 
+    def __init__(self, message: object = "") -> None:
+        super().__init__(shortened(str(message), LONGEST_MESSAGE))
+
 
 class MachineError(InputError):
     """What was given is right, but this machine fails at it: its compiler does, say. No try with other values helps."""
+
+
+def shortened(words: str, most: int) -> str:
+    """Words of so many signs at most, the middle of longer ones left out."""
+    kept = max(most - 3, 0)
+    return words if len(words) <= most else f"{words[: kept - kept // 3]}...{words[len(words) - kept // 3 :]}"
 
 
 def close_match(name: str, known: Iterable[str]) -> str:
