@@ -8,6 +8,8 @@ import errno
 import json
 import re
 import stat
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,8 @@ LONGEST_NAME = 200
 """Signs of the name of a column, a key or an element."""
 LARGEST_RESULT = 200_000_000
 """Bytes of a file that the program itself has written."""
+PLAIN_NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")
+"""Of a record or a case: a file or folder may have that name, and it leads nowhere else."""
 _STRING = re.compile(rb'"[^"\\]*(?:\\.[^"\\]*)*"?', re.DOTALL)
 _STEPS = {ord("["): 1, ord("{"): 1, ord("]"): -1, ord("}"): -1}
 _NO_BRACKET = bytes(set(range(256)) - _STEPS.keys())
@@ -97,6 +101,34 @@ def parse_json(content: bytes, path: Path) -> Any:
         return json.loads(content)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path} is not valid JSON ({error}); bring it again") from None
+
+
+def read_object(path: Path, kind: str) -> dict[str, Any]:
+    """Keys and values of a JSON file that the program has written; see :func:`read_json`.
+
+    Raises:
+        InputError: it holds something else, too.
+    """
+    found = read_json(path, kind)
+    if not isinstance(found, dict):
+        raise InputError(f"{path} is no {kind}; give the right file")
+    return found
+
+
+@contextmanager
+def as_written(source: Path, remedy: str) -> Iterator[None]:
+    """Say of files that the program has written, but somebody else has changed, what is wrong while they are used.
+
+    Raises:
+        InputError: in place of a key that lacks, or a value that is none of that key.
+    """
+    try:
+        yield
+    except (KeyError, TypeError, AttributeError, IndexError, ValueError) as error:
+        what = (
+            f"lacks key {error}" if isinstance(error, KeyError) else f"holds values that do not fit ({error})"
+        )
+        raise InputError(f"{source} {what}; {remedy}") from error
 
 
 def refuse_outside(path: Path, folder: Path, what: str, remedy: str) -> None:

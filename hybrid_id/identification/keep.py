@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import zipfile
+import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
@@ -19,6 +21,8 @@ from hybrid_id.records.files import write_whole
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
+DAMAGED = (OSError, EOFError, ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error)
+"""What a kept file raises that was cut short, or that something else has written."""
 Arrays = dict[str, np.ndarray]
 Found = TypeVar("Found")
 Report = Callable[..., bool | None]
@@ -60,9 +64,12 @@ class Kept:
         digest = hashlib.sha256()
         _digest(digest, (self.program, made_from))
         path = self.folder / f"{digest.hexdigest()[:32]}.npz"
-        if path.exists():
-            with np.load(path) as arrays:
-                return unpack(arrays)
+        if path.is_file():
+            try:
+                with path.open("rb") as file, np.load(file) as arrays:
+                    return unpack(arrays)
+            except DAMAGED:
+                pass  # it is made again
         found = make()
         arrays = pack(found)
         if arrays is None:
