@@ -100,7 +100,8 @@ def parse_json(content: bytes, path: Path) -> Any:
     try:
         return json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid JSON ({error}); bring it again") from None
+        reason = str(error).split(";")[0][:120]
+        raise InputError(f"{path} is not valid JSON ({reason}); bring it again") from None
 
 
 def read_object(path: Path, kind: str) -> dict[str, Any]:
@@ -141,8 +142,10 @@ def refuse_outside(path: Path, folder: Path, what: str, remedy: str) -> None:
         remedy: what to do.
     """
     try:
-        inside = path.resolve(strict=False).is_relative_to(folder.resolve())
-    except (OSError, RuntimeError, ValueError):  # a circle of links, or a name that no file can have
+        inside = path.resolve().is_relative_to(folder.resolve())
+    except (OSError, RuntimeError):
+        raise InputError(f"{what} is a link that leads in a circle; {remedy}") from None
+    except ValueError:  # no file can have that name
         inside = False
     if not inside:
         raise InputError(f"{what} leads out of the folder {folder}; {remedy}")
