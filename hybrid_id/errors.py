@@ -9,6 +9,8 @@ CONTROL = "holds a control character, or half of one that no file can hold"
 """Of words that :func:`has_control` finds fault with."""
 REVERSING = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 """Characters that turn the direction of writing, so that a name reads as another one."""
+LONGEST_MESSAGE = 1200
+"""Signs of a message; of a longer one the middle is left out, for the file comes first and the remedy last."""
 
 
 class InputError(Exception):
@@ -24,6 +26,9 @@ class InputError(Exception):
         ...
         hybrid_id.errors.InputError: my_robot/rec_00.csv, row 17: column u1 is empty; fill it or drop the row
     """
+
+    def __init__(self, message: object = "") -> None:
+        super().__init__(shortened(str(message), LONGEST_MESSAGE))
 
 
 class MachineError(InputError):
@@ -48,6 +53,12 @@ def has_control(words: str, *, lines: bool = False) -> bool:
 def shown(words: str, *, lines: bool = False) -> str:
     """Words as a screen may show them: a question mark for each character that :func:`has_control` finds."""
     return "".join("?" if has_control(c, lines=lines) else c for c in words)
+
+
+def shortened(words: str, most: int) -> str:
+    """Words of so many signs at most, the middle of longer ones left out."""
+    kept = max(most - 3, 0)
+    return words if len(words) <= most else f"{words[: kept - kept // 3]}...{words[len(words) - kept // 3 :]}"
 
 
 def close_match(name: str, known: Iterable[str]) -> str:

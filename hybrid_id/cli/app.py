@@ -26,7 +26,7 @@ from hybrid_id.cli.replay import compare, simulate
 from hybrid_id.cli.reproduce import reproduce
 from hybrid_id.cli.schema import schema
 from hybrid_id.cli.train import train
-from hybrid_id.errors import CONTROL, InputError, has_control, shown
+from hybrid_id.errors import CONTROL, InputError, has_control, shortened, shown
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 """The disk is full, the user's share of it is, a file may not be that large, or nobody may write there."""
@@ -94,8 +94,7 @@ def _refuse_control(args: list[str]) -> None:
 
 
 def _refuse(message: str, code: int = 2) -> int:
-    words = (w if len(w) <= LONGEST_WORD else f"{w[: LONGEST_WORD // 2]}..." for w in message.split())
-    sentence = shown(" ".join(words))
+    sentence = shown(" ".join(shortened(word, LONGEST_WORD) for word in message.split()))
     print(f"Error: {sentence}{'' if sentence.endswith(('.', '?')) else '.'}", file=sys.stderr)
     return code
 

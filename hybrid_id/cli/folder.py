@@ -16,6 +16,7 @@ from hybrid_id import __version__
 from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
+from hybrid_id.reading import read_object
 
 if TYPE_CHECKING:
     from hybrid_id.study import Kept
@@ -116,8 +117,8 @@ def only_begun(path: Path) -> bool:
 
 def _is_ours(file: Path) -> bool:
     try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["program"]).startswith("hybrid_id ")
-    except (OSError, ValueError, KeyError, TypeError):
+        return str(read_object(file, "result").get("program")).startswith("hybrid_id ")
+    except (OSError, InputError):
         return False
 
 
@@ -310,14 +311,14 @@ def kept_fits(
 def _kind(fits: Path) -> str:
     """What has kept fits in a folder: diagnosis or identification; empty where nothing has."""
     try:
-        return str(json.loads((fits / ABOUT).read_text(encoding="utf-8")).get("kind", "diagnosis"))
-    except (OSError, ValueError):
+        return str(read_object(fits / ABOUT, "list of fits").get("kind", "diagnosis"))
+    except (OSError, InputError):
         return ""
 
 
 def _command(file: Path) -> str:
     """The command that has written a result; empty where there is none."""
-    return str(json.loads(file.read_text(encoding="utf-8")).get("command", "")) if _is_ours(file) else ""
+    return str(read_object(file, "result").get("command", "")) if _is_ours(file) else ""
 
 
 def keep_after(home: Path, folder: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from scipy.special import ndtri
 from hybrid_id.errors import InputError
 from hybrid_id.identification.result import NO_ESTIMATE
 from hybrid_id.parameters import Bounded
+from hybrid_id.reading import read_object
 from hybrid_id.systems.chain import System
 
 
@@ -110,9 +110,9 @@ def _range(
 def read_result(path: Path) -> dict[str, Any]:
     """Content of a ``result.json``; InputError where it is none."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(found, dict) or not str(found["program"]).startswith("hybrid_id "):
-            raise KeyError
-    except (OSError, ValueError, KeyError):
+        found = read_object(path, "result of hybrid-id")
+    except OSError:
+        found = {}
+    if not str(found.get("program")).startswith("hybrid_id "):
         raise InputError(f"{path} is no result of hybrid-id; give the folder of an identification") from None
     return found

@@ -6,7 +6,6 @@ import hashlib
 import io
 import json
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -59,8 +58,12 @@ class Kept:
             unpack: reads that again.
         """
         path = self.folder / f"{digest_of((self.program, made_from))[:32]}.npz"
-        with suppress(Exception), np.load(path) as arrays:  # what is not there, or damaged, is made anew
-            return unpack({name: arrays[name] for name in arrays.files})
+        if path.is_file():
+            try:
+                with path.open("rb") as file, np.load(file) as arrays:
+                    return unpack(arrays)
+            except Exception:  # cut short, or written by something else, which can raise anything
+                pass
         found = make()
         arrays = pack(found)
         if arrays is None:

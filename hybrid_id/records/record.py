@@ -1,6 +1,5 @@
 """One measured (or simulated) experiment: time, what was commanded, what came out, and what its signals are."""
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -10,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
+from hybrid_id.reading import PLAIN_NAME
 from hybrid_id.records.units import to_si
 
 UNIFORM_TOLERANCE = 0.01  # steps this close to the median step, relative, count as equal
@@ -18,7 +18,6 @@ SMALLEST = (
     1e-15  # largest value of a signal in SI below which it is no measurement, unless it is zero throughout
 )
 LARGEST = 1e10  # of a signal in SI; what is larger is a fault of the log, and its square may overflow
-_NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")  # names become file names
 
 
 def stamp(time: float) -> str:
@@ -104,7 +103,7 @@ class Record:
     meta: Mapping[str, float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
+        if not PLAIN_NAME.fullmatch(self.name):
             raise InputError(
                 f"record name {self.name!r} cannot be a file name; use at most 100 letters, digits, '_' and '-'"
             )

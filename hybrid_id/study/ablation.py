@@ -16,11 +16,13 @@ import torch
 from pydantic import BeforeValidator, TypeAdapter
 
 from hybrid_id import __version__
+from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hybrid
 from hybrid_id.identification.networks import with_memory
 from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.identification.windows import measured_windows
+from hybrid_id.reading import read_object
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.files import plain
 from hybrid_id.records.yaml_file import write_yaml
@@ -309,10 +311,10 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
 def load_cell(folder: Path, cell: Cell, key: str) -> CellResult | None:
     """The cell that an earlier run has kept; None where there is none, or one of other settings or edited."""
     try:
-        content = json.loads((folder / cell.name / CELL).read_text(encoding="utf-8"))
+        content = read_object(folder / cell.name / CELL, "cell of an ablation")
         whole = content["key"] == key and content["seal"] == _seal(content["result"])
         return from_plain(content["result"]) if whole else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, InputError, ValueError, KeyError, TypeError):
         return None
 
 

@@ -123,7 +123,7 @@ def nothing(folder: Path) -> None:
         (nothing, {"episode": -1}, {}, ("records[0].episode", "greater than or equal to 0")),
         (change_info(fps=0), {"episode": 2}, {}, ("info.json", "key 'fps' is 0")),
         (change_info(fps="fast"), {"episode": 2}, {}, ("info.json", "key 'fps' is fast")),
-        (lambda f: (f / "meta" / "info.json").write_text("[" * 100_000), {"episode": 2}, {}, ("not valid JSON",)),
+        (lambda f: (f / "meta" / "info.json").write_text("[" * 100_000), {"episode": 2}, {}, ("levels deep",)),
         (lambda f: (f / "meta" / "info.json").unlink(), {"episode": 2}, {}, ("beside no meta/info.json",)),
         (cut_short, {"episode": 2}, {}, ("file-000.parquet is not a readable Parquet file",)),
         (lambda f: (f / "data/chunk-000/file-000.parquet").unlink(), {"episode": 2}, {}, ("does not exist",)),
