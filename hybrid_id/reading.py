@@ -10,6 +10,8 @@ import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, field
 from itertools import accumulate
 from pathlib import Path
 from typing import Any
@@ -35,8 +37,81 @@ _STEPS = {ord("["): 1, ord("{"): 1, ord("]"): -1, ord("}"): -1}
 _NO_BRACKET = bytes(set(range(256)) - _STEPS.keys())
 
 
-def size_of(path: Path) -> int:
-    """Bytes of a regular file, links to it followed.
+@dataclass
+class _Apart:
+    """Files of one command.
+
+    Attributes:
+        read: what it has read, but for what it has made itself.
+        announced: what it is going to write.
+        made: what it has written.
+    """
+
+    read: set[Path] = field(default_factory=set)
+    announced: set[Path] = field(default_factory=set)
+    made: set[Path] = field(default_factory=set)
+
+
+_APART: ContextVar[_Apart | None] = ContextVar("_APART", default=None)
+
+
+@contextmanager
+def reading_and_writing_apart() -> Iterator[None]:
+    """Let nothing that is done inside write to a file that was read inside; outside of it nothing is watched."""
+    token = _APART.set(_Apart())
+    try:
+        yield
+    finally:
+        _APART.reset(token)
+
+
+def announce(path: Path) -> None:
+    """Say that a file is going to be written, before the work begins: from here on it is not read any more.
+
+    Raises:
+        InputError: it has been read.
+    """
+    if (apart := _APART.get()) is not None:
+        apart.announced.add(path.resolve())
+        _refuse_both(path, path.resolve() in apart.read)
+
+
+def begin_to_write(path: Path) -> None:
+    """Say that a file is being written.
+
+    Raises:
+        InputError: it has been read, and is not the command's own.
+    """
+    if (apart := _APART.get()) is not None:
+        _refuse_both(path, path.resolve() in apart.read)
+        apart.made.add(path.resolve())
+
+
+def read_below(folder: Path) -> list[Path]:
+    """Files below a folder that have been read."""
+    apart, home = _APART.get(), folder.resolve()
+    return sorted(path for path in (apart.read if apart else ()) if path.is_relative_to(home))
+
+
+def _is_read(path: Path) -> None:
+    if (apart := _APART.get()) is not None and (place := path.resolve()) not in apart.made:
+        apart.read.add(place)
+        _refuse_both(path, place in apart.announced)
+
+
+def _refuse_both(path: Path, both: bool) -> None:
+    if both:
+        raise InputError(
+            f"{path} is read by this command, which would also write to it; write to another name"
+        )
+
+
+def size_of(path: Path, *, own: bool = False) -> int:
+    """Bytes of a regular file, links to it followed; it counts as read.
+
+    Args:
+        path: the file.
+        own: the program has written it, and may write it again.
 
     Raises:
         InputError: it is a pipe, a device or a socket, or its links lead in a circle.
@@ -54,22 +129,25 @@ def size_of(path: Path) -> int:
         raise InputError(
             f"{path} is a pipe or a device, which is read once only; write its contents to a file"
         )
+    if not own:
+        _is_read(path)
     return found.st_size
 
 
-def read_bytes(path: Path, most: int, kind: str) -> bytes:
+def read_bytes(path: Path, most: int, kind: str, *, own: bool = False) -> bytes:
     """Contents of a regular file.
 
     Args:
         path: the file.
         most: bytes that it may have.
         kind: what it should be, ``settings file``.
+        own: see :func:`size_of`.
 
     Raises:
         InputError: it is larger, or no regular file.
         OSError: see :func:`size_of`.
     """
-    if size_of(path) <= most:
+    if size_of(path, own=own) <= most:
         with path.open("rb") as file:
             content = file.read(most + 1)  # files of /proc say that they are empty
         if len(content) <= most:
@@ -77,9 +155,9 @@ def read_bytes(path: Path, most: int, kind: str) -> bytes:
     raise InputError(f"{path} is larger than {most / 1e6:g} MB, so it is no {kind}; give the right file")
 
 
-def read_json(path: Path, kind: str, most: int = LARGEST_RESULT) -> Any:
+def read_json(path: Path, kind: str, most: int = LARGEST_RESULT, *, own: bool = False) -> Any:
     """Values of a JSON file; see :func:`read_bytes` for what is raised, and :func:`parse_json`."""
-    return parse_json(read_bytes(path, most, kind), path)
+    return parse_json(read_bytes(path, most, kind, own=own), path)
 
 
 def parse_json(content: bytes, path: Path) -> Any:
@@ -110,7 +188,7 @@ def read_object(path: Path, kind: str) -> dict[str, Any]:
     Raises:
         InputError: it holds something else, too.
     """
-    found = read_json(path, kind)
+    found = read_json(path, kind, own=True)
     if not isinstance(found, dict):
         raise InputError(f"{path} is no {kind}; give the right file")
     return found

@@ -27,6 +27,7 @@ from hybrid_id.cli.reproduce import reproduce
 from hybrid_id.cli.schema import schema
 from hybrid_id.cli.train import train
 from hybrid_id.errors import CONTROL, InputError, has_control, shortened, shown
+from hybrid_id.reading import reading_and_writing_apart
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 """The disk is full, the user's share of it is, a file may not be that large, or nobody may write there."""
@@ -49,7 +50,7 @@ class Commands(TyperGroup):
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
         """Run a command; Ctrl-C says what is kept, and so does SIGTERM."""
         try:
-            with terminated_as_interrupted():
+            with terminated_as_interrupted(), reading_and_writing_apart():
                 return super().invoke(ctx)  # type: ignore[arg-type]
         except KeyboardInterrupt as stop:
             raise typer.Exit(_refuse(str(stop) or "stopped; no results were written", 130)) from None

@@ -16,7 +16,7 @@ from hybrid_id import __version__
 from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
-from hybrid_id.reading import read_object
+from hybrid_id.reading import announce, read_below, read_object
 
 if TYPE_CHECKING:
     from hybrid_id.study import Kept
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 RESULT = "result.json"
 DIAGNOSIS = "diagnosis.json"
 CHECKPOINT = "checkpoint.pt"
+SETTINGS = "config.yaml"
 EVENTS = "tensorboard"
 FITS = "fits"
 """Folder of the fits that an unfinished diagnosis or identification keeps."""
@@ -47,14 +48,15 @@ def required(path: Path | None) -> Path:
     return path
 
 
-def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path] = ()) -> None:
+def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path] | None = ()) -> None:
     """Raise InputError where results cannot go, before anything is computed.
 
     Args:
         path: Folder of the results.
         force: Whether results of an earlier run may be replaced; other files never are. None for a command that never
             replaces any, and so has no --force to advise.
-        reads: Files and folders that the command reads; a folder that holds one of them is not replaced.
+        reads: Files and folders that the command is going to read; a folder that holds one of them, or a file that
+            has been read, is not replaced. None for a folder that is filled further.
     """
     remove_empty(make_parents(path))  # a trial: rights and names are known only by it
     if Path.cwd().is_relative_to(path.resolve()):
@@ -65,7 +67,9 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
         raise InputError(f"{path} is no folder; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
         return
-    if held := next((file for file in reads if file.resolve().is_relative_to(path.resolve())), None):
+    below = [] if reads is None else [file for file in reads if file.resolve().is_relative_to(path.resolve())]
+    settings = path.resolve() / SETTINGS  # of an earlier run, which this one may follow, and writes again
+    if held := next((file for file in (*below, *read_below(path)) if file != settings), None):
         raise InputError(
             f"{path} holds {held}, which this command reads; give another folder for the results"
         )
@@ -154,7 +158,7 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
 
 def go_on(path: Path) -> str:
     """How a stopped training goes on, as words for the user: with the settings that stand beside its checkpoint."""
-    return f"'hybrid-id train {path / 'config.yaml'} --out {path} --resume' goes on"
+    return f"'hybrid-id train {path / SETTINGS} --out {path} --resume' goes on"
 
 
 @contextmanager
@@ -230,6 +234,7 @@ def refuse_file(path: Path, *, force: bool, option: str = "--force", beside: Pat
         raise InputError(f"{which} exists; give another name than {named.name}, or {option}{both}")
     if path.name in (*RESULTS, "model.yaml") and path.exists():
         raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")
+    announce(path)
 
 
 def kind_of(path: Path) -> str:
@@ -353,7 +358,7 @@ def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: boo
     if resume and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
     # what was killed before its first checkpoint has nothing to lose
-    refuse_taken(path, force=force or resume or only_begun(path), reads=[] if resume else config.reads)
+    refuse_taken(path, force=force or resume or only_begun(path), reads=None if resume else config.reads)
 
 
 @contextmanager
@@ -383,7 +388,7 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
     with sole_writer(path), _until_complete(path, aside if ours else None, made):
         if not resume:
             (path / BEGUN).write_text(ASIDE if ours else "")
-            config.save(path / "config.yaml")
+            config.save(path / SETTINGS)
         yield
 
 

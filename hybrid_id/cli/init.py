@@ -16,6 +16,7 @@ from hybrid_id.cli.folder import RESULTS
 from hybrid_id.cli.options import ABOVE, JsonOption
 from hybrid_id.cli.schema import schema_line, schema_text
 from hybrid_id.errors import InputError, shown
+from hybrid_id.reading import announce
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
@@ -127,6 +128,8 @@ def _refuse_taken(folder: Path, force: bool) -> None:
         )
     if odd := [name for name in taken if not (folder / name).is_file()]:
         raise InputError(f"{folder / odd[0]} is no file; give another folder by --out")
+    for name in taken:
+        announce(folder / name)
 
 
 def _sheet(motor: Path | None) -> "MotorSheet":

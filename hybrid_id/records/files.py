@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.reading import begin_to_write
 
 
 def plain(value: Any) -> Any:
@@ -47,8 +48,11 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
     """Write files that belong together as :func:`write_whole` does, and rename them once all are complete.
 
     Raises:
+        InputError: the running command reads one of them.
         OSError: there is no room, or no right to write there.
     """
+    for path in contents:
+        begin_to_write(path)
     made: list[tuple[str, Path]] = []
     try:
         for path, content in contents.items():

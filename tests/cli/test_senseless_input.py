@@ -174,7 +174,7 @@ PLACES: dict[str, Callable[[Path, Path, str], None]] = {
 def test_words_that_cannot_be_shown_or_written_are_refused_first(
     place: str, word: str, fault: str, sound, run, tmp_path: Path
 ) -> None:
-    PLACES[place](*sound, word)
+    PLACES[place](sound[0], sound[1], word)
     before = contents(tmp_path)
     outcome = run("identify", sound[0], "--model", sound[1], "--out", tmp_path / "out")
     refused(outcome, ".yaml", fault)
