@@ -509,13 +509,13 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
 
 def write_scores(runs: Path, content: dict[str, Any], folder: Path | None) -> str:
     """Write all files under temporary names first, `scores.json` last, and publish; returns `scores.json` as text."""
+    from hybrid_id.records.files import hidden_beside
     from hybrid_id.reporting.results import as_json
     from hybrid_id.reporting.scoreboard import INDEX, blind_page, markdown, publish, scoreboard_figures
     from hybrid_id.reporting.style import save
 
     text, figures = as_json("blind score", content), scoreboard_figures(content)
-    with tempfile.TemporaryDirectory(dir=runs, prefix=".") as temporary:
-        new = Path(temporary)
+    with hidden_beside(runs / SCORES) as new:
         for name, figure in figures.items():
             save(figure.image, new / f"{name}.png")
         blind_page(content, figures).write(new / PAGE)

@@ -1,12 +1,11 @@
 """Folders and files of results: complete under their names, or not there at all; filled bit by bit, or resumed."""
 
-import fcntl
 import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +16,7 @@ from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
 from hybrid_id.reading import announce, read_below, read_object
+from hybrid_id.records.files import HIDDEN, hidden_beside, locked
 
 if TYPE_CHECKING:
     from hybrid_id.study import Kept
@@ -136,12 +136,11 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
     made = make_parents(path)
     complete = False
     try:
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
-            new = Path(temporary) / "new"
+        with hidden_beside(path) as temporary:
+            new, old = temporary / "new", temporary / "old"
             new.mkdir()
             yield new
             refuse_taken(path, force=force)  # a long run: somebody may have written there meanwhile
-            old = Path(temporary) / "old"
             try:
                 if path.exists():
                     with sole_writer(path):  # nobody's folder is taken under his hands
@@ -164,14 +163,14 @@ def go_on(path: Path) -> str:
 @contextmanager
 def sole_writer(path: Path) -> Iterator[None]:
     """Let no other run write into a folder that is filled bit by bit; a lock that a killed run leaves is none."""
-    folder = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(path))
+        except BlockingIOError:
+            raise InputError(
+                f"another run is writing into {path}; wait for it, or give another folder"
+            ) from None
         yield
-    except BlockingIOError:
-        raise InputError(f"another run is writing into {path}; wait for it, or give another folder") from None
-    finally:
-        os.close(folder)
 
 
 def make_parents(path: Path) -> list[Path]:
@@ -182,7 +181,7 @@ def make_parents(path: Path) -> list[Path]:
     try:
         missing = [folder for folder in path.absolute().parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}."):
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.{HIDDEN}"):
             return missing
     except OSError as error:
         remove_empty(missing)
@@ -420,16 +419,16 @@ def added_results(
         last: file that comes in last and says that all others are complete.
         stale: patterns of what an earlier end may have left.
     """
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
-        new = Path(temporary) / "new"
+    with hidden_beside(path) as temporary:
+        new = temporary / "new"
         new.mkdir()
         yield new
         (path / last).unlink(missing_ok=True)
         for old in (file for pattern in stale for file in path.glob(pattern)):
             old.unlink()
-        (new / last).replace(Path(temporary) / last)
+        (new / last).replace(temporary / last)
         for file in (p for p in new.rglob("*") if p.is_file()):  # a move needs no room
             place = path / file.relative_to(new)
             place.parent.mkdir(parents=True, exist_ok=True)
             file.replace(place)
-        (Path(temporary) / last).replace(path / last)
+        (temporary / last).replace(path / last)

@@ -14,9 +14,7 @@ from hybrid_id.records.units import to_si
 
 UNIFORM_TOLERANCE = 0.01  # steps this close to the median step, relative, count as equal
 SAMPLE_TIME_TOLERANCE = 1e-3  # mean step of a record against the dataset's sample time, relative
-SMALLEST = (
-    1e-15  # largest value of a signal in SI below which it is no measurement, unless it is zero throughout
-)
+SMALLEST = 1e-15  # of a signal's largest value in SI, unless it is zero throughout: less is no measurement
 LARGEST = 1e10  # of a signal in SI; what is larger is a fault of the log, and its square may overflow
 
 

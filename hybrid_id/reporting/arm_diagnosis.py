@@ -19,6 +19,7 @@ from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
     called,
     capital,
+    failed_lines,
     headline,
     implausible_lines,
     joined,
@@ -186,7 +187,7 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     lines += [common_words(one) for one in found.common]
     for joint, one in found.joints.items():
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
-        lines += [f"{joint}: {line}" for line in implausible_lines(one)]
+        lines += [f"{joint}: {line}" for line in (*implausible_lines(one), *failed_lines(one))]
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
 

@@ -20,6 +20,7 @@ from hybrid_id.reporting.diagnosis_words import (
     error_lines,
     experiment_lines,
     extrapolation_lines,
+    failed_lines,
     headline,
     implausible_lines,
     joint_words,
@@ -73,6 +74,7 @@ def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> Ren
         *implausible_lines(diagnosis, 4),
         *not_identifiable_lines(diagnosis, 1),
         *extrapolation_lines(diagnosis)[:1],
+        *failed_lines(diagnosis),
         *caution_lines(diagnosis, max_effects),
     )
     parts += [Text(line, style="yellow") for line in remarks]
@@ -240,6 +242,7 @@ def _add_effects(
         *varying_lines(diagnosis),
         *rejected_lines(diagnosis),
         *extrapolation_lines(diagnosis),
+        *failed_lines(diagnosis),
         *caution_lines(diagnosis, max_effects),
     )
     effects = page.section("Effects")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -24,7 +23,7 @@ from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.identification.windows import measured_windows
 from hybrid_id.reading import read_object
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.files import plain
+from hybrid_id.records.files import hidden_beside, plain
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
@@ -295,8 +294,9 @@ def key_of(task: Task, cell: Cell, program: str = __version__) -> str:
 
 def save_cell(folder: Path, result: CellResult, key: str) -> None:
     """Write a cell's folder under a temporary name and rename it, so that it is whole or not there."""
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".") as temporary:
-        new, place = Path(temporary) / "new", folder / result.cell.name
+    place = folder / result.cell.name
+    with hidden_beside(place) as temporary:
+        new = temporary / "new"
         new.mkdir()
         plain = as_plain(result)
         content = {"program": f"hybrid_id {__version__}", "key": key, "seal": _seal(plain), "result": plain}
@@ -304,7 +304,7 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
         if result.model:
             write_yaml(new / MODEL, result.model)
         if place.exists():
-            place.replace(Path(temporary) / "old")
+            place.replace(temporary / "old")
         new.replace(place)
 
 
