@@ -30,7 +30,7 @@ check: $(INSTALLED)  ## lint, format and type checks
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-soak: $(INSTALLED)  ## kill trainings, ablations and blind runs at random moments and go on, 50 times each (two hours)
+soak: $(INSTALLED)  ## kill every long command at random moments and go on, 50 times each (three hours)
 	$(BIN)/python tests/soak.py
 
 docs: $(INSTALLED)  ## build the documentation (site/)

@@ -66,7 +66,7 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
             "nominal": spec.value,
             "lower": max(low, spec.lower),
             "upper": min(high, spec.upper),
-            "unit": spec.unit,
+            "unit": info.unit,
             "from": source,
             "reliability": grade,
             "trust": grade,  # the former name, for one release

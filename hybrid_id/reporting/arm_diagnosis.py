@@ -200,7 +200,7 @@ def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:
             continue
         known = info.name in found.estimates and 0.0 < std < float("inf")
         ends = (value - 1.96 * std, value + 1.96 * std) if known else None
-        said.append(f"{called(info)} {measured(value, ends, info.spec.unit)}")
+        said.append(f"{called(info)} {measured(value, ends, info.unit)}")
     return said
 
 

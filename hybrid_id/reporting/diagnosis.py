@@ -108,7 +108,7 @@ def parameters_table(diagnosis: Diagnosis) -> Table:
     models = (nominal, *(one.selected_model for one in studies))
     infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
     for name, info in infos.items():
-        unit, factor = shown_unit(info.spec.unit, last.outputs)
+        unit, factor = shown_unit(info.unit, last.outputs)
         cells = [cell for one in studies for cell in _estimate(one, name, factor)]
         word, *more = reliability_cells(last, name) if name in last.names else [""]
         rows.append((name, word, _value(nominal, name, factor), *cells, unit, info.doc, *more))

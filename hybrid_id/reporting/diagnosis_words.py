@@ -424,7 +424,7 @@ def values_of(diagnosis: Diagnosis, one: RatedEffect) -> list[str]:
     intervals = dict(zip(study.names, study.intervals(0), strict=True))
     for symbol, (value, _) in one.parameters.items():
         if info := infos.get(symbol):
-            unit, factor = shown_unit(info.spec.unit, study.outputs)
+            unit, factor = shown_unit(info.unit, study.outputs)
             ends = None if info.name not in intervals else factor * intervals[info.name]
             found.append(f"{called(info)} {measured(factor * value, ends, unit)}")
     return found
