@@ -195,7 +195,7 @@ def read_object(path: Path, kind: str) -> dict[str, Any]:
 
 
 @contextmanager
-def as_written(source: Path, remedy: str) -> Iterator[None]:
+def as_written(source: Path | str, remedy: str) -> Iterator[None]:
     """Say of files that the program has written, but somebody else has changed, what is wrong while they are used.
 
     Raises:

@@ -205,12 +205,8 @@ def test_a_link_in_a_circle_is_refused(tmp_path: Path) -> None:
 # ---- archives and folders of runs (class 9) ----
 
 HASH = "0" * 64
-RUN = {
-    "method": "bic",
-    "commit": "c",
-    "train_records": None,
-    "cases": {"names": ["c001"], "answers": {"sha256": HASH}},
-}
+CASES = {"names": ["c001"], "answers": {"sha256": HASH}, "seed": 1, "asked": 1, "options": {}, "commit": "c"}
+RUN = {"method": "bic", "commit": "c", "started": "today", "train_records": None, "cases": CASES}
 SHEET = b"family: none\neffects: []\n"
 
 
@@ -310,9 +306,7 @@ def test_names_of_cases_lead_nowhere_else(tmp_path: Path, name: object) -> None:
 def test_a_diagnosis_that_lacks_keys_is_refused_when_it_is_scored(tmp_path: Path, said: dict) -> None:
     sha256 = archive(tmp_path / "a.tar", entry("c001.yaml"))
     (tmp_path / "c001").mkdir(exist_ok=True)
-    (tmp_path / "run.json").write_text(
-        json.dumps(RUN | {"cases": {"names": ["c001"], "answers": {"sha256": sha256}}})
-    )
+    (tmp_path / "run.json").write_text(json.dumps(RUN | {"cases": CASES | {"answers": {"sha256": sha256}}}))
     (tmp_path / "c001" / "diagnosis.json").write_text(json.dumps(said | {"run": {"commit": "c"}}))
     refused(lambda: judge_run(tmp_path, tmp_path / "a.tar"), "c001", "run the case again")
 
@@ -508,6 +502,15 @@ def test_descriptions_that_reach_out_or_explode_are_refused(tmp_path: Path, text
     os.mkfifo(home / "pipe")
     (home / "arm.xml").write_text(text)
     refused(lambda: load_tree(home / "arm.xml"), str(home), word)
+
+
+def test_a_prefix_that_is_not_declared_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="r"><link name="w"/><link name="a"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" '
+        'ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="j" type="continuous" a:b="1"><parent link="w"/>'
+        '<child link="a"/><axis xyz="0 0 1"/></joint></robot>'
+    )
+    refused(lambda: load_tree(tmp_path / "arm.urdf"), "arm.urdf", "unbound prefix")
 
 
 def test_files_of_a_description_that_lie_beside_it_are_read(tmp_path: Path) -> None:

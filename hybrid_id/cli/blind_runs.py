@@ -486,11 +486,11 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
     Raises:
         InputError: other answers than those whose hash the run had recorded, or a run that is not complete.
     """
-    from hybrid_id.baselines.keep import load, read_run
+    from hybrid_id.baselines.keep import load
     from hybrid_id.machines.judge import judge
     from hybrid_id.machines.seal import open_answers
 
-    about = read_run(folder)
+    about = _complete(folder)
     sheets = open_answers(archive, about["cases"]["answers"]["sha256"])
     said = {name: load(folder, name) for name in about["cases"]["names"]}
     said = {n: s for n, s in said.items() if s is not None and s["run"].get("commit") == about["commit"]}

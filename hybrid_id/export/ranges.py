@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from hybrid_id.errors import InputError
 from hybrid_id.identification.result import NO_ESTIMATE
 from hybrid_id.parameters import Bounded
-from hybrid_id.reading import read_object
+from hybrid_id.reading import as_written, read_object
 from hybrid_id.systems.chain import System
 
 
@@ -32,6 +32,11 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
     Raises:
         InputError: the result is not one of an identification of this model.
     """
+    with as_written("the result", "give that of an identification of this model, as it was written"):
+        return _ranges(system, result)
+
+
+def _ranges(system: System, result: Mapping[str, Any] | None) -> dict[str, Any]:
     selected = (result or {}).get("selected") or {}
     values, half_widths = selected.get("values") or {}, dict(selected.get("half_widths") or {})
     for name in _at_bound(result or {}):  # nothing is claimed there

@@ -227,7 +227,12 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
 
 def _speed_limits(path: Path) -> dict[str, float]:
     """Largest speed of each joint of a URDF [rad/s or m/s], which MuJoCo's parser leaves out; MJCF has none."""
-    root = ElementTree.parse(path).getroot()
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (
+        ElementTree.ParseError
+    ) as error:  # a prefix that is not declared, which MuJoCo takes for a part of a name
+        raise InputError(f"{path}: no XML ({error}); correct it there.") from None
     found = {}
     for joint in root.iter("joint") if root.tag == "robot" else ():
         limit = joint.find("limit")
