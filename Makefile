@@ -3,6 +3,7 @@
 
 PYTHON ?= python3
 JOBS ?= 2
+SECONDS ?= 3600
 VENV := .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/.installed
@@ -12,7 +13,7 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test check soak docs format clean
+.PHONY: help install demo test check soak fuzz docs format clean
 
 help:  ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
@@ -30,8 +31,11 @@ check: $(INSTALLED)  ## lint, format and type checks
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 
-soak: $(INSTALLED)  ## kill trainings, ablations and blind runs at random moments and go on, 50 times each (two hours)
+soak: $(INSTALLED)  ## kill every long command at random moments and go on, 50 times each (three hours)
 	$(BIN)/python tests/soak.py
+
+fuzz: $(INSTALLED)  ## change files at random and let every reader read them, for an hour (SECONDS=3600)
+	$(BIN)/python tests/fuzz.py --seconds $(SECONDS)
 
 docs: $(INSTALLED)  ## build the documentation (site/)
 	$(BIN)/python -m mkdocs build --strict

@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 from hybrid_id.errors import InputError
 
+MOST_NEURONS, MOST_LAYERS, MOST_STATES = 1000, 10, 100
+"""Of a residual network at most: neurons of a hidden layer, hidden layers, hidden states."""
 NARROWEST_PRIOR = 1e-9
 """Least standard deviation of a prior as a share of the parameter; a narrower one only spoils the numerics."""
 
@@ -108,6 +110,7 @@ class ParameterInfo:
         symbol: name inside that component.
         doc: meaning.
         spec: value, bounds, unit, role and prior.
+        linear: whether it acts along a linear axis, where its law has a force and a way.
     """
 
     name: str
@@ -115,3 +118,16 @@ class ParameterInfo:
     symbol: str
     doc: str
     spec: Bounded
+    linear: bool = False
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value: that of its law, or what takes its place along a linear axis."""
+        return linear_unit(self.spec.unit) if self.linear else self.spec.unit
+
+
+def linear_unit(unit: str) -> str:
+    """What takes the place of a unit along a linear axis: ``N s/m`` of ``N m s/rad``, ``kg`` of ``kg m^2``."""
+    for turning, along in (("(N m)", "N"), ("N m", "N"), ("kg m^2", "kg"), ("rad", "m")):
+        unit = unit.replace(turning, along)
+    return unit

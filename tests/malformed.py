@@ -9,11 +9,29 @@ import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import scipy.io
 import yaml
+
+
+def refused(outcome: Any, *names: str) -> None:
+    """Hold a command's refusal to its form: exit code 2, one sentence that holds the names."""
+    assert outcome.code == 2, outcome.err
+    lines = [line for line in outcome.err.splitlines() if not line.startswith("warning: ")]
+    assert len(lines) == 1, outcome.err
+    assert lines[0].startswith("Error: ")
+    assert lines[0].endswith((".", "?"))
+    assert not lines[0].endswith("?.")
+    for name in names:
+        assert name in lines[0]
+
+
+def contents(folder: Path) -> set[Path]:
+    """Everything below a folder."""
+    return set(folder.rglob("*"))
 
 
 @dataclass(frozen=True)

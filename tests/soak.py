@@ -1,9 +1,9 @@
 """`make soak`: what is killed (SIGKILL) at random moments and run again ends as if nobody had touched it.
 
-Trainings are resumed from their checkpoint, identifications from their fits, ablations and blind runs from the cells
-and cases that they have kept. The processes are killed between their start and the time that a whole run takes; a run
-that is done before its kill counts as a trial that met none. Prints one line a trial and a summary for each kind; exit
-code 1 where a result differs.
+Trainings are resumed from their checkpoint, identifications and diagnoses from their fits, ablations and blind runs
+from the cells and cases that they have kept. The processes are killed between their start and the time that a whole
+run takes; a run that is done before its kill counts as a trial that met none. Prints one line a trial and a summary for
+each kind; exit code 1 where a result differs, or a hidden folder is left over.
 """
 
 import argparse
@@ -160,7 +160,28 @@ def identification(folder: Path) -> Job:
     )
 
 
-JOBS = {"train": training, "identify": identification, "ablate": ablation, "blind": blind}
+def diagnosis(folder: Path) -> Job:
+    """A search for one effect; the result is `diagnosis.json` and both models, to the last byte."""
+    make_drive(folder, 3)
+    study = {"dataset": ".", "model": "model.yaml", "gap": {"max_effects": 1, "jobs": 1}, "output": QUIET}
+    (folder / "study.yaml").write_text(yaml.safe_dump(study))
+
+    def command(out: Path) -> list[str]:
+        more = ["--resume"] if (out / "fits").exists() else ["--force"] if out.exists() else []
+        return ["diagnose", str(folder / "study.yaml"), "--out", str(out), *more]
+
+    return Job(
+        command, lambda out: [p.read_bytes() for p in (out / "diagnosis.json", *sorted(out.glob("*.yaml")))]
+    )
+
+
+JOBS = {
+    "train": training,
+    "identify": identification,
+    "diagnose": diagnosis,
+    "ablate": ablation,
+    "blind": blind,
+}
 
 
 def run(job: Job, out: Path, longest: float, draw: random.Random, most: int = MOST_KILLS) -> int:
@@ -184,7 +205,7 @@ def run(job: Job, out: Path, longest: float, draw: random.Random, most: int = MO
 
 
 def soak(name: str, trials: int, seed: int, most: int = MOST_KILLS) -> tuple[int, int]:
-    """Trials of one kind; returns how many results differ from that of a run which nobody has touched, and kills."""
+    """Trials of one kind; returns how many differ from a run which nobody has touched or leave folders, and kills."""
     draw, kills, failures = random.Random(seed), 0, 0
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
@@ -196,11 +217,11 @@ def soak(name: str, trials: int, seed: int, most: int = MOST_KILLS) -> tuple[int
             out = home / f"trial_{k}"
             met = run(job, out, longest, draw, most)
             same = job.result(out) == whole
-            left = [path.name for path in home.iterdir() if path.name.startswith(".")]
-            kills, failures = kills + met, failures + (not same)
+            left = sorted({path.name for path in home.rglob(".*") if path.is_dir()})
+            kills, failures = kills + met, failures + (not same or bool(left))
             words = f"{met} kills, {'the same' if same else 'ANOTHER'} result, left over: {left}"
             print(f"{name} {k}: {words}", flush=True)
-    print(f"{name}: {trials} trials, {kills} kills, {failures} results differ; one run takes {longest:.1f} s")
+    print(f"{name}: {trials} trials, {kills} kills, {failures} fail; one run takes {longest:.1f} s")
     return failures, kills
 
 

@@ -27,6 +27,7 @@ LONGER = {"machines.messy._rivals": 66}
 FLOORS = {
     "errors": 0,
     "parameters": 0,
+    "reading": 0,
     "records": 1,
     "components": 1,
     "robots": 1,
@@ -47,14 +48,14 @@ FLOORS = {
     "__main__": 10,
 }
 # The only imports between two units of one floor.
-NEIGHBOURS = {("parameters", "errors"), ("machines", "records"), ("cli", "config")}
+NEIGHBOURS = {("parameters", "errors"), ("reading", "errors"), ("machines", "records"), ("cli", "config")}
 # Units that must stay independent of more than their floor says: all that they may import of hybrid_id.
-ONLY = {"machines": {"machines", "errors", "records"}}
+ONLY = {"machines": {"machines", "errors", "reading", "records"}}
 NEVER = {("diagnosis", "machines"), ("baselines", "machines")}
 # Reporting renders and the command line calls: the results of study/ and above hold what was simulated and tested.
 NEVER |= {("reporting", unit) for unit in ("simulation", "identification", "control")}
 NEVER |= {("cli", unit) for unit in ("simulation", "identification", "statistics", "control")}
-WITHOUT_TORCH = ("errors", "records", "machines", "statistics")
+WITHOUT_TORCH = ("errors", "reading", "records", "machines", "statistics")
 PICKLES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal"}
 COMMAND_LINE = {"argparse", "click", "typer", "optparse", "getopt"}
 

@@ -7,8 +7,10 @@ import soak
 from hybrid_id.machines import experiments as plans
 from hybrid_id.machines import grading
 
+SHORT = [name for name in soak.JOBS if name != "diagnose"]  # which tests/diagnosis/test_keep.py stops
 
-@pytest.mark.parametrize("name", soak.JOBS)
+
+@pytest.mark.parametrize("name", SHORT)
 def test_killed_and_run_again_ends_the_same(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(soak, "CASES", 2)
     monkeypatch.setattr(soak, "REPEATS", 1)

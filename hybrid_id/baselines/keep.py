@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from hybrid_id.baselines.run import Case, Settings
 from hybrid_id.errors import InputError
+from hybrid_id.reading import read_object
 from hybrid_id.records.files import make_folder, write_json
+from hybrid_id.records.manifest import check_manifest
 
 RUN, DIAGNOSIS = "run.json", "diagnosis.json"
 
@@ -45,12 +46,13 @@ def read_run(folder: Path) -> dict[str, Any]:
         InputError: there is none, or it cannot be read.
     """
     try:
-        about = json.loads((folder / RUN).read_text(encoding="utf-8"))
-        if about["cases"]["answers"]["sha256"] and about["method"]:
-            return about
-    except (OSError, ValueError, KeyError, TypeError):
-        pass
-    raise InputError(f"{folder} holds no run; 'hybrid-id blind run' makes one")
+        about = read_object(folder / RUN, "run of cases")
+    except OSError:
+        raise InputError(f"{folder} holds no run; 'hybrid-id blind run' makes one") from None
+    check_manifest(about.get("cases"), folder / RUN)
+    if not isinstance(about.get("method"), str):
+        raise InputError(f"{folder / RUN} does not say which method it was; run it again")
+    return about
 
 
 def save(folder: Path, said: Mapping[str, Any], key: str) -> None:
@@ -63,9 +65,9 @@ def save(folder: Path, said: Mapping[str, Any], key: str) -> None:
 def load(folder: Path, name: str) -> dict[str, Any] | None:
     """The answer to a case, None where there is none that can be read."""
     try:
-        content = json.loads((folder / name / DIAGNOSIS).read_text(encoding="utf-8"))
-        return content if isinstance(content["run"], dict) else None
-    except (OSError, ValueError, KeyError, TypeError):
+        content = read_object(folder / name / DIAGNOSIS, "diagnosis")
+        return content if isinstance(content.get("run"), dict) else None
+    except (OSError, InputError):
         return None
 
 

@@ -17,6 +17,7 @@ from hybrid_id.baselines.fitted import bic, diagnosis, stribeck
 from hybrid_id.baselines.network import network
 from hybrid_id.baselines.sparse import sparse
 from hybrid_id.errors import InputError
+from hybrid_id.reading import LARGEST_RESULT, read_bytes, refuse_outside
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.study.fan_out import Failure, fan_out
 from hybrid_id.systems.chain import System
@@ -82,7 +83,12 @@ def read_cases(folder: Path, manifest: Mapping[str, Any], names: Sequence[str] |
 
 def read_case(folder: Path) -> Case:
     """The files of a case folder."""
-    return Case(folder.name, {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()})
+    files = [path for path in sorted(folder.iterdir()) if path.is_file()]
+    for path in files:
+        refuse_outside(path, folder.parent, str(path), "make the cases anew")
+    return Case(
+        folder.name, {path.name: read_bytes(path, LARGEST_RESULT, "file of a case") for path in files}
+    )
 
 
 def run_cases(

@@ -13,7 +13,7 @@ from hybrid_id import __version__
 from hybrid_id.cli.ablate import ablate
 from hybrid_id.cli.blind import blind
 from hybrid_id.cli.check import check
-from hybrid_id.cli.console import printable, terminated_as_interrupted
+from hybrid_id.cli.console import terminated_as_interrupted
 from hybrid_id.cli.demo import demo
 from hybrid_id.cli.diagnose import diagnose
 from hybrid_id.cli.doctor import doctor
@@ -26,13 +26,16 @@ from hybrid_id.cli.replay import compare, simulate
 from hybrid_id.cli.reproduce import reproduce
 from hybrid_id.cli.schema import schema
 from hybrid_id.cli.train import train
-from hybrid_id.errors import InputError
+from hybrid_id.errors import CONTROL, InputError, has_control, shortened, shown
+from hybrid_id.reading import reading_and_writing_apart
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 """The disk is full, the user's share of it is, a file may not be that large, or nobody may write there."""
 NAMED = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 """A name that the user gave leads nowhere: no right to go there, too long, below a file, in a circle."""
 
+LONGEST_WORD = 400
+"""Characters of one word of a message; paths are shorter."""
 THEIRS = {
     r"Value error, ": "",
     r"Input should be a valid (\w+)[^;]*": r"it must be of type \1",
@@ -47,7 +50,7 @@ class Commands(TyperGroup):
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
         """Run a command; Ctrl-C says what is kept, and so does SIGTERM."""
         try:
-            with terminated_as_interrupted():
+            with terminated_as_interrupted(), reading_and_writing_apart():
                 return super().invoke(ctx)  # type: ignore[arg-type]
         except KeyboardInterrupt as stop:
             raise typer.Exit(_refuse(str(stop) or "stopped; no results were written", 130)) from None
@@ -57,6 +60,7 @@ class Commands(TyperGroup):
         extra["standalone_mode"] = False
         args = list(sys.argv[1:] if args is None else args)
         try:
+            _refuse_control(args)
             code = super().main(args=args or ["--help"], prog_name="hybrid-id", **extra)
         except InputError as error:
             code = _refuse(str(error))
@@ -84,8 +88,14 @@ def _plain(message: str) -> str:
     return message.rstrip(".")
 
 
+def _refuse_control(args: list[str]) -> None:
+    """Raise InputError for a word that could be neither shown nor written: a path is both, after all the work."""
+    if odd := next((word for word in args if has_control(word, lines=True)), None):
+        raise InputError(f"'{shown(odd)}' on the command line {CONTROL}; rename the file, or type it anew")
+
+
 def _refuse(message: str, code: int = 2) -> int:
-    sentence = printable(" ".join(message.split()))
+    sentence = shown(" ".join(shortened(word, LONGEST_WORD) for word in message.split()))
     print(f"Error: {sentence}{'' if sentence.endswith(('.', '?')) else '.'}", file=sys.stderr)
     return code
 

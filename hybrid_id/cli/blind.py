@@ -46,9 +46,12 @@ class Method(StrEnum):
     external = "external"
 
 
-CountOption = Annotated[int, typer.Option("--cases", help="Number of cases.", min=1)]
+CountOption = Annotated[int, typer.Option("--cases", help="Number of cases.", min=1, max=100_000)]
 FirstOption = Annotated[
-    int, typer.Option(help="Number of the first case: a large set may be made and run in parts.", min=1)
+    int,
+    typer.Option(
+        help="Number of the first case: a large set may be made and run in parts.", min=1, max=1_000_000
+    ),
 ]
 SeedOption = Annotated[
     str,
@@ -89,7 +92,11 @@ MethodsOption = Annotated[
 RecordsOption = Annotated[
     int | None,
     typer.Option(
-        "--train-records", help="So many train records of each case at most.", min=1, show_default="all"
+        "--train-records",
+        help="So many train records of each case at most.",
+        min=1,
+        max=100_000,
+        show_default="all",
     ),
 ]
 CommandOption = Annotated[

@@ -2,7 +2,6 @@
 
 import dataclasses
 import datetime
-import json
 import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -10,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hybrid_id import __version__
-from hybrid_id.cli.console import counting, printable, remark, show
+from hybrid_id.cli.console import counting, remark, show
 from hybrid_id.cli.folder import make_parents, refuse_taken, remove_empty, sole_writer, visible
 from hybrid_id.errors import InputError, MachineError
+from hybrid_id.reading import as_written, read_object
 from hybrid_id.reporting.provenance import DIRTY, UNKNOWN, commit, short
 
 if TYPE_CHECKING:
@@ -24,6 +24,9 @@ BEGUN = ".begun.json"
 TIES_RESOLVED = 0.7
 """Share of ties that the next experiment is to resolve."""
 SCORES, BOARD, PAGE, TIES = "scores.json", "scoreboard.md", "report.html", "ties"
+OF_RUN: Mapping[str, Any] = {"commit": str, "started": str, "train_records": int | None}
+OF_CASES: Mapping[str, Any] = {"seed": int, "asked": int, "names": list, "options": dict, "commit": str}
+"""What a benchmark report says of a run and of its cases, and the kind of each value."""
 
 # ---- cases are made ----
 
@@ -93,7 +96,7 @@ def make_sealed(
     if not begun.exists():
         if visible(out) or not out.is_dir():
             refuse_taken(out)
-    elif json.loads(begun.read_text(encoding="utf-8")) != about:
+    elif read_object(begun, "begun folder of cases") != about:
         raise InputError(f"{out} holds unfinished cases of another seed, number, kind or commit; remove it")
     if archive is not None:
         place, home = archive.resolve().parent, out.resolve()
@@ -231,7 +234,7 @@ def _diagnose(
                 done, broken = done + 1, broken + bool(about["message"])
                 bar.advance(task)
                 how = about["message"] or f"{said['verdict']}, {about['seconds']:.0f} s"
-                line = f"{noun} {done} of {len(todo)}: {case.name}, {printable(how)}"
+                line = f"{noun} {done} of {len(todo)}: {case.name}, {' '.join(how.split())}"
                 bar.console.print(line, markup=False, soft_wrap=True, style="dim")
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -247,13 +250,13 @@ def run_ties(cases: Path, runs: Path, answers: Path, jobs: int, scheduler: str |
     """Simulate the proposed experiment of each case with a tie, diagnose again, and write and return `resolved`."""
     from joblib import Parallel, delayed
 
-    from hybrid_id.baselines.keep import load, read_run
+    from hybrid_id.baselines.keep import load
     from hybrid_id.baselines.run import Settings, read_cases
     from hybrid_id.machines.seal import open_answers
     from hybrid_id.records.files import write_json
     from hybrid_id.study.fan_out import whole_pool
 
-    about = read_run(runs / "diagnose")
+    about = _complete(runs / "diagnose")
     tied = tied_cases(runs / "diagnose")
     sheets = open_answers(answers, about["cases"]["answers"]["sha256"])
     read_cases(cases, about["cases"], list(tied))
@@ -278,10 +281,11 @@ def tied_cases(folder: Path) -> dict[str, list[Mapping[str, Any]]]:
     from hybrid_id.baselines.keep import load, read_run
 
     found, about = {}, read_run(folder)
-    for name in about["cases"]["names"]:
+    for name in about["cases"].get("names", ()):
         said = load(folder, name) or {}
-        current = said.get("run", {}).get("commit") == about["commit"]
-        proposed = [one for one in said.get("next_experiments", ()) if "command" in one]
+        current = said.get("run", {}).get("commit") == about.get("commit")
+        with as_written(folder / name, "run the case again"):
+            proposed = [one for one in said.get("next_experiments", ()) if "command" in one]
         if current and said.get("ties") and proposed:
             found[name] = proposed
     return found
@@ -412,15 +416,30 @@ def gathered(
 
 def _runs_in(folder: Path, order: Sequence[str]) -> dict[str, dict[str, Any]]:
     """What each method's run in a folder is about."""
-    from hybrid_id.baselines.keep import read_run
-
-    by_method = {method: read_run(folder / method) for method in order if (folder / method).is_dir()}
+    by_method = {method: _complete(folder / method) for method in order if (folder / method).is_dir()}
     if not by_method:
         raise InputError(f"{folder} holds no run; 'hybrid-id blind run CASES --out {folder}' makes one")
     manifest = next(iter(by_method.values()))["cases"]
     if any(about["cases"] != manifest for about in by_method.values()):
         raise InputError(f"the runs in {folder} are of different cases; give each a folder of its own")
     return by_method
+
+
+def _complete(folder: Path) -> dict[str, Any]:
+    """What a run is about, with all keys that a benchmark report says of it.
+
+    Raises:
+        InputError: there is no run, or it lacks one of them.
+    """
+    from hybrid_id.baselines.keep import RUN, read_run
+
+    about = read_run(folder)
+    for part, keys in ((about, OF_RUN), (about["cases"], OF_CASES)):
+        for key, kind in keys.items():
+            if key not in part or not isinstance(part[key], kind):
+                words = f"key '{key}' is missing or of another kind; run the cases again"
+                raise InputError(f"{folder / RUN}: {words}")
+    return about
 
 
 def _check_parts(
@@ -449,11 +468,14 @@ def _ties(runs: Sequence[Path], commit: str) -> dict[str, Any] | None:
     from hybrid_id.machines.score import of_ties
 
     files = [folder / f"{TIES}.json" for folder in runs]
-    found = [json.loads(file.read_text(encoding="utf-8")) for file in files if file.exists()]
-    if len(found) < len(files) or any(one["commit"] != commit for one in found):
+    found = [read_object(file, "list of ties") for file in files if file.exists()]
+    if len(found) < len(files) or any(one.get("commit") != commit for one in found):
         return None
-    if any(set(one["cases"]) != set(tied_cases(f / "diagnose")) for one, f in zip(found, runs, strict=True)):
-        return None
+    with as_written(runs[0], "resolve the ties again"):
+        if any(
+            set(one["cases"]) != set(tied_cases(f / "diagnose")) for one, f in zip(found, runs, strict=True)
+        ):
+            return None
     cases = {name: one for part in found for name, one in part["cases"].items()}
     return of_ties(cases, TIES_RESOLVED) | {"commit": commit}
 
@@ -464,11 +486,11 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
     Raises:
         InputError: other answers than those whose hash the run had recorded, or a run that is not complete.
     """
-    from hybrid_id.baselines.keep import load, read_run
+    from hybrid_id.baselines.keep import load
     from hybrid_id.machines.judge import judge
     from hybrid_id.machines.seal import open_answers
 
-    about = read_run(folder)
+    about = _complete(folder)
     sheets = open_answers(archive, about["cases"]["answers"]["sha256"])
     said = {name: load(folder, name) for name in about["cases"]["names"]}
     said = {n: s for n, s in said.items() if s is not None and s["run"].get("commit") == about["commit"]}
@@ -478,18 +500,22 @@ def judge_run(folder: Path, archive: Path, *, partial: bool = False) -> "list[Ju
             f"{folder} lacks {len(left)} of {len(left) + len(said)} cases at commit {short(about['commit'])} "
             f"({', '.join(left[:3])} ...); run them first, or give --partial"
         )
-    return [judge(name, sheets[name], one) for name, one in said.items()]
+    judged = []
+    for name, one in said.items():
+        with as_written(folder / name, "run the case again, or give the answers that belong to it"):
+            judged.append(judge(name, sheets[name], one))
+    return judged
 
 
 def write_scores(runs: Path, content: dict[str, Any], folder: Path | None) -> str:
     """Write all files under temporary names first, `scores.json` last, and publish; returns `scores.json` as text."""
+    from hybrid_id.records.files import hidden_beside
     from hybrid_id.reporting.results import as_json
     from hybrid_id.reporting.scoreboard import INDEX, blind_page, markdown, publish, scoreboard_figures
     from hybrid_id.reporting.style import save
 
     text, figures = as_json("blind score", content), scoreboard_figures(content)
-    with tempfile.TemporaryDirectory(dir=runs, prefix=".") as temporary:
-        new = Path(temporary)
+    with hidden_beside(runs / SCORES) as new:
         for name, figure in figures.items():
             save(figure.image, new / f"{name}.png")
         blind_page(content, figures).write(new / PAGE)

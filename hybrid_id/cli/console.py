@@ -4,13 +4,13 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from rich.console import Console, RenderableType
+from rich.console import Console, ConsoleOptions, RenderableType
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -19,6 +19,9 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from rich.segment import Segment
+
+from hybrid_id.errors import shown
 
 WIDTH = 120  # where the output goes into a file or a pipe
 TIMED = 10
@@ -29,10 +32,19 @@ ones (seen on three machines: 2.0 to 3.6, and 0.7 to 4); seconds from which a se
 STAGES = {"windows": "short windows", "records": "whole records"}
 
 
-def console(*, stderr: bool = False) -> Console:
+class Screen(Console):
+    """A console that obeys no name: what a file or a program says may hold escape sequences."""
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Segments of what is printed; a question mark stands for each control character in words."""
+        for one in super().render(renderable, options):
+            yield one if one.control else Segment(shown(one.text, lines=True), one.style)
+
+
+def console(*, stderr: bool = False) -> Screen:
     """Console for results, or for what is said beside them, so that stdout can be piped."""
     stream = sys.stderr if stderr else sys.stdout
-    return Console(stderr=stderr, highlight=False, emoji=False, width=None if stream.isatty() else WIDTH)
+    return Screen(stderr=stderr, highlight=False, emoji=False, width=None if stream.isatty() else WIDTH)
 
 
 def show(*parts: RenderableType) -> None:
@@ -52,11 +64,6 @@ def show_json(command: str, result: Mapping[str, Any]) -> None:
     from hybrid_id.reporting.results import as_json
 
     show(as_json(command, result))
-
-
-def printable(words: str) -> str:
-    """Words on one line: what a file or a program says may hold escape sequences, which a terminal obeys."""
-    return "".join(c if c.isprintable() else "?" for c in words)
 
 
 def bar(*columns: Any) -> Progress:

@@ -11,6 +11,7 @@ from hybrid_id.cli.console import show as print_all
 from hybrid_id.cli.folder import refuse_taken, results_folder
 from hybrid_id.cli.options import ABOVE, ForceOption, JsonOption, ThreadsOption, use_threads
 from hybrid_id.config import study_config
+from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -31,7 +32,7 @@ def demo(
         Path | None,
         typer.Option(help="Settings of another drive, configs/twin_link1.yaml say.", show_default=False),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of noise and disturbances.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of noise and disturbances.", min=0, max=MOST_SEED)] = 0,
     force: ForceOption = False,
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,

@@ -30,7 +30,7 @@ from hybrid_id.cli.options import (
     use_threads,
 )
 from hybrid_id.cli.results import UNDRAWN, files_in, write_last, write_report
-from hybrid_id.config import Identification, StudyConfig
+from hybrid_id.config import Identification, StudyConfig, sections
 from hybrid_id.errors import InputError, listed
 
 if TYPE_CHECKING:
@@ -57,8 +57,10 @@ def diagnose(
     source: SourceArgument,
     model: ModelOption = None,
     out: OutOption = None,
-    max_effects: Annotated[int | None, typer.Option(help="Effects at most.", min=1, show_default="3")] = None,
-    most: Annotated[int | None, typer.Option(hidden=True, min=1)] = None,
+    max_effects: Annotated[
+        int | None, typer.Option(help="Effects at most.", min=1, max=sections.MOST_EFFECTS, show_default="3")
+    ] = None,
+    most: Annotated[int | None, typer.Option(hidden=True, min=1, max=sections.MOST_EFFECTS)] = None,
     joint: Annotated[
         list[str] | None,
         typer.Option(
@@ -69,7 +71,12 @@ def diagnose(
     window: WindowOption = None,
     jobs: Annotated[
         int | None,
-        typer.Option(help="Processes that share the fits.", min=1, show_default="one on each core"),
+        typer.Option(
+            help="Processes that share the fits.",
+            min=1,
+            max=sections.MOST_JOBS,
+            show_default="one on each core",
+        ),
     ] = None,
     seed: SeedOption = None,
     resume: ResumeOption = False,

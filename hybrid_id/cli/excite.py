@@ -11,6 +11,7 @@ import typer
 from hybrid_id.cli.console import show
 from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import ABOVE, JsonOption
+from hybrid_id.config.sections import MOST_SEED
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -51,6 +52,7 @@ def excite(
         typer.Option(
             help="Number of tones, spread evenly over the band.",
             min=1,
+            max=10_000,
             show_default="20, or as many as the duration allows",
         ),
     ] = None,
@@ -90,7 +92,7 @@ def excite(
             show_default="150, of a robot 20 a joint",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of those phase sets.", min=0, max=MOST_SEED)] = 0,
     plot: Annotated[Path | None, typer.Option(help="Picture to write as PNG.", show_default=False)] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that exist.")] = False,
     as_json: JsonOption = False,

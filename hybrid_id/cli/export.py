@@ -19,6 +19,7 @@ from hybrid_id.cli.options import ABOVE, JsonOption, use_threads
 from hybrid_id.cli.results import write_last
 from hybrid_id.config import StudyConfig, load_config
 from hybrid_id.errors import InputError
+from hybrid_id.reading import as_written
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
 
 REFIT = "refit.yaml"
 """The nominal model, re-fitted, beside the corrected one."""
+AGAIN = "bring the folder of results again, as it was written"
 SAMPLE_TIME, WIDTH = 0.002, 0.5
 """Defaults of the torch program: its step [s], and the speed over which it smooths dry friction [rad/s]."""
 
@@ -292,7 +294,8 @@ def _run_of(file: Path) -> "tuple[StudyConfig, Horizon] | None":
         )
         return None
     horizon = read_result(result).get("horizon") or {}
-    return load_config(settings), Horizon(horizon.get("kind", "whole"), horizon.get("seconds") or 0.0)
+    with as_written(result, AGAIN):
+        return load_config(settings), Horizon(horizon.get("kind", "whole"), horizon.get("seconds") or 0.0)
 
 
 def _own_records(config: StudyConfig) -> "Dataset | None":
@@ -315,7 +318,8 @@ def _label(file: Path) -> str:
         return REFITTED
     if not diagnosis.exists():
         return "identified"
-    return CORRECTED if any(one["selected"] for one in read_result(diagnosis)["effects"]) else REFITTED
+    with as_written(diagnosis, AGAIN):
+        return CORRECTED if any(one["selected"] for one in read_result(diagnosis)["effects"]) else REFITTED
 
 
 def _program(system: "System", out: Path, sample_time: float, width: float) -> Made:

@@ -1,12 +1,11 @@
 """Folders and files of results: complete under their names, or not there at all; filled bit by bit, or resumed."""
 
-import fcntl
 import json
 import os
 import shutil
 import tempfile
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,7 +14,9 @@ import typer
 from hybrid_id import __version__
 from hybrid_id.cli.console import remark
 from hybrid_id.config import StudyConfig
-from hybrid_id.errors import InputError
+from hybrid_id.errors import CONTROL, InputError, has_control, shown
+from hybrid_id.reading import announce, read_below, read_object
+from hybrid_id.records.files import HIDDEN, hidden_beside, locked
 
 if TYPE_CHECKING:
     from hybrid_id.study import Kept
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 RESULT = "result.json"
 DIAGNOSIS = "diagnosis.json"
 CHECKPOINT = "checkpoint.pt"
+SETTINGS = "config.yaml"
 EVENTS = "tensorboard"
 FITS = "fits"
 """Folder of the fits that an unfinished diagnosis or identification keeps."""
@@ -46,14 +48,15 @@ def required(path: Path | None) -> Path:
     return path
 
 
-def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path] = ()) -> None:
+def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path] | None = ()) -> None:
     """Raise InputError where results cannot go, before anything is computed.
 
     Args:
         path: Folder of the results.
         force: Whether results of an earlier run may be replaced; other files never are. None for a command that never
             replaces any, and so has no --force to advise.
-        reads: Files and folders that the command reads; a folder that holds one of them is not replaced.
+        reads: Files and folders that the command is going to read; a folder that holds one of them, or a file that
+            has been read, is not replaced. None for a folder that is filled further.
     """
     remove_empty(make_parents(path))  # a trial: rights and names are known only by it
     if Path.cwd().is_relative_to(path.resolve()):
@@ -64,7 +67,9 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
         raise InputError(f"{path} is no folder; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
         return
-    if held := next((file for file in reads if file.resolve().is_relative_to(path.resolve())), None):
+    below = [] if reads is None else [file for file in reads if file.resolve().is_relative_to(path.resolve())]
+    settings = path.resolve() / SETTINGS  # of an earlier run, which this one may follow, and writes again
+    if held := next((file for file in (*below, *read_below(path)) if file != settings), None):
         raise InputError(
             f"{path} holds {held}, which this command reads; give another folder for the results"
         )
@@ -116,8 +121,8 @@ def only_begun(path: Path) -> bool:
 
 def _is_ours(file: Path) -> bool:
     try:
-        return str(json.loads(file.read_text(encoding="utf-8"))["program"]).startswith("hybrid_id ")
-    except (OSError, ValueError, KeyError, TypeError):
+        return str(read_object(file, "result").get("program")).startswith("hybrid_id ")
+    except (OSError, InputError):
         return False
 
 
@@ -131,12 +136,11 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
     made = make_parents(path)
     complete = False
     try:
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
-            new = Path(temporary) / "new"
+        with hidden_beside(path) as temporary:
+            new, old = temporary / "new", temporary / "old"
             new.mkdir()
             yield new
             refuse_taken(path, force=force)  # a long run: somebody may have written there meanwhile
-            old = Path(temporary) / "old"
             try:
                 if path.exists():
                     with sole_writer(path):  # nobody's folder is taken under his hands
@@ -153,29 +157,31 @@ def results_folder(path: Path, *, force: bool) -> Iterator[Path]:
 
 def go_on(path: Path) -> str:
     """How a stopped training goes on, as words for the user: with the settings that stand beside its checkpoint."""
-    return f"'hybrid-id train {path / 'config.yaml'} --out {path} --resume' goes on"
+    return f"'hybrid-id train {path / SETTINGS} --out {path} --resume' goes on"
 
 
 @contextmanager
 def sole_writer(path: Path) -> Iterator[None]:
     """Let no other run write into a folder that is filled bit by bit; a lock that a killed run leaves is none."""
-    folder = os.open(path, os.O_RDONLY)
-    try:
-        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    with ExitStack() as stack:
+        try:
+            stack.enter_context(locked(path))
+        except BlockingIOError:
+            raise InputError(
+                f"another run is writing into {path}; wait for it, or give another folder"
+            ) from None
         yield
-    except BlockingIOError:
-        raise InputError(f"another run is writing into {path}; wait for it, or give another folder") from None
-    finally:
-        os.close(folder)
 
 
 def make_parents(path: Path) -> list[Path]:
     """Make the folders above a path, and try one beside it; returns those that were not there, innermost first."""
     missing: list[Path] = []
+    if has_control(str(path.absolute())):  # results hold paths
+        raise InputError(f"the path {shown(str(path.absolute()))} {CONTROL}; work in another folder")
     try:
         missing = [folder for folder in path.absolute().parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}."):
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.{HIDDEN}"):
             return missing
     except OSError as error:
         remove_empty(missing)
@@ -227,6 +233,7 @@ def refuse_file(path: Path, *, force: bool, option: str = "--force", beside: Pat
         raise InputError(f"{which} exists; give another name than {named.name}, or {option}{both}")
     if path.name in (*RESULTS, "model.yaml") and path.exists():
         raise InputError(f"{path} belongs to earlier results, which nothing replaces; give another name")
+    announce(path)
 
 
 def kind_of(path: Path) -> str:
@@ -308,14 +315,14 @@ def kept_fits(
 def _kind(fits: Path) -> str:
     """What has kept fits in a folder: diagnosis or identification; empty where nothing has."""
     try:
-        return str(json.loads((fits / ABOUT).read_text(encoding="utf-8")).get("kind", "diagnosis"))
-    except (OSError, ValueError):
+        return str(read_object(fits / ABOUT, "list of fits").get("kind", "diagnosis"))
+    except (OSError, InputError):
         return ""
 
 
 def _command(file: Path) -> str:
     """The command that has written a result; empty where there is none."""
-    return str(json.loads(file.read_text(encoding="utf-8")).get("command", "")) if _is_ours(file) else ""
+    return str(read_object(file, "result").get("command", "")) if _is_ours(file) else ""
 
 
 def keep_after(home: Path, folder: Path) -> None:
@@ -350,7 +357,7 @@ def refuse_training(path: Path, config: StudyConfig, *, force: bool, resume: boo
     if resume and not (path / CHECKPOINT).exists():
         raise InputError(f"{path} holds no {CHECKPOINT} to go on from; leave out --resume to start anew")
     # what was killed before its first checkpoint has nothing to lose
-    refuse_taken(path, force=force or resume or only_begun(path), reads=[] if resume else config.reads)
+    refuse_taken(path, force=force or resume or only_begun(path), reads=None if resume else config.reads)
 
 
 @contextmanager
@@ -380,7 +387,7 @@ def live_folder(path: Path, config: StudyConfig, *, force: bool, resume: bool) -
     with sole_writer(path), _until_complete(path, aside if ours else None, made):
         if not resume:
             (path / BEGUN).write_text(ASIDE if ours else "")
-            config.save(path / "config.yaml")
+            config.save(path / SETTINGS)
         yield
 
 
@@ -412,16 +419,16 @@ def added_results(
         last: file that comes in last and says that all others are complete.
         stale: patterns of what an earlier end may have left.
     """
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
-        new = Path(temporary) / "new"
+    with hidden_beside(path) as temporary:
+        new = temporary / "new"
         new.mkdir()
         yield new
         (path / last).unlink(missing_ok=True)
         for old in (file for pattern in stale for file in path.glob(pattern)):
             old.unlink()
-        (new / last).replace(Path(temporary) / last)
+        (new / last).replace(temporary / last)
         for file in (p for p in new.rglob("*") if p.is_file()):  # a move needs no room
             place = path / file.relative_to(new)
             place.parent.mkdir(parents=True, exist_ok=True)
             file.replace(place)
-        (Path(temporary) / last).replace(path / last)
+        (temporary / last).replace(path / last)

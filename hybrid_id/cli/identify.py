@@ -29,6 +29,7 @@ from hybrid_id.cli.options import (
 )
 from hybrid_id.cli.results import UNDRAWN
 from hybrid_id.config import StudyConfig
+from hybrid_id.config.sections import MOST_STARTS
 from hybrid_id.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,7 +45,8 @@ def identify(
     pooled: PooledOption = None,
     joint: JointOption = None,
     starts: Annotated[
-        int | None, typer.Option(help="Start points; the best end counts.", min=1, show_default="1")
+        int | None,
+        typer.Option(help="Start points; the best end counts.", min=1, max=MOST_STARTS, show_default="1"),
     ] = None,
     loss: Annotated[
         Literal["l2", "huber", "l1"] | None,

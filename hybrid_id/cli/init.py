@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import yaml
 
-from hybrid_id.cli.console import printable, remark, show, show_json
+from hybrid_id.cli.console import remark, show, show_json
 from hybrid_id.cli.folder import RESULTS
 from hybrid_id.cli.options import ABOVE, JsonOption
 from hybrid_id.cli.schema import schema_line, schema_text
-from hybrid_id.errors import InputError
+from hybrid_id.errors import InputError, shown
+from hybrid_id.reading import announce
 
 if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
@@ -127,6 +128,8 @@ def _refuse_taken(folder: Path, force: bool) -> None:
         )
     if odd := [name for name in taken if not (folder / name).is_file()]:
         raise InputError(f"{folder / odd[0]} is no file; give another folder by --out")
+    for name in taken:
+        announce(folder / name)
 
 
 def _sheet(motor: Path | None) -> "MotorSheet":
@@ -224,7 +227,7 @@ def _flow(values: Any) -> str:
 
 
 def _comment(words: str, indent: str = "") -> str:
-    return f"{indent}# {printable(' '.join(words.split()))}"
+    return f"{indent}# {shown(' '.join(words.split()))}"
 
 
 def _guess(guess: "Guess", indent: str) -> str:
@@ -381,19 +384,19 @@ def _say(
     show(
         table(
             HEADS,
-            [(printable(a), printable(b), "yes" if sure else "?", printable(c)) for a, b, sure, c in rows],
+            [(a, b, "yes" if sure else "?", c) for a, b, sure, c in rows],
         )
     )
     if proposal.left or left:
         show("", "Left out:")
         show(
-            *(printable(f"  {name}: {why}") for name, why in proposal.left),
-            *(printable(f"  {one}") for one in left),
+            *(f"  {name}: {why}" for name, why in proposal.left),
+            *(f"  {one}" for one in left),
         )
     if copies:
         show(f"The logs were copied into {folder}.")
     show("", f"{folder / DATASET} and {folder / MODEL} are written.")
     if questions:
         show(f"{count(len(questions), 'question')} open; the files hold a start in their place:")
-        show(*(printable(f"  {k}. ({one.place}.yaml) {one.words}") for k, one in enumerate(questions, 1)))
+        show(*(f"  {k}. ({one.place}.yaml) {one.words}" for k, one in enumerate(questions, 1)))
     remark(f"next: hybrid-id check {folder}")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from hybrid_id.config import StudyConfig, study_config
-from hybrid_id.config.sections import MOST_SEED
+from hybrid_id.config.sections import MOST_JOBS, MOST_SEED, MOST_THREADS
 from hybrid_id.errors import InputError
 
 ABOVE = "Folders above it are made."
@@ -53,7 +53,10 @@ WindowOption = Annotated[
     ),
 ]
 ThreadsOption = Annotated[
-    int, typer.Option(help="Threads inside torch; one is fastest for records of usual size.", min=1)
+    int,
+    typer.Option(
+        help="Threads inside torch; one is fastest for records of usual size.", min=1, max=MOST_THREADS
+    ),
 ]
 
 
@@ -77,7 +80,9 @@ class Backend(StrEnum):
     dask = "dask"
 
 
-ProcessesOption = Annotated[int, typer.Option("--jobs", help="Processes of this machine.", min=1)]
+ProcessesOption = Annotated[
+    int, typer.Option("--jobs", help="Processes of this machine.", min=1, max=MOST_JOBS)
+]
 BackendOption = Annotated[Backend, typer.Option(help="joblib: this machine; dask: an existing cluster.")]
 SchedulerOption = Annotated[
     str | None, typer.Option(help="Address of the Dask scheduler, tcp://host:8786 say.", show_default=False)

@@ -26,7 +26,9 @@ def reproduce(
     ] = False,
     seeds: Annotated[
         int | None,
-        typer.Option(help="Runs of each closed loop; 20, with --quick 2.", min=1, show_default=False),
+        typer.Option(
+            help="Runs of each closed loop; 20, with --quick 2.", min=1, max=1000, show_default=False
+        ),
     ] = None,
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,

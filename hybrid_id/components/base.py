@@ -106,6 +106,8 @@ class Component(nn.Module):
     declared: ClassVar[dict[str, Parameter]] = {}
     effect: ClassVar[Effect | None] = None
     """What a diagnosis calls it; None for what is part of every model and never suspected."""
+    at_motor: ClassVar[bool | None] = None
+    """Whether it acts at the motor and not at the link, which matters behind a gear; None where its place says it."""
     splits_inertia: ClassVar[bool] = False
     """Whether it needs the split of inertia between rotor and link, which is then estimated with it."""
 

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from hybrid_id.components.base import Component, Counterpart
 from hybrid_id.errors import InputError
-from hybrid_id.parameters import Bounded, Parameter
+from hybrid_id.parameters import MOST_LAYERS, MOST_NEURONS, MOST_STATES, Bounded, Parameter
 
 MEMORY_TIMES = (0.01, 1.0)
 """Shortest and longest time [s] over which the hidden states forget at the start."""
@@ -96,9 +96,15 @@ class ResidualNetwork(Component):
             raise InputError(
                 f"{self.kind} has inputs {list(self.inputs)}; name each signal once, at least one."
             )
-        if self.memory < 0 or any(width < 1 for width in self.hidden):
+        if not all(type(width) is int and 1 <= width <= MOST_NEURONS for width in self.hidden):
             raise InputError(
-                f"{self.kind} has hidden {list(self.hidden)} and memory {self.memory}; give counts."
+                f"{self.kind} has hidden {str(list(self.hidden))[:60]}; give whole numbers from 1 to {MOST_NEURONS}."
+            )
+        if len(self.hidden) > MOST_LAYERS:
+            raise InputError(f"{self.kind} has {len(self.hidden)} hidden layers; give {MOST_LAYERS} at most.")
+        if not (type(self.memory) is int and 0 <= self.memory <= MOST_STATES):
+            raise InputError(
+                f"{self.kind} has memory {str(self.memory)[:60]}; give a whole number from 0 to {MOST_STATES}."
             )
         numbers = [*(shift or []), *(scale or []), output, 1.0 if self.lipschitz is None else self.lipschitz]
         lengths = {len(part) for part in (shift, scale) if part is not None} | {len(self.inputs)}

@@ -2,9 +2,10 @@
 
 from typing import Any, Literal
 
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, field_validator
+from pydantic import Field, field_validator
 
-from hybrid_id.config.sections import MOST_SEED, Section
+from hybrid_id.config.sections import MOST_SEED, Neurons, Positive, Price, Section
+from hybrid_id.parameters import MOST_STATES
 
 MOST_REPEATS = 1000
 
@@ -35,17 +36,17 @@ class Ablation(Section):
         default=["static", "memory", "black_box"]
     )
     place: list[str | list[str]] | None = Field(default=None, min_length=1)
-    width: list[PositiveInt] | None = Field(default=None, min_length=1)
+    width: list[Neurons] | None = Field(default=None, min_length=1)
     reads: list[Literal["own", "all"]] = Field(default=["own"], min_length=1)
-    price: list[NonNegativeFloat] | None = Field(default=None, min_length=1)
+    price: list[Price] | None = Field(default=None, min_length=1)
     physics: list[list[str]] = Field(default=[])
-    memory: PositiveInt = 2
-    black_box_width: PositiveInt = 16
+    memory: int = Field(default=2, ge=1, le=MOST_STATES)
+    black_box_width: Neurons = 16
     seeds: int | list[int] = 5
     validation: float = Field(default=0.2, gt=0, lt=1)
     test: float = Field(default=0.2, gt=0, lt=1)
     out_of_range: list[str] = Field(default=[])
-    horizon: PositiveFloat = 0.2
+    horizon: Positive = 0.2
 
     @field_validator("seeds", mode="before")
     @classmethod
@@ -61,6 +62,8 @@ class Ablation(Section):
             raise ValueError("seeds are not negative")
         if max(value) > MOST_SEED:
             raise ValueError(f"seeds are at most {MOST_SEED}")
+        if len(value) > MOST_REPEATS:
+            raise ValueError(f"give at most {MOST_REPEATS} seeds")
         return _distinct(value)
 
     @field_validator("place", mode="before")

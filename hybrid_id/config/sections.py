@@ -1,23 +1,33 @@
 """The sections of a study file, with all their defaults."""
 
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import (
-    BaseModel,
-    ConfigDict,
-    Field,
-    NonNegativeFloat,
-    NonNegativeInt,
-    PositiveFloat,
-    PositiveInt,
-    field_validator,
-    model_validator,
-)
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from hybrid_id.parameters import MOST_LAYERS, MOST_NEURONS, MOST_STATES
 from hybrid_id.records.schema import ResampleEntry
 
 MOST_SEED = 2**32 - 1  # what every generator of random numbers takes
+MOST_STARTS, MOST_JOBS, MOST_THREADS, MOST_EFFECTS = 10_000, 1000, 1000, 100
+"""What a command may be asked for at most: start points, processes, threads, effects."""
+SMALLEST, LARGEST = 1e-12, 1e12
+"""Of a quantity that a study file gives, in its unit; beyond them squares are lost, or nothing ends."""
+
+Count = Annotated[int, Field(ge=1, le=1_000_000)]
+"""Iterations, and what is counted in them."""
+Starts = Annotated[int, Field(ge=1, le=MOST_STARTS)]
+Jobs = Annotated[int, Field(ge=1, le=MOST_JOBS)]
+Effects = Annotated[int, Field(ge=1, le=MOST_EFFECTS)]
+Substeps = Annotated[int, Field(ge=1, le=10_000)]
+"""Steps of integration a sample."""
+Neurons = Annotated[int, Field(ge=1, le=MOST_NEURONS)]
+States = Annotated[int, Field(ge=0, le=MOST_STATES)]
+"""Hidden states of a network."""
+Positive = Annotated[float, Field(ge=SMALLEST, le=LARGEST)]
+Price = Annotated[float, Field(ge=0, le=LARGEST)]
+Stages = Annotated[list[tuple[Positive, Count]], Field(max_length=100)]
+"""Stages before the whole records, each (length of a window [s], use one window in this many)."""
 
 
 class Section(BaseModel):
@@ -88,14 +98,14 @@ class Identification(Section):
 
     pooled: bool = False
     loss: Literal["l2", "huber", "l1"] = "l2"
-    threshold: PositiveFloat = 3.0
-    starts: PositiveInt = 1
-    max_iterations: PositiveInt = 200
-    tolerance: PositiveFloat = 0.01
+    threshold: Positive = 3.0
+    starts: Starts = 1
+    max_iterations: Count = 200
+    tolerance: Positive = 0.01
     friction: Literal["dry", "smooth"] = "dry"
-    substeps: PositiveInt = 1
-    width: PositiveFloat = 0.5
-    window: PositiveFloat | Literal["whole", "strokes", "auto"] = "auto"
+    substeps: Substeps = 1
+    width: Positive = 0.5
+    window: Positive | Literal["whole", "strokes", "auto"] = "auto"
     seed: int = Field(default=0, ge=0, le=MOST_SEED)
     device: str = "cpu"
 
@@ -115,13 +125,13 @@ class Training(Section):
 
     method: str = "rk4"
     gradient: Literal["adjoint", "backprop"] = "adjoint"
-    substeps: PositiveInt = 1
-    fine: PositiveInt = 32
-    width: PositiveFloat = 0.05
-    windows: list[tuple[PositiveFloat, PositiveInt]] = [(0.2, 4)]
-    max_iterations: PositiveInt = 100
-    tolerance: PositiveFloat = 0.01
-    validate_every: PositiveInt = 5
+    substeps: Substeps = 1
+    fine: Substeps = 32
+    width: Positive = 0.05
+    windows: Stages = [(0.2, 4)]
+    max_iterations: Count = 100
+    tolerance: Positive = 0.01
+    validate_every: Count = 5
 
 
 class Network(Section):
@@ -137,9 +147,9 @@ class Network(Section):
 
     place: str = "joint1/motor"
     inputs: list[str] = Field(default=["speed", "angle"], min_length=1)
-    hidden: list[PositiveInt] = [8]
-    memory: NonNegativeInt = 0
-    lipschitz: PositiveFloat | None = None
+    hidden: list[Neurons] = Field(default=[8], max_length=MOST_LAYERS)
+    memory: States = 0
+    lipschitz: Positive | None = None
 
 
 class Hybrid(Section):
@@ -161,18 +171,18 @@ class Hybrid(Section):
             train record the test records.
     """
 
-    networks: list[Network] = [Network()]
-    prices: list[NonNegativeFloat] = Field(default=[10.0, 1.0, 0.1, 0.01], min_length=1)
-    windows: list[tuple[PositiveFloat, PositiveInt]] = [(0.1, 4), (0.4, 2), (1.6, 1)]
-    max_iterations: PositiveInt = 40
-    tolerance: PositiveFloat = 0.1
-    patience: PositiveInt = 10
-    validate_every: PositiveInt = 2
+    networks: list[Network] = Field(default=[Network()], max_length=100)
+    prices: list[Price] = Field(default=[10.0, 1.0, 0.1, 0.01], min_length=1, max_length=100)
+    windows: Stages = [(0.1, 4), (0.4, 2), (1.6, 1)]
+    max_iterations: Count = 40
+    tolerance: Positive = 0.1
+    patience: Count = 10
+    validate_every: Count = 2
     worth: float = Field(default=0.02, ge=0, lt=1)
     augmentation: Literal["norm", "projection"] = "norm"
     optimizer: Literal["gauss_newton", "adam"] = "gauss_newton"
-    rate: PositiveFloat = 0.01
-    clip: PositiveFloat = 1.0
+    rate: Positive = 0.01
+    clip: Positive = 1.0
     precision: Literal["float64", "float32"] = "float64"
     validation: list[str] | None = Field(default=None, min_length=1)
 
@@ -208,8 +218,8 @@ class Gap(Section):
             so long that each would need a gigabyte.
     """
 
-    max_effects: PositiveInt = 3
-    jobs: PositiveInt | None = None
+    max_effects: Effects = 3
+    jobs: Jobs | None = None
 
     @model_validator(mode="before")
     @classmethod

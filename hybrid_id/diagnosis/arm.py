@@ -533,5 +533,5 @@ def common_sizes(
             chance = float(chi2.sf(float((weights * (values - mean) ** 2).sum()), len(each) - 1))
             joints, info = tuple(joint for joint, _, _ in each), each[0][2]
             size = float(weights.sum() ** -0.5)
-            result.append(CommonSize(name, info.symbol, info.spec.unit, joints, mean, size, chance))
+            result.append(CommonSize(name, info.symbol, info.unit, joints, mean, size, chance))
     return tuple(result)

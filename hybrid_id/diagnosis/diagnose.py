@@ -7,6 +7,7 @@ The test records are opened once, after the answer is frozen: they measure the g
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -554,6 +555,7 @@ def report(
         relative_std=answer.relative_std,
         changes=_changes(answer, system),
         skews=tuple(one.message for one in skews),
+        tally=copy.deepcopy(fits.tally),  # details that are asked for later count nowhere
         search=found,
         details=Details(
             fits, system, found.fitted, answer.before, tested.with_effect, seed=seed, level=level

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,10 +16,10 @@ from joblib.externals.loky.process_executor import BrokenProcessPool
 
 from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.model import FittedModel, Name, kept_model
+from hybrid_id.diagnosis.model import FittedModel, Name, Tally, Unfitted, kept_model
 from hybrid_id.diagnosis.plausibility import NUISANCE
 from hybrid_id.diagnosis.validation import Validation, autocorrelation, validation
-from hybrid_id.errors import InputError, MachineError
+from hybrid_id.errors import InputError, MachineError, shortened
 from hybrid_id.identification.finite_differences import (
     WORST,
     Rollouts,
@@ -64,6 +65,8 @@ SUBSTEP_RATE = 4000.0
 takes more than half as many: twice its own."""
 NARROWEST = 1e-6
 """Relative standard deviation of the narrowest prior that a fit can still move against."""
+MOST_REASON = 200
+"""Characters of why a fit has failed."""
 PARALLEL_FROM = 2_000_000
 """States times samples that have been fitted when further fits are shared: about the time that processes take to start,
 and not the time itself, on which no result may depend."""
@@ -106,6 +109,7 @@ class Fits:
     Attributes:
         weights: of the records that judge, ``(R,)``; None until the nominal model is fitted.
         engine: how candidates are simulated. What is too fast for its sub-steps fits badly, and costs no more for it.
+        tally: how many fits were tried and which failed, over every horizon.
     """
 
     def __init__(
@@ -122,6 +126,7 @@ class Fits:
         self.fitted = 0
         self.weights: np.ndarray | None = None
         self.engine = engine()
+        self.tally = Tally()
 
     def over(self, horizon: Horizon) -> Fits:
         """The same over another horizon."""
@@ -205,7 +210,10 @@ class Fits:
     def run(
         self, tasks: Sequence[Task], iterations: int, done: Callable[[], object] | None = None
     ) -> list[FittedModel | None]:
-        """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted."""
+        """Fit models for at most so many iterations each, from where they stand; None where one cannot be fitted.
+
+        The tally counts each of them.
+        """
         samples, found = sum(record.n_samples for record in self.dataset.train), []
         while len(found) < len(tasks):
             left = tasks[len(found) :]
@@ -215,7 +223,7 @@ class Fits:
                 # another process need not know the catalogue, to which the user may have added
                 calls = (delayed(_kept)(self, t, iterations, over_angle(t.effects)) for t in some)
                 for outcome in Parallel(n_jobs=jobs, return_as="generator")(calls):
-                    found.append(outcome)
+                    found.append(self._counted(outcome))
                     if done is not None:
                         done()
             except (BrokenProcessPool, OSError):  # for want of memory, say: the rest in turn
@@ -224,6 +232,13 @@ class Fits:
                 self.jobs = 1
             self.fitted += sum(len(task.system.state_names) for task in some) * samples
         return found
+
+    def _counted(self, outcome: Any) -> FittedModel | None:
+        self.tally.tried += 1
+        if isinstance(outcome, Unfitted):
+            self.tally.failed[outcome] += 1
+            return None
+        return outcome
 
 
 def with_priors(system: System, nominal: System, fitted: FittedModel, share: float) -> System:
@@ -274,7 +289,7 @@ def _prior_on_known(
     return system.with_specs(priors)
 
 
-def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | None:
+def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | Unfitted:
     """A fit, as an earlier run has kept it if there is one."""
     if fits.kept is None:
         return _fit(fits, task, iterations, halting)
@@ -285,7 +300,7 @@ def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel
     return kept_model(fits.kept, made_from, task.effects, task.system, make)
 
 
-def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | None:
+def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | Unfitted:
     torch.set_num_threads(1)
     if fits.jobs > 1:
         leave_ctrl_c_to_the_first()
@@ -311,10 +326,11 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
     except (InputError, RuntimeError, np.linalg.LinAlgError) as error:
         if isinstance(error, MachineError) or "allocate memory" in str(error):
             raise
-        return None  # a start that the physics refuses is no candidate
+        return Unfitted(task.effects, shortened(" ".join(str(error).split()), MOST_REASON))
     sound = np.isfinite(found.error) and all(np.isfinite(part).all() for part in result.jacobian)
-    # a search keeps hundreds
-    return FittedModel(task.effects, result.condensed(), found, judge) if sound else None
+    if not sound:
+        return Unfitted(task.effects, "its errors or their slopes are not finite")
+    return FittedModel(task.effects, result.condensed(), found, judge)  # a search keeps hundreds
 
 
 def _judged(fits: Fits, result: FitResult, batch: Batch) -> Validation:

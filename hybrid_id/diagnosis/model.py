@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.stats import norm, t
@@ -84,6 +86,43 @@ class FittedModel:
         return self.autocorrelation <= CRITERIA.coloured
 
 
+@dataclass(frozen=True)
+class Unfitted:
+    """A model that could not be fitted.
+
+    Attributes:
+        effects: what has been added to the nominal model.
+        reason: why not, in a sentence.
+    """
+
+    effects: tuple[Name, ...]
+    reason: str
+
+
+@dataclass(eq=False)
+class Tally:
+    """How many fits a search has tried, and which of them failed.
+
+    Attributes:
+        tried: fits.
+        failed: what could not be fitted -> how often.
+    """
+
+    tried: int = 0
+    failed: Counter[Unfitted] = field(default_factory=Counter)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same for a file, the most frequent failure first."""
+        return {
+            "tried": self.tried,
+            "failed": self.failed.total(),
+            "reasons": [
+                {"effects": [list(name) for name in one.effects], "reason": one.reason, "count": count}
+                for one, count in self.failed.most_common()
+            ],
+        }
+
+
 def added_effect(richer: FittedModel, simpler: FittedModel) -> Name:
     """The effect that a model has beyond another one."""
     return next(name for name in richer.effects if name not in simpler.effects)
@@ -94,8 +133,8 @@ def kept_model(
     made_from: object,
     effects: tuple[Name, ...],
     start: System,
-    fit: Callable[[], FittedModel | None],
-) -> FittedModel | None:
+    fit: Callable[[], FittedModel | Unfitted],
+) -> FittedModel | Unfitted:
     """A fitted model: read if it is kept, otherwise made and kept.
 
     Args:
@@ -103,12 +142,12 @@ def kept_model(
         made_from: all that decides it.
         effects: of the model.
         start: the system that the fit starts from.
-        fit: makes it; None where the model cannot be fitted.
+        fit: makes it, or says why it cannot be fitted.
     """
 
-    def pack(model: FittedModel | None) -> Arrays | None:
-        if model is None:
-            return {}
+    def pack(model: FittedModel | Unfitted) -> Arrays | None:
+        if isinstance(model, Unfitted):
+            return {"reason": np.array(model.reason)}
         if not same_but_for_values(model.result, start):
             return None
         seen = model.validation
@@ -118,9 +157,9 @@ def kept_model(
             "record": seen.record,
         }  # fmt: skip
 
-    def unpack(arrays: Mapping[str, np.ndarray]) -> FittedModel | None:
-        if "about" not in arrays:
-            return None
+    def unpack(arrays: Mapping[str, np.ndarray]) -> FittedModel | Unfitted:
+        if "reason" in arrays:
+            return Unfitted(effects, str(arrays["reason"]))
         more = json.loads(str(arrays["more"]))
         seen = Validation(
             arrays["blocks"], arrays["sizes"], arrays["row"], more["effective"], arrays["record"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import FULL, Fits, Task, engine, without_priors
-from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.model import FittedModel, Unfitted
 from hybrid_id.diagnosis.starts import at_nominal
 from hybrid_id.diagnosis.validation import autocorrelation, mean_square
 from hybrid_id.identification.fit import kept_fit
@@ -64,8 +64,11 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     start = without_priors(at_nominal(system, nominal) or system, nominal)
     try:
         sets = kept_fit(fits.kept, start, batch, pooled=False, engine=engine(), options=options)
-    except RuntimeError:  # one of them breaks off
+    except RuntimeError as error:  # one of them breaks off
+        fits.tally.failed[Unfitted(model.effects, f"each record by itself: {error}")] += 1
         return None
+    finally:
+        fits.tally.tried += 1
     if any(one.status == "diverged" for one in sets):
         return None
     left = autocorrelation([residual for one in sets for residual in one.residual])

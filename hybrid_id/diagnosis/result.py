@@ -10,7 +10,7 @@ from hybrid_id.diagnosis.details import Details
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
 from hybrid_id.diagnosis.grade import Interval, RatedEffect
 from hybrid_id.diagnosis.locate import Disturbance, Location, acts_at
-from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.model import FittedModel, Tally
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
@@ -77,6 +77,7 @@ class Diagnosis:
         disturbances_before: the same of the re-fitted model, where an effect is named and there are several joints.
         skews: channels that are recorded late against others, in words; the diagnosis has shifted them.
         changes: which physical change explains the new parameter values, in a sentence; empty where none does.
+        tally: how many fits the search has tried, and why some failed.
         search: all that was tried.
         details: maps, reversals, parameter statistics and tests of residuals, each computed when first asked for, or
             all by its ``compute()``.
@@ -111,6 +112,7 @@ class Diagnosis:
     relative_std: float
     changes: str
     skews: tuple[str, ...]
+    tally: Tally
     search: Selection = field(repr=False)
     details: Details = field(repr=False)
 
@@ -259,6 +261,7 @@ class Diagnosis:
             "between_record_variation": list(self.varying),
             "not_identifiable": [*self.not_identifiable, *self.confounded],
             "skews": list(self.skews),
+            "fits": self.tally.as_dict(),
             "extrapolation": list(self.extrapolation),
             "next_experiments": [
                 {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,6 +12,7 @@ from scipy.special import ndtri
 from hybrid_id.errors import InputError
 from hybrid_id.identification.result import NO_ESTIMATE
 from hybrid_id.parameters import Bounded
+from hybrid_id.reading import as_written, read_object
 from hybrid_id.systems.chain import System
 
 
@@ -32,6 +32,11 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
     Raises:
         InputError: the result is not one of an identification of this model.
     """
+    with as_written("the result", "give that of an identification of this model, as it was written"):
+        return _ranges(system, result)
+
+
+def _ranges(system: System, result: Mapping[str, Any] | None) -> dict[str, Any]:
     selected = (result or {}).get("selected") or {}
     values, half_widths = selected.get("values") or {}, dict(selected.get("half_widths") or {})
     for name in _at_bound(result or {}):  # nothing is claimed there
@@ -66,7 +71,7 @@ def to_ranges(system: System, result: Mapping[str, Any] | None = None) -> dict[s
             "nominal": spec.value,
             "lower": max(low, spec.lower),
             "upper": min(high, spec.upper),
-            "unit": spec.unit,
+            "unit": info.unit,
             "from": source,
             "reliability": grade,
             "trust": grade,  # the former name, for one release
@@ -110,9 +115,9 @@ def _range(
 def read_result(path: Path) -> dict[str, Any]:
     """Content of a ``result.json``; InputError where it is none."""
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(found, dict) or not str(found["program"]).startswith("hybrid_id "):
-            raise KeyError
-    except (OSError, ValueError, KeyError):
+        found = read_object(path, "result of hybrid-id")
+    except OSError:
+        found = {}
+    if not str(found.get("program")).startswith("hybrid_id "):
         raise InputError(f"{path} is no result of hybrid-id; give the folder of an identification") from None
     return found

@@ -13,6 +13,7 @@ import torch
 
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
+from hybrid_id.identification.keep import digest_of
 from hybrid_id.identification.optimizers import OptimizerState, QuasiNewtonState
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.systems.chain import System
@@ -45,7 +46,12 @@ def write_checkpoint(path: Path, content: Mapping[str, Any], identity: list[str]
     """
     temporary = path.with_name(path.name + ".tmp")
     program = f"hybrid_id {__version__}"
-    torch.save({"program": program, "identity": identity, "state": dict(content)}, temporary)
+    state = dict(content)
+    whole = {"program": program, "identity": identity, "digest": digest_of(state), "state": state}
+    with temporary.open("wb") as file:
+        torch.save(whole, file)
+        file.flush()
+        os.fsync(file.fileno())
     os.replace(temporary, path)
 
 
@@ -64,7 +70,13 @@ def read_checkpoint(
         raise InputError(f"There is no checkpoint {path}; start without resuming.")
     try:
         content = torch.load(path, weights_only=True, map_location=device)
+        if content["digest"] != digest_of(content["state"]):
+            raise InputError(
+                f"{path} is damaged or was altered, for its digest does not fit; start without resuming."
+            )
         found, made = content["identity"], make(dict(content["state"]))
+    except InputError:
+        raise
     except Exception as error:
         raise InputError(
             f"{path} is no checkpoint of a training ({type(error).__name__}); start without resuming."

@@ -292,7 +292,7 @@ def finite_difference_fit(
         system=system.with_values(dict(zip(names, point[:n_f].tolist(), strict=True))),
         names=names,
         values=point[:n_f],
-        units=tuple(i.spec.unit for i in info),
+        units=tuple(i.unit for i in info),
         status="converged" if stage == len(STEPS) else "max_iterations",
         records=batch.names,
         cost=history[-1],

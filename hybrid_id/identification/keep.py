@@ -57,12 +57,13 @@ class Kept:
             pack: what is written of it; None for what is not kept.
             unpack: reads that again.
         """
-        digest = hashlib.sha256()
-        _digest(digest, (self.program, made_from))
-        path = self.folder / f"{digest.hexdigest()[:32]}.npz"
-        if path.exists():
-            with np.load(path) as arrays:
-                return unpack(arrays)
+        path = self.folder / f"{digest_of((self.program, made_from))[:32]}.npz"
+        if path.is_file():
+            try:
+                with path.open("rb") as file, np.load(file) as arrays:
+                    return unpack(arrays)
+            except Exception:  # cut short, or written by something else, which can raise anything
+                pass
         found = make()
         arrays = pack(found)
         if arrays is None:
@@ -152,10 +153,14 @@ def unpack_result(arrays: Mapping[str, np.ndarray], start: System) -> FitResult:
 def same_but_for_values(result: FitResult, start: System) -> bool:
     """Whether a fit's system is the one that it started from with other values, as it is when it is read."""
     values = dict(zip(result.names, result.values.tolist(), strict=True))
-    digests = [hashlib.sha256() for _ in range(2)]
-    for digest, system in zip(digests, (result.system, start.with_values(values)), strict=True):
-        _digest(digest, system)
-    return digests[0].digest() == digests[1].digest()
+    return digest_of(result.system) == digest_of(start.with_values(values))
+
+
+def digest_of(value: Any) -> str:
+    """Digest of a value's content: arrays, tensors, systems, dataclasses, mappings, lists, and what is written out."""
+    digest = hashlib.sha256()
+    _digest(digest, value)
+    return digest.hexdigest()
 
 
 def _digest(digest: Any, value: Any) -> None:

@@ -143,7 +143,7 @@ def make_result(problem: LeastSquares, outcome: Outcome, chosen: int, options: O
         system=system.with_values(values),
         names=tuple(values),
         values=np.array(list(values.values())),
-        units=tuple(i.spec.unit for i in info),
+        units=tuple(i.unit for i in info),
         status=outcome.status[chosen],
         records=tuple(batch.names[int(r)] for r in records),
         cost=float(outcome.cost[chosen]),

@@ -1,7 +1,6 @@
 """From a seed to case folders with their answers beside them."""
 
 import difflib
-import tempfile
 import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -24,6 +23,7 @@ from hybrid_id.machines.judge import SOUND
 from hybrid_id.machines.rivals import find_rivals, with_only
 from hybrid_id.machines.robots import SYSTEMS
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.files import hidden_beside
 from hybrid_id.records.yaml_file import write_yaml
 
 NEEDED = 1.2
@@ -193,8 +193,8 @@ def _write(
     if path.exists():
         raise InputError(f"{path} exists already; remove it or give another folder")
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".making-") as temporary:
-        made = dataset.save(Path(temporary) / path.name)
+    with hidden_beside(path) as temporary:
+        made = dataset.save(temporary / path.name)
         write_yaml(made / "model.yaml", model)
         for file, text in (beside or {}).items():
             (made / file).write_text(text, encoding="utf-8")

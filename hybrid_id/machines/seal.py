@@ -9,10 +9,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from hybrid_id.errors import InputError
+from hybrid_id.reading import LARGEST_RESULT, PLAIN_NAME, read_bytes, read_object
 from hybrid_id.records.files import write_whole
+from hybrid_id.records.manifest import check_manifest
+from hybrid_id.records.yaml_file import parse_yaml
 
 MANIFEST, ANSWERS = "manifest.json", "answers"
 
@@ -100,22 +101,21 @@ def read_manifest(cases: Path) -> dict[str, Any]:
     """
     file = cases / MANIFEST
     try:
-        manifest = json.loads(file.read_text(encoding="utf-8"))
-        if len(manifest["answers"]["sha256"]) == 64 and isinstance(manifest["names"], list):
-            return manifest
+        manifest = read_object(file, "manifest of cases")
     except OSError:
         raise InputError(
             f"{cases} has no {MANIFEST}; make the cases with 'hybrid-id blind make', which seals their answers"
         ) from None
-    except (ValueError, KeyError, TypeError):
-        pass
-    raise InputError(f"{file} does not give the hash of the answers; make the cases anew") from None
+    check_manifest(manifest, file)
+    if "names" not in manifest:
+        raise InputError(f"{file} names no cases; make the cases anew")
+    return manifest
 
 
 def refuse_others(cases: Path, **about: Any) -> None:
     """Raise InputError where the cases of a folder were made otherwise than ``about`` says."""
     manifest = {"first": 1} | read_manifest(cases)
-    if any(manifest[key] != value for key, value in about.items()):
+    if any(manifest.get(key) != value for key, value in about.items()):
         raise InputError(f"{cases} holds cases of another seed, number or kind; give another --out")
 
 
@@ -147,6 +147,8 @@ def _listed(folder: Path, pattern: str) -> list[Path]:
 def _is_archive(path: Path) -> bool:
     """Whether a path, whatever its name, is a file that begins as an archive; what cannot be read is none."""
     try:
+        if not path.is_file():  # a pipe would be waited for
+            return False
         with path.open("rb") as file:
             return file.read(262)[257:] == b"ustar"
     except OSError:
@@ -164,7 +166,7 @@ def open_answers(archive: Path, sha256: str) -> dict[str, Truth]:
         InputError: the archive is another one, or cannot be read.
     """
     try:
-        content = archive.read_bytes()
+        content = read_bytes(archive, LARGEST_RESULT, "archive of answers")
     except OSError as error:
         raise InputError(f"answers {archive} cannot be read ({error.strerror}); give another file") from None
     if hashlib.sha256(content).hexdigest() != sha256:
@@ -172,14 +174,27 @@ def open_answers(archive: Path, sha256: str) -> dict[str, Truth]:
             f"{archive} is not the archive that was sealed before the run, which had the hash {sha256[:16]}…; "
             "no score is given"
         )
-    sheets = {}
-    with tarfile.open(fileobj=io.BytesIO(content)) as file:
-        for entry in file:
-            stream = file.extractfile(entry)
-            if stream is not None:
-                sheets[Path(entry.name).stem] = yaml.safe_load(stream.read())
-    return sheets
+    try:
+        with tarfile.open(fileobj=io.BytesIO(content), mode="r:") as file:
+            return dict(_sheet(archive, file, entry) for entry in file)
+    except (tarfile.TarError, UnicodeDecodeError) as error:
+        raise InputError(f"answers {archive} cannot be read ({error}); make the cases anew") from None
+
+
+def _sheet(archive: Path, file: tarfile.TarFile, entry: tarfile.TarInfo) -> tuple[str, Truth]:
+    """Name and ground truth of an archive's entry, read where it lies; nothing is ever extracted."""
+    place = Path(entry.name)
+    stream = file.extractfile(entry) if entry.isreg() else None
+    if stream is None or not PLAIN_NAME.fullmatch(entry.name) or place.suffix != ".yaml":
+        raise InputError(
+            f"answers {archive} hold '{entry.name[:100]}', which is no answer; make the cases anew"
+        )
+    found = parse_yaml(stream.read().decode("utf-8"), archive / entry.name)
+    if not isinstance(found, dict):
+        raise InputError(f"{archive / entry.name} holds no 'key: value' pairs; make the cases anew")
+    return place.stem, found
 
 
 def _hash(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,13 +1,13 @@
 """A set of records with the same channels, and the folder that it is kept in."""
 
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from hybrid_id.errors import InputError, close_match, listed
+from hybrid_id.errors import CONTROL, InputError, close_match, has_control, listed, shown
+from hybrid_id.records.files import hidden_beside
 from hybrid_id.records.record import Channel, Record, keeps_step
 from hybrid_id.records.resample import ResampleReport, shift_channels
 
@@ -44,6 +44,8 @@ class Dataset:
         for name in ("inputs", "outputs", "records", "resampling"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         where = f"dataset '{self.name}'" + (f" ({self.path})" if self.path else "")
+        if has_control(self.name):
+            raise InputError(f"the dataset's name '{shown(self.name)}' {CONTROL}; correct it")
         if not self.outputs or not self.records:
             missing = "outputs" if not self.outputs else "records"
             raise InputError(f"{where} has no {missing}; list at least one under '{missing}'")
@@ -177,8 +179,8 @@ class Dataset:
         if path.exists() and not (path.is_dir() and not any(path.iterdir())):
             raise InputError(f"{path} exists already and is not empty; give another folder or remove it")
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
-            complete = Path(temporary) / "complete"
+        with hidden_beside(path) as temporary:
+            complete = temporary / "complete"
             complete.mkdir()
             write_dataset(self, complete)
             complete.replace(path)

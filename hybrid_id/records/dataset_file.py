@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.reading import refuse_outside
 from hybrid_id.records.align import bring_to
 from hybrid_id.records.files import plain
 from hybrid_id.records.readers import Table, TimeRange, is_bag_folder, load_any, record_name
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from hybrid_id.records.dataset import Dataset
 
 FILE_NAME = "dataset.yaml"
+FOLLOW = "copy the file there, or set 'follow_links: true' in dataset.yaml if the link is yours"
 SAVED = ("name", "unit", "noise_std")
 """What a file holds of a channel whose values are in SI."""
 _BAM_INPUTS = {"goal1": "rad", "gain1": "1", "duty1": "1", "supply1": "V", "enable1": "1"}
@@ -48,6 +50,8 @@ def load_dataset(path: Path, folder: Path | None) -> Content:
         )
         raise InputError(f"{path} holds no {FILE_NAME} ({shown}); write one, as docs/records.md shows")
     spec = validate(DatasetFile, read_yaml(file), file)
+    if not spec.follow_links:
+        refuse_outside(file, file.parent, str(file), FOLLOW)
     return _build(spec, file, folder or file.parent, path)
 
 
@@ -112,11 +116,12 @@ def _build(spec: DatasetFile, file: Path, folder: Path, path: Path) -> Content:
     """Read all records of a checked dataset file."""
     units = {"t": "s"} | {entry.name: entry.unit for entry in (*spec.inputs, *spec.outputs)}
     _refuse_strange_columns(spec, units, file)
+    _refuse_shared_columns(spec, file)
     inputs, outputs = _channels(spec, "inputs", file), _channels(spec, "outputs", file)
     records = tuple(
         _read_record(entry, spec, units, data_file, file)
         for index, entry in enumerate(spec.records)
-        for data_file in _files(entry, folder, f"{file}: key 'records[{index}].file'")
+        for data_file in _files(entry, folder, f"{file}: key 'records[{index}].file'", spec.follow_links)
     )
     _refuse_dead_outputs(outputs, records, file)
     sample_time, reports = spec.sample_time, ()
@@ -170,8 +175,33 @@ def _refuse_strange_columns(spec: DatasetFile, units: Mapping[str, str], file: P
                 raise InputError(f"{file}: key '{key}.{channel}': {error}") from None
 
 
-def _files(entry: RecordEntry, folder: Path, where: str) -> Iterator[Path]:
-    """Yield the files that one entry stands for."""
+def _refuse_shared_columns(spec: DatasetFile, file: Path) -> None:
+    """Raise InputError where a channel is read from the column of the stamps, or an input from that of an output."""
+    inputs, outputs = ({entry.name for entry in group} for group in (spec.inputs, spec.outputs))
+    for index, entry in enumerate(spec.records):
+        columns = {name: name for name in ("t", *inputs, *outputs)}
+        columns |= {name: column.column for name, column in (spec.columns | entry.columns).items()}
+        for one in columns:
+            for other in columns:
+                stamps, crossed = one != "t" and other == "t", one in inputs and other in outputs
+                if (stamps or crossed) and columns[one] == columns[other]:
+                    key = f"records[{index}].columns" if {one, other} & entry.columns.keys() else "columns"
+                    raise InputError(
+                        f"{file}: key '{key}': '{one}' and '{other}' are both read from column '{columns[one]}'; "
+                        "correct one of them"
+                    )
+
+
+def _files(entry: RecordEntry, folder: Path, where: str, follow_links: bool) -> Iterator[Path]:
+    """Yield the files that one entry stands for; none of them lies elsewhere, unless links may be followed."""
+    for path in _matching(entry, folder, where):
+        for one in () if follow_links else (path, *(path.iterdir() if path.is_dir() else ())):
+            refuse_outside(one, folder, f"{where}: {one}", FOLLOW)
+        yield path
+
+
+def _matching(entry: RecordEntry, folder: Path, where: str) -> Iterator[Path]:
+    """Yield what one entry's name or pattern fits."""
     exact = folder / entry.file
     if exact.exists() or not any(sign in entry.file for sign in "*?["):
         yield exact

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
 import math
 import os
 import re
+import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.reading import begin_to_write
+
+HIDDEN = "hybrid-id-"
+"""In the name of a hidden folder of this program."""
 
 
 def plain(value: Any) -> Any:
@@ -47,8 +54,11 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
     """Write files that belong together as :func:`write_whole` does, and rename them once all are complete.
 
     Raises:
+        InputError: the running command reads one of them.
         OSError: there is no room, or no right to write there.
     """
+    for path in contents:
+        begin_to_write(path)
     made: list[tuple[str, Path]] = []
     try:
         for path, content in contents.items():
@@ -56,6 +66,8 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
             made.append((temporary, path))
             with os.fdopen(handle, "wb") as file:
                 file.write(content.encode() if isinstance(content, str) else content)
+                file.flush()
+                os.fsync(file.fileno())  # else a loss of power may leave the new name with nothing in it
             os.chmod(temporary, 0o644)  # mkstemp makes files that nobody else may read
         for temporary, path in made:
             os.replace(temporary, path)
@@ -63,6 +75,43 @@ def write_together(contents: Mapping[Path, str | bytes]) -> None:
         for temporary, _ in made:
             Path(temporary).unlink(missing_ok=True)
         raise
+
+
+@contextmanager
+def hidden_beside(place: Path) -> Iterator[Path]:
+    """Yield an empty hidden folder beside a place, for what takes that name once it is complete.
+
+    It is gone afterwards. One that a killed process has left goes, too; if that one was just replacing what stood at
+    the place, it is brought back first: it is called ``old`` inside.
+    """
+    begin = f".{place.name}.{HIDDEN}"
+    for left in [path for path in place.parent.iterdir() if path.name.startswith(begin)]:
+        with suppress(OSError), locked(left):
+            if (left / "old").exists() and not place.exists():
+                (left / "old").replace(place)
+            shutil.rmtree(left)
+    with ExitStack() as stack:
+        made = None
+        while made is None or not made.exists():  # another process may take it away before it is locked
+            made = Path(stack.enter_context(tempfile.TemporaryDirectory(dir=place.parent, prefix=begin)))
+            with suppress(BlockingIOError, FileNotFoundError):
+                stack.enter_context(locked(made))
+        yield made
+
+
+@contextmanager
+def locked(folder: Path) -> Iterator[None]:
+    """Keep others who ask for it out of a folder; a process that ends, however it ends, keeps nobody out.
+
+    Raises:
+        BlockingIOError: somebody else is in it.
+    """
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(handle)
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -70,7 +70,13 @@ def check_record(record: Record) -> list[Finding]:
 
 def check_dataset(dataset: Dataset) -> list[Finding]:
     """Check a dataset as a whole and every record in it; worst first, what records share said once."""
-    findings = [*_roles(dataset), *_repeats(dataset), *check_steps(dataset), *_dead_inputs(dataset)]
+    findings = [
+        *_roles(dataset),
+        *_repeats(dataset),
+        *_same_signals(dataset),
+        *check_steps(dataset),
+        *_dead_inputs(dataset),
+    ]
     findings += [
         Finding("warning", "together", f"these records cannot separate {words}; vary one without the other")
         for words in confounded_signals(dataset.records)
@@ -279,6 +285,33 @@ def _repeats(dataset: Dataset) -> Iterator[Finding]:
             yield Finding("error" if leak else "warning", "repeated", words, record.name)
 
 
+LINE = 1e-9
+"""Largest distance of a signal from a straight line, over its span, up to which no sensor has measured it."""
+
+
+def _same_signals(dataset: Dataset) -> Iterator[Finding]:
+    """Signals that were read from the column of another one: an input's and an output's, or that of the stamps."""
+    for one in (c.name for c in dataset.inputs):
+        for other in (c.name for c in dataset.outputs):
+            if all(np.array_equal(record.inputs[one], record.outputs[other]) for record in dataset):
+                words = f"{one} and {other} hold the same numbers in every record; correct the column of one of them"
+                yield Finding("error", "same_signal", words, channel=one)
+    for name in (c.name for c in (*dataset.inputs, *dataset.outputs)):
+        if all(_is_line(record.time, record.signal(name)) for record in dataset):
+            words = (
+                f"{name} is a straight line over time in every record; check its column unless it is a ramp"
+            )
+            yield Finding("warning", "as_time", words, channel=name)
+
+
+def _is_line(time: np.ndarray, values: np.ndarray) -> bool:
+    """Whether a signal of more than two samples rises or falls in proportion to time."""
+    span = float(np.ptp(values))
+    share = (time - time[0]) / (time[-1] - time[0])
+    line = values[0] + (values[-1] - values[0]) * share
+    return values.size > 2 and span > 0 and float(np.abs(values - line).max()) <= LINE * span
+
+
 def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
     """Compare one output over the records, and its noise with the declared one."""
     name, signals = channel.name, [record.outputs[channel.name] for record in dataset]
@@ -298,9 +331,12 @@ def _across_records(dataset: Dataset, channel: Channel) -> Iterator[Finding]:
             "correct it or leave it out"
         )
         drowned = channel.noise_std > spreads.max() > 0  # no fit could see the signal
-        yield Finding("error" if drowned else "warning", "noise_std", words, channel=name)
+        senseless = drowned or channel.noise_std < noise / TOO_SURE
+        yield Finding("error" if senseless else "warning", "noise_std", words, channel=name)
 
 
+TOO_SURE = 1000.0
+"""Noise of the records over the declared one from which every fit would follow the noise."""
 MIN_SAMPLES = 200
 SLOW_STEP = 0.2  # s; hardly anybody samples a drive that slowly, but 5 kHz stamped in ms looks like it
 STEPS = 5e-6, 1.0  # s; no drive is sampled faster or slower, so that the stamps are in another unit

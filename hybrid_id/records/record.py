@@ -1,6 +1,5 @@
 """One measured (or simulated) experiment: time, what was commanded, what came out, and what its signals are."""
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -9,13 +8,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from hybrid_id.errors import InputError
+from hybrid_id.errors import CONTROL, InputError, has_control, shown
+from hybrid_id.reading import PLAIN_NAME
 from hybrid_id.records.units import to_si
 
 UNIFORM_TOLERANCE = 0.01  # steps this close to the median step, relative, count as equal
 SAMPLE_TIME_TOLERANCE = 1e-3  # mean step of a record against the dataset's sample time, relative
+SMALLEST = 1e-15  # of a signal's largest value in SI, unless it is zero throughout: less is no measurement
 LARGEST = 1e10  # of a signal in SI; what is larger is a fault of the log, and its square may overflow
-_NAME = re.compile(r"\w[\w .+@,=()-]{0,99}")  # names become file names
 
 
 def stamp(time: float) -> str:
@@ -101,10 +101,16 @@ class Record:
     meta: Mapping[str, float | str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
+        if not PLAIN_NAME.fullmatch(self.name):
             raise InputError(
                 f"record name {self.name!r} cannot be a file name; use at most 100 letters, digits, '_' and '-'"
             )
+        for what, words in {
+            "note": self.note,
+            **{f"meta '{k}'": f"{k} {v}" for k, v in self.meta.items()},
+        }.items():
+            if has_control(words, lines=True):
+                raise InputError(f"{self.title}: {shown(what)} {CONTROL}; correct it")
         if self.role not in ("train", "validation", "test"):
             raise InputError(
                 f"{self.title}: role {self.role!r} is unknown; it is 'train', 'validation' or 'test'"
@@ -217,6 +223,8 @@ def find_fault(
         if name != "time" and np.abs(values).max() > LARGEST:
             k = int(np.argmax(np.abs(values) > LARGEST))
             return f"{source}, {place(k)}: '{name}' is {values[k]:g}, which no sensor reads; correct it or its unit"
+        if name != "time" and 0 < (most := float(np.abs(values).max())) < SMALLEST:
+            return f"{source}: '{name}' never exceeds {most:g}, which no sensor reads; check its column and its scale"
     backward = np.diff(time) <= 0
     if backward.any():
         k = int(np.argmax(backward)) + 1

@@ -129,8 +129,6 @@ class RecordEntry(_Part):
     @field_validator("file")
     @classmethod
     def _inside(cls, value: str) -> str:
-        if not value.isprintable():
-            raise ValueError("must be a file's name without control characters")
         if any("**" in part and part != "**" for part in value.split("/")):
             raise ValueError("has '**' beside other characters; '*' stands for any of them within a name")
         posix, windows = PurePosixPath(value), PureWindowsPath(value)
@@ -151,6 +149,7 @@ class DatasetFile(_Part):
         format: of all files, where their ending does not say it.
         columns: channel (or t) to the column that holds it, where the files name things otherwise.
         resample: true, or options: brings jittered stamps to a uniform grid.
+        follow_links: whether symbolic links in the dataset's folder may lead out of it.
     """
 
     name: str = Field(min_length=1)
@@ -161,6 +160,7 @@ class DatasetFile(_Part):
     format: Format | None = None
     columns: dict[str, ColumnEntry] = {}
     resample: ResampleEntry | None = None
+    follow_links: bool = False
 
     _columns = field_validator("columns", mode="before", json_schema_input_type=Columns)(
         lambda value: _short_columns(value)

@@ -1,6 +1,7 @@
 """Reading, checking and writing of the YAML files of a user, every fault as one sentence."""
 
 import difflib
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -10,13 +11,20 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from hybrid_id import __version__
-from hybrid_id.errors import InputError
+from hybrid_id.errors import CONTROL, InputError, has_control, shown
+from hybrid_id.reading import LONGEST_NAME, MOST_DEPTH, read_bytes
 from hybrid_id.records.files import write_whole
 
 Schema = TypeVar("Schema", bound=BaseModel)
 MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser
+MAX_VALUES = 150_000
+"""Values and keys of one file: the weights of a model's networks are the most that any has."""
+Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+"""Plain data only; libyaml's, which is ten times as fast, where PyYAML has it."""
 ODD_NUMBER = re.compile(r"[-+]?([1-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?|0[0-7_]+)")
 """What YAML takes for a number to base 60 or 8, and nobody else does: ``1:40`` is 100, ``0100`` is 64."""
+LARGEST_WHOLE = 2**63 - 1
+"""What machines count to."""
 KINDS = {"study": "dataset", "dataset": "records", "model": "system"}
 """Kinds of files, and a key that each must have."""
 DRAFT = "https://json-schema.org/draft/2020-12/schema"
@@ -35,11 +43,7 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise InputError(f"{path} is larger than 5 MB, so it is no settings file; give the right file")
-        text = path.read_text(encoding="utf-8")
-        _refuse_what_misleads(text, path)
-        values = yaml.safe_load(text)
+        values = parse_yaml(read_bytes(path, MAX_BYTES, "settings file").decode("utf-8-sig"), path)
     except FileNotFoundError:
         raise InputError(f"{path} does not exist; correct the path or write the file") from None
     except IsADirectoryError:
@@ -48,13 +52,10 @@ def read_yaml(path: str | Path) -> dict[str, Any]:
         raise InputError(
             f"{path} is not a text file in UTF-8; save it as UTF-8, or give the folder, if this is a record"
         ) from None
-    except (OSError, RecursionError, ValueError) as error:
-        raise InputError(f"{path} cannot be read ({error}); correct it or give another file") from None
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        row = f", row {mark.line + 1}" if mark else ""
-        problem = " ".join(str(getattr(error, "problem", None) or error).split())
-        raise InputError(f"{path}{row}: this is not valid YAML ({problem}); correct it") from None
+    except OSError as error:
+        raise InputError(
+            f"{path} cannot be read ({error.strerror}); correct it or give another file"
+        ) from None
     if not isinstance(values, dict):
         raise InputError(f"{path} must hold 'key: value' pairs at its top level, as docs/formats.md shows")
     return values
@@ -71,12 +72,14 @@ def validate(schema: type[Schema], values: Mapping[str, Any], path: str | Path) 
     Raises:
         InputError: when a key is unknown, missing or has a value out of range.
     """
+    _refuse_unusable(values, "", path)
     try:
         found = schema.model_validate(values)
         _refuse_truth_as_number(values, found.model_dump(), "", path)
         return found
     except ValidationError as error:
         _refuse_other_kind(schema, values, path)
+        _refuse_stranger(schema, values, path)
         faults = _without_misspelt(error.errors(include_url=False))
         more = f" (and {len(faults) - 1} more)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {_sentence(faults[0], schema)}{more}") from None
@@ -119,13 +122,47 @@ def write_yaml(path: str | Path, values: Mapping[str, Any]) -> None:
     write_whole(path, f"# hybrid_id {__version__}\n{text}")
 
 
-def _refuse_what_misleads(text: str, path: Path) -> None:
-    """Raise InputError at the first alias, number to another base, and key that a mapping holds twice."""
-    for token in yaml.scan(text, Loader=yaml.SafeLoader):
-        if isinstance(token, yaml.AliasToken):
-            row = token.start_mark.line + 1
+def parse_yaml(text: str, path: Path) -> Any:
+    """Values of YAML text; ``path`` is for messages. What :func:`read_yaml` refuses is refused before they are made."""
+    try:
+        _refuse_excess(text, path)
+        node = yaml.compose(text, Loader=Loader)
+        if node is None:
+            return None
+        _refuse_what_misleads(node, path)
+        return yaml.SafeLoader("").construct_document(node)
+    except ValueError as error:  # a date that none is, say
+        raise InputError(f"{path} cannot be read ({error}); correct it or give another file") from None
+    except yaml.YAMLError as error:
+        mark = getattr(error, "problem_mark", None)
+        row = f", row {mark.line + 1}" if mark else ""
+        problem = " ".join(str(getattr(error, "problem", None) or error).split())
+        raise InputError(f"{path}{row}: this is not valid YAML ({problem}); correct it") from None
+
+
+def _refuse_excess(text: str, path: Path) -> None:
+    """Raise InputError at the first alias, and at what is nested deeper or holds more values than any settings do."""
+    depth = values = 0
+    for event in yaml.parse(text, Loader=Loader):
+        if isinstance(event, yaml.AliasEvent):
+            row = event.start_mark.line + 1
             raise InputError(f"{path}, row {row}: YAML aliases (*name) are refused; write the value out")
-    waiting = [yaml.compose(text, Loader=yaml.SafeLoader)]
+        values += isinstance(event, yaml.NodeEvent)
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MOST_DEPTH:
+            row = event.start_mark.line + 1
+            raise InputError(
+                f"{path}, row {row}: nested more than {MOST_DEPTH} levels deep; correct the brackets"
+            )
+        if values > MAX_VALUES:
+            raise InputError(
+                f"{path} holds more than {MAX_VALUES} values, so it is no settings file; give the right file"
+            )
+
+
+def _refuse_what_misleads(root: yaml.Node, path: Path) -> None:
+    """Raise InputError at the first number to another base, key that is too long, and key that is given twice."""
+    waiting = [root]
     while waiting:
         node = waiting.pop()
         if isinstance(node, yaml.ScalarNode) and node.style is None and ODD_NUMBER.fullmatch(node.value):
@@ -139,17 +176,40 @@ def _refuse_what_misleads(text: str, path: Path) -> None:
         elif isinstance(node, yaml.MappingNode):
             seen = set()
             for key, value in node.value:
-                if str(key.value) in seen:
-                    row = key.start_mark.line + 1
-                    raise InputError(f"{path}, row {row}: key '{key.value}' is given twice; keep one of them")
-                seen.add(str(key.value))
+                name, row = str(key.value), key.start_mark.line + 1
+                if not isinstance(key, yaml.ScalarNode) or len(name) > LONGEST_NAME:
+                    words = f"a key is longer than {LONGEST_NAME} signs, or no name; correct it"
+                    raise InputError(f"{path}, row {row}: {words}")
+                if name in seen:
+                    raise InputError(f"{path}, row {row}: key '{name}' is given twice; keep one of them")
+                seen.add(name)
                 waiting.append(value)
+
+
+def _refuse_unusable(given: Any, key: str, path: str | Path) -> None:
+    """Raise InputError at a number beyond all use, and at words that no file or screen can hold."""
+    if isinstance(given, Mapping):
+        for name, value in given.items():
+            below = f"{key}.{shown(str(name))}".lstrip(".")
+            if has_control(str(name)):
+                raise InputError(f"{path}: key '{below}' {CONTROL}; correct it")
+            _refuse_unusable(value, below, path)
+    elif isinstance(given, list | tuple):
+        for i, value in enumerate(given):
+            _refuse_unusable(value, f"{key}[{i}]", path)
+    elif isinstance(given, str) and has_control(given, lines=True):
+        raise InputError(f"{path}: key '{key}' {CONTROL} ('{shown(given)}'); correct it")
+    elif isinstance(given, int) and abs(given) > LARGEST_WHOLE:
+        digits = 1 + int(given.bit_length() * math.log10(2))
+        raise InputError(f"{path}: key '{key}' is a number of {digits} digits, beyond all use; correct it")
 
 
 def _refuse_truth_as_number(given: Any, found: Any, key: str, path: str | Path) -> None:
     """Raise InputError where a file says true or false for a number, which pydantic takes for 1 or 0."""
     if isinstance(given, bool) and isinstance(found, int | float) and not isinstance(found, bool):
         raise InputError(f"{path}: key '{key}' is {str(given).lower()}, but a number is needed; give one")
+    if isinstance(given, bool) and isinstance(found, Mapping):  # a value short for a mapping of it
+        _refuse_truth_as_number(given, next(iter(found.values()), None), key, path)
     if isinstance(given, Mapping) and isinstance(found, Mapping):
         for name in given.keys() & found.keys():
             _refuse_truth_as_number(given[name], found[name], f"{key}.{name}".lstrip("."), path)
@@ -164,6 +224,15 @@ def _refuse_other_kind(schema: type[BaseModel], values: Mapping[str, Any], path:
     given = next((kind for kind, key in KINDS.items() if key in values), None)
     if asked and given and KINDS[asked] not in values and KINDS[given] not in schema.model_fields:
         raise InputError(f"{path} is a {given} file, but a {asked} file is needed here; give that one")
+
+
+def _refuse_stranger(schema: type[BaseModel], values: Mapping[str, Any], path: str | Path) -> None:
+    """Raise InputError, which says nothing of its contents, where a file has no key that is known, or nearly so."""
+    known = list(schema.model_fields)
+    if not any(key in known or difflib.get_close_matches(str(key), known, n=1) for key in list(values)[:99]):
+        raise InputError(
+            f"{path} has none of the keys that are read here ({', '.join(known)}); give the right file"
+        )
 
 
 def _without_misspelt(faults: Sequence[Any]) -> list[Any]:

@@ -19,6 +19,7 @@ from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
     called,
     capital,
+    failed_lines,
     headline,
     implausible_lines,
     joined,
@@ -186,7 +187,7 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     lines += [common_words(one) for one in found.common]
     for joint, one in found.joints.items():
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
-        lines += [f"{joint}: {line}" for line in implausible_lines(one)]
+        lines += [f"{joint}: {line}" for line in (*implausible_lines(one), *failed_lines(one))]
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
 
@@ -199,7 +200,7 @@ def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:
             continue
         known = info.name in found.estimates and 0.0 < std < float("inf")
         ends = (value - 1.96 * std, value + 1.96 * std) if known else None
-        said.append(f"{called(info)} {measured(value, ends, info.spec.unit)}")
+        said.append(f"{called(info)} {measured(value, ends, info.unit)}")
     return said
 
 

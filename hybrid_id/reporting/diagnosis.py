@@ -20,6 +20,7 @@ from hybrid_id.reporting.diagnosis_words import (
     error_lines,
     experiment_lines,
     extrapolation_lines,
+    failed_lines,
     headline,
     implausible_lines,
     joint_words,
@@ -73,6 +74,7 @@ def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> Ren
         *implausible_lines(diagnosis, 4),
         *not_identifiable_lines(diagnosis, 1),
         *extrapolation_lines(diagnosis)[:1],
+        *failed_lines(diagnosis),
         *caution_lines(diagnosis, max_effects),
     )
     parts += [Text(line, style="yellow") for line in remarks]
@@ -106,7 +108,7 @@ def parameters_table(diagnosis: Diagnosis) -> Table:
     models = (nominal, *(one.selected_model for one in studies))
     infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
     for name, info in infos.items():
-        unit, factor = shown_unit(info.spec.unit, last.outputs)
+        unit, factor = shown_unit(info.unit, last.outputs)
         cells = [cell for one in studies for cell in _estimate(one, name, factor)]
         word, *more = reliability_cells(last, name) if name in last.names else [""]
         rows.append((name, word, _value(nominal, name, factor), *cells, unit, info.doc, *more))
@@ -240,6 +242,7 @@ def _add_effects(
         *varying_lines(diagnosis),
         *rejected_lines(diagnosis),
         *extrapolation_lines(diagnosis),
+        *failed_lines(diagnosis),
         *caution_lines(diagnosis, max_effects),
     )
     effects = page.section("Effects")

@@ -323,6 +323,22 @@ def rejected_lines(diagnosis: Diagnosis) -> list[str]:
     return [f"rejected: {words}: improbable, or of a size that may be zero."]
 
 
+def failed_lines(diagnosis: Diagnosis) -> list[str]:
+    """How many fits of the search failed, and why the most frequent ones did, as one line; none where all went well."""
+    failed = diagnosis.tally.failed
+    if not failed:
+        return []
+    parts = []
+    for one, times in failed.most_common(2):
+        effects = [_at(*name, diagnosis.model) for name in one.effects]
+        names = joined(effects) if effects else "the nominal model"
+        parts.append(f"{names}{f' ({times} times)' if times > 1 else ''}: {one.reason.rstrip('.')}")
+    more = f"; and {len(failed) - 2} more kinds, in diagnosis.json" if len(failed) > 2 else ""
+    return [
+        f"{failed.total()} of {diagnosis.tally.tried} fits of candidates failed: {'; '.join(parts)}{more}."
+    ]
+
+
 def change_lines(diagnosis: Diagnosis) -> list[str]:
     """Which physical change explains the new values, as one line; none where the headline says it."""
     if not diagnosis.changes or diagnosis.verdict == "parameters_only":
@@ -408,7 +424,7 @@ def values_of(diagnosis: Diagnosis, one: RatedEffect) -> list[str]:
     intervals = dict(zip(study.names, study.intervals(0), strict=True))
     for symbol, (value, _) in one.parameters.items():
         if info := infos.get(symbol):
-            unit, factor = shown_unit(info.spec.unit, study.outputs)
+            unit, factor = shown_unit(info.unit, study.outputs)
             ends = None if info.name not in intervals else factor * intervals[info.name]
             found.append(f"{called(info)} {measured(factor * value, ends, unit)}")
     return found

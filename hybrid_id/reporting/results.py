@@ -67,7 +67,7 @@ def nominal_result(system: System) -> dict[str, Any]:
             "nominal": info.spec.value,
             "lower": info.spec.lower,
             "upper": info.spec.upper,
-            "unit": info.spec.unit,
+            "unit": info.unit,
             "estimate": info.spec.estimate,
             "prior_mean": info.spec.prior_mean,
             "prior_std": info.spec.prior_std,

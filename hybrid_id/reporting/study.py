@@ -53,7 +53,7 @@ def study_table(study: Study, *, full: bool = False) -> RenderableType:
     rows = []
     for k, name in enumerate(study.names):
         info = study.selected_model.parameter(name)
-        unit, factor = shown_unit(info.spec.unit, study.outputs)
+        unit, factor = shown_unit(info.unit, study.outputs)
         value = [f"{factor * study.selected.values[k]:.5g}", interval_words(*(factor * intervals[k])), unit]
         varies = []
         if spread is not None:
@@ -100,7 +100,7 @@ def reliability_cells(study: Study, name: str) -> list[Text]:
     """Reliability, lower and upper bound of a parameter of the selected set, and why it is not more reliable."""
     one = study.reliability[study.names.index(name)]
     word, why = one.words, "" if one.grade == "A" else one.reason
-    _, factor = shown_unit(study.selected_model.parameter(name).spec.unit, study.outputs)
+    _, factor = shown_unit(study.selected_model.parameter(name).unit, study.outputs)
     return [Text(word, style=_STYLE[word]), *bound_cells(study.selected_model, name, factor), Text(why)]
 
 

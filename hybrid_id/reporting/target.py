@@ -55,7 +55,7 @@ def _refit_lines(label: str, one: InTarget) -> list[str]:
     if not one.refitted:
         return []
     infos = [(one.system.parameter(name), old, new) for name, (old, new) in one.refitted.items()]
-    values = ", ".join(f"{i.name} {old:.4g} to {new:.4g} {i.spec.unit}" for i, old, new in infos)
+    values = ", ".join(f"{i.name} {old:.4g} to {new:.4g} {i.unit}" for i, old, new in infos)
     return [
         f"{label}: MuJoCo lacks some of it (error {summarise(one.before).there:.3g} as it is), so its file holds what "
         f"fits the train records best there: {values}",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shutil
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from matplotlib.figure import Figure
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.records.files import hidden_beside
 from hybrid_id.reporting.diagnosis_words import errors_by_name
 from hybrid_id.reporting.style import COLOURS, GREY, journal, label, new_figure, pixels
 from hybrid_id.study import Study
@@ -158,8 +158,8 @@ def write_cell_events(folder: Path, result: CellResult) -> None:
     metrics |= {"share": best.share, "overlap": best.overlap, "price": best.price, "seconds": result.seconds}
     finite = {f"final/{name}": value for name, value in metrics.items() if math.isfinite(value)}
     folder.mkdir(exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=".") as temporary:
-        new = Path(temporary) / "new"
+    with hidden_beside(folder) as temporary:
+        new = temporary / "new"
         with SummaryWriter(str(new)) as writer:
             for tag, values in result.history.items():
                 for step, value in values:

@@ -14,9 +14,9 @@ from hybrid_id.systems.chain import System
 
 
 def shown_unit(unit: str, outputs: Iterable[Channel]) -> tuple[str, float]:
-    """Unit in which a parameter is shown, and its factor: an angle at the joint has that of the logged angles."""
-    angles = (channel.shown for channel in outputs if stem(channel.name) in ("q_a", "q_m"))
-    return next(angles, (unit, 1.0)) if unit == "rad" else (unit, 1.0)
+    """Unit in which a parameter is shown, and its factor: an angle or a way at the joint has that of the logs."""
+    places = (one.shown for one in outputs if stem(one.name) in ("q_a", "q_m") and one.unit == unit)
+    return next(places, (unit, 1.0)) if unit in ("rad", "m") else (unit, 1.0)
 
 
 def title(channel: str, outputs: Iterable[Channel]) -> str:

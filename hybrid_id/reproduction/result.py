@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 
 from hybrid_id import __version__
+from hybrid_id.errors import InputError
+from hybrid_id.reading import read_object
 from hybrid_id.records.files import plain, write_whole
 
 
@@ -102,7 +104,7 @@ def save(result: StageResult | TrackingResult, path: Path, key: dict[str, Any]) 
 def load(kind: type[Any], path: Path, key: dict[str, Any]) -> Any:
     """The result in a file; None where there is none, or where it was made from something else."""
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = read_object(path, "result of a stage")
         if content["key"] != json.loads(json.dumps(key)):
             return None
         values = content["result"]
@@ -110,7 +112,7 @@ def load(kind: type[Any], path: Path, key: dict[str, Any]) -> Any:
         if "std_error" in found:  # where no interval may be claimed it is infinite, which JSON cannot say
             found["std_error"] = np.nan_to_num(found["std_error"], nan=np.inf)
         return kind(**found)
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, InputError, ValueError, KeyError, TypeError):
         return None
 
 

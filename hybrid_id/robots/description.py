@@ -12,15 +12,13 @@ import numpy as np
 from hybrid_id.errors import InputError
 from hybrid_id.robots.rows import Matrix, Vector, constant, constant_vector
 from hybrid_id.robots.tree import Body, Point, RigidBodyTree, Servo, SpatialInertia, TreeJoint, frame
-
-LARGEST = 32 * 2**20
-"""Bytes of a description at most."""
-FORBIDDEN = ("<!DOCTYPE", "<!ENTITY")
-"""What lets an XML file grow or fetch others while it is read."""
+from hybrid_id.robots.walk import walk
 
 MASSLESS = 1e-12
 """Mass [kg] and inertia [kg m^2] of a body that has none."""
 
+BROKEN = (ValueError, RuntimeError, MemoryError)
+"""What MuJoCo raises of a description that it cannot take."""
 Pose = tuple[np.ndarray, np.ndarray]
 """Rotation ``(3, 3)`` and position ``(3,)`` [m] in a parent's axes."""
 
@@ -68,7 +66,7 @@ def compiled(path: Path, spec: Any) -> Any:
     spec.compiler.boundinertia = max(spec.compiler.boundinertia, MASSLESS)
     try:
         return spec.compile()
-    except ValueError as error:
+    except BROKEN as error:
         raise InputError(
             f"{path}: {_first_line(error)}; MuJoCo cannot compile it, so mend it there."
         ) from error
@@ -87,20 +85,11 @@ def _mujoco(path: Path) -> Any:
 def _parsed(path: Path) -> tuple[Any, Any]:
     mujoco = _mujoco(path)
     try:
-        size = path.stat().st_size
-        text = "" if size > LARGEST else path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text in UTF-8"
-        raise InputError(f"{path}: cannot be read ({reason}); give an MJCF or URDF file.") from error
-    if size > LARGEST:
-        raise InputError(
-            f"{path}: {size / 2**20:.0f} MB are too much for a description; {LARGEST >> 20} MB at most."
-        )
-    if found := next((word for word in FORBIDDEN if word in text), None):
-        raise InputError(f"{path}: {found} is not read in a robot's description; take it out.")
-    try:
+        walk(path)
         return mujoco, mujoco.MjSpec.from_file(str(path))  # type: ignore[attr-defined]
-    except ValueError as error:
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give an MJCF or URDF file.") from error
+    except BROKEN as error:
         raise InputError(f"{path}: {_first_line(error)}; give an MJCF or URDF file.") from error
 
 
@@ -238,7 +227,12 @@ def _joint(path: Path, mujoco: Any, model: Any, j: int, parent: int, start: Pose
 
 def _speed_limits(path: Path) -> dict[str, float]:
     """Largest speed of each joint of a URDF [rad/s or m/s], which MuJoCo's parser leaves out; MJCF has none."""
-    root = ElementTree.parse(path).getroot()
+    try:
+        root = ElementTree.parse(path).getroot()
+    except (
+        ElementTree.ParseError
+    ) as error:  # a prefix that is not declared, which MuJoCo takes for a part of a name
+        raise InputError(f"{path}: no XML ({error}); correct it there.") from None
     found = {}
     for joint in root.iter("joint") if root.tag == "robot" else ():
         limit = joint.find("limit")

@@ -10,6 +10,7 @@ import os
 import platform
 import re
 import shutil
+import stat
 import subprocess
 import tempfile
 from collections.abc import Sequence
@@ -18,10 +19,13 @@ from pathlib import Path
 from torch import Tensor
 
 from hybrid_id.errors import InputError, MachineError
+from hybrid_id.records.files import write_together
 
 FLAGS = ("-O2", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC")
 MOST_KEPT = 8000
 """Libraries in the user's cache, about 20 kB each."""
+DIGEST = ".sha256"
+"""Ending of the file that holds a library's digest."""
 
 
 def compiler() -> str | None:
@@ -30,8 +34,13 @@ def compiler() -> str | None:
 
 
 @functools.cache
-def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
+def library(source: str, names: tuple[str, ...], flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
     """The library that a C compiler makes of a source, kept for other processes and later runs.
+
+    Args:
+        source: the C code.
+        names: functions of it that will be called; a kept library that lacks one is built again.
+        flags: of the compiler.
 
     Raises:
         InputError: there is no compiler or it fails.
@@ -39,8 +48,9 @@ def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
     found = compiler()
     if found is None:
         raise InputError("Compiled steps need a C compiler; install gcc, or leave 'compiled' off.")
-    kept = _cache() / f"{_key(source, found, *flags)}.so"
-    if (known := _loaded(kept)) is not None:
+    cache = _cache()
+    kept = None if cache is None else cache / f"{_key(source, found, *flags)}.so"
+    if kept is not None and _is_whole(kept) and (known := _loaded(kept, names)) is not None:
         return known
     with tempfile.TemporaryDirectory() as folder:
         code, built = Path(folder) / "steps.c", Path(folder) / "steps.so"
@@ -52,10 +62,13 @@ def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
                 capture_output=True, text=True,
             )  # fmt: skip
             if done.returncode == 0:
-                with contextlib.suppress(OSError):  # a cache that cannot be written to is no cache
-                    _put(built, kept)
-                if (made := _loaded(kept) or _loaded(built)) is not None:
-                    return made
+                if kept is not None:
+                    with contextlib.suppress(OSError):  # a cache that cannot be written to is no cache
+                        _put(built, kept)
+                # the new file first: under the kept one's name the loader may still know a library without the names
+                for path in (built, kept):
+                    if path is not None and (made := _loaded(path, names)) is not None:
+                        return made
                 raise MachineError(
                     f"Nothing compiled may be run from {folder}; set TMPDIR, or leave 'compiled' off."
                 )
@@ -64,20 +77,42 @@ def library(source: str, flags: Sequence[str] = FLAGS) -> ctypes.CDLL:
         raise kind(f"The C compiler {found} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}")
 
 
-def _loaded(path: Path) -> ctypes.CDLL | None:
-    """A library; None where it is not there, is damaged, or lies where nothing may be run."""
+def _loaded(path: Path, names: Sequence[str]) -> ctypes.CDLL | None:
+    """A library; None where it is not there, lacks a function, or lies where nothing may be run."""
     try:
-        return ctypes.CDLL(str(path))
+        code = ctypes.CDLL(str(path))
     except OSError:
         return None
+    return code if all(hasattr(code, name) for name in names) else None
 
 
-def _cache() -> Path:
-    """Folder of libraries in the user's cache; one that cannot be for a user without a home."""
+def _is_whole(kept: Path) -> bool:
+    """Whether a kept library is the one whose digest stands beside it: to load a damaged one ends the process."""
     try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hybrid_id"
-    except RuntimeError:
-        return Path(os.devnull) / "hybrid_id"
+        return _digest(kept.read_bytes()) == kept.with_suffix(DIGEST).read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return False
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
+
+
+def _cache() -> Path | None:
+    """Folder of libraries in the user's cache, made where it is not there; None where no trusted one can be.
+
+    What lies in it is run, so that it must be the user's own and no other may write there. A relative XDG_CACHE_HOME
+    counts as none, as its specification demands.
+    """
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        folder = (Path(given) if Path(given).is_absolute() else Path.home() / ".cache") / "hybrid_id"
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        about = folder.lstat()
+    except (OSError, RuntimeError, ValueError):  # a user without a home, a file in the way
+        return None
+    own = stat.S_ISDIR(about.st_mode) and about.st_uid == os.geteuid() and not about.st_mode & 0o022
+    return folder if own and folder.is_absolute() else None
 
 
 @functools.cache
@@ -96,13 +131,11 @@ def _key(*parts: str) -> str:
 
 
 def _put(built: Path, kept: Path) -> None:
-    """Copy under a name of its own, then rename: other processes see a whole library or none."""
-    kept.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    part = kept.with_suffix(f".{os.getpid()}")
-    shutil.copyfile(built, part)
-    part.replace(kept)
-    if len(os.listdir(kept.parent)) > MOST_KEPT:  # the older half; who has loaded one of them keeps it
-        for old in sorted(kept.parent.glob("*.so"), key=os.path.getmtime)[: MOST_KEPT // 2]:
+    """Keep a library with its digest: other processes, and later ones after a loss of power, see both whole or none."""
+    content = built.read_bytes()
+    write_together({kept: content, kept.with_suffix(DIGEST): _digest(content)})
+    if len(os.listdir(kept.parent)) > 2 * MOST_KEPT:  # the older half; who has loaded one of them keeps it
+        for old in sorted(kept.parent.iterdir(), key=os.path.getmtime)[:MOST_KEPT]:
             old.unlink(missing_ok=True)
 
 

@@ -154,7 +154,8 @@ def _library(
     if key not in _LIBRARIES:
         code, constants = source(system, channels, free, width, late)
         flags = FLAGS if width is None else SMOOTH_FLAGS
-        _LIBRARIES[key] = library(code, flags), torch.tensor(constants, dtype=torch.float64)
+        name = "shoot" if free is None else "linearise"
+        _LIBRARIES[key] = library(code, (name,), flags), torch.tensor(constants, dtype=torch.float64)
     return _LIBRARIES[key]
 
 

@@ -262,7 +262,8 @@ def condense_compiled(x: Tensor, a: Tensor, b: Tensor, x_next: Tensor) -> Tensor
 @functools.cache
 def _condensing() -> ctypes.CDLL | None:
     try:
-        return library(resources.files("hybrid_id.simulation").joinpath("condense.c").read_text())
+        source = resources.files("hybrid_id.simulation").joinpath("condense.c").read_text(encoding="utf-8")
+        return library(source, ("condense",))
     except InputError:
         return None
 

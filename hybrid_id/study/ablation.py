@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -16,13 +15,15 @@ import torch
 from pydantic import BeforeValidator, TypeAdapter
 
 from hybrid_id import __version__
+from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hybrid
 from hybrid_id.identification.networks import with_memory
 from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.identification.windows import measured_windows
+from hybrid_id.reading import read_object
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.files import plain
+from hybrid_id.records.files import hidden_beside, plain
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
@@ -293,8 +294,9 @@ def key_of(task: Task, cell: Cell, program: str = __version__) -> str:
 
 def save_cell(folder: Path, result: CellResult, key: str) -> None:
     """Write a cell's folder under a temporary name and rename it, so that it is whole or not there."""
-    with tempfile.TemporaryDirectory(dir=folder, prefix=".") as temporary:
-        new, place = Path(temporary) / "new", folder / result.cell.name
+    place = folder / result.cell.name
+    with hidden_beside(place) as temporary:
+        new = temporary / "new"
         new.mkdir()
         plain = as_plain(result)
         content = {"program": f"hybrid_id {__version__}", "key": key, "seal": _seal(plain), "result": plain}
@@ -302,17 +304,17 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
         if result.model:
             write_yaml(new / MODEL, result.model)
         if place.exists():
-            place.replace(Path(temporary) / "old")
+            place.replace(temporary / "old")
         new.replace(place)
 
 
 def load_cell(folder: Path, cell: Cell, key: str) -> CellResult | None:
     """The cell that an earlier run has kept; None where there is none, or one of other settings or edited."""
     try:
-        content = json.loads((folder / cell.name / CELL).read_text(encoding="utf-8"))
+        content = read_object(folder / cell.name / CELL, "cell of an ablation")
         whole = content["key"] == key and content["seal"] == _seal(content["result"])
         return from_plain(content["result"]) if whole else None
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, InputError, ValueError, KeyError, TypeError):
         return None
 
 

@@ -170,7 +170,7 @@ def hybridise(
     residuals = np.concatenate([row.reshape(-1) for one in sets for row in one.residual])
     own = float(np.sqrt(np.square(residuals).sum() / sum(one.n_samples for one in sets)))
     return HybridStudy(
-        result, tuple(r.name for r in held), tuple(i.name for i in info), tuple(i.spec.unit for i in info),
+        result, tuple(r.name for r in held), tuple(i.name for i in info), tuple(i.unit for i in info),
         values[0], values[1], first.errors, chosen.errors, roles,
         {name: (misses[0][name], misses[1][name]) for name in everything.names},
         result.physics.noise_scale, own, level,

@@ -186,7 +186,7 @@ class Study:
             "value": self.selected.values,
             "lower": lower,
             "upper": upper,
-            "unit": [info.spec.unit for info in infos],
+            "unit": [info.unit for info in infos],
         }
         if self.variation is not None:
             columns |= {"mean": self.variation.mean, "std_over_mean": self.variation.percent / 100.0}

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import copy
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import SimpleNamespace
 from typing import cast
 
 import torch
 from torch import Tensor, nn
 
-from hybrid_id.components.base import PLACES, Component, StateUpdate
+from hybrid_id.components.base import PLACES, Component, Shared, StateUpdate
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
@@ -23,6 +23,9 @@ from hybrid_id.systems.joint import Joint
 Rows = Sequence[Tensor]
 Channels = Mapping[str, Tensor]
 Views = Mapping[str, SimpleNamespace]
+
+TURNING = ("input", "motor", "motor_friction", "sensor")
+"""Places on the motor's side of a gear."""
 
 
 class System(nn.Module):
@@ -116,12 +119,26 @@ class System(nn.Module):
             for joint in self.joints
             for row in range(joint.positions[-1] + 2, joint.positions[0] + len(joint.state_names))
         ]
-        self.table = parameter_table(self.components, self.aliases)
+        self.table = parameter_table(self.components, self.aliases, self._linear())
         self.estimated = [i for i, info in enumerate(self.table) if info.spec.estimate]
         parts = cast("dict[str, Component]", dict(self.components.items()))
         self.arm = Arm(self.joints, parts, self.tree, self.seats)
         with torch.no_grad():
             self.arm.check({key: cast(Component, part).view() for key, part in self.components.items()})
+
+    def _linear(self) -> set[str]:
+        """Components that act along a linear axis."""
+        slides: dict[str, float] = {}
+        if self.tree is not None:
+            for number, ratio in zip(self._numbers, self.gear_ratio, strict=True):
+                if self.tree.joints[number - 1].kind == "slide":
+                    slides[f"joint{number}"] = ratio
+        found = set()
+        for key, part in self.components.items():
+            joint, place, _ = key.split("/")
+            if joint in slides and acts_along(type(cast(Component, part)), place, slides[joint]):
+                found.add(key)
+        return found
 
     def with_component(self, where: str, component: Component) -> System:
         """A new system that has ``component`` too (in a place that holds exactly one, instead of the old one)."""
@@ -352,7 +369,20 @@ def check_place(where: str, kind: type[Component], joints: Sequence[str]) -> Non
         raise InputError(f"{kind.kind} cannot sit in '{where}'; it belongs in {' or '.join(kind.places)}.")
 
 
-def parameter_table(components: nn.ModuleDict, aliases: Mapping[tuple[str, str], str]) -> list[ParameterInfo]:
+def acts_along(kind: type[Component], place: str, gear_ratio: float) -> bool:
+    """Whether a component at a joint that slides has a force and a way, and not a torque and an angle.
+
+    Without a gear the whole drive moves along the axis; behind one, what is on the motor's side turns.
+    """
+    if issubclass(kind, Shared):
+        return False
+    at_motor = place in TURNING if kind.at_motor is None else kind.at_motor
+    return gear_ratio == 1.0 or not at_motor
+
+
+def parameter_table(
+    components: nn.ModuleDict, aliases: Mapping[tuple[str, str], str], linear: Collection[str] = ()
+) -> list[ParameterInfo]:
     """All parameters in the components' order.
 
     A name is the alias, or the symbol where no other component has it, or the symbol with the component's key.
@@ -360,6 +390,7 @@ def parameter_table(components: nn.ModuleDict, aliases: Mapping[tuple[str, str],
     Args:
         components: by key, ``joint1/motor_friction/coulomb_friction``.
         aliases: preferred names by key and symbol.
+        linear: keys of what acts along a linear axis.
     """
     entries = [(key, s) for key, c in components.items() for s in cast(Component, c).declared]
     symbols = [symbol for _, symbol in entries]
@@ -370,5 +401,6 @@ def parameter_table(components: nn.ModuleDict, aliases: Mapping[tuple[str, str],
         if name is None:
             joint, place, kind = key.split("/")
             name = symbol if symbols.count(symbol) == 1 else f"{symbol}_{joint}_{place}_{kind}"
-        table.append(ParameterInfo(name, key, symbol, part.declared[symbol].doc, part.specs[symbol]))
+        spec = part.specs[symbol]
+        table.append(ParameterInfo(name, key, symbol, part.declared[symbol].doc, spec, key in linear))
     return table

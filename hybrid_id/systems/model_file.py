@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -16,13 +16,13 @@ from hybrid_id.components.load.arm_gravity import ArmGravity
 from hybrid_id.components.load.gravity import Gravity
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
-from hybrid_id.parameters import Bounded
+from hybrid_id.parameters import Bounded, linear_unit
 from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
 from hybrid_id.robots.description import load_tree
 from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.systems.builders import FLAT_NAMES, joint_names, robot
 from hybrid_id.systems.by_joint import together
-from hybrid_id.systems.chain import System, check_place
+from hybrid_id.systems.chain import System, acts_along, check_place
 from hybrid_id.systems.model_schema import (
     FLAT,
     ROBOT,
@@ -98,7 +98,10 @@ def _robot(file: ModelFile, entry: RobotEntry, path: str) -> System:
     for k, one in enumerate(file.components):
         _placed_kind(one, k, tree.names, path)
         joint, _, place = one.place.rpartition("/")
-        listed.append(one.model_copy(update={"place": f"joint{tree.names.index(joint) + 1}/{place}"}))
+        number = tree.names.index(joint)
+        if tree.joints[number].kind == "slide" and acts_along(REGISTRY[one.kind], place, ratios[number]):
+            one = _of_turning(one)
+        listed.append(one.model_copy(update={"place": f"joint{number + 1}/{place}"}))
     file = file.model_copy(update={"components": listed, "gear_ratio": ratios})
     usual = _with_servos(robot(tree, ratios), tree, file, path)
     parts: Parts = {
@@ -283,6 +286,17 @@ def _placed_kind(entry: ComponentEntry, k: int, joints: Sequence[str], path: str
     return REGISTRY[entry.kind]
 
 
+def _of_turning(entry: ComponentEntry) -> ComponentEntry:
+    """A component at a linear axis with the units of its law in place of those of the axis; the values are the same."""
+    declared = REGISTRY[entry.kind].declared
+    own = {
+        symbol: one.model_copy(update={"unit": declared[symbol].unit})
+        for symbol, one in entry.parameters.items()
+        if symbol in declared and one.unit == linear_unit(declared[symbol].unit)
+    }
+    return entry.model_copy(update={"parameters": entry.parameters | own})
+
+
 def _bounded(kind: type[Component], symbol: str, entry: ParameterEntry, where: str) -> Bounded:
     if symbol not in kind.declared:
         raise InputError(f"{where} is not a parameter; {kind.kind} has {', '.join(kind.declared) or 'none'}.")
@@ -364,7 +378,10 @@ def _described_robot(system: System, tree: RigidBodyTree, folder: Path | None) -
     components = []
     for key, part in system.components.items():
         joint, place, _ = key.split("/")
-        components.append(_component(f"{tree.names[int(joint[5:]) - 1]}/{place}", cast(Component, part)))
+        units = {info.symbol: info.unit for info in system.table if info.component == key}
+        components.append(
+            _component(f"{tree.names[int(joint[5:]) - 1]}/{place}", cast(Component, part), units)
+        )
     file = tree.source if folder is None else _seen_from(folder.resolve(), tree.source)
     described = {"file": file} | ({"hold": dict(tree.held)} if tree.held else {})
     couplings = [
@@ -387,8 +404,8 @@ def _seen_from(folder: Path, file: str) -> str:
         return file
 
 
-def _component(where: str, part: Component) -> dict[str, Any]:
-    values = {symbol: _entry(spec) for symbol, spec in part.specs.items()}
+def _component(where: str, part: Component, units: Mapping[str, str] | None = None) -> dict[str, Any]:
+    values = {s: _entry(spec) | {"unit": (units or {}).get(s, spec.unit)} for s, spec in part.specs.items()}
     entry: dict[str, Any] = {"place": where, "kind": part.kind, "parameters": values}
     if options := part.options():
         entry |= {"options": options}

@@ -5,24 +5,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from malformed import Malformed, malformed_datasets, write_sound_dataset
+from malformed import Malformed, contents, malformed_datasets, refused, write_sound_dataset
 from malformed_models import MalformedModel, malformed_models, write_sound_model
-
-
-def refused(outcome, *names: str) -> None:
-    """Hold a refusal to its form."""
-    assert outcome.code == 2, outcome.err
-    lines = [line for line in outcome.err.splitlines() if not line.startswith("warning: ")]
-    assert len(lines) == 1, outcome.err
-    assert lines[0].startswith("Error: ")
-    assert lines[0].endswith((".", "?"))
-    assert not lines[0].endswith("?.")
-    for name in names:
-        assert name in lines[0]
-
-
-def contents(folder: Path) -> set[Path]:
-    return set(folder.rglob("*"))
 
 
 @pytest.mark.parametrize("case", malformed_datasets(), ids=lambda case: case.name)

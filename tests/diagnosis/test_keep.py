@@ -1,6 +1,7 @@
 """Fits that a search keeps: a search that was stopped goes on with them and says the same to the last byte."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,11 @@ import hybrid_id.diagnosis.select as selection
 import hybrid_id.identification.fit as single_fit
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.fits import FULL, Fits, Task
+from hybrid_id.diagnosis.model import Tally
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
+from hybrid_id.reporting.diagnosis import summary
+from hybrid_id.reporting.diagnosis_words import failed_lines
 
 HALF = Horizon("windows", 0.5)
 
@@ -85,3 +89,39 @@ def test_the_horizon_is_what_was_asked_for(diagnosed) -> None:
     assert found.horizon == HALF and found.as_dict()["window"] == 0.5
     assert found.selected[0].name in ("spring_load", "gravity_load")  # alike over so short a time
     assert len(found.details.studies) == 2
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_fits_that_raise_are_counted_and_told(diagnosed, tmp_path: Path, monkeypatch, jobs: int) -> None:
+    """Class 10 of what breaks programs: what failed is never just absent, not after a resumption either."""
+    dataset, nominal, whole = diagnosed
+    name = ("spring_load", "joint1/load")
+    reasons = iter(["the solver\nhas lost its way", "the solver has lost its way", "NaN"])
+
+    def broken(*_: object, **__: object) -> None:
+        raise RuntimeError(next(reasons))
+
+    tasks, keep = (
+        [Task((name,), nominal), Task((), nominal, cost=1.0), Task((), nominal)],
+        Kept(tmp_path, "this"),
+    )
+    with monkeypatch.context() as patch:
+        patch.setattr(search_fits, "finite_difference_fit", broken)
+        Fits(dataset, kept=keep).run(tasks, 1)
+    fits = Fits(dataset, kept=keep, jobs=jobs)
+    fits.fitted = search_fits.PARALLEL_FROM
+    assert fits.over(HALF).run([Task((), nominal)], 1) != [None]
+    assert fits.run(tasks, 1) == [None] * 3  # as they are kept
+    said = fits.tally.as_dict()
+    assert (said["tried"], said["failed"]) == (4, 3)
+    assert said["reasons"][0] == {
+        "effects": [list(name)],
+        "reason": "the solver has lost its way",
+        "count": 1,
+    }
+    found = replace(whole, tally=fits.tally)
+    assert found.as_dict()["fits"] == said
+    (line,) = failed_lines(found)
+    assert line.startswith("3 of 4 fits of candidates failed: ") and "the solver has lost its way" in line
+    assert "and 1 more kinds" in line and line in summary(found).replace("\n", " ")
+    assert not failed_lines(replace(whole, tally=Tally(158)))

@@ -306,5 +306,6 @@ def test_gaps_of_an_interpolated_topic_are_refused(tmp_path: Path) -> None:
 
 def test_the_library_is_asked_for_by_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "rosbags.rosbag1", None)
+    (tmp_path / "run.bag").touch()
     with pytest.raises(InputError, match=r"needs rosbags; install it with pip install 'hybrid_id\[logs\]'"):
         load_any(tmp_path / "run.bag", ["/a"])

@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from malformed import SOUND, change_yaml, write_sound_dataset
 
-from hybrid_id.errors import InputError
+from hybrid_id.errors import REVERSING, InputError
 from hybrid_id.records.dataset import Channel, Dataset
-from hybrid_id.records.record import LARGEST, Record
+from hybrid_id.records.record import LARGEST, SMALLEST, Record
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
-measured = st.floats(-LARGEST, LARGEST)
+measured = st.just(0.0) | st.floats(SMALLEST, LARGEST) | st.floats(-LARGEST, -SMALLEST)
+words = st.text(st.characters(exclude_categories=("Cc", "Cs"), exclude_characters=REVERSING))
 
 
 @st.composite
@@ -28,8 +29,8 @@ def records(draw: st.DrawFn, name: str, channels: tuple[str, ...]) -> Record:
         inputs=dict(zip(channels[:-1], signals, strict=False)),
         outputs={channels[-1]: signals[-1]},
         role=draw(st.sampled_from(["train", "test"])),
-        note=draw(st.text()),
-        meta=draw(st.dictionaries(st.text(max_size=5), finite | st.text(max_size=5), max_size=3)),
+        note=draw(words),
+        meta=draw(st.dictionaries(words, finite | words, max_size=3)),
     )
 
 
@@ -47,7 +48,7 @@ def datasets(draw: st.DrawFn) -> Dataset:
         )
     )
     return Dataset(
-        name=draw(st.text(min_size=1)),
+        name=draw(words.filter(bool)),
         inputs=tuple(Channel(name, units[name]) for name in channels[:-1]),
         outputs=(Channel(channels[-1], units[channels[-1]], noise),),
         records=tuple(draw(records(name, channels)) for name in names),

@@ -11,6 +11,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.simulation.c_code import library
 
 SOURCE = "double twice(double x) { return 2.0 * x; }\n"
+NAMES = ("twice",)
 pytestmark = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs a C compiler")
 
 
@@ -27,38 +28,96 @@ def shelf(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_what_was_compiled_is_kept_and_used_again(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert twice(library(SOURCE)) == 3.0
-    assert [path.suffix for path in shelf.iterdir()] == [".so"]
+    assert twice(library(SOURCE, NAMES)) == 3.0
+    assert sorted(path.suffix for path in shelf.iterdir()) == [".sha256", ".so"]
     library.cache_clear()
     monkeypatch.setattr("subprocess.run", lambda *_, **__: pytest.fail("compiled again"))
-    assert twice(library(SOURCE)) == 3.0
+    assert twice(library(SOURCE, NAMES)) == 3.0
 
 
 def test_other_flags_are_another_library(shelf: Path) -> None:
-    library(SOURCE, ("-O0", "-fPIC"))
-    library(SOURCE, ("-O1", "-fPIC"))
-    assert len(list(shelf.iterdir())) == 2
+    library(SOURCE, NAMES, ("-O0", "-fPIC"))
+    library(SOURCE, NAMES, ("-O1", "-fPIC"))
+    assert len(list(shelf.glob("*.so"))) == 2
 
 
 def test_a_full_shelf_loses_its_older_half(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hybrid_id.simulation.c_code.MOST_KEPT", 4)
+    monkeypatch.setattr("hybrid_id.simulation.c_code.MOST_KEPT", 2)
     shelf.mkdir()
     for k in range(4):
         (shelf / f"{k}.so").write_bytes(b"")
         os.utime(shelf / f"{k}.so", (k, k))
-    assert twice(library(SOURCE)) == 3.0
+    assert twice(library(SOURCE, NAMES)) == 3.0
     left = {path.name for path in shelf.iterdir()}
     assert {"2.so", "3.so"} < left
-    assert len(left) == 3
+    assert len(left) == 4
 
 
-def test_damaged_library_is_built_again(shelf: Path) -> None:
-    library(SOURCE, ("-O2", "-fPIC"))
-    (kept,) = shelf.iterdir()
+DAMAGE = {
+    "cut short": lambda code: code[: len(code) // 2],
+    "one byte changed": lambda code: code[:-7000] + bytes([code[-7000] ^ 1]) + code[-6999:],
+    "nothing in it": lambda _: b"",
+    "another program": lambda _: Path(shutil.which("gcc") or "").read_bytes(),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damaged_library_is_built_again(shelf: Path, name: str) -> None:
+    """Loaded as it is, the first two end the process by SIGBUS or SIGSEGV."""
+    flags = ("-O2", "-fPIC")
+    library(SOURCE, NAMES, flags)
+    (kept,) = shelf.glob("*.so")
+    sound = kept.read_bytes()
     kept.unlink()  # a library in use keeps its file: another takes its name
-    kept.write_bytes(b"cut off")
+    kept.write_bytes(DAMAGE[name](sound))
     library.cache_clear()
-    assert twice(library(SOURCE, ("-O2", "-fPIC"))) == 3.0
+    assert twice(library(SOURCE, NAMES, flags)) == 3.0
+    assert kept.read_bytes() == sound
+
+
+def test_a_kept_library_without_the_function_is_built_again(shelf: Path) -> None:
+    library(SOURCE, NAMES)
+    (kept,) = shelf.glob("*.so")
+    library(SOURCE.replace("twice", "thrice"), ("thrice",))
+    (other,) = set(shelf.glob("*.so")) - {kept}
+    for suffix in (".so", ".sha256"):  # a digest that fits
+        os.replace(other.with_suffix(suffix), kept.with_suffix(suffix))
+    library.cache_clear()
+    assert twice(library(SOURCE, NAMES)) == 3.0
+
+
+@pytest.mark.parametrize("mode", [0o770, 0o707, 0o777])
+def test_a_shelf_that_others_may_fill_is_not_used(shelf: Path, mode: int) -> None:
+    library(SOURCE, NAMES)
+    (kept,) = shelf.glob("*.so")
+    kept.unlink()
+    shelf.chmod(mode)
+    library.cache_clear()
+    assert twice(library(SOURCE, NAMES)) == 3.0
+    assert not list(shelf.glob("*.so"))
+
+
+def test_a_shelf_of_another_user_is_not_used(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shelf.mkdir()
+    monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
+    assert twice(library(SOURCE, NAMES)) == 3.0
+    assert not list(shelf.iterdir())
+
+
+def test_a_link_in_the_place_of_the_shelf_is_not_used(shelf: Path, tmp_path: Path) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    shelf.symlink_to(tmp_path / "elsewhere")
+    assert twice(library(SOURCE, NAMES)) == 3.0
+    assert not list(shelf.iterdir())
+
+
+def test_a_relative_shelf_is_not_used(shelf: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", "here")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    assert twice(library(SOURCE, NAMES)) == 3.0
+    assert not (tmp_path / "here").exists()
+    assert list((tmp_path / "home/.cache/hybrid_id").glob("*.so"))
 
 
 def test_shelf_that_cannot_be_written_is_done_without(
@@ -66,7 +125,7 @@ def test_shelf_that_cannot_be_written_is_done_without(
 ) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert twice(library(SOURCE)) == 3.0
+    assert twice(library(SOURCE, NAMES)) == 3.0
     assert not shelf.exists()
 
 
@@ -76,7 +135,7 @@ def test_where_nothing_may_be_run_it_is_said(shelf: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(ctypes, "CDLL", refused)
     with pytest.raises(InputError, match="TMPDIR"):
-        library(SOURCE)
+        library(SOURCE, NAMES)
 
 
 def test_a_user_without_a_home_has_no_shelf(shelf: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,4 +144,4 @@ def test_a_user_without_a_home_has_no_shelf(shelf: Path, monkeypatch: pytest.Mon
 
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setattr(Path, "home", homeless)
-    assert twice(library(SOURCE)) == 3.0
+    assert twice(library(SOURCE, NAMES)) == 3.0

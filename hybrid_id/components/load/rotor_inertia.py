@@ -17,6 +17,7 @@ class RotorInertia(Inertia):
     """
 
     kind = "rotor_inertia"
+    at_motor = True
     J_m = Parameter(1e-5, lower=1e-12, upper=1e6, unit="kg m^2", doc="rotor inertia at the motor")
 
     def rotor(self, p, gear_ratio):

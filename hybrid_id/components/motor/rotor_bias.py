@@ -17,6 +17,7 @@ class RotorBias(RotorTorque):
     """
 
     kind = "rotor_bias"
+    at_motor = True
     places = ("motor", "load")
     T_0 = Parameter(0.0, lower=-1e3, upper=1e3, unit="N m", doc="torque of either sign")
     effect = ConstantTorque.effect

@@ -34,6 +34,7 @@ class LinkEncoder(MotorEncoder):
     """Link-side encoder ``y = q_a + offset`` [rad], which a servo's position loop reads, too."""
 
     kind = "link_encoder"
+    at_motor = False
     channel = "q_a"
 
 
@@ -66,4 +67,5 @@ class LinkLog(MotorLog):
     """Link angle as it was logged, ``y = q_a + offset`` [rad], with a zero that the servo's loop does not know."""
 
     kind = "link_log"
+    at_motor = False
     channel = "q_a"

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hybrid_id.errors import InputError
+from hybrid_id.reading import size_of
 from hybrid_id.records.readers.bag import bag_names, read_bag
 from hybrid_id.records.readers.bag_files import is_bag_folder
 from hybrid_id.records.readers.bam import read_bam
@@ -14,7 +15,7 @@ from hybrid_id.records.readers.mat import mat_names, read_mat
 from hybrid_id.records.readers.mat_hdf5 import is_hdf5
 from hybrid_id.records.readers.npz import npz_names, read_npz
 from hybrid_id.records.readers.parquet import parquet_names, read_parquet
-from hybrid_id.records.readers.table import Table, TimeRange, record_name
+from hybrid_id.records.readers.table import Table, TimeRange, record_name, refuse_excess
 from hybrid_id.records.readers.unpack import refuse_bomb
 
 READERS: dict[str, Callable[..., Table]] = {
@@ -70,7 +71,9 @@ def column_names(path: Path, file_format: str) -> list[str]:
     if file_format not in _NAMES:
         raise InputError(f"{path}: columns of format '{file_format}' have fixed names; see docs/records.md")
     with _reaching(path, file_format, "the path"):
-        return _NAMES[file_format](path)
+        names = _NAMES[file_format](path)
+        refuse_excess(path, names)
+        return names
 
 
 def load_any(
@@ -102,10 +105,6 @@ def load_any(
         raise InputError(
             f"{path}: ending '{_ending(path)}' is unknown; give its 'format' ({', '.join(READERS)})"
         )
-    if path.exists() and not (path.is_file() or path.is_dir()):
-        raise InputError(
-            f"{path} is a pipe or a device, which is read once only; write its contents to a file"
-        )
     if episode is not None and file_format != "lerobot":
         raise InputError(
             f"{path}: 'episode' chooses a part of a LeRobot dataset; give 'format: lerobot' or remove it"
@@ -122,6 +121,8 @@ def load_any(
 def _reaching(path: Path, file_format: str, where: str) -> Iterator[None]:
     """Refuse a file that is not there, cannot be read, or unpacks beyond any record; ``where`` says what names it."""
     try:
+        if not (file_format == "bag" and path.is_dir()):
+            size_of(path)
         if path.suffix == ".gz" or (file_format == "mat" and not is_hdf5(path)):
             refuse_bomb(path)
         yield

@@ -26,6 +26,7 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.errors import InputError, listed
+from hybrid_id.reading import size_of
 from hybrid_id.records.files import natural_order
 from hybrid_id.records.readers.bag_files import STORAGES, check_storage, message_bytes, unpack_storage
 from hybrid_id.records.readers.table import Table, parsing, require_columns
@@ -107,6 +108,7 @@ def _open(path: Path, stack: ExitStack) -> list[Any]:
             raise InputError(f"{path} is a folder without .mcap or .db3 files; name a ROS 2 bag's folder")
     readers = []
     for file in files:
+        size_of(file)
         if file.suffix == ".zstd":
             folder = Path(stack.enter_context(TemporaryDirectory()))
             file = unpack_storage(file, folder)

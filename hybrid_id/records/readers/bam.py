@@ -18,7 +18,6 @@ actuators", ICRA 2025, arXiv 2410.08650. One object with header keys (`mass` kg,
 """
 
 import gzip
-import json
 import zlib
 from collections.abc import Collection
 from pathlib import Path
@@ -27,10 +26,12 @@ from typing import Any
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.reading import parse_json, read_bytes
 from hybrid_id.records.readers.table import Table, require_columns
 
 FULL_DUTY = 885  # counts of the PWM register at 100 %
 LARGEST = 1e300
+_MOST_BYTES = 500_000_000
 _KEYS = {
     "t": "timestamp",
     "goal1": "goal_position",
@@ -73,17 +74,17 @@ def read_bam(path: Path, wanted: Collection[str]) -> Table:
 def _load(path: Path) -> dict[str, Any]:
     """Read the JSON object and check its outer layout."""
     try:
-        raw = path.read_bytes()
-        log = json.loads(gzip.decompress(raw) if path.suffix == ".gz" else raw)
+        raw = read_bytes(path, _MOST_BYTES, "BAM log")
+        log = parse_json(gzip.decompress(raw) if path.suffix == ".gz" else raw, path)
     except (EOFError, gzip.BadGzipFile, zlib.error) as error:
         raise InputError(f"{path} is damaged or cut short ({error}); copy it again") from None
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path} is not valid JSON ({error}); copy it again") from None
     entries = log.get("entries") if isinstance(log, dict) else None
     if not isinstance(entries, list) or not entries or not isinstance(entries[0], dict):
         raise InputError(f"{path} is no BAM log: it needs a list 'entries' of samples; give its 'format'")
     if not isinstance(log.get("kp", 0), int | float):
-        raise InputError(f"{path}: header key 'kp' is {log['kp']!r}; give the firmware's gain as a number")
+        raise InputError(
+            f"{path}: header key 'kp' is {str(log['kp'])[:40]!r}; give the firmware's gain as a number"
+        )
     return log
 
 

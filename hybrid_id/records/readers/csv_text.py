@@ -13,16 +13,17 @@ import zlib
 from collections.abc import Collection, Generator, Iterator
 from contextlib import closing, nullcontext
 from dataclasses import dataclass
-from itertools import chain, islice
+from itertools import chain, count, islice
 from pathlib import Path
 from typing import NoReturn, TextIO
 
 import numpy as np
 
 from hybrid_id.errors import InputError
-from hybrid_id.records.readers.table import PIECE, Table, TimeRange, require_columns
+from hybrid_id.records.readers.table import PIECE, Table, TimeRange, refuse_excess, require_columns
 
 HEADER_LIMIT = 200  # lines in which the header must come
+LONGEST_LINE = 1_000_000  # signs
 DECIMAL_COMMA = (";", "\t")  # delimiters beside which a comma may be the decimal sign
 
 
@@ -80,8 +81,8 @@ class _Layout:
     def of(cls, file: TextIO, path: Path) -> "_Layout":
         """See the layout from the first lines of a file."""
         remark = None
-        text, number = "", 0
-        for line in islice(file, HEADER_LIMIT):
+        text, number, lines = "", 0, _lines(file, path)
+        for line in islice(lines, HEADER_LIMIT):
             text, number = line.strip(), number + 1
             if text.startswith(("#", "%")):
                 remark = text.lstrip("#% ") or remark
@@ -98,7 +99,12 @@ class _Layout:
             names, has_header, skipped = _cut(remark, delimiter), True, number - 1
         else:
             names, has_header, skipped = [str(i + 1) for i in range(len(first))], False, number - 1
-        numbers = text + "".join(islice(file, HEADER_LIMIT))
+        refuse_excess(path, names)
+        below = [text, *islice(lines, HEADER_LIMIT)]
+        if not any(_is_number(cell.replace(",", ".")) for line in below for cell in _cut(line, delimiter)):
+            raise InputError(f"{path} holds 0 samples, for no number follows its first line; give a record")
+        refuse_excess(path, _cut(next(line for line in below if line.strip()), delimiter))
+        numbers = "".join(below)
         if delimiter in DECIMAL_COMMA and "," in numbers and "." not in numbers:
             decimal = ","
         return cls(names, has_header, delimiter, skipped, decimal)
@@ -158,15 +164,30 @@ def _raise_for_bad_cell(
             if not _is_number(cell.replace(layout.decimal, ".")):
                 found = f"holds '{cell[:40]}', which is not a finite number" if cell else "is empty"
                 raise InputError(f"{path}, row {row}: column '{name}' {found}; correct it or remove the row")
-    raise InputError(f"{path} cannot be read as a table ({' '.join(str(otherwise).split())}); correct it")
+    raise InputError(
+        f"{path} cannot be read as a table ({' '.join(str(otherwise).split())[:120]}); correct it"
+    )
 
 
 def _rows(path: Path, layout: _Layout) -> Iterator[tuple[int, list[str]]]:
     """Yield (1-based line of the file, cells) of every data row."""
     with _open(path) as file:
-        for row, line in enumerate(file, start=1):
+        for row, line in enumerate(_lines(file, path), start=1):
             if row > layout.skipped and line.strip():
                 yield row, _cut(line, layout.delimiter)
+
+
+def _lines(file: TextIO, path: Path) -> Iterator[str]:
+    """Lines of a file, none of which is longer than any row of a table."""
+    for row in count(1):
+        line = file.readline(LONGEST_LINE + 1)
+        if len(line) > LONGEST_LINE:
+            raise InputError(
+                f"{path}, row {row}: longer than {LONGEST_LINE} signs, so this is no table; give a record"
+            )
+        if not line:
+            return
+        yield line
 
 
 def _file_row(path: Path, layout: _Layout, sample: int) -> int:

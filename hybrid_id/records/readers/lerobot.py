@@ -10,7 +10,6 @@
 Source: github.com/huggingface/lerobot. Vectors are float32 there; they become float64 with the same values.
 """
 
-import json
 from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.reading import read_json
+from hybrid_id.records.readers.parquet import open_parquet
 from hybrid_id.records.readers.table import PIECE, Table, parsing, require_columns
 from hybrid_id.records.readers.unpack import refuse_growth
 
@@ -43,11 +44,9 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
     Raises:
         InputError: for a damaged file, an episode that it does not hold, or a missing column.
     """
-    import pyarrow.parquet as pq
-
     info, source = _read_info(path)
     with parsing(path, "Parquet file"):
-        file = pq.ParquetFile(path)
+        file = open_parquet(path)
         fields = [name for name in file.schema_arrow.names if not file.schema_arrow.names.count(name) > 1]
         for name in (_EPISODE, _FRAME):
             if name not in fields:
@@ -69,12 +68,10 @@ def read_lerobot(path: Path, wanted: Collection[str], episode: int | None = None
 
 def lerobot_names(path: Path) -> list[str]:
     """Names of all columns of an episode's file, elements of vectors by their own."""
-    import pyarrow.parquet as pq
-
     info, source = _read_info(path)
     found = ["t"]
     with parsing(path, "Parquet file"):
-        file = pq.ParquetFile(path)
+        file = open_parquet(path)
         for name, names in _numbers(file.schema_arrow, info, source):
             if names is None:
                 found.append(name)
@@ -87,16 +84,13 @@ def lerobot_names(path: Path) -> list[str]:
 
 def lerobot_episodes(path: Path) -> list[int]:
     """Numbers of the episodes that a file holds."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        column = pq.read_table(path, columns=[_EPISODE])[_EPISODE]
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(
-            f"{path} is no LeRobot episode ({str(error)[:80]}); bring the whole dataset"
-        ) from None
-    return sorted({int(number) for number in column.to_pylist() if number is not None})
+    with parsing(path, "LeRobot episode", "bring the whole dataset"):
+        file = open_parquet(path)
+        _refuse_bomb(path, file.metadata, [_EPISODE])
+        parts = [
+            np.unique(_matrix(path, b[_EPISODE], _EPISODE)) for b in file.iter_batches(columns=[_EPISODE])
+        ]
+    return sorted({int(number) for part in parts for number in part if np.isfinite(number)})
 
 
 def in_lerobot(path: Path) -> Path | None:
@@ -115,14 +109,7 @@ def _read_info(path: Path) -> tuple[dict[str, Any], Path]:
             f"{path} lies beside no meta/info.json, which holds the frame rate; bring the whole dataset"
         )
     source = folder / _INFO
-    try:
-        if source.stat().st_size > _MOST_BYTES:
-            raise InputError(
-                f"{source} is larger than 5 MB, so it is no description of a dataset; bring the right one"
-            )
-        info = json.loads(source.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{source} is not valid JSON ({str(error)[:80]}); bring it again") from None
+    info = read_json(source, "description of a dataset", _MOST_BYTES)
     if not isinstance(info, dict):
         raise InputError(f"{source} is no description of a LeRobot dataset; bring it again")
     return info, source

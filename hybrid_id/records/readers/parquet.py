@@ -12,6 +12,10 @@ from hybrid_id.records.readers.unpack import refuse_growth
 
 if TYPE_CHECKING:
     import pyarrow as pa
+    import pyarrow.parquet as pq
+
+_MOST_FOOTER = 64_000_000
+"""Bytes that say how a file is laid out; they grow with its columns times its groups of rows."""
 
 
 def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | None = None) -> Table:
@@ -21,11 +25,10 @@ def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | No
         InputError: for a damaged file, one that unpacks beyond any record, a missing column, or one without numbers.
     """
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     kept = None
     try:
-        file = pq.ParquetFile(path)
+        file = open_parquet(path)
         require_columns(path, wanted, file.schema_arrow.names)
         if time_range is None or not file.metadata.num_rows:  # an empty file comes in no pieces at all
             refuse_growth(path, path.stat().st_size, 8 * len(wanted) * file.metadata.num_rows)
@@ -42,10 +45,27 @@ def read_parquet(path: Path, wanted: Collection[str], time_range: TimeRange | No
 
 def parquet_names(path: Path) -> list[str]:
     """Names of all columns of a Parquet file."""
+    with parsing(path, "Parquet file"):
+        return list(open_parquet(path).schema_arrow.names)
+
+
+def open_parquet(path: Path) -> "pq.ParquetFile":
+    """Open a Parquet file whose layout can be read without being a burden.
+
+    Raises:
+        InputError: it has more columns, or pieces of them, than any record.
+    """
     import pyarrow.parquet as pq
 
-    with parsing(path, "Parquet file"):
-        return list(pq.read_schema(path).names)
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        file.seek(max(size - 8, 0))
+        footer = int.from_bytes(file.read(4), "little")
+    if _MOST_FOOTER < footer < size:  # a longer one than the file is refused by the library
+        raise InputError(
+            f"{path} has more columns or groups of rows than any record; leave out what is not needed"
+        )
+    return pq.ParquetFile(path)
 
 
 def _row(kept: np.ndarray | None) -> Callable[[int], str]:

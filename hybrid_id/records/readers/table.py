@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.reading import LONGEST_NAME, MOST_COLUMNS
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ class TimeRange:
 def require_columns(path: Path, wanted: Collection[str], available: Iterable[str]) -> None:
     """Raise InputError for the first wanted column that a file does not have, or has twice."""
     available = list(available)
+    refuse_excess(path, available)
     for name in wanted:
         if available.count(name) > 1:
             raise InputError(
@@ -89,6 +91,17 @@ def require_columns(path: Path, wanted: Collection[str], available: Iterable[str
                 f"{path} has no column '{name}' ({hint}it has {shown or 'none'}); "
                 "name the right one under 'columns' in the dataset file"
             )
+
+
+def refuse_excess(path: Path, names: Collection[str]) -> None:
+    """Raise InputError for more columns, or longer names of them, than any record has."""
+    if len(names) > MOST_COLUMNS:
+        raise InputError(
+            f"{path} has {len(names)} columns, where {MOST_COLUMNS} are read; leave out the others"
+        )
+    if long := next((name for name in names if len(name) > LONGEST_NAME), ""):
+        words = f"'{long[:40]}...' has {len(long)} signs, where {LONGEST_NAME} are read"
+        raise InputError(f"{path}: the name of column {words}; rename it")
 
 
 @contextmanager

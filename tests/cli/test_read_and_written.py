@@ -1,0 +1,116 @@
+"""No command writes to a file that it reads, whatever it is told to replace (class 3 of what breaks programs)."""
+
+import json
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+import soak
+import typer
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hybrid_id.cli.app import app
+from hybrid_id.errors import InputError
+from hybrid_id.reading import announce, begin_to_write, reading_and_writing_apart, size_of
+from hybrid_id.records.files import write_whole
+
+CASES = {
+    "init": "init DATA --motor motor/model.yaml --out motor --force",
+    "excite": "excite --model m.yaml --gear most --out m.yaml --force",
+    "excite, its description": "excite --model m.json --gear most --out m.csv --force",
+    "excite, its picture": "excite --model m.png --gear most --out m.csv --plot m.png --force",
+    "excite, a robot": "excite --model arm/model.yaml --out arm/arm.xml --force",
+    "identify": "identify DATA --model m.yaml --out . --force",
+    "identify, a study": "identify study.yaml --out DATA --force",
+    "train": "train study.yaml --out DATA --force",
+    "ablate": "ablate study.yaml --out DATA",
+    "diagnose": "diagnose DATA --model m.yaml --out DATA --force",
+    "simulate": "simulate DATA --model m.yaml --out DATA --force",
+    "compare": "compare DATA --model m.yaml --out DATA --force",
+    "export, ranges": "export m.yaml --to ranges --out m.yaml --overwrite",
+    "export, torch": "export m.yaml --to torch --out m.yaml --overwrite",
+    "export, its description": "export m.json --to torch --out m.py --overwrite",
+    "export, mjcf": "export m.yaml --to mjcf --out m.yaml --overwrite",
+    "export, a robot": "export arm/model.yaml --to mjcf --out arm/arm.xml --overwrite",
+    "export, by a link": "export link.yaml --to ranges --out m.yaml --overwrite",
+    "export, beside a link": "export m.yaml --to ranges --out link.yaml --overwrite",
+    "export, a record": "export m.yaml --to mjcf --check DATA --out DATA/run_1.csv.gz --overwrite",
+    "demo": "demo --settings DATA/settings.yaml --out DATA --force",
+}
+WITHOUT_INPUT = {"reproduce", "schema", "blind make", "blind reproduce"}
+OWN = {"blind run"}
+"""Goes on in the folder of runs that it has made."""
+
+
+@pytest.fixture
+def home(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The drive in a folder of results, so that nothing but its being read speaks against its replacement."""
+    shutil.copytree(drive, tmp_path / "DATA")
+    for name in ("m.yaml", "m.json", "m.png"):
+        shutil.copy(drive / "model.yaml", tmp_path / name)
+    (tmp_path / "link.yaml").symlink_to("m.yaml")
+    (tmp_path / "study.yaml").write_text("dataset: DATA\n")
+    (tmp_path / "motor").mkdir()
+    (tmp_path / "motor" / "model.yaml").write_text(yaml.safe_dump({"gear_ratio": 10.0}))
+    (tmp_path / "DATA" / "settings.yaml").write_text("{}\n")
+    for folder in (tmp_path, tmp_path / "DATA"):
+        (folder / "result.json").write_text(json.dumps({"program": "hybrid_id 1"}))
+    monkeypatch.setattr(soak, "LONG", 1)
+    soak.make_robot(tmp_path / "arm", 1)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_no_command_writes_to_what_it_reads(name: str, home: Path, run) -> None:
+    before = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
+    outcome = run(*CASES[name].split())
+    words = {"identify": "the folder that you are in", "ablate": "is not empty"}.get(name, "this command")
+    assert outcome.code == 2
+    assert outcome.err.splitlines()[-1].startswith("Error: ") and words in outcome.err
+    after = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
+    assert after == before
+
+
+def test_every_command_that_writes_is_tried() -> None:
+    def names(command, above: str = "") -> list[str]:
+        below = getattr(command, "commands", {}).items()
+        mine = [above] if any("--out" in one.opts for one in command.params) else []
+        return mine + [found for name, one in below for found in names(one, f"{above} {name}".strip())]
+
+    tried = {case.partition(",")[0] for case in CASES}
+    assert tried | WITHOUT_INPUT | OWN == set(names(typer.main.get_command(app)))
+
+
+@given(st.lists(st.tuples(st.sampled_from(["read", "announce", "write"]), st.integers(0, 2)), max_size=8))
+def test_reading_and_writing_never_meet(tmp_path_factory: pytest.TempPathFactory, steps: list) -> None:
+    """Whichever comes second is refused; what a command has made itself it may read, and write again."""
+    folder = tmp_path_factory.mktemp("files")
+    files = [folder / str(k) for k in range(3)]
+    for file in files:
+        file.write_text("the user's")
+    read, announced, made = set(), set(), set()
+    with reading_and_writing_apart():
+        for step, k in steps:
+            act = {"read": size_of, "announce": announce, "write": lambda file: write_whole(file, "ours")}[
+                step
+            ]
+            kept = read - made
+            meet = k in kept if step != "read" else k in announced and k not in made
+            try:
+                act(files[k])
+                assert not meet
+            except InputError as error:
+                assert meet and files[k].name in str(error)
+            if step == "write" and not meet:
+                made.add(k)
+            elif step == "announce":
+                announced.add(k)
+            elif step == "read" and k not in made:
+                read.add(k)
+    assert all(files[k].read_text() == "the user's" for k in read - made)
+    begin_to_write(files[0])  # outside of a command nothing is watched
+    assert size_of(files[0]) > 0 and os.path.exists(files[0])
