@@ -25,6 +25,8 @@ DURATION = 8.0
 """Length [s] of a proposed record."""
 REST = 0.1
 """Time [s] at rest at its start."""
+BEYOND = 0.5
+"""How far a robot's joint may go beyond where the records have been, over their range."""
 DISTINGUISHABLE = 0.5
 """Least RMS difference of two models' outputs, over the encoders' noise, from which a record distinguishes them."""
 
@@ -187,7 +189,10 @@ def _postures(dataset: Dataset) -> dict[str, dict[str, float]]:
 def _within_limits(
     dataset: Dataset, system: System, names: Sequence[str], runs: Sequence[np.ndarray]
 ) -> bool:
-    """Whether a joint of a robot stays inside its description's limits, or where the records have been beyond them."""
+    """Whether a robot's joints stay near where the records have been, and inside their limits but for where they were.
+
+    A command in torque takes a joint far in a few seconds, and nobody has said that there is room.
+    """
     if system.tree is None:
         return True
     for column, name in enumerate(names):
@@ -198,7 +203,9 @@ def _within_limits(
         limits = system.tree.joints[system.arm.seats[system.joints.index(joint)]].limits
         been = np.concatenate([r.outputs[name] for r in dataset.train if name in r.outputs])
         low, high = sorted(limit * ratio for limit in limits)
-        low, high = min(low, been.min()), max(high, been.max())
+        near = BEYOND * float(np.ptp(been))
+        low = max(been.min() - near, min(low, been.min()))
+        high = min(been.max() + near, max(high, been.max()))
         if any(run[..., column].min() < low or run[..., column].max() > high for run in runs):
             return False
     return True

@@ -296,7 +296,12 @@ def _excitations(members: Sequence[tuple[str, str]], brief: bool) -> str:
 def experiment_lines(diagnosis: Diagnosis) -> list[str]:
     """The follow-up record that distinguishes the models best, as one line; none without ties."""
     if not diagnosis.experiments:
-        return []
+        if not diagnosis.ties or diagnosis.model.tree is None:
+            return []
+        return [
+            "next experiment: none is proposed, for by every simulated command the joint would leave the range of "
+            "these records by more than half of it; move it by its own controller along other goals."
+        ]
     best = diagnosis.experiments[0]
     if not best.distinguishes:
         return [

@@ -96,14 +96,14 @@ def test_a_robots_joint_stays_in_its_range_and_the_others_take_postures(tmp_path
     )
     time = 0.01 * np.arange(100)
     torques = {f"tau{k}": 0.3 * np.sin(8.0 * time) for k in (1, 2)}
-    angles = {"q_m1": 0.05 * np.sin(8.0 * time), "q_m2": np.linspace(0.0, 1.0, 100)}
+    angles = {"q_m1": 3.0 * np.sin(8.0 * time), "q_m2": np.linspace(0.0, 1.0, 100)}
     drives = (
         tuple(Channel(f"tau{k}", "N m") for k in (1, 2)),
         tuple(Channel(f"q_m{k}", "rad", 1e-3) for k in (1, 2)),
     )
     records = Dataset("arm", *drives, (Record("run", time, torques, angles),), 0.01)
     found = {}
-    for name, limits in {"wide": "-100 100", "narrow": "-0.1 0.1"}.items():
+    for name, limits in {"wide": "-100 100", "narrow": "-3.1 3.1"}.items():
         (tmp_path / "arm.xml").write_text(text.format(limits))
         (tmp_path / "model.yaml").write_text("robot: {file: arm.xml}\n")
         system = load_model(tmp_path / "model.yaml")
