@@ -3,29 +3,15 @@
 import errno
 import re
 import sys
+from importlib import import_module
 from typing import Annotated, Any, NoReturn
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from hybrid_id import __version__
-from hybrid_id.cli.ablate import ablate
-from hybrid_id.cli.blind import blind
-from hybrid_id.cli.check import check
 from hybrid_id.cli.console import terminated_as_interrupted
-from hybrid_id.cli.demo import demo
-from hybrid_id.cli.diagnose import diagnose
-from hybrid_id.cli.doctor import doctor
-from hybrid_id.cli.excite import excite
-from hybrid_id.cli.export import export
-from hybrid_id.cli.identify import identify
-from hybrid_id.cli.init import init
-from hybrid_id.cli.lists import components, effects
-from hybrid_id.cli.replay import compare, simulate
-from hybrid_id.cli.reproduce import reproduce
-from hybrid_id.cli.schema import schema
-from hybrid_id.cli.train import train
 from hybrid_id.errors import CONTROL, InputError, has_control, shortened, shown
 from hybrid_id.reading import reading_and_writing_apart
 
@@ -34,6 +20,82 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)
 NAMED = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR, errno.ELOOP)
 """A name that the user gave leads nowhere: no right to go there, too long, below a file, in a circle."""
 
+COMMANDS = {
+    "init": (
+        "init",
+        "Write dataset.yaml and model.yaml for logs: columns, units, signs, sampling and roles, each with its "
+        "evidence.",
+    ),
+    "check": (
+        "check",
+        "Check records: quality, sampling, excitation, and with a model which of its parameters they identify.",
+    ),
+    "excite": (
+        "excite",
+        "Design a multisine of least crest factor and write it as CSV, and beside it as JSON how it was made.",
+    ),
+    "identify": (
+        "identify",
+        "Identify one parameter set for each train record (or one over all): variation, cross-validation, reliability.",
+    ),
+    "train": (
+        "train",
+        "Train through the differential equation by the adjoint method; the same results as identify, and TensorBoard.",
+    ),
+    "ablate": (
+        "ablate",
+        "Physics only or hybrid? Arms on the same records and seeds, paired differences, and the answer in words.",
+    ),
+    "diagnose": (
+        "diagnose",
+        "Find out why records and the nominal model disagree: which effects explain how much of the gap, and what "
+        "remains.",
+    ),
+    "simulate": (
+        "replay",
+        "Replay records through a model: report.html, one CSV a record with measured and simulated outputs, pictures.",
+    ),
+    "compare": (
+        "replay",
+        "Put models side by side on the same records: report.html, comparison.csv (fit, normalised RMSE), pictures.",
+    ),
+    "export": (
+        "export",
+        "Write a model for MuJoCo, parameter ranges for domain randomisation, or one step as a torch program.",
+    ),
+    "reproduce": (
+        "reproduce",
+        "Reproduce the paper on digital twins: every table and figure, printed values beside ours, on one page.",
+    ),
+    "demo": (
+        "demo",
+        "Identify a drive, or an arm, from simulated records whose truth is known, and show estimates beside the "
+        "truth.",
+    ),
+    "components": (
+        "lists",
+        "List every kind of component with its places, parameters and units, and its law.",
+    ),
+    "effects": (
+        "lists",
+        "List the effects that `diagnose` can name, what each is mistaken for, and what distinguishes the two.",
+    ),
+    "schema": (
+        "schema",
+        "Write the JSON schema of a settings file, for editors: they complete keys, say what they mean and mark "
+        "faults.",
+    ),
+    "doctor": (
+        "doctor",
+        "Show versions, device, threads and compiler, and identify a small drive whose truth is known.",
+    ),
+    "blind": (
+        "blind",
+        "Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses.",
+    ),
+}
+"""Module and first sentence of each command. A module is imported when its command is run: the list of all imports
+none. A test keeps the sentences equal to those that the commands have themselves."""
 LONGEST_WORD = 400
 """Characters of one word of a message; paths are shorter."""
 THEIRS = {
@@ -44,8 +106,40 @@ THEIRS = {
 """Wordings of the library that reads command lines, and how this program says the same."""
 
 
+class Listed(TyperCommand):
+    """A command whose module has not been imported."""
+
+
 class Commands(TyperGroup):
     """Wrong input ends with one sentence and exit code 2; a fault of the program keeps its traceback."""
+
+    listing = False
+    """Whether only names and first sentences are asked for."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.commands.update({name: Listed(name, help=sentence) for name, (_, sentence) in COMMANDS.items()})
+
+    def get_command(self, ctx: typer.Context | None, cmd_name: str) -> Any:  # type: ignore[override]
+        """The command of a name, None without one; in the list of all it knows its first sentence alone."""
+        found = self.commands.get(cmd_name)
+        if self.listing or not isinstance(found, Listed):
+            return found
+        work = getattr(import_module(f"hybrid_id.cli.{COMMANDS[cmd_name][0]}"), cmd_name)
+        if not isinstance(work, typer.Typer):
+            single, work = work, typer.Typer(add_completion=False, rich_markup_mode="rich")
+            work.command(cmd_name)(single)
+        self.commands[cmd_name] = typer.main.get_command(work)
+        self.commands[cmd_name].name = cmd_name
+        return self.commands[cmd_name]
+
+    def format_help(self, ctx: typer.Context, formatter: Any) -> None:  # type: ignore[override]
+        """Write the list of all commands."""
+        self.listing = True
+        try:
+            super().format_help(ctx, formatter)  # type: ignore[arg-type]
+        finally:
+            self.listing = False
 
     def invoke(self, ctx: typer.Context) -> Any:  # type: ignore[override]
         """Run a command; Ctrl-C says what is kept, and so does SIGTERM."""
@@ -122,11 +216,3 @@ def _hybrid_id(
     ] = False,
 ) -> None:
     """Physical parameters of robot drives from records of voltage and angle, with statistics that say what to trust."""
-
-
-for command in (
-    init, check, excite, identify, train, ablate, diagnose, simulate, compare, export, reproduce, demo, components,
-    effects, schema, doctor,
-):  # fmt: skip
-    app.command()(command)
-app.add_typer(blind, name="blind")

@@ -25,7 +25,9 @@ BROKEN = 3
 """Exit code where a case has broken off, all others being done."""
 
 blind = typer.Typer(
-    help="Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses."
+    add_completion=False,
+    rich_markup_mode="rich",
+    help="Cases whose unmodelled effect is withheld: make them, diagnose them, score the diagnoses.",
 )
 
 

@@ -18,13 +18,12 @@ import click
 import numpy as np
 import pandas as pd
 import pytest
-import typer
 import yaml
 from browser import look_at
+from command_line import whole
 from drives import make_record, rigid_drive
 
 from hybrid_id import __version__
-from hybrid_id.cli.app import app
 from hybrid_id.cli.console import FitProgress
 from hybrid_id.cli.folder import (
     BEGUN,
@@ -83,7 +82,7 @@ def test_two_commands_that_estimate_say_when_to_prefer_the_other(run) -> None:
 
 
 def test_no_help_has_what_the_terminal_takes_for_markup() -> None:
-    words = list(helps(typer.main.get_command(app)))
+    words = list(helps(whole()))
     assert len(words) > 100
     for one in words:
         assert not re.search(r"\[[a-z/]", one), f"what stands in brackets is not printed: {one}"

@@ -1,15 +1,17 @@
 """`doctor`, completion, and `--json` on every command that prints a table."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
-import typer
+from command_line import whole
 from PIL import Image
 
 from hybrid_id import __version__
 from hybrid_id.cli import doctor as module
-from hybrid_id.cli.app import app
+from hybrid_id.cli.app import COMMANDS
 
 
 def test_doctor_tells_the_machine_and_passes_its_self_test(run) -> None:
@@ -51,13 +53,24 @@ def test_completion_knows_commands_and_choices(run, monkeypatch: pytest.MonkeyPa
 
 
 def test_every_command_that_prints_results_has_json() -> None:
-    commands = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    commands = whole().commands
     without = [
         name
         for name, command in commands.items()
         if not any("--json" in parameter.opts for parameter in command.params)
     ]
     assert without == ["schema", "blind"]  # the one prints JSON alone, the other has commands of its own
+
+
+def test_the_list_of_commands_says_what_they_say_themselves_and_imports_none(run) -> None:
+    for name, (_, sentence) in COMMANDS.items():
+        assert (whole().commands[name].help or "").split("\n\n")[0] == sentence, name
+    code = (
+        "import sys\nfrom hybrid_id.cli.app import app\ntry: app(['--help'])\nexcept SystemExit: pass\n"
+        "print(*[m for m in ('numpy', 'pydantic', 'pandas', 'torch') if m in sys.modules], file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "diagnose" in done.stdout and not done.stderr.strip()
 
 
 @pytest.mark.parametrize("command", ["components", "effects"])

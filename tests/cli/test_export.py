@@ -7,9 +7,8 @@ from typing import Any
 
 import pytest
 import torch
-from typer.main import get_command
+from command_line import whole
 
-from hybrid_id.cli.app import app
 from hybrid_id.cli.export import _label as label_of
 from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import ABOVE
@@ -125,7 +124,7 @@ def test_every_out_says_what_becomes_of_folders_above_it() -> None:
             yield from helps(one, f"{path} {name}")
         yield from ((path, one.help or "") for one in group.params if "--out" in one.opts)
 
-    found = dict(helps(get_command(app)))
+    found = dict(helps(whole()))
     assert len(found) > 10 and [path for path, words in found.items() if ABOVE not in words] == []
 
 

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import pytest
 import soak
-import typer
 import yaml
+from command_line import whole
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hybrid_id.cli.app import app
 from hybrid_id.errors import InputError
 from hybrid_id.reading import announce, begin_to_write, reading_and_writing_apart, size_of
 from hybrid_id.records.files import write_whole
@@ -82,7 +81,7 @@ def test_every_command_that_writes_is_tried() -> None:
         return mine + [found for name, one in below for found in names(one, f"{above} {name}".strip())]
 
     tried = {case.partition(",")[0] for case in CASES}
-    assert tried | WITHOUT_INPUT | OWN == set(names(typer.main.get_command(app)))
+    assert tried | WITHOUT_INPUT | OWN == set(names(whole()))
 
 
 @given(st.lists(st.tuples(st.sampled_from(["read", "announce", "write"]), st.integers(0, 2)), max_size=8))

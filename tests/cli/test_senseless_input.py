@@ -10,15 +10,14 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_origin
 
 import pytest
-import typer
 import yaml
+from command_line import whole
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from malformed import change_yaml, contents, refused, write_sound_dataset
 from malformed_models import write_sound_model
 from pydantic import BaseModel
 
-from hybrid_id.cli.app import app
 from hybrid_id.cli.console import Screen
 from hybrid_id.config import StudyConfig
 from hybrid_id.errors import InputError, has_control, shown
@@ -46,7 +45,7 @@ def command_options() -> list[tuple[str, Any]]:
         for name, below in getattr(command, "commands", {}).items():
             walk(below, f"{words} {name}".strip())
 
-    walk(typer.main.get_command(app), "")
+    walk(whole(), "")
     return found
 
 

@@ -244,7 +244,9 @@ def test_a_joint_that_cannot_be_fitted_does_not_cost_the_others_their_answers(
     assert set(found.joints) == {"lift"} and found.skipped["pan"] == "The nominal model diverges"
 
 
-def test_values_of_each_records_own_explain_records_that_differ_and_no_missing_spring(nominal: System) -> None:
+def test_values_of_each_records_own_explain_records_that_differ_and_no_missing_spring(
+    nominal: System,
+) -> None:
     frictions = (0.03, 0.06, 0.045, 0.03)
     machines = [nominal.with_values({"F_c_elbow": friction}) for friction in frictions]
     days = [records_of(one) for one in machines]
