@@ -13,7 +13,7 @@ export OMP_NUM_THREADS := 1
 export MPLBACKEND := Agg
 
 .DEFAULT_GOAL := help
-.PHONY: help install demo test check soak fuzz docs format clean
+.PHONY: help install demo test check soak fuzz audit docs format clean
 
 help:  ## list the commands
 	@sed -n 's/^\([a-z]*\):.*## /\1\t/p' $(MAKEFILE_LIST) | expand -t 10
@@ -40,6 +40,9 @@ fuzz: $(INSTALLED)  ## change files at random and let every reader read them, fo
 docs: $(INSTALLED)  ## build the documentation (site/)
 	$(BIN)/python -m mkdocs build --strict
 
+audit: $(INSTALLED)  ## known vulnerabilities and licences of what is installed, and a bill of materials (build/sbom.json)
+	.ci/audit $(VENV)
+
 format: $(INSTALLED)  ## repair what ruff can repair
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -47,13 +50,16 @@ format: $(INSTALLED)  ## repair what ruff can repair
 clean:  ## remove the environment and the caches, keep the results in runs/
 	rm -rf $(VENV) .pytest_cache .ruff_cache .hypothesis
 
-# PyPI's torch for Linux brings gigabytes of CUDA, so its CPU build is fetched first, from PyTorch's own
-# index; where that index cannot be reached, the second line takes whatever build pip finds.
-$(INSTALLED): pyproject.toml constraints.txt
+# Every package but torch is one whose hash requirements.lock gives (.ci/lock writes it). PyPI's torch for Linux brings
+# gigabytes of CUDA, so its CPU build is fetched from PyTorch's own index; where that index cannot be reached, whatever
+# build pip finds is taken, with what it needs.
+$(INSTALLED): pyproject.toml constraints.txt requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "hybrid_id needs Python 3.11 or newer: make PYTHON=/path/to/python3.11"; exit 1; }
 	test -x $(BIN)/pip || $(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install -q --no-deps --require-hashes -r requirements.lock
 	$(BIN)/pip install -q --retries 0 --timeout 15 --no-deps -c constraints.txt \
 		--index-url https://download.pytorch.org/whl/cpu torch 2>/dev/null \
-		|| echo "PyTorch's own index was not reached: taking torch from pip's usual index."
-	$(BIN)/pip install -q -c constraints.txt -e '.[dev,blind]'
+		|| { echo "PyTorch's own index was not reached: taking torch from pip's usual index."; \
+			$(BIN)/pip install -q -c constraints.txt torch; }
+	$(BIN)/pip install -q --no-deps --no-build-isolation -e .
 	@touch $@

@@ -271,8 +271,8 @@ MJCF = b"""<mujoco><compiler angle="radian" meshdir="m"/><option gravity="0 0 -9
 <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="j" axis="0 0 1" range="-1 1" armature="0.01"/>
 <geom type="capsule" size="0.1" fromto="0 0 0 0 0 1"/><body name="b">
 <inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/><joint name="k" type="slide" axis="1 0 0" frictionloss="0.1"/>
-<site name="tip"/></body></body></worldbody><actuator><position joint="j" kp="3" ctrlrange="-1 1"/>
-<motor joint="k" gear="2"/></actuator></mujoco>"""
+<site name="tip"/></body></body></worldbody><actuator>
+<position joint="j" kp="3" ctrlrange="-1 1"/><motor joint="k" gear="2"/></actuator></mujoco>"""
 URDF = b"""<robot name="r"><link name="w"/><link name="a"><inertial><mass value="1"/><origin xyz="0 0 0"/>
 <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial><visual><geometry><box size="1 1 1"/></geometry>
 </visual></link><joint name="j" type="revolute"><parent link="w"/><child link="a"/><axis xyz="0 0 1"/>

@@ -2,6 +2,7 @@
 
 import re
 import runpy
+import tomllib
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -33,3 +34,20 @@ def test_component_of_the_guide_works(tmp_path: Path) -> None:
     assert (GUIDE.parent / "hybrid_id/components/friction/quadratic_drag.py").read_text(
         encoding="utf-8"
     ) == source
+
+
+def test_what_is_installed_is_pinned_with_hashes() -> None:
+    """`make` installs what `.ci/lock` has written: the tested versions of all but torch, each file by its hash."""
+    root = Path(__file__).parents[1]
+    blocks = re.split(r"(?m)^(?=[a-z0-9])", (root / "requirements.lock").read_text(encoding="utf-8"))
+    pinned = {block.split(" ", 1)[0] for block in blocks if block}
+    assert all("--hash=sha256:" in block for block in blocks if block)
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = [
+        line for line in (root / "constraints.txt").read_text(encoding="utf-8").splitlines() if line[0] != "#"
+    ]
+    asked += [one for extra in ("dev", "blind") for one in project["optional-dependencies"][extra]]
+    assert {re.sub(r"\[.*\]", "", one) for one in asked} - pinned == {"torch==2.13.0"}
+    assert {re.split(r"[=>]", one)[0] for one in project["dependencies"]} <= {
+        *(one.split("==")[0] for one in pinned), "torch",
+    }  # fmt: skip
