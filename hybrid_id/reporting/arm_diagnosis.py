@@ -11,6 +11,7 @@ from rich.text import Text
 
 from hybrid_id.diagnosis.arm import NOT_ASKED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.catalogue import brought
+from hybrid_id.diagnosis.errors_on_test import Errors
 from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.quality import Finding
@@ -126,30 +127,40 @@ def joints_table(found: ArmDiagnosis) -> Table:
             for e in one.selected
         )
         left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
-        rows.append((joint, lacks(one), percent(part), explained, sure, left, _errors_cell(found, joint)))
+        rows.append((joint, lacks(one), percent(part), explained, sure, left, *_errors_cells(found, joint)))
+    models = _models(found)
+    errors = (*(f"RMSE {name}>" for name in models), *(("unit",) if models else ()))
+    heads = ("joint", "lacks", "part of the gap>", "explains of it>", "probability>", "unexplained>", *errors)
     rows += [
-        (joint, f"not diagnosed: {why}", *[""] * 5)
+        (joint, f"not diagnosed: {why}", *[""] * (len(heads) - 2))
         for joint, why in found.skipped.items()
         if why != NOT_ASKED
     ]
-    heads = ("joint", "lacks", "part of the gap>", "explains of it>", "probability>", "unexplained>",
-             "RMSE nominal, re-fitted, corrected>")  # fmt: skip
     return table(heads, rows)
 
 
-def _errors_cell(found: ArmDiagnosis, joint: str) -> str:
-    """RMSE of a joint on the test records, all joints simulated, in the unit that was logged."""
-    models = [
-        one for one in (found.nominal_errors, found.refit_errors, found.model_errors) if one is not None
+def _models(found: ArmDiagnosis) -> dict[str, Errors]:
+    """Errors of the robot on the test records by the model's name; the corrected one where an effect is asserted."""
+    every = {"nominal": found.nominal_errors, "re-fitted": found.refit_errors} | (
+        {"corrected": found.model_errors} if found.selected else {}
+    )
+    return {name: errors for name, errors in every.items() if errors is not None}
+
+
+def _errors_cells(found: ArmDiagnosis, joint: str) -> list[str]:
+    """RMSE of a joint on the test records by each model, all joints simulated, and the unit, which was logged.
+
+    Values of several outputs of the joint stand one after the other.
+    """
+    models, one = _models(found), found.joints[joint].details
+    if not models:
+        return []
+    rows = [
+        in_unit(c.name, [each.rmse[c.name] for each in models.values()], one.dataset.outputs, one.nominal)
+        for c in one.dataset.outputs
+        if all(c.name in each.rmse for each in models.values())
     ]
-    channels = found.joints[joint].details.dataset.outputs
-    cells = []
-    for channel in channels:
-        if len(models) == 3 and all(channel.name in one.rmse for one in models):
-            values = [one.rmse[channel.name] for one in (models if found.selected else models[:2])]
-            *shown, unit = in_unit(channel.name, values, channels, found.joints[joint].details.nominal)
-            cells.append(f"{', '.join(shown)} {unit}")
-    return "; ".join(cells)
+    return ["; ".join(cells) for cells in zip(*rows, strict=True)] if rows else [""] * (len(models) + 1)
 
 
 def error_lines(found: ArmDiagnosis) -> list[str]:
@@ -230,20 +241,16 @@ def arm_figures(found: ArmDiagnosis) -> dict[str, Drawn]:
 @journal()
 def joints_figure(found: ArmDiagnosis) -> Figure:
     """RMSE of each joint on the test records, of the three models."""
-    models = {
-        "nominal": found.nominal_errors, "re-fitted": found.refit_errors,
-        "corrected": found.model_errors if found.selected else None,
-    }  # fmt: skip
+    models = _models(found)
     names = () if found.model.tree is None else found.model.tree.names
     outputs = [] if found.refit_errors is None else list(found.refit_errors.rmse)
     figure = new_figure(0.27 * len(outputs) + 1.0)
     axes = figure.subplots()
     for name, errors in models.items():
-        if errors is not None:
-            values = [1e3 * errors.rmse[output] for output in outputs]
-            axes.plot(values, range(len(outputs)), "o", ms=4.5, color=MODELS[name], label=name)
+        values = [1e3 * errors.rmse[output] for output in outputs]
+        axes.plot(values, range(len(outputs)), "o", ms=4.5, color=MODELS[name], label=name)
     for row, output in enumerate(outputs):
-        values = [1e3 * errors.rmse[output] for errors in models.values() if errors is not None]
+        values = [1e3 * errors.rmse[output] for errors in models.values()]
         axes.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
     labels = [shortened(names[int(number_of(output)) - 1], MAX_NAME) for output in outputs]
     axes.set_yticks(range(len(outputs)), labels)
