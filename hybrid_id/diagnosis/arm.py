@@ -130,10 +130,10 @@ class ArmDiagnosis:
     @property
     def effects(self) -> tuple[RatedEffect, ...]:
         """Every effect that was tried, the selected ones first, by share: of the whole robot's gap."""
-        return tuple(one for one, _, _ in self._rated())
+        return tuple(one for one, _, _ in self.rated())
 
-    def _rated(self) -> list[tuple[RatedEffect, RatedEffect, str]]:
-        """Effects of the robot in their order, each as its joint by itself has it, and that joint's name."""
+    def rated(self) -> list[tuple[RatedEffect, RatedEffect, str]]:
+        """Effects of the robot in their order, each as the robot and as its joint by itself has it, and that joint."""
         every = [
             (self._of_robot(one, joint), one, joint)
             for joint, found in self.joints.items()
@@ -196,7 +196,7 @@ class ArmDiagnosis:
         """The content of ``diagnosis.json``: the keys of one joint's, and each joint's own under ``joints``."""
         effects = [
             effect_entry(one) | {"joint": joint, "share_of_joint": own.share, "share_alone": own.alone}
-            for one, own, joint in self._rated()
+            for one, own, joint in self.rated()
         ]
         return {
             "case": self.case,

@@ -18,12 +18,14 @@ from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
+    asserted,
     called,
     capital,
     headline,
     implausible_lines,
     joined,
     measured,
+    negligible,
     percent,
     place_words,
     probability_words,
@@ -58,7 +60,9 @@ _GAP = (
 )
 _PART = (
     "A joint's part of the gap is its share in the re-fitted robot's errors beyond noise on the train records, the "
-    "others moving as they were measured and each joint's errors taken relative to how far it moves."
+    "others moving as they were measured and each joint's errors taken relative to how far it moves. These are mean "
+    "squares: a joint with a third of another's relative error has a ninth of its part, so that one joint often has "
+    "nearly all of the gap. What the others lack shows in the share of their own gap, and in their RMSE."
 )
 _CAPTION = (
     "RMSE on the test records, all joints simulated from their commands, of the nominal, the re-fitted and the "
@@ -68,22 +72,41 @@ _CAPTION = (
 
 def arm_headline(found: ArmDiagnosis) -> str:
     """What the diagnosis states of the whole robot, what is known first."""
-    named = found.selected
-    if named:
+    large, small, _ = _by_size(found)
+    of = "the gap of the joints that were diagnosed" if found.skipped else "the gap"
+    if found.selected:
         said = [
-            f"{words_of(one.name)} at {one.where.rpartition('/')[0]}{' explains' if k == 0 else ''} "
-            f"{percent(one.share or 0.0)} (probability {probability_words(one.probability)})"
-            for k, one in enumerate(named)
+            f"{words_of(one.name)} at {joint}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
+            f"(probability {probability_words(one.probability)})"
+            for k, (one, _, joint) in enumerate(large)
         ]
-        of = "the gap of the joints that were diagnosed" if found.skipped else "the gap"
-        sentence = f"{capital(joined(said))} of {of}; "
+        sentence = f"{capital(joined(said))} of {of}; " if said else f"No effect explains 0.5 % of {of}; "
         rest = found.remainder
         sentence += f"{percent(rest)} remains unexplained." if rest >= 0.01 else "nothing structural remains."
+        if small:
+            said = [
+                f"{words_of(one.name)} at {joint} ({percent(own.share or 0.0)} of that joint's own gap; "
+                f"probability {probability_words(one.probability)})"
+                for one, own, joint in small
+            ]
+            sentence += f" Of less than 0.5 % of the robot's gap each: {joined(said)}."
     else:
         sentence = _nothing_named(found)
     if found.interrupted:
         sentence += " The search was interrupted: not all joints were diagnosed to the end."
     return sentence
+
+
+Rated = tuple[RatedEffect, RatedEffect, str]
+"""An effect as the robot and as its joint by itself has it, and that joint's name."""
+
+
+def _by_size(found: ArmDiagnosis) -> tuple[list[Rated], list[Rated], list[Rated]]:
+    """The selected effects: of the robot's gap, of hardly more than their joint's own, and of next to nothing."""
+    named = [one for one in found.rated() if one[0].selected]
+    large = [one for one in named if not negligible(one[0])]
+    small = [one for one in named if negligible(one[0]) and not negligible(one[1])]
+    return large, small, [one for one in named if negligible(one[0]) and negligible(one[1])]
 
 
 def _nothing_named(found: ArmDiagnosis) -> str:
@@ -109,7 +132,7 @@ def lacks(one: Diagnosis) -> str:
         return _VERDICTS[one.verdict]
     return "; ".join(
         f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {place_words(e.where)}"
-        for e in one.selected
+        for e in asserted(one)
     )
 
 
@@ -121,16 +144,24 @@ def joints_table(found: ArmDiagnosis) -> Table:
     rows = []
     for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
         one = found.joints[joint]
-        sure = "; ".join(f"{e.probability:.2f}" for e in one.selected)
+        sure = "; ".join(f"{e.probability:.2f}" for e in asserted(one))
         explained = "; ".join(
             percent(e.share or 0.0) + (f" ({range_percent(e.share_interval)})" if e.share_interval else "")
-            for e in one.selected
+            for e in asserted(one)
         )
         left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
         rows.append((joint, lacks(one), percent(part), explained, sure, left, *_errors_cells(found, joint)))
     models = _models(found)
     errors = (*(f"RMSE {name}>" for name in models), *(("unit",) if models else ()))
-    heads = ("joint", "lacks", "part of the gap>", "explains of it>", "probability>", "unexplained>", *errors)
+    heads = (
+        "joint",
+        "lacks",
+        "part of the gap>",
+        "share of the joint's own gap>",
+        "probability>",
+        "unexplained>",
+        *errors,
+    )
     rows += [
         (joint, f"not diagnosed: {why}", *[""] * (len(heads) - 2))
         for joint, why in found.skipped.items()
@@ -189,9 +220,10 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
 
 def remark_lines(found: ArmDiagnosis) -> list[str]:
     """Sizes of the effects, what several joints have in common, values that moved far, and joints not asked for."""
+    large, small, _ = _by_size(found)
     lines = [
-        f"{one.where.rpartition('/')[0]}: {words_of(one.name)}, {', '.join(values)}."
-        for one in found.selected
+        f"{joint}: {words_of(one.name)}, {', '.join(values)}."
+        for one, _, joint in (*large, *small)
         if (values := _sizes(found, one))
     ]
     lines += [common_words(one) for one in found.common]
@@ -199,6 +231,8 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
         lines += [f"{joint}: {line}" for line in implausible_lines(one)]
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
+    if beside := [f"{words_of(one.name)} at {joint}" for one, _, joint in _by_size(found)[2]]:
+        lines.append(f"also fitted, negligible (less than 0.5 % of any gap): {joined(beside)}.")
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
 
 

@@ -13,6 +13,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.diagnosis_words import (
     LEAST_SHARE,
+    asserted,
     capital,
     caution_lines,
     change_lines,
@@ -83,6 +84,7 @@ def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> Ren
 def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
     """The effects that were tried (the first ``most``): the selected ones by share, then the others by probability."""
     tied, rows = {member for group in diagnosis.ties for member in group}, []
+    told = asserted(diagnosis)
     for one in diagnosis.effects[:most]:
         others = "indistinguishable" if f"{one.name}@{one.where}" in tied else ""
         interval = "" if one.share_interval is None else f" ({range_percent(one.share_interval)})"
@@ -91,7 +93,7 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
                 words_of(one.name), "" if one.share is None else percent(one.share) + interval,
                 f"{one.probability:.3f}",
                 f"{joint_words(one.where, diagnosis.model)}, {place_words(one.where)}",
-                Text("selected", style="green") if one.selected else Text(others),
+                Text(others) if not one.selected else Text("selected", style="green") if one in told else "negligible",
             )
         )  # fmt: skip
     return table(("effect", "share of the gap>", "probability>", "where", ""), rows)

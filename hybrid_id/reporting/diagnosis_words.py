@@ -22,6 +22,8 @@ from hybrid_id.systems.chain import System
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
+NEGLIGIBLE = 0.005
+"""Share of a gap below which it is printed as 0 %: the model has such an effect, and nobody is told to look for it."""
 WORSE = 1.5
 """Error of the re-fitted model over that of the nominal one from which it is said."""
 NAMED = 4
@@ -54,7 +56,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def _effects(diagnosis: Diagnosis) -> str:
-    chosen = diagnosis.selected
+    chosen = asserted(diagnosis)
     said = [
         f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} ({_sure(diagnosis, one)})"
         for k, one in enumerate(chosen)
@@ -68,7 +70,21 @@ def _effects(diagnosis: Diagnosis) -> str:
         sentence += (
             f" How much {joined(unsure)} explains differs so from record to record that its size is open."
         )
+    if beside := [
+        _at(one.name, one.where, diagnosis.model) for one in diagnosis.selected if one not in chosen
+    ]:
+        sentence += f" Also fitted, negligible (less than 0.5 % of the gap each): {joined(beside)}."
     return sentence
+
+
+def negligible(one: RatedEffect) -> bool:
+    """Whether an effect explains next to nothing of a gap: it is fitted, and not said to be missing."""
+    return one.share is not None and one.share < NEGLIGIBLE
+
+
+def asserted(diagnosis: Diagnosis) -> list[RatedEffect]:
+    """The selected effects that explain more than next to nothing; all of them where none does."""
+    return [one for one in diagnosis.selected if not negligible(one)] or list(diagnosis.selected)
 
 
 def _sure(diagnosis: Diagnosis, one: RatedEffect) -> str:

@@ -1,9 +1,11 @@
 """A robot's diagnosis in words and tables: what a joint lacks, how large its errors are, and in which unit."""
 
+from dataclasses import replace
+
 import pytest
 
 from hybrid_id.diagnosis.arm import ArmDiagnosis
-from hybrid_id.reporting.arm_diagnosis import joints_table
+from hybrid_id.reporting.arm_diagnosis import arm_headline, joints_table, remark_lines
 
 pytest.importorskip("mujoco")
 
@@ -25,3 +27,31 @@ def test_each_model_has_a_column_of_errors_of_its_own(found: ArmDiagnosis) -> No
     row = shown["joint"].index("elbow")
     nominal, refitted, corrected = (float(shown[head][row]) for head in heads[:3])
     assert nominal > refitted > corrected and shown["unit"] == ["rad"] * 3
+
+
+def with_share(found: ArmDiagnosis, share: float) -> ArmDiagnosis:
+    """The same with a further effect selected at the elbow, which explains some share of that joint's gap."""
+    elbow = found.joints["elbow"]
+    first, second, *others = elbow.effects
+    more = replace(second, selected=True, share=share, share_interval=(0.0, 2 * share))
+    joints = {**found.joints, "elbow": replace(elbow, effects=(first, more, *others))}
+    return replace(found, joints=joints)
+
+
+def test_what_explains_next_to_nothing_is_set_apart(found: ArmDiagnosis) -> None:
+    name = found.joints["elbow"].effects[1].name.replace("_", " ")
+    some = with_share(found, 0.02)
+    assert f"and {name} at elbow 2 %" in arm_headline(some) and name in cells(some)["lacks"][0]
+    nothing = with_share(found, 0.002)
+    assert name not in arm_headline(nothing) and name not in "".join(cells(nothing)["lacks"])
+    said = f"also fitted, negligible (less than 0.5 % of any gap): {name} at elbow."
+    assert said in remark_lines(nothing) and said not in remark_lines(some)
+
+
+def test_a_joint_with_hardly_any_part_of_the_gap_keeps_what_it_lacks(found: ArmDiagnosis) -> None:
+    shifted = replace(found, parts={"pan": 0.999, "lift": 0.0, "elbow": 0.001})
+    sentence = arm_headline(shifted)
+    assert sentence.startswith("No effect explains 0.5 % of the gap;")
+    assert "Of less than 0.5 % of the robot's gap each: spring load at elbow (" in sentence
+    assert "of that joint's own gap; probability" in sentence
+    assert "spring load, at the load" in cells(shifted)["lacks"]

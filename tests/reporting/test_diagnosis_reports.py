@@ -146,6 +146,17 @@ def test_a_share_of_no_sure_size_is_said_to_be_open(diagnosed) -> None:
     )
 
 
+def test_what_explains_next_to_nothing_is_set_apart(diagnosed) -> None:
+    found = half_explained(diagnosed[2])
+    second = replace(found.effects[1], selected=True, share=0.003, share_interval=(0.0, 0.006))
+    both = replace(found, effects=(found.effects[0], second, *found.effects[2:]))
+    assert headline(both).startswith("Spring load explains 43 %")
+    place = f"{words_of(second.name)} (joint 1, "
+    assert f" Also fitted, negligible (less than 0.5 % of the gap each): {place}" in headline(both)
+    marks = [str(cell) for cell in effects_table(both).columns[-1].cells]
+    assert marks[:2] == ["selected", "negligible"]
+
+
 def test_no_place_is_named_unless_it_is_identified(diagnosed) -> None:
     two = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 0.68, 1.0))
     assert "unexplained. More remains" in headline(half_explained(diagnosed[2], disturbances=two))
