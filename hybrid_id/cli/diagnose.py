@@ -251,7 +251,6 @@ def write_arm(
     save_model(found.model, folder / "model.yaml", home)
     save_model(found.refit, folder / "refit.yaml", home)
     pages = {joint: f"{name}/{PAGE}" for joint, name in folders.items()} if config.output.report else {}
-    records = next(iter(found.joints.values())).details.dataset
     drawn = {}
     drawn["the robot"] = write_report(
         folder,
@@ -259,7 +258,7 @@ def write_arm(
         config,
         "diagnose",
         figures=lambda: arm_figures(found),
-        page=lambda figures: arm_page(found, figures, pages, findings=remarks(records)),
+        page=lambda figures: arm_page(found, figures, pages, findings=remarks(found.dataset)),
         settings=seed,
     )
     for joint, name in folders.items():

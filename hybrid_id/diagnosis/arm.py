@@ -93,7 +93,7 @@ class ArmDiagnosis:
     """Result of :func:`hybrid_id.diagnose_arm`.
 
     Attributes:
-        case: name of the dataset.
+        dataset: the records, of all joints.
         joints: the diagnosis of each joint by the joint's name, the others moving as they were measured.
         skipped: joints that were not diagnosed, each with the reason.
         horizon: how long the free runs are over which the joints' parts and the whole robot are measured: the shortest
@@ -111,7 +111,7 @@ class ArmDiagnosis:
         interrupted: whether the search was stopped, so that some joints lack.
     """
 
-    case: str
+    dataset: Dataset
     joints: Mapping[str, Diagnosis]
     skipped: Mapping[str, str]
     horizon: Horizon
@@ -126,6 +126,11 @@ class ArmDiagnosis:
     shrink: Shrink | None
     contradiction: str
     interrupted: bool
+
+    @property
+    def case(self) -> str:
+        """Name of the dataset."""
+        return self.dataset.name
 
     @property
     def effects(self) -> tuple[RatedEffect, ...]:
@@ -388,7 +393,7 @@ def _of_whole_robot(
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
     parts, known = _parts(found, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
-        dataset.name, found, skipped, horizon, parts, known, common_sizes(found, model, known), refit, model,
+        dataset, found, skipped, horizon, parts, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,
     )  # fmt: skip
 

@@ -198,7 +198,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
     """Errors of the whole robot on the test records, and the shrink; what contradicts the answer."""
     nominal, gap = found.nominal_errors, found.shrink
     if nominal is None or gap is None:
-        return [f"{unmeasured(next(iter(found.joints.values())).details.dataset)}."]
+        return [f"{unmeasured(found.dataset)}."]
     corrected = f", corrected {gap.with_effect:.3g}" if found.selected else ""
     anew = "" if found.horizon.kind == "whole" else f" in {found.horizon.length}"
     lines = [
@@ -317,7 +317,7 @@ def arm_page(
     tests = page.section("Test records").add(*(Text(capital(line)) for line in error_lines(found)))
     if "joints" in figures:
         tests.figure(figures["joints"], _CAPTION)
-    records = page.section("Records").add(records_table(next(iter(found.joints.values())).details.dataset))
+    records = page.section("Records").add(records_table(found.dataset))
     if findings:
         records.add(findings_list(findings))
     return page

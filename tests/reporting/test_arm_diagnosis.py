@@ -55,3 +55,8 @@ def test_a_joint_with_hardly_any_part_of_the_gap_keeps_what_it_lacks(found: ArmD
     assert "Of less than 0.5 % of the robot's gap each: spring load at elbow (" in sentence
     assert "of that joint's own gap; probability" in sentence
     assert "spring load, at the load" in cells(shifted)["lacks"]
+
+
+def test_the_robots_page_has_the_records_of_all_joints(mended_arm, found: ArmDiagnosis) -> None:
+    assert found.dataset is mended_arm[0] and found.case == "arm"
+    assert len(found.dataset.outputs) == 3 and len(found.joints["pan"].details.dataset.outputs) == 1
