@@ -204,9 +204,11 @@ def _capital(words: str) -> str:
 
 
 def _nothing() -> ParameterChange:
-    return ParameterChange(
-        "none", 0, 0.0, (0.0, 0.0), (), 0.0, "The re-fit leaves the nominal values as they are."
+    words = (
+        "Which values were wrong is not sure: together they move by no more than their uncertainty and the "
+        f"{100 * NOMINAL:g} % to which nominal values are known."
     )
+    return ParameterChange("none", 0, 0.0, (0.0, 0.0), (), 0.0, words)
 
 
 def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, np.ndarray]:

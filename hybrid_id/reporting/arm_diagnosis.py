@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
@@ -18,6 +18,7 @@ from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
+    Moved,
     asserted,
     called,
     capital,
@@ -25,6 +26,7 @@ from hybrid_id.reporting.diagnosis_words import (
     implausible_lines,
     joined,
     measured,
+    moved_line,
     negligible,
     percent,
     place_words,
@@ -42,6 +44,8 @@ from hybrid_id.reporting.units import in_unit
 from hybrid_id.systems.by_joint import numbered
 
 PAGE = "report.html"
+MOVED = 6
+"""Parameters of a robot, of those that moved, which are listed."""
 _VERDICTS = {
     "parameters_only": "nothing; other parameter values",
     "no_gap": "nothing",
@@ -230,10 +234,20 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     for joint, one in found.joints.items():
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
         lines += [f"{joint}: {line}" for line in implausible_lines(one)]
+    lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
     if beside := [f"{words_of(one.name)} at {joint}" for one, _, joint in _by_size(found)[2]]:
         lines.append(f"also fitted, negligible (less than 0.5 % of any gap): {joined(beside)}.")
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
+
+
+def _moved_values(found: ArmDiagnosis) -> Iterator[Moved]:
+    """Parameters of the joints' nominal drives as the fit of all joints has them, with 95 % intervals."""
+    for one in found.joints.values():
+        for info in one.details.nominal.table:
+            value, std = found.estimates.get(info.name, (0.0, 0.0))
+            if 0.0 < std < float("inf"):
+                yield info, value, (value - 1.96 * std, value + 1.96 * std)
 
 
 def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:

@@ -24,6 +24,8 @@ from hybrid_id.reporting.diagnosis_words import (
     headline,
     implausible_lines,
     joint_words,
+    moved_line,
+    moved_values,
     not_identifiable_lines,
     percent,
     place_words,
@@ -212,7 +214,9 @@ def diagnosis_page(
     picture(tests, "gap", "worst_record")
     page.section("Parameters").add(
         *([diagnosis.changes] if diagnosis.changes else []),
-        *map(_sentence, [*implausible_lines(diagnosis), *not_identifiable_lines(diagnosis)]),
+        *map(_sentence, implausible_lines(diagnosis)),
+        *map(_sentence, moved_line(moved_values(diagnosis), dataset.outputs)),
+        *map(_sentence, not_identifiable_lines(diagnosis)),
         parameters_table(diagnosis),
         *combinations_table(details.studies[-1]),
         _INTERVALS,

@@ -6,6 +6,7 @@ import pytest
 
 from hybrid_id.diagnosis.arm import ArmDiagnosis
 from hybrid_id.reporting.arm_diagnosis import arm_headline, joints_table, remark_lines
+from hybrid_id.reporting.diagnosis_words import moved_values
 
 pytest.importorskip("mujoco")
 
@@ -60,3 +61,12 @@ def test_a_joint_with_hardly_any_part_of_the_gap_keeps_what_it_lacks(found: ArmD
 def test_the_robots_page_has_the_records_of_all_joints(mended_arm, found: ArmDiagnosis) -> None:
     assert found.dataset is mended_arm[0] and found.case == "arm"
     assert len(found.dataset.outputs) == 3 and len(found.joints["pan"].details.dataset.outputs) == 1
+
+
+def test_an_interval_without_the_nominal_value_is_said(found: ArmDiagnosis) -> None:
+    said = "intervals exclude the nominal value: stiffness of the position loop k_p_lift 8.4 ("
+    moved = replace(found, estimates={"k_p_lift": (8.4, 0.02), "k_p_pan": (6.01, 0.1)})
+    (line,) = (line for line in remark_lines(moved) if line.startswith(said))
+    assert "N m/rad, nominal 8." in line and "pan" not in line
+    own = {info.name: ends for info, _, ends in moved_values(found.joints["lift"])}
+    assert own["k_p_lift"][0] < own["k_p_lift"][1]

@@ -12,6 +12,7 @@ from hybrid_id.diagnosis.locate import Disturbance, Location
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.result import FORMER_KEYS, Diagnosis
 from hybrid_id.identification.horizons import Horizon
+from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis import (
     diagnosis_page,
@@ -22,8 +23,10 @@ from hybrid_id.reporting.diagnosis import (
 )
 from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 from hybrid_id.reporting.diagnosis_words import (
+    Moved,
     error_lines,
     headline,
+    moved_line,
     tie_lines,
     value_lines,
     words_of,
@@ -293,6 +296,20 @@ def test_tables_hold_every_effect_and_parameter(diagnosed) -> None:
     assert cells["k_s"][6] == "none"  # in voltage and angle no torque has a scale
     low, high = map(float, cells["q_s"][6].split(" to "))
     assert low < float(cells["q_s"][5]) < high
+
+
+def test_an_interval_without_the_nominal_value_is_said(sound) -> None:
+    viscous, dry = (sound[2].details.nominal.parameter(name) for name in ("F_v", "F_c"))
+
+    def moved(one: ParameterInfo, factor: float) -> Moved:
+        value = factor * one.spec.value
+        return one, value, (0.995 * value, 1.005 * value)
+
+    (line,) = moved_line([moved(viscous, 1.05), moved(dry, 1.01)], ())
+    value = viscous.spec.value
+    assert line.startswith(f"intervals exclude the nominal value: {viscous.doc} F_v {1.05 * value:.4g} (")
+    assert f"nominal {value:.4g} (and 1 by less than 2 %)." in line
+    assert moved_line([moved(viscous, 1.002), moved(dry, 1.01)], ()) == []
 
 
 def test_one_interval_for_a_number(diagnosed) -> None:
