@@ -14,6 +14,7 @@ from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.errors_on_test import Errors
 from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
@@ -40,7 +41,7 @@ from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
-from hybrid_id.reporting.units import in_unit
+from hybrid_id.reporting.units import in_unit, shown_unit
 from hybrid_id.systems.by_joint import numbered
 
 PAGE = "report.html"
@@ -67,6 +68,13 @@ _PART = (
     "others moving as they were measured and each joint's errors taken relative to how far it moves. These are mean "
     "squares: a joint with a third of another's relative error has a ninth of its part, so that one joint often has "
     "nearly all of the gap. What the others lack shows in the share of their own gap, and in their RMSE."
+)
+_OF_ALL = (
+    "These values are of the fit of all joints at once, as in model.yaml here. A joint's own page and folder have "
+    "those of the joint by itself, driven by the others' measured motion with its noise, so that the two differ."
+)
+_OF_EACH = (
+    "These values are those of each joint by itself: there is no fit of all joints at once that errs less."
 )
 _CAPTION = (
     "RMSE on the test records, all joints simulated from their commands, of the nominal, the re-fitted and the "
@@ -225,12 +233,13 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
 def remark_lines(found: ArmDiagnosis) -> list[str]:
     """Sizes of the effects, what several joints have in common, values that moved far, and joints not asked for."""
     large, small, _ = _by_size(found)
-    lines = [
+    sizes = [
         f"{joint}: {words_of(one.name)}, {', '.join(values)}."
-        for one, _, joint in (*large, *small)
-        if (values := _sizes(found, one))
+        for one, own, joint in (*large, *small)
+        if (values := _sizes(found, one, own, joint))
     ]
-    lines += [common_words(one) for one in found.common]
+    lines = [*sizes, *([_OF_ALL if found.estimates else _OF_EACH] if sizes else [])]
+    lines += [common_words(one, found.dataset.outputs) for one in found.common]
     for joint, one in found.joints.items():
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
         lines += [f"{joint}: {line}" for line in implausible_lines(one)]
@@ -250,26 +259,46 @@ def _moved_values(found: ArmDiagnosis) -> Iterator[Moved]:
                 yield info, value, (value - 1.96 * std, value + 1.96 * std)
 
 
-def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:
-    """Parameters of an effect in the corrected robot, with 95 % intervals where its fit tells them."""
+def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) -> list[str]:
+    """Parameters of an effect in the corrected robot, with 95 % intervals where its fit tells them.
+
+    Beside a value stands the joint's own where that lies outside the interval.
+
+    Args:
+        found: the diagnosis.
+        one: the effect as the robot has it.
+        own: the effect as the joint by itself has it.
+        joint: its name.
+    """
     infos, said = brought(found.model, one.name, numbered(found.model, one.where)), []
+    outputs = found.joints[joint].details.dataset.outputs
     for symbol, (value, std) in one.parameters.items():
         if (info := infos.get(symbol)) is None:
             continue
+        unit, factor = shown_unit(info.spec.unit, outputs)
         known = info.name in found.estimates and 0.0 < std < float("inf")
-        ends = (value - 1.96 * std, value + 1.96 * std) if known else None
-        said.append(f"{called(info)} {measured(value, ends, info.spec.unit)}")
+        ends = (factor * (value - 1.96 * std), factor * (value + 1.96 * std)) if known else None
+        alone = factor * own.parameters[symbol][0]
+        beside = f" [by itself {alone:.4g}]" if ends and not ends[0] <= alone <= ends[1] else ""
+        said.append(f"{called(info)} {measured(factor * value, ends, unit)}{beside}")
     return said
 
 
-def common_words(one: CommonSize) -> str:
-    """Whether a parameter of an effect that several joints have is the same at all of them."""
-    unit = "" if one.unit == "1" else f" {one.unit}"
+def common_words(one: CommonSize, outputs: Sequence[Channel]) -> str:
+    """Whether a parameter of an effect that several joints have is the same at all of them.
+
+    Args:
+        one: the parameter.
+        outputs: of the records, whose unit an angle is shown in.
+    """
+    shown, factor = shown_unit(one.unit, outputs)
+    unit = "" if shown == "1" else f" {shown}"
     what = f"{words_of(one.effect)} of {joined(list(one.joints))}: {one.symbol}"
     if not one.common:
         return f"{what} differs from joint to joint (chance {one.chance:.1g})."
-    ends = interval_words(one.value - 1.96 * one.std, one.value + 1.96 * one.std)
-    return f"{what} may be one for all of them, {one.value:.4g} ({ends}){unit}."
+    value, std = factor * one.value, factor * one.std
+    ends = interval_words(value - 1.96 * std, value + 1.96 * std)
+    return f"{what} may be one for all of them, {value:.4g} ({ends}){unit}."
 
 
 def arm_table(found: ArmDiagnosis) -> RenderableType:

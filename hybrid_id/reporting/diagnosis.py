@@ -153,6 +153,10 @@ _INTERVALS = (
     "identified only together with others, or lies at a bound; the standard errors in "
     "diagnosis.json leave that out of account."
 )
+_BY_ITSELF = (
+    "These values are of this joint by itself, the others moving as they were measured. The robot's page and its "
+    "model.yaml have those of the fit of all joints at once, where that errs less."
+)
 _CAPTIONS = {
     "shares": "How the gap divides, on records left out: what each effect explains when it is added in this order, and "
     "what remains. The line: 95 % interval.",
@@ -219,6 +223,7 @@ def diagnosis_page(
         *map(_sentence, not_identifiable_lines(diagnosis)),
         parameters_table(diagnosis),
         *combinations_table(details.studies[-1]),
+        *([_BY_ITSELF] if robot else []),
         _INTERVALS,
         LEGEND,
     )

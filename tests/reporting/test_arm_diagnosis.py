@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from hybrid_id.diagnosis.arm import ArmDiagnosis
-from hybrid_id.reporting.arm_diagnosis import arm_headline, joints_table, remark_lines
+from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize
+from hybrid_id.reporting.arm_diagnosis import arm_headline, common_words, joints_table, remark_lines
+from hybrid_id.reporting.diagnosis import diagnosis_page
 from hybrid_id.reporting.diagnosis_words import moved_values
 
 pytest.importorskip("mujoco")
@@ -61,6 +62,24 @@ def test_a_joint_with_hardly_any_part_of_the_gap_keeps_what_it_lacks(found: ArmD
 def test_the_robots_page_has_the_records_of_all_joints(mended_arm, found: ArmDiagnosis) -> None:
     assert found.dataset is mended_arm[0] and found.case == "arm"
     assert len(found.dataset.outputs) == 3 and len(found.joints["pan"].details.dataset.outputs) == 1
+
+
+def test_values_of_the_robot_and_of_its_joint_are_told_apart(found: ArmDiagnosis) -> None:
+    own = found.joints["elbow"].effects[0].parameters["k_s"][0]
+    near = replace(found, estimates={"k_s_elbow": (own, 0.01)})
+    far = replace(found, estimates={"k_s_elbow": (own + 0.1, 0.01)})
+    beside = f"[by itself {own:.4g}]"
+    assert beside in remark_lines(far)[0] and beside not in remark_lines(near)[0]
+    assert "of the fit of all joints at once" in remark_lines(far)[1]
+    assert "of each joint by itself" in remark_lines(replace(found, estimates={}))[1]
+    page = diagnosis_page(found.joints["elbow"], {}, robot="../report.html")
+    assert "These values are of this joint by itself" in page.html()
+
+
+def test_angles_have_the_unit_that_was_logged(found: ArmDiagnosis) -> None:
+    outputs = [replace(channel, logged="deg") for channel in found.dataset.outputs]
+    size = CommonSize("base_tilt", "e_x", "rad", ("lift", "elbow"), 0.1, 0.01, 0.5)
+    assert "5.73 (" in common_words(size, outputs) and common_words(size, outputs).endswith(" deg.")
 
 
 def test_an_interval_without_the_nominal_value_is_said(found: ArmDiagnosis) -> None:
