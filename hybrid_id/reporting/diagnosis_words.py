@@ -12,7 +12,7 @@ from hybrid_id.diagnosis.changes import NOMINAL
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
 from hybrid_id.diagnosis.grade import Interval, RatedEffect, together
-from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
+from hybrid_id.diagnosis.locate import HISTORY, IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.plausibility import named
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
@@ -200,7 +200,10 @@ def where_line(diagnosis: Diagnosis) -> str:
     if not sides:
         return ""
     words = "; ".join(f"{side}, over {', '.join(signals)}" for side, signals in sides.items())
-    return f"residual before (mean square, re-fitted model) is explained by a torque at {words}."
+    history = (
+        "; motion history: how the joint moved just before, its last reversal say" if HISTORY in words else ""
+    )
+    return f"residual before (mean square, re-fitted model) is explained by a torque at {words}{history}."
 
 
 def disturbance_line(diagnosis: Diagnosis) -> str:

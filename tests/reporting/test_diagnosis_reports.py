@@ -8,7 +8,7 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from hybrid_id.diagnosis.catalogue import SIDES
-from hybrid_id.diagnosis.locate import Disturbance, Location
+from hybrid_id.diagnosis.locate import HISTORY, Disturbance, Location
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.result import FORMER_KEYS, Diagnosis
 from hybrid_id.identification.horizons import Horizon
@@ -29,6 +29,7 @@ from hybrid_id.reporting.diagnosis_words import (
     moved_line,
     tie_lines,
     value_lines,
+    where_line,
     words_of,
 )
 from hybrid_id.reporting.interactive import Drawn
@@ -165,6 +166,12 @@ def test_no_place_is_named_unless_it_is_identified(diagnosed) -> None:
     assert "unexplained. More remains" in headline(half_explained(diagnosed[2], disturbances=two))
     weak = half_explained(diagnosed[2], residual_after=(replace(PLACE, share=0.03),))
     assert "unexplained, at joint 2, on the link side. More remains" in headline(weak)
+    before = half_explained(diagnosed[2], residual_after=(replace(PLACE, signal=HISTORY),))
+    assert "(a torque that depends on the motion just before, as that of play, hysteresis" in headline(before)
+    located = where_line(replace(diagnosed[2], location=(replace(PLACE, signal=HISTORY),)))
+    assert located.endswith(
+        "over motion history (62 %); motion history: how the joint moved just before, its last reversal say."
+    )
     one_side = half_explained(diagnosed[2], disturbances=(ACTS[0], Disturbance("joint2", "motor", 0.69, 1.0)))
     assert "at joint 2, with the angle" in headline(one_side)
 
