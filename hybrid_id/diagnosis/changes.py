@@ -205,8 +205,8 @@ def _capital(words: str) -> str:
 
 def _nothing() -> ParameterChange:
     words = (
-        "Which values were wrong is not sure: together they move by no more than their uncertainty and the "
-        f"{100 * NOMINAL:g} % to which nominal values are known."
+        "The fitted values differ from the nominal ones by no more than their uncertainty and the "
+        f"±{100 * HALF_WIDTH * NOMINAL:.0f} % (95 %) to which any nominal value is known, all taken together."
     )
     return ParameterChange("none", 0, 0.0, (0.0, 0.0), (), 0.0, words)
 

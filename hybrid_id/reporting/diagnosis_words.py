@@ -402,8 +402,8 @@ def moved_line(values: Iterable[Moved], channels: Sequence[Channel], most: int |
         unit, factor = shown_unit(info.spec.unit, channels)
         now = measured(factor * value, [factor * end for end in ends], unit)
         said.append(f"{named(info)} {now}, nominal {factor * info.spec.value:.4g}")
-    more = [f"{len(far) - len(said)} more"] if len(far) > len(said) else []
-    more += [f"{len(away) - len(far)} by less than {100 * NOMINAL:g} %"] if len(away) > len(far) else []
+    more = [f"{len(far) - len(said)} others"] if len(far) > len(said) else []
+    more += [f"{len(away) - len(far)} more by less than {100 * NOMINAL:g} %"] if len(away) > len(far) else []
     beside = f" (and {', '.join(more)})" if more else ""
     return [
         f"intervals exclude the nominal value: {'; '.join(said)}{beside}. Unless named implausible, such values are "

@@ -315,7 +315,7 @@ def test_an_interval_without_the_nominal_value_is_said(sound) -> None:
     (line,) = moved_line([moved(viscous, 1.05), moved(dry, 1.01)], ())
     value = viscous.spec.value
     assert line.startswith(f"intervals exclude the nominal value: {viscous.doc} F_v {1.05 * value:.4g} (")
-    assert f"nominal {value:.4g} (and 1 by less than 2 %)." in line
+    assert f"nominal {value:.4g} (and 1 more by less than 2 %)." in line
     assert moved_line([moved(viscous, 1.002), moved(dry, 1.01)], ()) == []
 
 
