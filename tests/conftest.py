@@ -15,6 +15,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
+    from hybrid_id.diagnosis.arm import ArmDiagnosis
     from hybrid_id.diagnosis.result import Diagnosis
     from hybrid_id.identification.keep import Kept
     from hybrid_id.records.dataset import Dataset
@@ -78,3 +79,25 @@ def sound(kept: "Kept") -> "tuple[Dataset, System, Diagnosis]":
 
     dataset, nominal = small_case()
     return dataset, nominal, diagnose(dataset, nominal, max_effects=1, kept=kept)
+
+
+@pytest.fixture(scope="session")
+def mended_arm(
+    kept: "Kept", tmp_path_factory: pytest.TempPathFactory
+) -> "tuple[Dataset, System, ArmDiagnosis]":
+    """Records of an arm with a spring at its elbow, the nominal model without it, and the diagnosis.
+
+    The catalogue holds what is missing, a near rival and a far one.
+    """
+    from gapcase import only
+    from servo_arm import described, records_of
+
+    from hybrid_id.components import REGISTRY
+    from hybrid_id.diagnosis.arm import diagnose_arm
+
+    pytest.importorskip("mujoco")
+    nominal = described(tmp_path_factory.mktemp("mended_arm"))
+    machine = nominal.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4))
+    dataset = records_of(machine)
+    with only("spring_load", "constant_torque", "quadratic_drag"):
+        return dataset, nominal, diagnose_arm(dataset, nominal, kept=kept)

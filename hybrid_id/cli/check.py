@@ -7,7 +7,14 @@ import typer
 
 from hybrid_id.cli.console import doing, show, show_json
 from hybrid_id.cli.inputs import load_records, read_model, refuse_errors
-from hybrid_id.cli.options import DatasetArgument, JsonOption, ModelOption, ThreadsOption, use_threads
+from hybrid_id.cli.options import (
+    DatasetArgument,
+    JointOption,
+    JsonOption,
+    ModelOption,
+    ThreadsOption,
+    use_threads,
+)
 from hybrid_id.config import beside
 from hybrid_id.errors import InputError
 
@@ -21,29 +28,36 @@ if TYPE_CHECKING:
 def check(
     dataset: DatasetArgument,
     model: ModelOption = None,
+    joint: JointOption = None,
     full: Annotated[bool, typer.Option("--full", help="Show remarks of severity info too.")] = False,
     as_json: JsonOption = False,
     threads: ThreadsOption = 1,
 ) -> None:
     """Check records: quality, sampling, excitation, and with a model which of its parameters they identify.
 
+    With --joint, one joint of a robot is checked by itself, as diagnose takes it: its own channels, in the records in
+    which it moves.
+
     Ends with exit code 0 when there are warnings only, and 2 when a fit would be meaningless.
     """
     from hybrid_id.records.quality import check_dataset, worst_first
 
     data = load_records(dataset)
+    path = model or (beside(dataset) if beside(dataset).exists() else None)
+    system = None
+    if joint is not None:
+        data, system = joint_alone(data, path, dataset, joint)
     if not as_json:
         _show_records(data)
     findings = check_dataset(data)
     if not as_json:
         _show_findings(findings, full=full)
-    path = model or (beside(dataset) if beside(dataset).exists() else None)
-    found = system = None
+    found = None
     if path is not None and not any(finding.severity == "error" for finding in findings):
         use_threads(threads)
         from hybrid_id.study import check_model
 
-        system = read_model(path)
+        system = system or read_model(path)
         with doing() as say:
             found = check_model(data, system, say)
     if as_json:
@@ -62,6 +76,32 @@ def check(
     identified = None if found is None else found.identified
     if identified is not None and not identified.combinations and not identified.claimable.any():
         raise InputError(f"the records identify nothing of {path}; make new ones in which the drive moves")
+
+
+def joint_alone(dataset: "Dataset", path: Path | None, source: Path, name: str) -> "tuple[Dataset, System]":
+    """Records and model of one joint of a robot by itself, the others moving as they were measured."""
+    if path is None:
+        raise InputError(
+            f"--joint needs the robot's model, and there is no {beside(source)}; name one with --model"
+        )
+    from hybrid_id.systems.by_joint import (
+        alone,
+        joint_number,
+        moves,
+        moving_records,
+        with_others_measured,
+    )
+
+    robot = read_model(path)
+    if robot.tree is None:
+        raise InputError(f"{path}: --joint takes a joint of a robot, whose description the model names")
+    joint = joint_number(robot, name)
+    if dataset.train and not any(moves(record, joint) for record in dataset.train):
+        raise InputError(
+            f"Joint '{name}' stands still in all train records of {source}; record motions of it, or check the others"
+        )
+    moving = moving_records(dataset, joint)
+    return with_others_measured(moving, robot, joint), alone(robot, joint)
 
 
 def _show_records(data: "Dataset") -> None:

@@ -1,7 +1,7 @@
 """`diagnose`: where records and the nominal model disagree, which effects explain how much of it, and what remains."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -117,7 +117,7 @@ def diagnose(
         with results_folder(home, force=True) as folder:  # kept_fits has asked
             if isinstance(found, ArmDiagnosis):
                 (text, drawn), shown = write_arm(folder, home, config, found), arm_table(found)
-                further = [f"{name}/" for name in joint_folders(found).values()]
+                further = [f"{name}/" for name in joint_folders(found.joints).values()]
                 undrawn = undrawn_words(drawn)
             else:
                 text, whole = write_diagnosis(folder, home, config, found)
@@ -208,10 +208,14 @@ def takes_by_joint(system: "System", model: Path, joints: list[str] | None) -> b
     return False
 
 
-def joint_folders(found: "ArmDiagnosis") -> dict[str, str]:
-    """Names of the folders of the joints' own results, by joint: what a path does not bear is replaced."""
+def joint_folders(joints: Iterable[str]) -> dict[str, str]:
+    """Names of the folders of the joints' own results, by joint: what a path does not bear is replaced.
+
+    Args:
+        joints: names of those that were diagnosed, in their order.
+    """
     names, taken = dict[str, str](), set[str](OTHERS)
-    for joint in found.joints:
+    for joint in joints:
         plain = re.sub(r"[^\w.-]+|^\.+", "_", joint)[:MOST_LETTERS]
         name, k = plain, 1
         while name.lower() in taken:
@@ -254,11 +258,10 @@ def write_arm(
     from hybrid_id.reporting.results import as_json
     from hybrid_id.systems.model_file import save_model
 
-    seed, folders = {"seed": config.identification.seed}, joint_folders(found)
+    seed, folders = {"seed": config.identification.seed}, joint_folders(found.joints)
     save_model(found.model, folder / "model.yaml", home)
     save_model(found.refit, folder / "refit.yaml", home)
     pages = {joint: f"{name}/{PAGE}" for joint, name in folders.items()} if config.output.report else {}
-    records = next(iter(found.joints.values())).details.dataset
     drawn = {}
     drawn["the robot"] = write_report(
         folder,
@@ -266,7 +269,7 @@ def write_arm(
         config,
         "diagnose",
         figures=lambda: arm_figures(found),
-        page=lambda figures: arm_page(found, figures, pages, findings=remarks(records)),
+        page=lambda figures: arm_page(found, figures, pages, findings=remarks(found.dataset)),
         settings=seed,
     )
     for joint, name in folders.items():

@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from hybrid_id.study import Horizon
     from hybrid_id.systems.chain import System
 
-REFIT = "refit.yaml"
-"""The nominal model, re-fitted, beside the corrected one."""
+REFIT, PHYSICS = "refit.yaml", "physics.yaml"
+"""The nominal model, re-fitted: beside the corrected one, and beside one with networks."""
 AGAIN = "bring the folder of results again, as it was written"
 SAMPLE_TIME, WIDTH = 0.002, 0.5
 """Defaults of the torch program: its step [s], and the speed over which it smooths dry friction [rad/s]."""
@@ -201,7 +201,7 @@ def _mjcf(system: "System", file: Path, check: Path | None, out: Path, *, force:
         return Made(described, words, exported.text.encode())
     if errors.worse and not force:
         raise InputError(
-            f"{file}: {target.worse_words(errors)}; nothing is written: export {file.with_name(REFIT)}, or give "
+            f"{file}: {target.worse_words(errors)}; nothing is written: export {_refitted_beside(file)}, or give "
             "--force to write it all the same"
         )
     if errors.worse:
@@ -241,9 +241,9 @@ def _in_mujoco(system: "System", file: Path, check: Path | None) -> "TargetError
         judges = left_out(own)
     if run is None:
         return target_errors({"exported": system}, judges)
-    (config, horizon), label = run, _label(file)
+    (config, horizon), label = run, _label(file, system)
     models = {NOMINAL: read_model(config.model)} if config.model.exists() else {}
-    refit = file.with_name(REFIT)
+    refit = _refitted_beside(file)
     if label != REFITTED and refit.exists():
         models[REFITTED] = read_model(refit)
     remark("replaying in MuJoCo; what it cannot carry is fitted there to the train records")
@@ -282,20 +282,39 @@ def _replays() -> "Iterator[Callable[[str, int, int], None]]":
 
 def _run_of(file: Path) -> "tuple[StudyConfig, Horizon] | None":
     """Settings and horizon of the run whose folder a model lies in; None where it lies in none."""
-    from hybrid_id.export.ranges import read_result
     from hybrid_id.study import Horizon
 
-    settings = file.with_name("config.yaml")
-    result = next((one for name in (DIAGNOSIS, RESULT) if (one := file.with_name(name)).exists()), None)
+    settings, result = file.with_name("config.yaml"), _result_of(file)
     if result is None or not settings.exists():
         remark(
             f"{file} lies in no folder of results: it is neither compared with a re-fitted model nor fitted anew to "
             "what MuJoCo can carry"
         )
         return None
-    horizon = read_result(result).get("horizon") or {}
-    with as_written(result, AGAIN):
+    with as_written(file, AGAIN):
+        horizon = result.get("horizon") or {}
         return load_config(settings), Horizon(horizon.get("kind", "whole"), horizon.get("seconds") or 0.0)
+
+
+def _result_of(file: Path) -> dict[str, Any] | None:
+    """What the run says in whose folder a model lies (of a joint, in a joint's folder); None elsewhere."""
+    from hybrid_id.cli.diagnose import joint_folders
+    from hybrid_id.export.ranges import read_result
+
+    if own := next((one for name in (DIAGNOSIS, RESULT) if (one := file.with_name(name)).exists()), None):
+        return read_result(own)
+    folder = file.resolve().parent
+    if not (robot := folder.with_name(DIAGNOSIS)).exists():
+        return None
+    joints = read_result(robot).get("joints", {})
+    return next((joints[j] for j, name in joint_folders(joints).items() if name == folder.name), None)
+
+
+def _refitted_beside(file: Path) -> Path:
+    """The re-fitted model of the run in whose folder a model lies."""
+    return next(
+        (one for name in (REFIT, PHYSICS) if (one := file.with_name(name)).exists()), file.with_name(REFIT)
+    )
 
 
 def _own_records(config: StudyConfig) -> "Dataset | None":
@@ -308,18 +327,22 @@ def _own_records(config: StudyConfig) -> "Dataset | None":
     return None
 
 
-def _label(file: Path) -> str:
+def _label(file: Path, system: "System") -> str:
     """What the model of a run is called; a diagnosis that asserts no effect has corrected none."""
-    from hybrid_id.export.ranges import read_result
-    from hybrid_id.export.target import CORRECTED, REFITTED
+    from hybrid_id.components.load.residual_torque import ResidualTorque
+    from hybrid_id.export.target import CORRECTED, HYBRID, REFITTED
 
-    diagnosis = file.with_name(DIAGNOSIS)
-    if file.name == REFIT:
+    if file.name in (REFIT, PHYSICS):
         return REFITTED
-    if not diagnosis.exists():
-        return "identified"
-    with as_written(diagnosis, AGAIN):
-        return CORRECTED if any(one["selected"] for one in read_result(diagnosis)["effects"]) else REFITTED
+    if system.networks or any(isinstance(part, ResidualTorque) for part in system.components.values()):
+        return HYBRID
+    result = _result_of(file) or {}
+    if "effects" in result:
+        with as_written(file, AGAIN):
+            return CORRECTED if any(one["selected"] for one in result["effects"]) else REFITTED
+    if file.with_name(PHYSICS).exists():  # no network has stayed
+        return REFITTED
+    return "trained" if result.get("command") == "train" else "identified"
 
 
 def _program(system: "System", out: Path, sample_time: float, width: float) -> Made:
@@ -341,7 +364,7 @@ def _program(system: "System", out: Path, sample_time: float, width: float) -> M
 def _ranges(system: "System", file: Path, out: Path) -> Made:
     from hybrid_id.export.ranges import read_result, to_ranges
 
-    if file.with_name(DIAGNOSIS).is_file():
+    if file.with_name(DIAGNOSIS).is_file() or "verdict" in (_result_of(file) or {}):
         raise InputError(
             f"{file.parent} holds a diagnosis, whose one parameter set says nothing of how records differ; "
             f"fit it to them by 'hybrid-id identify DATASET --model {file} --out DIR', and export DIR"

@@ -95,7 +95,7 @@ class ArmDiagnosis:
     """Result of :func:`hybrid_id.diagnose_arm`.
 
     Attributes:
-        case: name of the dataset.
+        dataset: the records, of all joints.
         joints: the diagnosis of each joint by the joint's name, the others moving as they were measured.
         skipped: joints that were not diagnosed, each with the reason.
         horizon: how long the free runs are over which the joints' parts and the whole robot are measured: the shortest
@@ -117,7 +117,7 @@ class ArmDiagnosis:
         interrupted: whether the search was stopped, so that some joints lack.
     """
 
-    case: str
+    dataset: Dataset
     joints: Mapping[str, Diagnosis]
     skipped: Mapping[str, str]
     horizon: Horizon
@@ -135,12 +135,17 @@ class ArmDiagnosis:
     interrupted: bool
 
     @property
+    def case(self) -> str:
+        """Name of the dataset."""
+        return self.dataset.name
+
+    @property
     def effects(self) -> tuple[RatedEffect, ...]:
         """Every effect that was tried, the selected ones first, by share: of the whole robot's gap."""
-        return tuple(one for one, _, _ in self._rated())
+        return tuple(one for one, _, _ in self.rated())
 
-    def _rated(self) -> list[tuple[RatedEffect, RatedEffect, str]]:
-        """Effects of the robot in their order, each as its joint by itself has it, and that joint's name."""
+    def rated(self) -> list[tuple[RatedEffect, RatedEffect, str]]:
+        """Effects of the robot in their order, each as the robot and as its joint by itself has it, and that joint."""
         every = [
             (self._of_robot(one, joint), one, joint)
             for joint, found in self.joints.items()
@@ -218,7 +223,7 @@ class ArmDiagnosis:
         """The content of ``diagnosis.json``: the keys of one joint's, and each joint's own under ``joints``."""
         effects = [
             effect_entry(one) | {"joint": joint, "share_of_joint": own.share, "share_alone": own.alone}
-            for one, own, joint in self._rated()
+            for one, own, joint in self.rated()
         ]
         return {
             "case": self.case,
@@ -413,7 +418,7 @@ def _of_whole_robot(
     odd = [] if stopped or horizon != WHOLE else [name for name, one in found.items() if one.unknown]
     within = _within_records(moving, model, odd, signal_share) if odd else {}
     return ArmDiagnosis(
-        dataset.name, found, skipped, horizon, parts, known, common_sizes(found, model, known), within, refit, model,
+        dataset, found, skipped, horizon, parts, known, common_sizes(found, model, known), within, refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,
     )  # fmt: skip
 

@@ -204,9 +204,11 @@ def _capital(words: str) -> str:
 
 
 def _nothing() -> ParameterChange:
-    return ParameterChange(
-        "none", 0, 0.0, (0.0, 0.0), (), 0.0, "The re-fit leaves the nominal values as they are."
+    words = (
+        "The fitted values differ from the nominal ones by no more than their uncertainty and the "
+        f"±{100 * HALF_WIDTH * NOMINAL:.0f} % (95 %) to which any nominal value is known, all taken together."
     )
+    return ParameterChange("none", 0, 0.0, (0.0, 0.0), (), 0.0, words)
 
 
 def _relative(nominal: System, fit: FitResult) -> tuple[list[int], np.ndarray, np.ndarray]:

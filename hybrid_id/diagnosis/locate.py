@@ -22,7 +22,7 @@ from hybrid_id.diagnosis.response import Response, bumps, respond
 
 SPEEDS, ANGLES, COMMANDS = 9, 10, 9
 MEMORY = (0.02, 0.2)
-"""Time constants [s] of what remembers the motion."""
+"""Time constants [s] over which the motion before an instant still acts."""
 WEAR = 6
 """Bumps over the time since a record began: friction that wears in or grows."""
 SWINGS, DAMPING = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0), 0.08
@@ -32,14 +32,16 @@ TURNS = (1, 2, 3, 4, 6)
 KNOT = 0.05
 """Time [s] over which the torque is smooth."""
 
+HISTORY = "motion history"
+"""What a torque depends on that does not follow from the angle and the speed of an instant."""
 IN_WORDS = {
-    "angle, opposite to the velocity": "it brakes more at some angles than at others",
-    "command rate": "it follows the changes of the command",
-    "command, opposite to the velocity": "it opposes the motion and goes with the command",
-    "motion history": "it remembers the motion, as a delay or a hysteresis does",
-    "a resonance": "it swings after the motion, as a mass on a spring does",
-    "time, opposite to the velocity": "it brakes more at some times of a record than at others",
-    "command over the turn": "it goes with the command and changes over the rotor's turn",
+    "angle, opposite to the velocity": "more friction at some angles than at others",
+    "command rate": "a torque that follows the changes of the command",
+    "command, opposite to the velocity": "friction that grows with the command",
+    HISTORY: "a torque that depends on the motion just before, as that of play, hysteresis or a delay does",
+    "a resonance": "a torque that swings on after the motion, as that of a mass on a spring does",
+    "time, opposite to the velocity": "more friction at some times of a record than at others",
+    "command over the turn": "a torque that goes with the command and changes over the rotor's turn",
 }
 """What a dependence means, for signals whose name does not say it."""
 
@@ -113,7 +115,7 @@ def signals(opened: Response) -> Iterator[tuple[str, Tensor, tuple[float, float,
         if opened.side == "motor":
             turn = q[..., None] * torch.tensor(TURNS, dtype=q.dtype)
             yield "command over the turn", u[..., None] * torch.cat([turn.cos(), turn.sin()], -1), None
-    yield "motion history", _remembered(opened, v, sign), None
+    yield HISTORY, _remembered(opened, v, sign), None
     time = torch.cumsum(opened.batch.dt, 1)
     wear = bumps(time, WEAR, 0.0, float(time.max())) * sign[..., None]
     yield "time, opposite to the velocity", wear, None

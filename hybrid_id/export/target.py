@@ -29,10 +29,10 @@ from hybrid_id.records.units import number_of
 from hybrid_id.systems.by_joint import with_joint_names
 from hybrid_id.systems.chain import System
 
-NOMINAL, REFITTED, CORRECTED = "nominal", "re-fitted", "corrected"
-"""What the models of a diagnosis are called."""
+NOMINAL, REFITTED, CORRECTED, HYBRID = "nominal", "re-fitted", "corrected", "hybrid"
+"""What the models of a diagnosis are called, and one with networks, which MuJoCo does not have."""
 WORSE = 1.02
-"""Ratio of errors in MuJoCo from which a corrected model is worse than the re-fitted one."""
+"""Ratio of errors in MuJoCo from which a corrected model, or a hybrid one, is worse than the re-fitted one."""
 SCATTER = 1.05
 """Ratio of errors up to which a re-fit in MuJoCo has nothing to win: a smaller gain on train records is none on test
 records. Fits of one model that differ in nothing but the treatment of the first states differ by less."""
@@ -98,8 +98,8 @@ class TargetErrors:
 
     @property
     def worse(self) -> bool:
-        """Whether a corrected model errs more in MuJoCo than the re-fitted one, on the records that judge both."""
-        if self.label != CORRECTED or REFITTED not in self.models:
+        """Whether a corrected or hybrid model errs more in MuJoCo than the re-fitted one, on the records that judge."""
+        if self.label not in (CORRECTED, HYBRID) or REFITTED not in self.models:
             return False
         return not self.exported.summary.there <= WORSE * self.models[REFITTED].summary.there
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
@@ -11,12 +11,16 @@ from rich.text import Text
 
 from hybrid_id.diagnosis.arm import NOT_ASKED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.catalogue import brought
+from hybrid_id.diagnosis.errors_on_test import Errors
 from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.result import Diagnosis
+from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of
 from hybrid_id.reporting.diagnosis_figures import MAX_NAME, MODELS
 from hybrid_id.reporting.diagnosis_words import (
+    Moved,
+    asserted,
     called,
     capital,
     failed_lines,
@@ -24,6 +28,8 @@ from hybrid_id.reporting.diagnosis_words import (
     implausible_lines,
     joined,
     measured,
+    moved_line,
+    negligible,
     percent,
     place_words,
     probability_words,
@@ -36,10 +42,12 @@ from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.style import GREY, journal, new_figure, plain_logarithm, shortened
 from hybrid_id.reporting.tables import count, findings_list, interval_words, records_table, table
-from hybrid_id.reporting.units import in_unit
+from hybrid_id.reporting.units import in_unit, shown_unit
 from hybrid_id.systems.by_joint import numbered
 
 PAGE = "report.html"
+MOVED = 6
+"""Parameters of a robot, of those that moved, which are listed."""
 _VERDICTS = {
     "parameters_only": "nothing; other parameter values",
     "no_gap": "nothing",
@@ -58,7 +66,16 @@ _GAP = (
 )
 _PART = (
     "A joint's part of the gap is its share in the re-fitted robot's errors beyond noise on the train records, the "
-    "others moving as they were measured and each joint's errors taken relative to how far it moves."
+    "others moving as they were measured and each joint's errors taken relative to how far it moves. These are mean "
+    "squares: a joint with a third of another's relative error has a ninth of its part, so that one joint often has "
+    "nearly all of the gap. What the others lack shows in the share of their own gap, and in their RMSE."
+)
+_OF_ALL = (
+    "These values are of the fit of all joints at once, as in model.yaml here. A joint's own page and folder have "
+    "those of the joint by itself, driven by the others' measured motion with its noise, so that the two differ."
+)
+_OF_EACH = (
+    "These values are those of each joint by itself: there is no fit of all joints at once that errs less."
 )
 _CAPTION = (
     "RMSE on the test records, all joints simulated from their commands, of the nominal, the re-fitted and the "
@@ -68,22 +85,41 @@ _CAPTION = (
 
 def arm_headline(found: ArmDiagnosis) -> str:
     """What the diagnosis states of the whole robot, what is known first."""
-    named = found.selected
-    if named:
+    large, small, _ = _by_size(found)
+    of = "the gap of the joints that were diagnosed" if found.skipped else "the gap"
+    if found.selected:
         said = [
-            f"{words_of(one.name)} at {one.where.rpartition('/')[0]}{' explains' if k == 0 else ''} "
-            f"{percent(one.share or 0.0)} (probability {probability_words(one.probability)})"
-            for k, one in enumerate(named)
+            f"{words_of(one.name)} at {joint}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
+            f"(probability {probability_words(one.probability)})"
+            for k, (one, _, joint) in enumerate(large)
         ]
-        of = "the gap of the joints that were diagnosed" if found.skipped else "the gap"
-        sentence = f"{capital(joined(said))} of {of}; "
+        sentence = f"{capital(joined(said))} of {of}; " if said else f"No effect explains 0.5 % of {of}; "
         rest = found.remainder
         sentence += f"{percent(rest)} remains unexplained." if rest >= 0.01 else "nothing structural remains."
+        if small:
+            said = [
+                f"{words_of(one.name)} at {joint} ({percent(own.share or 0.0)} of that joint's own gap; "
+                f"probability {probability_words(one.probability)})"
+                for one, own, joint in small
+            ]
+            sentence += f" Of less than 0.5 % of the robot's gap each: {joined(said)}."
     else:
         sentence = _nothing_named(found)
     if found.interrupted:
         sentence += " The search was interrupted: not all joints were diagnosed to the end."
     return sentence
+
+
+Rated = tuple[RatedEffect, RatedEffect, str]
+"""An effect as the robot and as its joint by itself has it, and that joint's name."""
+
+
+def _by_size(found: ArmDiagnosis) -> tuple[list[Rated], list[Rated], list[Rated]]:
+    """The selected effects: of the robot's gap, of hardly more than their joint's own, and of next to nothing."""
+    named = [one for one in found.rated() if one[0].selected]
+    large = [one for one in named if not negligible(one[0])]
+    small = [one for one in named if negligible(one[0]) and not negligible(one[1])]
+    return large, small, [one for one in named if negligible(one[0]) and negligible(one[1])]
 
 
 def _nothing_named(found: ArmDiagnosis) -> str:
@@ -109,7 +145,7 @@ def lacks(one: Diagnosis) -> str:
         return _VERDICTS[one.verdict]
     return "; ".join(
         f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {place_words(e.where)}"
-        for e in one.selected
+        for e in asserted(one)
     )
 
 
@@ -121,43 +157,61 @@ def joints_table(found: ArmDiagnosis) -> Table:
     rows = []
     for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
         one = found.joints[joint]
-        sure = "; ".join(f"{e.probability:.2f}" for e in one.selected)
+        sure = "; ".join(f"{e.probability:.2f}" for e in asserted(one))
         explained = "; ".join(
             percent(e.share or 0.0) + (f" ({range_percent(e.share_interval)})" if e.share_interval else "")
-            for e in one.selected
+            for e in asserted(one)
         )
         left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
-        rows.append((joint, lacks(one), percent(part), explained, sure, left, _errors_cell(found, joint)))
+        rows.append((joint, lacks(one), percent(part), explained, sure, left, *_errors_cells(found, joint)))
+    models = _models(found)
+    errors = (*(f"RMSE {name}>" for name in models), *(("unit",) if models else ()))
+    heads = (
+        "joint",
+        "lacks",
+        "part of the gap>",
+        "share of the joint's own gap>",
+        "probability>",
+        "unexplained>",
+        *errors,
+    )
     rows += [
-        (joint, f"not diagnosed: {why}", *[""] * 5)
+        (joint, f"not diagnosed: {why}", *[""] * (len(heads) - 2))
         for joint, why in found.skipped.items()
         if why != NOT_ASKED
     ]
-    heads = ("joint", "lacks", "part of the gap>", "explains of it>", "probability>", "unexplained>",
-             "RMSE nominal, re-fitted, corrected>")  # fmt: skip
     return table(heads, rows)
 
 
-def _errors_cell(found: ArmDiagnosis, joint: str) -> str:
-    """RMSE of a joint on the test records, all joints simulated, in the unit that was logged."""
-    models = [
-        one for one in (found.nominal_errors, found.refit_errors, found.model_errors) if one is not None
+def _models(found: ArmDiagnosis) -> dict[str, Errors]:
+    """Errors of the robot on the test records by the model's name; the corrected one where an effect is asserted."""
+    every = {"nominal": found.nominal_errors, "re-fitted": found.refit_errors} | (
+        {"corrected": found.model_errors} if found.selected else {}
+    )
+    return {name: errors for name, errors in every.items() if errors is not None}
+
+
+def _errors_cells(found: ArmDiagnosis, joint: str) -> list[str]:
+    """RMSE of a joint on the test records by each model, all joints simulated, and the unit, which was logged.
+
+    Values of several outputs of the joint stand one after the other.
+    """
+    models, one = _models(found), found.joints[joint].details
+    if not models:
+        return []
+    rows = [
+        in_unit(c.name, [each.rmse[c.name] for each in models.values()], one.dataset.outputs, one.nominal)
+        for c in one.dataset.outputs
+        if all(c.name in each.rmse for each in models.values())
     ]
-    channels = found.joints[joint].details.dataset.outputs
-    cells = []
-    for channel in channels:
-        if len(models) == 3 and all(channel.name in one.rmse for one in models):
-            values = [one.rmse[channel.name] for one in (models if found.selected else models[:2])]
-            *shown, unit = in_unit(channel.name, values, channels, found.joints[joint].details.nominal)
-            cells.append(f"{', '.join(shown)} {unit}")
-    return "; ".join(cells)
+    return ["; ".join(cells) for cells in zip(*rows, strict=True)] if rows else [""] * (len(models) + 1)
 
 
 def error_lines(found: ArmDiagnosis) -> list[str]:
     """Errors of the whole robot on the test records, and the shrink; what contradicts the answer."""
     nominal, gap = found.nominal_errors, found.shrink
     if nominal is None or gap is None:
-        return [f"{unmeasured(next(iter(found.joints.values())).details.dataset)}."]
+        return [f"{unmeasured(found.dataset)}."]
     corrected = f", corrected {gap.with_effect:.3g}" if found.selected else ""
     anew = "" if found.horizon.kind == "whole" else f" in {found.horizon.length}"
     lines = [
@@ -179,39 +233,73 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
 
 def remark_lines(found: ArmDiagnosis) -> list[str]:
     """Sizes of the effects, what several joints have in common, values that moved far, and joints not asked for."""
-    lines = [
-        f"{one.where.rpartition('/')[0]}: {words_of(one.name)}, {', '.join(values)}."
-        for one in found.selected
-        if (values := _sizes(found, one))
+    large, small, _ = _by_size(found)
+    sizes = [
+        f"{joint}: {words_of(one.name)}, {', '.join(values)}."
+        for one, own, joint in (*large, *small)
+        if (values := _sizes(found, one, own, joint))
     ]
-    lines += [common_words(one) for one in found.common]
+    lines = [*sizes, *([_OF_ALL if found.estimates else _OF_EACH] if sizes else [])]
+    lines += [common_words(one, found.dataset.outputs) for one in found.common]
     for joint, one in found.joints.items():
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
         lines += [f"{joint}: {line}" for line in (*implausible_lines(one), *failed_lines(one))]
+    lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
+    if beside := [f"{words_of(one.name)} at {joint}" for one, _, joint in _by_size(found)[2]]:
+        lines.append(f"also fitted, negligible (less than 0.5 % of any gap): {joined(beside)}.")
     return lines + ([f"not diagnosed: {joined(left)} ({NOT_ASKED})."] if left else [])
 
 
-def _sizes(found: ArmDiagnosis, one: RatedEffect) -> list[str]:
-    """Parameters of an effect in the corrected robot, with 95 % intervals where its fit tells them."""
+def _moved_values(found: ArmDiagnosis) -> Iterator[Moved]:
+    """Parameters of the joints' nominal drives as the fit of all joints has them, with 95 % intervals."""
+    for one in found.joints.values():
+        for info in one.details.nominal.table:
+            value, std = found.estimates.get(info.name, (0.0, 0.0))
+            if 0.0 < std < float("inf"):
+                yield info, value, (value - 1.96 * std, value + 1.96 * std)
+
+
+def _sizes(found: ArmDiagnosis, one: RatedEffect, own: RatedEffect, joint: str) -> list[str]:
+    """Parameters of an effect in the corrected robot, with 95 % intervals where its fit tells them.
+
+    Beside a value stands the joint's own where that lies outside the interval.
+
+    Args:
+        found: the diagnosis.
+        one: the effect as the robot has it.
+        own: the effect as the joint by itself has it.
+        joint: its name.
+    """
     infos, said = brought(found.model, one.name, numbered(found.model, one.where)), []
+    outputs = found.joints[joint].details.dataset.outputs
     for symbol, (value, std) in one.parameters.items():
         if (info := infos.get(symbol)) is None:
             continue
+        unit, factor = shown_unit(info.unit, outputs)
         known = info.name in found.estimates and 0.0 < std < float("inf")
-        ends = (value - 1.96 * std, value + 1.96 * std) if known else None
-        said.append(f"{called(info)} {measured(value, ends, info.unit)}")
+        ends = (factor * (value - 1.96 * std), factor * (value + 1.96 * std)) if known else None
+        alone = factor * own.parameters[symbol][0]
+        beside = f" [by itself {alone:.4g}]" if ends and not ends[0] <= alone <= ends[1] else ""
+        said.append(f"{called(info)} {measured(factor * value, ends, unit)}{beside}")
     return said
 
 
-def common_words(one: CommonSize) -> str:
-    """Whether a parameter of an effect that several joints have is the same at all of them."""
-    unit = "" if one.unit == "1" else f" {one.unit}"
+def common_words(one: CommonSize, outputs: Sequence[Channel]) -> str:
+    """Whether a parameter of an effect that several joints have is the same at all of them.
+
+    Args:
+        one: the parameter.
+        outputs: of the records, whose unit an angle is shown in.
+    """
+    shown, factor = shown_unit(one.unit, outputs)
+    unit = "" if shown == "1" else f" {shown}"
     what = f"{words_of(one.effect)} of {joined(list(one.joints))}: {one.symbol}"
     if not one.common:
         return f"{what} differs from joint to joint (chance {one.chance:.1g})."
-    ends = interval_words(one.value - 1.96 * one.std, one.value + 1.96 * one.std)
-    return f"{what} may be one for all of them, {one.value:.4g} ({ends}){unit}."
+    value, std = factor * one.value, factor * one.std
+    ends = interval_words(value - 1.96 * std, value + 1.96 * std)
+    return f"{what} may be one for all of them, {value:.4g} ({ends}){unit}."
 
 
 def arm_table(found: ArmDiagnosis) -> RenderableType:
@@ -231,20 +319,16 @@ def arm_figures(found: ArmDiagnosis) -> dict[str, Drawn]:
 @journal()
 def joints_figure(found: ArmDiagnosis) -> Figure:
     """RMSE of each joint on the test records, of the three models."""
-    models = {
-        "nominal": found.nominal_errors, "re-fitted": found.refit_errors,
-        "corrected": found.model_errors if found.selected else None,
-    }  # fmt: skip
+    models = _models(found)
     names = () if found.model.tree is None else found.model.tree.names
     outputs = [] if found.refit_errors is None else list(found.refit_errors.rmse)
     figure = new_figure(0.27 * len(outputs) + 1.0)
     axes = figure.subplots()
     for name, errors in models.items():
-        if errors is not None:
-            values = [1e3 * errors.rmse[output] for output in outputs]
-            axes.plot(values, range(len(outputs)), "o", ms=4.5, color=MODELS[name], label=name)
+        values = [1e3 * errors.rmse[output] for output in outputs]
+        axes.plot(values, range(len(outputs)), "o", ms=4.5, color=MODELS[name], label=name)
     for row, output in enumerate(outputs):
-        values = [1e3 * errors.rmse[output] for errors in models.values() if errors is not None]
+        values = [1e3 * errors.rmse[output] for errors in models.values()]
         axes.plot([min(values), max(values)], [row, row], color=GREY, lw=0.8, zorder=0)
     labels = [shortened(names[int(number_of(output)) - 1], MAX_NAME) for output in outputs]
     axes.set_yticks(range(len(outputs)), labels)
@@ -277,7 +361,7 @@ def arm_page(
     tests = page.section("Test records").add(*(Text(capital(line)) for line in error_lines(found)))
     if "joints" in figures:
         tests.figure(figures["joints"], _CAPTION)
-    records = page.section("Records").add(records_table(next(iter(found.joints.values())).details.dataset))
+    records = page.section("Records").add(records_table(found.dataset))
     if findings:
         records.add(findings_list(findings))
     return page

@@ -13,6 +13,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.quality import Finding
 from hybrid_id.reporting.diagnosis_words import (
     LEAST_SHARE,
+    asserted,
     capital,
     caution_lines,
     change_lines,
@@ -24,6 +25,8 @@ from hybrid_id.reporting.diagnosis_words import (
     headline,
     implausible_lines,
     joint_words,
+    moved_line,
+    moved_values,
     not_identifiable_lines,
     percent,
     place_words,
@@ -85,6 +88,7 @@ def diagnosis_table(diagnosis: Diagnosis, max_effects: int | None = None) -> Ren
 def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
     """The effects that were tried (the first ``most``): the selected ones by share, then the others by probability."""
     tied, rows = {member for group in diagnosis.ties for member in group}, []
+    told = asserted(diagnosis)
     for one in diagnosis.effects[:most]:
         others = "indistinguishable" if f"{one.name}@{one.where}" in tied else ""
         interval = "" if one.share_interval is None else f" ({range_percent(one.share_interval)})"
@@ -93,7 +97,7 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
                 words_of(one.name), "" if one.share is None else percent(one.share) + interval,
                 f"{one.probability:.3f}",
                 f"{joint_words(one.where, diagnosis.model)}, {place_words(one.where)}",
-                Text("selected", style="green") if one.selected else Text(others),
+                Text(others) if not one.selected else Text("selected", style="green") if one in told else "negligible",
             )
         )  # fmt: skip
     return table(("effect", "share of the gap>", "probability>", "where", ""), rows)
@@ -150,6 +154,10 @@ _INTERVALS = (
     "Intervals and reliability are those that identify would give the same fit. A parameter without an interval is "
     "identified only together with others, or lies at a bound; the standard errors in "
     "diagnosis.json leave that out of account."
+)
+_BY_ITSELF = (
+    "These values are of this joint by itself, the others moving as they were measured. The robot's page and its "
+    "model.yaml have those of the fit of all joints at once, where that errs less."
 )
 _CAPTIONS = {
     "shares": "How the gap divides, on records left out: what each effect explains when it is added in this order, and "
@@ -212,9 +220,12 @@ def diagnosis_page(
     picture(tests, "gap", "worst_record")
     page.section("Parameters").add(
         *([diagnosis.changes] if diagnosis.changes else []),
-        *map(_sentence, [*implausible_lines(diagnosis), *not_identifiable_lines(diagnosis)]),
+        *map(_sentence, implausible_lines(diagnosis)),
+        *map(_sentence, moved_line(moved_values(diagnosis), dataset.outputs)),
+        *map(_sentence, not_identifiable_lines(diagnosis)),
         parameters_table(diagnosis),
         *combinations_table(details.studies[-1]),
+        *([_BY_ITSELF] if robot else []),
         _INTERVALS,
         LEGEND,
     )

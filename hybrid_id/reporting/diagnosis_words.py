@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
 
 from hybrid_id.diagnosis.catalogue import brought, separation
+from hybrid_id.diagnosis.changes import NOMINAL
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
 from hybrid_id.diagnosis.grade import Interval, RatedEffect, together
-from hybrid_id.diagnosis.locate import IN_WORDS, Location, acts_at
+from hybrid_id.diagnosis.locate import HISTORY, IN_WORDS, Location, acts_at
+from hybrid_id.diagnosis.plausibility import named
 from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.parameters import ParameterInfo
-from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.dataset import Channel, Dataset
 from hybrid_id.reporting.tables import count, interval_words
 from hybrid_id.reporting.units import in_unit, shown_unit
 from hybrid_id.systems.by_joint import with_joint_names
@@ -22,6 +24,8 @@ from hybrid_id.systems.chain import System
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
+NEGLIGIBLE = 0.005
+"""Share of a gap below which it is printed as 0 %: the model has such an effect, and nobody is told to look for it."""
 WORSE = 1.5
 """Error of the re-fitted model over that of the nominal one from which it is said."""
 NAMED = 4
@@ -54,7 +58,7 @@ def headline(diagnosis: Diagnosis) -> str:
 
 
 def _effects(diagnosis: Diagnosis) -> str:
-    chosen = diagnosis.selected
+    chosen = asserted(diagnosis)
     said = [
         f"{_named(diagnosis, one)}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} ({_sure(diagnosis, one)})"
         for k, one in enumerate(chosen)
@@ -68,7 +72,21 @@ def _effects(diagnosis: Diagnosis) -> str:
         sentence += (
             f" How much {joined(unsure)} explains differs so from record to record that its size is open."
         )
+    if beside := [
+        _at(one.name, one.where, diagnosis.model) for one in diagnosis.selected if one not in chosen
+    ]:
+        sentence += f" Also fitted, negligible (less than 0.5 % of the gap each): {joined(beside)}."
     return sentence
+
+
+def negligible(one: RatedEffect) -> bool:
+    """Whether an effect explains next to nothing of a gap: it is fitted, and not said to be missing."""
+    return one.share is not None and one.share < NEGLIGIBLE
+
+
+def asserted(diagnosis: Diagnosis) -> list[RatedEffect]:
+    """The selected effects that explain more than next to nothing; all of them where none does."""
+    return [one for one in diagnosis.selected if not negligible(one)] or list(diagnosis.selected)
 
 
 def _sure(diagnosis: Diagnosis, one: RatedEffect) -> str:
@@ -182,7 +200,10 @@ def where_line(diagnosis: Diagnosis) -> str:
     if not sides:
         return ""
     words = "; ".join(f"{side}, over {', '.join(signals)}" for side, signals in sides.items())
-    return f"residual before (mean square, re-fitted model) is explained by a torque at {words}."
+    history = (
+        "; motion history: how the joint moved just before, its last reversal say" if HISTORY in words else ""
+    )
+    return f"residual before (mean square, re-fitted model) is explained by a torque at {words}{history}."
 
 
 def disturbance_line(diagnosis: Diagnosis) -> str:
@@ -380,6 +401,50 @@ def implausible_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str
         else "the missing effect hides in them"
     )
     return [f"implausible parameters: the re-fit moves them beyond data-sheet tolerance, so {why}: {words}."]
+
+
+Moved = tuple[ParameterInfo, float, Sequence[float] | np.ndarray]
+"""A parameter as the nominal model has it, its fitted value, and the ends of that value's interval."""
+
+
+def moved_line(values: Iterable[Moved], channels: Sequence[Channel], most: int | None = None) -> list[str]:
+    """Parameters whose intervals exclude the nominal value, the farthest moved first, as one line; none without any.
+
+    Those that moved by less than nominal values are known to (2 %) are counted, and so are those after the first
+    ``most``.
+    """
+    away = [one for one in values if not one[2][0] <= one[0].spec.value <= one[2][1]]
+    far = [one for one in away if _moved(one) >= NOMINAL]
+    if not far:
+        return []
+    far.sort(key=_moved, reverse=True)
+    said = []
+    for info, value, ends in far[:most]:
+        unit, factor = shown_unit(info.spec.unit, channels)
+        now = measured(factor * value, [factor * end for end in ends], unit)
+        said.append(f"{named(info)} {now}, nominal {factor * info.spec.value:.4g}")
+    more = [f"{len(far) - len(said)} others"] if len(far) > len(said) else []
+    more += [f"{len(away) - len(far)} more by less than {100 * NOMINAL:g} %"] if len(away) > len(far) else []
+    beside = f" (and {', '.join(more)})" if more else ""
+    return [
+        f"intervals exclude the nominal value: {'; '.join(said)}{beside}. Unless named implausible, such values are "
+        "within data-sheet tolerance: take those that were fitted."
+    ]
+
+
+def _moved(one: Moved) -> float:
+    """By what share of its nominal value a parameter has moved."""
+    return abs(one[1] - one[0].spec.value) / max(abs(one[0].spec.value), 1e-300)
+
+
+def moved_values(diagnosis: Diagnosis) -> Iterator[Moved]:
+    """Parameters of the nominal model as the last fit has them, with the intervals of the table of parameters."""
+    study, nominal = diagnosis.details.studies[-1], diagnosis.details.nominal
+    known = {info.name: info for info in nominal.table}
+    values = (study.selected_model.parameter(name).spec.value for name in study.names)
+    for name, value, ends in zip(study.names, values, study.intervals(0), strict=True):
+        if name in known and np.isfinite(ends).all():
+            yield known[name], value, ends
 
 
 def extrapolation_lines(diagnosis: Diagnosis) -> list[str]:

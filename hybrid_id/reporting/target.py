@@ -9,7 +9,7 @@ from rich.console import RenderableType
 from rich.table import Table
 
 from hybrid_id.export.replay import Agreement, summarise
-from hybrid_id.export.target import CORRECTED, REFITTED, InTarget, TargetErrors
+from hybrid_id.export.target import HYBRID, REFITTED, InTarget, TargetErrors
 from hybrid_id.records.dataset import Channel
 from hybrid_id.reporting.page import Page, how_made
 from hybrid_id.reporting.tables import count, error_words, table
@@ -34,6 +34,8 @@ def error_lines(errors: TargetErrors) -> list[str]:
     """The errors in sentences: of all models, by output in the unit logged, and what was fitted anew in MuJoCo."""
     words = ", ".join(f"{label} {one.summary.there:.3g}" for label, one in errors.models.items())
     lines = [f"NRMSE in MuJoCo, mean over {judged_on(errors)}: {words}"]
+    if errors.label == HYBRID:
+        lines.append("hybrid: its networks are left out in MuJoCo, which has none; 'here' it has them")
     lines += [_output_line(errors, output) for output in errors.exported.summary.rmse]
     return lines + [line for label, one in errors.models.items() for line in _refit_lines(label, one)]
 
@@ -64,11 +66,11 @@ def _refit_lines(label: str, one: InTarget) -> list[str]:
 
 
 def worse_words(errors: TargetErrors) -> str:
-    """By how much the corrected model is worse in MuJoCo than the re-fitted one."""
-    corrected, refitted = (errors.models[label].summary.there for label in (CORRECTED, REFITTED))
+    """By how much the exported model is worse in MuJoCo than the re-fitted one."""
+    exported, refitted = (errors.models[label].summary.there for label in (errors.label, REFITTED))
     return (
-        f"in MuJoCo the corrected model errs by {corrected:.3g}, the re-fitted one by {refitted:.3g} (NRMSE, mean over "
-        f"{judged_on(errors)})"
+        f"in MuJoCo the {errors.label} model errs by {exported:.3g}, the re-fitted one by {refitted:.3g} (NRMSE, mean "
+        f"over {judged_on(errors)})"
     )
 
 

@@ -112,7 +112,9 @@ def check_scales(dataset: Dataset, system: System) -> list[Finding]:
 
     With an error among them, what the model would do means nothing.
     """
-    return [*check_encoders(dataset, system.own_ratios), *_spans(dataset, system)]
+    ratios = {joint.number: ratio for joint, ratio in zip(system.joints, system.own_ratios, strict=True)}
+    every = [ratios.get(number) for number in range(1, max(ratios) + 1)]
+    return [*check_encoders(dataset, every), *_spans(dataset, system)]
 
 
 def _spans(dataset: Dataset, system: System) -> Iterator[Finding]:
@@ -432,7 +434,8 @@ class ModelCheck:
     Attributes:
         findings: what is wrong, or may be.
         identified: what the records identify of the model; None where they contradict it.
-        based: base parameters of a robot; None where records and model contradict each other, and for other systems.
+        based: base parameters of a robot; None where records and model contradict each other, for other systems and
+            for some joints of a robot by themselves.
     """
 
     findings: tuple[Finding, ...]
@@ -462,7 +465,9 @@ def check_model(
         return ModelCheck(tuple(found))
     progress("what is identifiable")
     identified = check_identifiability(dataset, system)
-    if system.tree is None:
+    if (
+        system.tree is None or system.seats is not None
+    ):  # of a joint by itself, the robot's are none of its own
         return ModelCheck(tuple(found), identified)
     progress("base parameters")
     return ModelCheck(tuple(found), identified, check_base_parameters(dataset, system))

@@ -6,7 +6,6 @@ import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from gapcase import only
 from servo_arm import described, records_of
 
 from hybrid_id.cli.ablate import planned
+from hybrid_id.cli.check import joint_alone
 from hybrid_id.cli.diagnose import joint_folders
 from hybrid_id.cli.options import config_of
 from hybrid_id.components import REGISTRY
@@ -116,7 +116,7 @@ def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_pa
 
 def test_folders_of_joints_bear_any_name() -> None:
     names = ("a b", "a/b", "A b", "Models", "fits", "..", "elbow.1", "Ellbogen ä", "x" * 300)
-    folders = list(joint_folders(SimpleNamespace(joints=dict.fromkeys(names))).values())  # type: ignore[arg-type]
+    folders = list(joint_folders(names).values())
     assert folders[:8] == ["a_b", "a_b_2", "A_b_3", "Models_2", "fits_2", "_", "elbow.1", "Ellbogen_ä"]
     assert len(folders[8]) < 100
 
@@ -292,6 +292,25 @@ def test_check_counts_base_parameters_and_says_how_they_are_excited(run, arm: Pa
             and row["std_error"] > 0
             and row["text"].startswith(next(iter(row["coefficients"])))
         )
+
+
+def test_check_takes_a_joint_by_itself(run, arm: Path, tmp_path: Path) -> None:
+    said = json.loads(run("check", arm, "--joint", "tip", "--json").out)
+    known = [one["text"] for one in said["identifiability"]["combinations"]]
+    assert known and not any("base" in text or "1/x" in text for text in known)
+    assert any("_tip" in text for text in known) and said["base_parameters"] is None
+    for more, words in (
+        (("--joint", "tpi"), "The robot has no joint 'tpi' (did you mean 'tip'?)"),
+        (("--joint", "tip", "--model", tmp_path / "none.yaml"), "none.yaml"),
+    ):
+        done = run("check", arm, *more)
+        assert done.code == 2 and words in " ".join(done.err.split()), done.err
+    data = Dataset.load(arm)
+    still = [replace(r, outputs={**r.outputs, "q_m3": np.full(r.n_samples, 0.1)}) for r in data]
+    with pytest.raises(InputError, match="Joint 'tip' stands still in all train records"):
+        joint_alone(replace(data, records=tuple(still)), arm / "model.yaml", arm, "tip")
+    with pytest.raises(InputError, match="--joint needs the robot's model"):
+        joint_alone(data, None, arm, "tip")
 
 
 def test_demo_of_a_robot_shows_the_truth_beside_the_estimates(run, tmp_path: Path) -> None:

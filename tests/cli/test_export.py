@@ -8,10 +8,13 @@ from typing import Any
 import pytest
 import torch
 from command_line import whole
+from drives import rigid_drive
 
 from hybrid_id.cli.export import _label as label_of
+from hybrid_id.cli.export import _run_of as run_of
 from hybrid_id.cli.folder import result_file
 from hybrid_id.cli.options import ABOVE
+from hybrid_id.components.load.residual_torque import ResidualTorque
 
 
 def test_mjcf_with_check(run, drive: Path, tmp_path: Path) -> None:
@@ -105,8 +108,36 @@ def test_a_diagnosis_without_effects_has_corrected_no_model(
 ) -> None:
     result = {"program": "hybrid_id 1", "effects": effects}
     (tmp_path / "diagnosis.json").write_text(json.dumps(result))
-    assert label_of(tmp_path / "model.yaml") == words
-    assert label_of(tmp_path / "refit.yaml") == "re-fitted"
+    assert label_of(tmp_path / "model.yaml", rigid_drive()) == words
+    assert label_of(tmp_path / "refit.yaml", rigid_drive()) == "re-fitted"
+
+
+def test_a_model_is_called_after_what_made_it(tmp_path: Path) -> None:
+    model = tmp_path / "model.yaml"
+    for command, name in (("identify", "identified"), ("train", "trained")):
+        (tmp_path / "result.json").write_text(json.dumps({"program": "hybrid_id 1", "command": command}))
+        assert label_of(model, rigid_drive()) == name
+    (tmp_path / "physics.yaml").write_text("")
+    assert label_of(model, rigid_drive()) == "re-fitted"  # the network has not stayed
+    assert label_of(tmp_path / "physics.yaml", rigid_drive()) == "re-fitted"
+    learnt = rigid_drive().with_component("joint1/load", ResidualTorque())
+    assert label_of(model, learnt) == "hybrid"
+
+
+def test_a_joints_folder_is_one_of_results(tmp_path: Path) -> None:
+    joints = {
+        "joint 1/x": {"verdict": "effects", "effects": [{"selected": True}], "horizon": {"kind": "strokes"}},
+        "tip": {"verdict": "no_gap", "effects": []},
+    }
+    (tmp_path / "diagnosis.json").write_text(json.dumps({"program": "hybrid_id 1", "joints": joints}))
+    for folder, name in (("joint_1_x", "corrected"), ("tip", "re-fitted")):
+        file = tmp_path / folder / "model.yaml"
+        file.parent.mkdir()
+        assert label_of(file, rigid_drive()) == name
+        file.with_name("config.yaml").write_text("dataset: data\n")
+    run = run_of(tmp_path / "joint_1_x" / "model.yaml")
+    assert run is not None and run[1].kind == "strokes"
+    assert run_of(tmp_path / "joint_1_x" / "more" / "model.yaml") is None
 
 
 def test_folders_above_a_file_are_made_and_go_with_it(run, drive: Path, tmp_path: Path) -> None:

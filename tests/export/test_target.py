@@ -125,5 +125,6 @@ def test_worse_is_a_corrected_model_beside_a_better_re_fitted_one() -> None:
         ({"re-fitted": rigid_drive(), "corrected": rigid_drive()}, False),
         ({"re-fitted": off, "corrected": rigid_drive()}, False),
         ({"nominal": rigid_drive(), "identified": off}, False),
+        ({"re-fitted": rigid_drive(), "hybrid": off}, True),
     ]
     assert [target_errors(models, data).worse for models, _ in pairs] == [worse for _, worse in pairs]

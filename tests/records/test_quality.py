@@ -201,6 +201,18 @@ def test_faults_of_a_dataset(data: Dataset, code: str, severity: str) -> None:
     assert (code, severity) in {(finding.code, finding.severity) for finding in check_dataset(data)}
 
 
+def test_a_slow_record_is_a_fault_only_where_no_train_record_is_faster() -> None:
+    ramp = record("slow", inputs={"u1": TIME}, outputs={"q_m1": 0.1 * TIME**2})
+    for others, severity in (
+        ((record("fast"),), "info"),
+        ((), "warning"),
+        ((record("fast", role="test"),), "warning"),
+    ):
+        (said,) = (f for f in check_dataset(dataset(ramp, *others)) if f.code == "slow")
+        assert said.severity == severity and said.message.startswith("slow: under two turning points")
+        assert ("add a faster record" in said.message) == (severity == "warning")
+
+
 def test_steps_that_differ_name_the_record() -> None:
     data = replace(dataset(record("a")), sample_time=None, records=(record("a"), record("b", time=20 * TIME)))
     (finding,) = (f for f in check_dataset(data) if f.code == "unequal_steps")

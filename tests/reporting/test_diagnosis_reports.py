@@ -8,10 +8,11 @@ import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from hybrid_id.diagnosis.catalogue import SIDES
-from hybrid_id.diagnosis.locate import Disturbance, Location
+from hybrid_id.diagnosis.locate import HISTORY, Disturbance, Location
 from hybrid_id.diagnosis.next_experiment import Experiment
 from hybrid_id.diagnosis.result import FORMER_KEYS, Diagnosis
 from hybrid_id.identification.horizons import Horizon
+from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.reporting.diagnosis import (
     diagnosis_page,
@@ -22,10 +23,13 @@ from hybrid_id.reporting.diagnosis import (
 )
 from hybrid_id.reporting.diagnosis_figures import diagnosis_figures
 from hybrid_id.reporting.diagnosis_words import (
+    Moved,
     error_lines,
     headline,
+    moved_line,
     tie_lines,
     value_lines,
+    where_line,
     words_of,
 )
 from hybrid_id.reporting.interactive import Drawn
@@ -146,11 +150,28 @@ def test_a_share_of_no_sure_size_is_said_to_be_open(diagnosed) -> None:
     )
 
 
+def test_what_explains_next_to_nothing_is_set_apart(diagnosed) -> None:
+    found = half_explained(diagnosed[2])
+    second = replace(found.effects[1], selected=True, share=0.003, share_interval=(0.0, 0.006))
+    both = replace(found, effects=(found.effects[0], second, *found.effects[2:]))
+    assert headline(both).startswith("Spring load explains 43 %")
+    place = f"{words_of(second.name)} (joint 1, "
+    assert f" Also fitted, negligible (less than 0.5 % of the gap each): {place}" in headline(both)
+    marks = [str(cell) for cell in effects_table(both).columns[-1].cells]
+    assert marks[:2] == ["selected", "negligible"]
+
+
 def test_no_place_is_named_unless_it_is_identified(diagnosed) -> None:
     two = (Disturbance("joint2", "load", 0.7, 0.0), Disturbance("joint1", "joint", 0.68, 1.0))
     assert "unexplained. More remains" in headline(half_explained(diagnosed[2], disturbances=two))
     weak = half_explained(diagnosed[2], residual_after=(replace(PLACE, share=0.03),))
     assert "unexplained, at joint 2, on the link side. More remains" in headline(weak)
+    before = half_explained(diagnosed[2], residual_after=(replace(PLACE, signal=HISTORY),))
+    assert "(a torque that depends on the motion just before, as that of play, hysteresis" in headline(before)
+    located = where_line(replace(diagnosed[2], location=(replace(PLACE, signal=HISTORY),)))
+    assert located.endswith(
+        "over motion history (62 %); motion history: how the joint moved just before, its last reversal say."
+    )
     one_side = half_explained(diagnosed[2], disturbances=(ACTS[0], Disturbance("joint2", "motor", 0.69, 1.0)))
     assert "at joint 2, with the angle" in headline(one_side)
 
@@ -282,6 +303,20 @@ def test_tables_hold_every_effect_and_parameter(diagnosed) -> None:
     assert cells["k_s"][6] == "none"  # in voltage and angle no torque has a scale
     low, high = map(float, cells["q_s"][6].split(" to "))
     assert low < float(cells["q_s"][5]) < high
+
+
+def test_an_interval_without_the_nominal_value_is_said(sound) -> None:
+    viscous, dry = (sound[2].details.nominal.parameter(name) for name in ("F_v", "F_c"))
+
+    def moved(one: ParameterInfo, factor: float) -> Moved:
+        value = factor * one.spec.value
+        return one, value, (0.995 * value, 1.005 * value)
+
+    (line,) = moved_line([moved(viscous, 1.05), moved(dry, 1.01)], ())
+    value = viscous.spec.value
+    assert line.startswith(f"intervals exclude the nominal value: {viscous.doc} F_v {1.05 * value:.4g} (")
+    assert f"nominal {value:.4g} (and 1 more by less than 2 %)." in line
+    assert moved_line([moved(viscous, 1.002), moved(dry, 1.01)], ()) == []
 
 
 def test_one_interval_for_a_number(diagnosed) -> None:

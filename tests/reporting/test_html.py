@@ -77,6 +77,12 @@ def test_page_holds_tables_remarks_and_pictures() -> None:
     assert text.count("data:image/png;base64,") == 1
 
 
+def test_every_table_scrolls_in_a_frame_that_shows_it() -> None:
+    text = live_page().html()
+    assert text.count("<table>") == text.count('<div class="scroll" tabindex="0"') >= 2
+    assert "overflow-x: auto" in text and "local" in text.split(".scroll { margin")[1].split("}")[0]
+
+
 def test_page_fetches_nothing() -> None:
     links = re.findall(r'(?:src|href)="([^"]*)"', live_page().html())
     assert links

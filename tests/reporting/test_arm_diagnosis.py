@@ -1,0 +1,91 @@
+"""A robot's diagnosis in words and tables: what a joint lacks, how large its errors are, and in which unit."""
+
+from dataclasses import replace
+
+import pytest
+
+from hybrid_id.diagnosis.arm import ArmDiagnosis, CommonSize
+from hybrid_id.reporting.arm_diagnosis import arm_headline, common_words, joints_table, remark_lines
+from hybrid_id.reporting.diagnosis import diagnosis_page
+from hybrid_id.reporting.diagnosis_words import moved_values
+
+pytest.importorskip("mujoco")
+
+
+@pytest.fixture
+def found(mended_arm) -> ArmDiagnosis:
+    return mended_arm[2]
+
+
+def cells(found: ArmDiagnosis) -> dict[str, list[str]]:
+    """The table of joints, column by column."""
+    return {str(c.header): [str(cell) for cell in c.cells] for c in joints_table(found).columns}
+
+
+def test_each_model_has_a_column_of_errors_of_its_own(found: ArmDiagnosis) -> None:
+    shown = cells(found)
+    heads = ["RMSE nominal", "RMSE re-fitted", "RMSE corrected", "unit"]
+    assert list(shown)[-4:] == heads
+    row = shown["joint"].index("elbow")
+    nominal, refitted, corrected = (float(shown[head][row]) for head in heads[:3])
+    assert nominal > refitted > corrected and shown["unit"] == ["rad"] * 3
+
+
+def with_share(found: ArmDiagnosis, share: float) -> ArmDiagnosis:
+    """The same with a further effect selected at the elbow, which explains some share of that joint's gap."""
+    elbow = found.joints["elbow"]
+    first, second, *others = elbow.effects
+    more = replace(second, selected=True, share=share, share_interval=(0.0, 2 * share))
+    joints = {**found.joints, "elbow": replace(elbow, effects=(first, more, *others))}
+    return replace(found, joints=joints)
+
+
+def test_what_explains_next_to_nothing_is_set_apart(found: ArmDiagnosis) -> None:
+    name = found.joints["elbow"].effects[1].name.replace("_", " ")
+    some = with_share(found, 0.02)
+    assert f"and {name} at elbow 2 %" in arm_headline(some) and name in cells(some)["lacks"][0]
+    nothing = with_share(found, 0.002)
+    assert name not in arm_headline(nothing) and name not in "".join(cells(nothing)["lacks"])
+    said = f"also fitted, negligible (less than 0.5 % of any gap): {name} at elbow."
+    assert said in remark_lines(nothing) and said not in remark_lines(some)
+
+
+def test_a_joint_with_hardly_any_part_of_the_gap_keeps_what_it_lacks(found: ArmDiagnosis) -> None:
+    shifted = replace(found, parts={"pan": 0.999, "lift": 0.0, "elbow": 0.001})
+    sentence = arm_headline(shifted)
+    assert sentence.startswith("No effect explains 0.5 % of the gap;")
+    assert "Of less than 0.5 % of the robot's gap each: spring load at elbow (" in sentence
+    assert "of that joint's own gap; probability" in sentence
+    assert "spring load, at the load" in cells(shifted)["lacks"]
+
+
+def test_the_robots_page_has_the_records_of_all_joints(mended_arm, found: ArmDiagnosis) -> None:
+    assert found.dataset is mended_arm[0] and found.case == "arm"
+    assert len(found.dataset.outputs) == 3 and len(found.joints["pan"].details.dataset.outputs) == 1
+
+
+def test_values_of_the_robot_and_of_its_joint_are_told_apart(found: ArmDiagnosis) -> None:
+    own = found.joints["elbow"].effects[0].parameters["k_s"][0]
+    near = replace(found, estimates={"k_s_elbow": (own, 0.01)})
+    far = replace(found, estimates={"k_s_elbow": (own + 0.1, 0.01)})
+    beside = f"[by itself {own:.4g}]"
+    assert beside in remark_lines(far)[0] and beside not in remark_lines(near)[0]
+    assert "of the fit of all joints at once" in remark_lines(far)[1]
+    assert "of each joint by itself" in remark_lines(replace(found, estimates={}))[1]
+    page = diagnosis_page(found.joints["elbow"], {}, robot="../report.html")
+    assert "These values are of this joint by itself" in page.html()
+
+
+def test_angles_have_the_unit_that_was_logged(found: ArmDiagnosis) -> None:
+    outputs = [replace(channel, logged="deg") for channel in found.dataset.outputs]
+    size = CommonSize("base_tilt", "e_x", "rad", ("lift", "elbow"), 0.1, 0.01, 0.5)
+    assert "5.73 (" in common_words(size, outputs) and common_words(size, outputs).endswith(" deg.")
+
+
+def test_an_interval_without_the_nominal_value_is_said(found: ArmDiagnosis) -> None:
+    said = "intervals exclude the nominal value: stiffness of the position loop k_p_lift 8.4 ("
+    moved = replace(found, estimates={"k_p_lift": (8.4, 0.02), "k_p_pan": (6.01, 0.1)})
+    (line,) = (line for line in remark_lines(moved) if line.startswith(said))
+    assert "N m/rad, nominal 8." in line and "pan" not in line
+    own = {info.name: ends for info, _, ends in moved_values(found.joints["lift"])}
+    assert own["k_p_lift"][0] < own["k_p_lift"][1]
