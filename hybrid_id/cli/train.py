@@ -152,6 +152,7 @@ def by_joint(
         residuals_table,
     )
     from hybrid_id.reporting.results import as_json as to_json
+    from hybrid_id.reporting.results import write_physics
     from hybrid_id.study import Horizon
     from hybrid_id.study.residual_torques import learn_residuals
     from hybrid_id.systems.model_file import save_model
@@ -175,6 +176,7 @@ def by_joint(
             )  # fmt: skip
         save_model(found.system, folder / "model.yaml", home)
         save_model(found.physics, folder / "physics.yaml", home)
+        write_physics(folder / "parameters.csv", found)
         text = to_json("train", {"dataset": dataset.name} | residuals_result(found))
         whole = write_report(
             folder,
@@ -189,7 +191,7 @@ def by_joint(
         show(text)
     else:
         show(residuals_table(found))
-        show(files_in(home, config, RESULT, "model.yaml", "physics.yaml"))
+        show(files_in(home, config, "parameters.csv", RESULT, "model.yaml", "physics.yaml"))
     if found.interrupted or not whole:
         raise typer.Exit(130)
 

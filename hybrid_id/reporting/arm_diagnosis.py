@@ -13,7 +13,6 @@ from hybrid_id.diagnosis.arm import NOT_ASKED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.errors_on_test import Errors
 from hybrid_id.diagnosis.grade import RatedEffect
-from hybrid_id.diagnosis.result import Diagnosis
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of
@@ -54,6 +53,7 @@ _VERDICTS = {
     "outside_catalogue": "something outside the catalogue",
     "inconclusive": "inconclusive",
 }
+_DIFFERS = "nothing; other values in each record"
 _HOW = (
     "Each joint is searched by itself while the others move as they were measured, so that what a joint lacks shows in "
     "its own motion. Shares and probabilities are those of the joint's own page. Then all joints are simulated, driven "
@@ -126,7 +126,7 @@ def _nothing_named(found: ArmDiagnosis) -> str:
     any_joint = "any joint that was diagnosed" if found.skipped else "any joint"
     if found.interrupted:
         return f"Inconclusive: no effect had been accepted at {any_joint}."
-    there = [joint for joint, one in found.joints.items() if one.verdict == found.verdict]
+    there = [joint for joint, one in found.joints.items() if found.verdict_of(joint) == found.verdict]
     if found.verdict == "outside_catalogue":
         return (
             "No effect of the catalogue surely explains any of the gap, and something structural remains at "
@@ -139,10 +139,11 @@ def _nothing_named(found: ArmDiagnosis) -> str:
     return headline(found.joints[there[0]])
 
 
-def lacks(one: Diagnosis) -> str:
+def lacks(found: ArmDiagnosis, joint: str) -> str:
     """What a joint lacks, in words."""
+    one = found.joints[joint]
     if not one.selected:
-        return _VERDICTS[one.verdict]
+        return _DIFFERS if joint in found.differing else _VERDICTS[one.verdict]
     return "; ".join(
         f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {place_words(e.where)}"
         for e in asserted(one)
@@ -162,8 +163,10 @@ def joints_table(found: ArmDiagnosis) -> Table:
             percent(e.share or 0.0) + (f" ({range_percent(e.share_interval)})" if e.share_interval else "")
             for e in asserted(one)
         )
-        left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
-        rows.append((joint, lacks(one), percent(part), explained, sure, left, *_errors_cells(found, joint)))
+        left = percent(one.remainder) if found.verdict_of(joint) in ("effects", "outside_catalogue") else ""
+        rows.append(
+            (joint, lacks(found, joint), percent(part), explained, sure, left, *_errors_cells(found, joint))
+        )
     models = _models(found)
     errors = (*(f"RMSE {name}>" for name in models), *(("unit",) if models else ()))
     heads = (
@@ -244,6 +247,12 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     for joint, one in found.joints.items():
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
         lines += [f"{joint}: {line}" for line in (*implausible_lines(one), *failed_lines(one))]
+    lines += [
+        f"{joint}: by itself it seems to lack something outside the catalogue. With all joints simulated, values of "
+        f"each record's own leave {percent(found.within_records[joint])} of that: the records differ (friction of another "
+        "day, say), and nothing is missing."
+        for joint in found.differing
+    ]
     lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
     if beside := [f"{words_of(one.name)} at {joint}" for one, _, joint in _by_size(found)[2]]:

@@ -17,6 +17,7 @@ from hybrid_id.records.quality import Finding
 from hybrid_id.statistics.identifiability import Identifiability
 from hybrid_id.statistics.uncertainty import normal_interval
 from hybrid_id.study import BaseParameterCheck, Comparison, Horizon, ModelCheck, Replay, Study
+from hybrid_id.study.residual_torques import ArmHybrid, standard_errors
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.model_file import save_model
 
@@ -244,19 +245,18 @@ def comparison_result(comparison: Comparison) -> dict[str, Any]:
     }
 
 
+PARAMETER_HEADS = (
+    "set", "selected", "parameter", "value", "unit", "std_error", "interval_lower", "interval_upper", "lower", "upper",
+    "claimable", "at_bound", "status",
+)  # fmt: skip
+"""Columns of ``parameters.csv``; ``lower`` and ``upper`` are the interval's names until 0.2."""
+
+
 def write_parameters(path: Path, study: Study) -> None:
     """One row for each parameter of each set: value, interval, and whether it may be claimed.
 
     At a bound the errors are not normal, so nothing is claimed there.
     """
-    heads = ["set", "selected", "parameter", "value", "unit", "std_error", "interval_lower", "interval_upper"]
-    heads += [
-        "lower",
-        "upper",
-        "claimable",
-        "at_bound",
-        "status",
-    ]  # lower, upper: the interval's names until 0.2
     rows = []
     for i, result in enumerate(study.sets):
         label, chosen = study.cross_validation.set_names[i], int(i == study.selection.index)
@@ -266,7 +266,37 @@ def write_parameters(path: Path, study: Study) -> None:
             interval = (f"{v:.6g}" if known else "" for v in (errors[k], *intervals[k], *intervals[k]))
             flags = int(known), int(name in result.at_bound), result.status
             rows.append([label, chosen, name, f"{value:.10g}", unit, *interval, *flags])
-    _write_rows(path, heads, rows)
+    _write_rows(path, PARAMETER_HEADS, rows)
+
+
+def write_physics(path: Path, found: ArmHybrid) -> None:
+    """Physical parameters of each joint, alone and beside the network that stays: columns of :func:`write_parameters`.
+
+    Of a value beside a network no interval is claimed: it is held to where the physics alone has put it.
+    """
+    rows, level = [], 0.95
+    joints: dict[int, list[str]] = {}
+    for name, one in found.joints.items():  # those of a coupled gear share their fits
+        joints.setdefault(id(one.physics), []).append(name)
+    for names in joints.values():
+        one, label = found.joints[names[0]], " and ".join(names)
+        stays, errors = one.size is not None, standard_errors(one.physics)
+        sets = [("physics alone", one.physics, int(not stays), errors)]
+        sets += [("with network", one.hybrid, 1, {})] if stays else []
+        for words, fit, chosen, known in sets:
+            values = dict(zip(fit.names, fit.values, strict=True))
+            for name, unit in zip(one.physics.names, one.physics.units, strict=True):
+                std = known.get(name) if name not in fit.at_bound else None
+                ends = ("",) * 5 if std is None else _ends(values[name], std, level)
+                flags = int(std is not None), int(name in fit.at_bound), fit.status
+                rows.append([f"{label}: {words}", chosen, name, f"{values[name]:.10g}", unit, *ends, *flags])
+    _write_rows(path, PARAMETER_HEADS, rows)
+
+
+def _ends(value: float, std: float, level: float) -> tuple[str, ...]:
+    """A standard error, then the interval's ends twice, as ``parameters.csv`` has them."""
+    low, high = normal_interval(np.array(value), np.array(std), level)
+    return tuple(f"{v:.6g}" for v in (std, low, high, low, high))
 
 
 def write_models(folder: Path, home: Path, study: Study) -> None:

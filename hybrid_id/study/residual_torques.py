@@ -106,7 +106,7 @@ class JointHybrid:
     @property
     def drift(self) -> dict[str, float]:
         """By how many of its standard errors without the network each physical parameter has moved."""
-        std = _standard_errors(self.physics)
+        std = standard_errors(self.physics)
         after = dict(zip(self.hybrid.names, self.hybrid.values, strict=True))
         before = zip(self.physics.names, self.physics.values, strict=True)
         return {name: float(after[name] - value) / std[name] for name, value in before if name in std}
@@ -302,7 +302,7 @@ def _with_network(
         "warm": False,
     }
     learnt = fit(richer, part, **settings)[0].system
-    reach = {name: HELD * std for name, std in _standard_errors(physics).items()}
+    reach = {name: HELD * std for name, std in standard_errors(physics).items()}
     known = {name: learnt.parameter(name).spec for name in reach}
     freed = {
         name: replace(
@@ -355,7 +355,7 @@ def _map(dataset: Dataset, system: System, joint: Joint, signal_share: float) ->
     )  # fmt: skip
 
 
-def _standard_errors(physics: FitResult) -> dict[str, float]:
+def standard_errors(physics: FitResult) -> dict[str, float]:
     """Autocorrelation-robust standard errors of the parameters that have one, by name."""
     std = robust_covariance(
         physics.jacobian, physics.residual, prior_precision=physics.prior_precision

@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from browser import look_at
 from gapcase import only
@@ -219,6 +220,9 @@ def test_networks_are_learnt_joint_by_joint(run, tmp_path: Path) -> None:
     assert json.loads((tmp_path / "out" / "result.json").read_text())["joints"]["elbow"]["network"]
     look_at(tmp_path / "out" / "report.html", tmp_path, figures=1)
     load_model(tmp_path / "out" / "model.yaml")
+    rows = pd.read_csv(tmp_path / "out" / "parameters.csv")
+    assert set(rows["set"]) == {"elbow: physics alone", "elbow: with network"}
+    assert rows[rows.parameter == "J_m_elbow"].selected.tolist() == [0, 1]
     for more, words in (
         (("--joint", "hand"), "The robot has no joint 'hand'"),
         (("--joint", "all", "--resume"), "leave --resume out"),

@@ -50,6 +50,17 @@ def test_what_explains_next_to_nothing_is_set_apart(found: ArmDiagnosis) -> None
     assert said in remark_lines(nothing) and said not in remark_lines(some)
 
 
+def test_where_records_differ_a_joint_is_said_to_lack_nothing(found: ArmDiagnosis) -> None:
+    joint, own = next((j, one) for j, one in found.joints.items() if not one.selected)
+    odd = replace(own, verdict="outside_catalogue", unknown=True)
+    parts = {j: float(j == joint) for j in found.joints}
+    for left, verdict in ((0.02, "parameters_only"), (0.9, "outside_catalogue")):
+        robot = replace(found, joints={joint: odd}, parts=parts, within_records={joint: left})
+        assert (robot.verdict, robot.unknown) == (verdict, left == 0.9)
+        said = " ".join(remark_lines(robot))
+        assert ("the records differ" in said) == (left == 0.02)
+
+
 def test_a_joint_with_hardly_any_part_of_the_gap_keeps_what_it_lacks(found: ArmDiagnosis) -> None:
     shifted = replace(found, parts={"pan": 0.999, "lift": 0.0, "elbow": 0.001})
     sentence = arm_headline(shifted)
