@@ -146,6 +146,7 @@ def _factors(wish: Ablation, place: str, hidden: Sequence[int]) -> "Factors":
         widths=tuple(wish.width or hidden[:1] or [8]),
         physics=tuple(tuple(taken) for taken in wish.physics),
         black_box=wish.black_box_width if "black_box" in wish.residual else None,
+        reads=tuple(wish.reads),
     )
 
 

@@ -20,6 +20,7 @@ class Ablation(Section):
         residual: kinds of networks beside the physics; `none` is always there, `black_box` is a network alone.
         place: where they act; a list in the list puts one network in each of its places.
         width: neurons of the hidden layer.
+        reads: `own`: a network reads its own joint's signals; `all`: angle and speed of every other joint, too.
         price: of the networks' output, falling; the validation records choose, and each one is reported.
         physics: what is taken out on purpose, one list an arm: components by place and kind, parameters by name.
         memory: hidden states of a network with memory.
@@ -36,6 +37,7 @@ class Ablation(Section):
     )
     place: list[str | list[str]] | None = Field(default=None, min_length=1)
     width: list[Neurons] | None = Field(default=None, min_length=1)
+    reads: list[Literal["own", "all"]] = Field(default=["own"], min_length=1)
     price: list[Price] | None = Field(default=None, min_length=1)
     physics: list[list[str]] = Field(default=[])
     memory: int = Field(default=2, ge=1, le=MOST_STATES)
@@ -79,9 +81,9 @@ class Ablation(Section):
         _distinct([place if isinstance(place, list) else [place] for place in value])
         return value
 
-    @field_validator("width")
+    @field_validator("width", "reads")
     @classmethod
-    def _widths(cls, value: list[int] | None) -> list[int] | None:
+    def _once(cls, value: list[Any] | None) -> list[Any] | None:
         return value if value is None else _distinct(value)
 
 

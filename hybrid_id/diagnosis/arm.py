@@ -20,8 +20,9 @@ from hybrid_id.diagnosis.catalogue import brought, effect
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import diagnose
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
-from hybrid_id.diagnosis.fits import engine
+from hybrid_id.diagnosis.fits import FULL, engine
 from hybrid_id.diagnosis.grade import RatedEffect
+from hybrid_id.diagnosis.per_record import structural
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
@@ -34,6 +35,7 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
+from hybrid_id.records.units import number_of, stem
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
@@ -104,6 +106,10 @@ class ArmDiagnosis:
         estimates: parameters of the corrected robot with their standard errors, by name, from the fit of all joints;
             empty where that fit was not better than the joints' own, or the search was stopped before it.
         common: parameters of effects that several joints have.
+        within_records: of each joint whose own diagnosis finds something outside the catalogue, the share of the
+            structure in its errors that stays where every record has values of its own, all joints simulated; empty
+            where free runs are shorter than records. What such values explain is a difference between records: it adds
+            up along the motion of all joints, and a joint by itself takes a part of it for more.
         refit, model: the whole robot, re-fitted and corrected.
         nominal_errors, refit_errors, model_errors: on the test records, all joints simulated; None without.
         shrink: how far the gap shrinks there.
@@ -118,6 +124,7 @@ class ArmDiagnosis:
     parts: Mapping[str, float]
     estimates: Mapping[str, tuple[float, float]]
     common: tuple[CommonSize, ...]
+    within_records: Mapping[str, float]
     refit: System
     model: System
     nominal_errors: Errors | None
@@ -173,21 +180,36 @@ class ArmDiagnosis:
         return sum(
             self.parts[joint] * found.remainder
             for joint, found in self.joints.items()
-            if found.verdict in ("effects", "outside_catalogue")
+            if self.verdict_of(joint) in ("effects", "outside_catalogue") and joint not in self.differing
         )
+
+    @property
+    def differing(self) -> list[str]:
+        """Joints at which values of each record's own explain what looks like something outside the catalogue."""
+        return [joint for joint, left in self.within_records.items() if left <= CRITERIA.coloured]
+
+    def verdict_of(self, joint: str) -> str:
+        """A joint's verdict as the whole robot bears it out: where its records differ, nothing is missing."""
+        own = self.joints[joint].verdict
+        return "parameters_only" if own == "outside_catalogue" and joint in self.differing else own
 
     @property
     def unknown(self) -> bool:
         """Whether what the catalogue lacks explains a substantial share of the robot's gap at any joint."""
         return any(
-            found.unknown and self.parts[joint] >= CRITERIA.substantial
+            found.unknown and self.parts[joint] >= CRITERIA.substantial and joint not in self.differing
             for joint, found in self.joints.items()
         )
 
     @property
     def verdict(self) -> str:
-        """What the whole robot's is: the first that any joint has, in the order of :data:`VERDICTS`."""
-        found = {one.verdict for one in self.joints.values()}
+        """What the whole robot's is: the first that any joint has, in the order of :data:`VERDICTS`.
+
+        Something is outside the catalogue where it is a substantial part of the robot's gap.
+        """
+        found = {self.verdict_of(joint) for joint in self.joints}
+        if not self.unknown and found - {"outside_catalogue"}:
+            found -= {"outside_catalogue"}
         if self.interrupted and "effects" not in found:
             return "inconclusive"  # the other joints were not tried
         return next(verdict for verdict in VERDICTS if verdict in found)
@@ -213,6 +235,7 @@ class ArmDiagnosis:
             "gap": gap_entry(
                 self.nominal_errors, self.refit_errors, self.model_errors, self.shrink, self.contradiction
             ),
+            "within_records": dict(self.within_records),
             "location": [
                 {"joint": joint, "side": None, "share_of_gap": part} for joint, part in self._by_part()
             ],
@@ -387,8 +410,10 @@ def _of_whole_robot(
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
     parts, known = _parts(found, horizon, signal_share), estimates_of(whole)
+    odd = [] if stopped or horizon != WHOLE else [name for name, one in found.items() if one.unknown]
+    within = _within_records(moving, model, odd, signal_share) if odd else {}
     return ArmDiagnosis(
-        dataset.name, found, skipped, horizon, parts, known, common_sizes(found, model, known), refit, model,
+        dataset.name, found, skipped, horizon, parts, known, common_sizes(found, model, known), within, refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,
     )  # fmt: skip
 
@@ -421,6 +446,32 @@ def fitted_coupled(
         if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
             return again.system, again
     return system, None
+
+
+def _within_records(
+    dataset: Dataset, system: System, joints: Sequence[str], signal_share: float
+) -> dict[str, float]:
+    """Share of the structure in joints' errors that values of each record's own leave, all joints simulated.
+
+    Of the train records in their geometric mean, so that one which runs away from its own values does not decide.
+    """
+    batch, structure = batch_of(dataset, system, dataset.train, signal_share, "cpu"), []
+    for pooled, iterations in ((True, COUPLED), (False, FULL)):
+        options = Options(max_iterations=iterations)
+        try:
+            sets = fit(system, batch, pooled=pooled, engine=engine(), options=options, warm=False)
+        except (InputError, RuntimeError, np.linalg.LinAlgError):
+            return {}
+        system = sets[0].system  # each record's own begin at the common ones
+        left = [one for each in sets for one in each.residual]
+        structure.append([[structural([one[:, [k]]]) for k in range(one.shape[1])] for one in left])
+    common, own = np.maximum(structure, CRITERIA.negligible_structure**2)
+    share = np.exp(np.log(np.minimum(own / common, 1.0)).mean(0))
+    numbers = {name: joint_number(system, name) + 1 for name in joints}
+    columns = {number_of(name): k for k, name in enumerate(batch.outputs) if stem(name) in ("q_m", "q_a")}
+    return {
+        name: float(share[columns[str(number)]]) for name, number in numbers.items() if str(number) in columns
+    }
 
 
 def _parts(found: Mapping[str, Diagnosis], horizon: Horizon, signal_share: float) -> dict[str, float]:

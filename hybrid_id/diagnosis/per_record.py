@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     if any(one.status == "diverged" for one in sets):
         return None
     left = autocorrelation([residual for one in sets for residual in one.residual])
-    if float(np.mean([_structural(one) for one in sets])) > CRITERIA.negligible_structure**2:
+    if float(np.mean([structural(one.residual) for one in sets])) > CRITERIA.negligible_structure**2:
         return PerRecord(model, left)
     if model.autocorrelation <= CRITERIA.coloured:
         return PerRecord(model, left, _scatter(sets), True)
@@ -85,10 +86,14 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     return PerRecord(there, left, words, True)
 
 
-def _structural(one: FitResult) -> float:
-    """Mean square of what a record's own values leave that is no white noise, in units of the noise."""
-    found = autocorrelation(one.residual)
-    return found * mean_square(one.residual) if found > CRITERIA.white else 0.0
+def structural(residual: Sequence[np.ndarray]) -> float:
+    """Mean square of what a record's own values leave that is no white noise, in units of the noise.
+
+    Args:
+        residual: weighted errors, ``(T, n_y)`` of each piece.
+    """
+    found = autocorrelation(residual)
+    return found * mean_square(residual) if found > CRITERIA.white else 0.0
 
 
 def _scatter(sets: list[FitResult]) -> tuple[str, ...]:

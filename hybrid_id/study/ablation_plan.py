@@ -15,6 +15,7 @@ from hybrid_id.systems.by_joint import numbered
 from hybrid_id.systems.chain import System
 
 NONE, STATIC, MEMORY, BLACK_BOX = "none", "static", "memory", "black box"
+OWN, ALL = "own", "all"
 
 
 @dataclass(frozen=True)
@@ -25,6 +26,7 @@ class Arm:
         residual: none, static, memory or black box.
         places: where its networks act, joints numbered or named as the robot does; empty without a residual network.
         width: neurons of the hidden layer; 0 without a network.
+        reads: own, so that each network is one of its joint alone, or all: angle and speed of every other joint, too.
         without: components and parameters that are taken out of the physics on purpose.
     """
 
@@ -32,6 +34,7 @@ class Arm:
     places: tuple[str, ...] = ()
     width: int = 0
     without: tuple[str, ...] = ()
+    reads: str = OWN
 
     @property
     def name(self) -> str:
@@ -41,6 +44,7 @@ class Arm:
         words = "physics only"
         if self.residual != NONE:
             words = f"{self.residual} network at {' and '.join(self.places)}, {self.width} wide"
+            words += ", reading all joints" if self.reads == ALL else ""
         return f"{words}, without {' and '.join(self.without)}" if self.without else words
 
     @property
@@ -49,6 +53,7 @@ class Arm:
         words = "physics only" if self.residual == NONE else f"{self.residual} {self.width}"
         words = f"network alone {self.width}" if self.residual == BLACK_BOX else words
         words += f" at {', '.join(self.places)}" if self.places else ""
+        words += ", reads all joints" if self.reads == ALL else ""
         taken = ", ".join(name.rpartition("/")[2] for name in self.without)
         return f"{words}\nwithout {taken}" if taken else words
 
@@ -80,6 +85,7 @@ class Factors:
         residuals: kinds of residual networks, static or memory; physics only is always there.
         places: of the networks, one or several at a time.
         widths: neurons of the one hidden layer.
+        reads: own or all: whether a network knows its own joint alone.
         physics: what is taken out on purpose; an empty one is the whole model, which is always there.
         black_box: neurons of the network that stands alone; None leaves this arm out.
     """
@@ -89,6 +95,7 @@ class Factors:
     widths: tuple[int, ...] = (8,)
     physics: tuple[tuple[str, ...], ...] = ((),)
     black_box: int | None = 16
+    reads: tuple[str, ...] = (OWN,)
 
     @property
     def arms(self) -> list[Arm]:
@@ -97,10 +104,11 @@ class Factors:
         for without in dict.fromkeys(((), *self.physics)):
             found.append(Arm(without=without))
             found += [
-                Arm(residual, places, width, without)
+                Arm(residual, places, width, without, reads)
                 for residual in self.residuals
                 for places in self.places
                 for width in self.widths
+                for reads in self.reads
             ]
         return found + ([] if self.black_box is None else [Arm(BLACK_BOX, (), self.black_box)])
 
@@ -202,9 +210,17 @@ def with_arm(
     """The model of an arm that has physics; see :func:`hybrid_id.systems.builders.black_box` for the one without."""
     system = without_parts(system, arm.without)
     for where in arm.places:
-        states = memory if arm.residual == MEMORY else 0
+        states, place = memory if arm.residual == MEMORY else 0, numbered(system, where)
+        read = list(inputs)
+        if arm.reads == ALL:
+            others = [joint.number for joint in system.joints if not place.startswith(f"{joint.name}/")]
+            read += [f"{signal}{number}" for number in others for signal in ("angle", "speed")]
         part = ResidualNetwork(
-            inputs=inputs, hidden=(arm.width,), memory=states, lipschitz=lipschitz, seed=seed
+            inputs=tuple(dict.fromkeys(read)),
+            hidden=(arm.width,),
+            memory=states,
+            lipschitz=lipschitz,
+            seed=seed,
         )
-        system = system.with_component(numbered(system, where), part)
+        system = system.with_component(place, part)
     return system

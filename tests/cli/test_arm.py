@@ -161,7 +161,7 @@ def test_an_ablation_names_joints_as_the_robot_does(arm: Path, tmp_path: Path) -
         f"dataset: {arm}\nmodel: {arm / 'model.yaml'}\n"
         "training: {max_iterations: 1, windows: [[0.2, 8]], width: 0.5, fine: 2}\n"
         "hybrid: {prices: [0.1], windows: [[0.2, 8]], max_iterations: 1, patience: 1}\n"
-        "ablation:\n  residual: [static, black_box]\n  place: [['joint 1/x/motor', tip/motor]]\n"
+        "ablation:\n  residual: [static, black_box]\n  place: [['joint 1/x/motor', tip/motor]]\n  reads: [own, all]\n"
         "  physics: [[tip/motor_friction/coulomb_friction]]\n  width: [2]\n  black_box_width: 2\n"
     )
     study.write_text(text)
@@ -170,10 +170,15 @@ def test_an_ablation_names_joints_as_the_robot_does(arm: Path, tmp_path: Path) -
     several = [replace(dataset.records[0], name=f"run_{k}") for k in range(3)]
     dataset = replace(dataset, records=tuple(several))
     task, cells = planned(config, dataset, system)
-    hybrid, bare, alone = cells[1], cells[2], cells[4]
+    hybrid, knowing, bare, alone = cells[1], cells[2], cells[3], cells[6]
     assert "joint 1/x/motor and tip/motor" in hybrid.arm.name
     networks = [key for key in task.model(hybrid).components if "residual" in key]
     assert networks == ["joint2/motor/residual_network", "joint3/motor/residual_network"]
+    (first, _), (more, _) = (
+        task.model(cell).joints[1].networks.by_place["motor"][1:] for cell in (hybrid, knowing)
+    )
+    assert more.inputs == (*first.inputs, "angle1", "speed1", "angle3", "speed3")
+    assert "reading all joints" in knowing.arm.name and hybrid.arm.name not in knowing.name
     left = [key for key in task.model(bare).components if "coulomb" in key]
     assert left == ["joint1/motor_friction/coulomb_friction", "joint2/motor_friction/coulomb_friction"]
     found = run_cell(task, alone)

@@ -16,7 +16,7 @@ from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.model import FittedModel
-from hybrid_id.diagnosis.per_record import _scatter, _structural, per_record
+from hybrid_id.diagnosis.per_record import _scatter, per_record, structural
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
@@ -122,8 +122,8 @@ def test_a_record_that_does_not_see_a_parameter_says_nothing_of_it() -> None:
 def test_what_an_encoder_rounds_is_no_sign_of_something_missing_within_a_record() -> None:
     """Small errors that dwell where the drive rests have a colour, and mean nothing."""
     slow = np.repeat([[0.3], [-0.3]], 50, axis=0)
-    assert _structural(SimpleNamespace(residual=[slow])) < CRITERIA.negligible_structure**2  # type: ignore[arg-type]
-    assert _structural(SimpleNamespace(residual=[3.0 * slow])) > CRITERIA.negligible_structure**2  # type: ignore[arg-type]
+    assert structural([slow]) < CRITERIA.negligible_structure**2
+    assert structural([3.0 * slow]) > CRITERIA.negligible_structure**2
 
 
 def test_an_encoder_that_ripples_hides_no_drift(drift) -> None:

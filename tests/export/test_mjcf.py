@@ -49,10 +49,14 @@ RATIO = 156.0
 
 
 def dataset(
-    joints: int = 1, outputs: tuple[str, ...] = ("q_m1",), channel: str = "u", size: float = 8.0
+    joints: int = 1,
+    outputs: tuple[str, ...] = ("q_m1",),
+    channel: str = "u",
+    size: float = 8.0,
+    seconds: float = 1.6,
 ) -> Dataset:
     """Commands from rest, the outputs all zero: what was measured does not matter to the difference of two models."""
-    t = np.arange(0.0, 1.6, 0.002)
+    t = np.arange(0.0, seconds, 0.002)
     inputs = {}
     for n in range(1, joints + 1):
         waves = 0.7 * np.sin(2 * np.pi * (0.8 + 0.2 * n) * t) + 0.5 * np.sin(2 * np.pi * 3.1 * t + n)
@@ -260,4 +264,4 @@ def test_a_spring_that_is_too_stiff_for_mujocos_step_is_told() -> None:
     pytest.importorskip("mujoco")
     stiff = one_link_flexible(RATIO).with_values({"k": 5e7, "d": 0.0, "J_a": 1e-3})
     with pytest.raises(InputError, match="unstable in MuJoCo on record"):
-        mujoco_replays(stiff, to_mjcf(stiff), free_runs_of(stiff, dataset()))
+        mujoco_replays(stiff, to_mjcf(stiff), free_runs_of(stiff, dataset(seconds=0.1)))

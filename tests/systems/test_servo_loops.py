@@ -227,7 +227,7 @@ def test_an_ode_solver_meets_the_same_loop() -> None:
     system = servo().with_component("joint1/input", ServoIntegral(w_i=4.0, z_max=0.1))
     system = system.with_component("joint1/input", GoalRateLimit(w_max=3.0))
     here = run(system, steps(200), Engine("dry", 8)).y
-    there = run(system, steps(200), OdeEngine(substeps=8, width=0.5)).y
+    there = run(system, steps(200), OdeEngine(substeps=8, fine=8, width=0.5)).y
     assert float((here - there).abs().max()) < 3e-3
 
 
