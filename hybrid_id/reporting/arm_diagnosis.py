@@ -249,8 +249,8 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
         lines += [f"{joint}: {line}" for line in (*implausible_lines(one), *failed_lines(one))]
     lines += [
         f"{joint}: by itself it seems to lack something outside the catalogue. With all joints simulated, values of "
-        f"each record's own leave {percent(found.within_records[joint])} of that: the records differ (friction of another "
-        "day, say), and nothing is missing."
+        f"each record's own leave {percent(found.within_records[joint])} of that: the records differ (friction of "
+        "another day, say), and nothing is missing."
         for joint in found.differing
     ]
     lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)

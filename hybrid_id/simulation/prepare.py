@@ -400,7 +400,7 @@ def _motion(
         turned = np.diff(record.time) * (speed[1:] + speed[:-1]) / 2.0
         angle, first = np.concatenate([[0.0], np.cumsum(turned)]), (0.0, std)
     else:
-        offset, estimated = _encoder_offset(joint, name[:-1])
+        offset, estimated = _encoder_offset(joint, name.rstrip("0123456789"))
         measured = record.outputs[name] - offset
         angle, speed = _smooth(measured, steps, std)
         # at its end a cubic through nine samples, the smoothing's short window, has this slope's error

@@ -12,6 +12,7 @@ from typing import cast
 import numpy as np
 
 from hybrid_id.components.base import Component, Shared
+from hybrid_id.components.input.delay import CommonDelay
 from hybrid_id.components.load.floor_contact import FloorContact
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.records.dataset import Channel, Dataset
@@ -30,6 +31,8 @@ NOISIER = 2
 """Times that a fit is made again with noisier motion of the others, for how far it moves the estimates."""
 STILL = 10.0
 """Range of an angle, in standard deviations of its noise, up to which a joint has not moved."""
+EVERYWHERE = FloorContact, CommonDelay
+"""What acts on all joints and may be listed at any of them."""
 UNITS = {"hinge": ("rad", "rad/s", "rad/s^2"), "slide": ("m", "m/s", "m/s^2")}
 
 
@@ -98,7 +101,7 @@ def some(system: System, joints: Sequence[int]) -> System:
     parts, moved = [], {}
     for key, part in system.components.items():
         own = key.startswith(here)
-        if own or isinstance(part, FloorContact):  # which acts on all that carry it
+        if own or isinstance(part, EVERYWHERE):
             moved[key] = key if own else here[0] + key.split("/", 1)[1]
             parts.append((moved[key].rpartition("/")[0], copy.deepcopy(cast(Component, part))))
     aliases = {(moved[i.component], i.symbol): i.name for i in system.table if i.component in moved}
@@ -120,19 +123,15 @@ def together(one: System) -> System:
 def with_drive(whole: System, one: System) -> System:
     """A robot with the drives that :func:`some` took out of it instead of its own."""
     here = tuple(f"{joint.name}/" for joint in one.joints)
-    floors = {
-        key.split("/", 1)[1]: key for key, part in whole.components.items() if isinstance(part, FloorContact)
+    everywhere = {
+        key.split("/", 1)[1]: key for key, part in whole.components.items() if isinstance(part, EVERYWHERE)
     }
     parts = {key: part for key, part in whole.components.items() if not key.startswith(here)}
     taken = {(part.kind, part.point) for part in parts.values() if isinstance(part, Shared)}
     for key, part in one.components.items():
-        if (
-            isinstance(part, Shared)
-            and not isinstance(part, FloorContact)
-            and (part.kind, part.point) in taken
-        ):
+        if isinstance(part, Shared) and not isinstance(part, EVERYWHERE) and (part.kind, part.point) in taken:
             continue  # another joint has said what is there, which acts on all that carry it
-        parts[floors[key.split("/", 1)[1]] if isinstance(part, FloorContact) else key] = part
+        parts[everywhere[key.split("/", 1)[1]] if isinstance(part, EVERYWHERE) else key] = part
     placed = [(key.rpartition("/")[0], copy.deepcopy(cast(Component, part))) for key, part in parts.items()]
     return System(whole.gear_ratio, placed, joint_names(_tree(whole), placed), whole.name, whole.tree)
 

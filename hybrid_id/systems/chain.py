@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from hybrid_id.components.base import PLACES, Component, Shared, StateUpdate
+from hybrid_id.components.input.delay import CommonDelay
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.errors import InputError, close_match
 from hybrid_id.parameters import Bounded, ParameterInfo
@@ -107,6 +108,7 @@ class System(nn.Module):
                 k: cast(Component, c) for k, c in self.components.items() if k.startswith(f"joint{number}/")
             }
             joint = Joint(number, ratio, parts, len(self.state_names))
+            joint.drive.delay = joint.drive.delay or self._common_delay
             self.joints.append(joint)
             self.state_names += joint.state_names
         for joint in self.joints:
@@ -139,6 +141,17 @@ class System(nn.Module):
             if joint in slides and acts_along(type(cast(Component, part)), place, slides[joint]):
                 found.add(key)
         return found
+
+    @property
+    def _common_delay(self) -> tuple[str, CommonDelay] | None:
+        """The dead time that all joints share, which may be listed at any of them."""
+        found = [(key, part) for key, part in self.components.items() if isinstance(part, CommonDelay)]
+        if len(found) > 1:
+            places = ", ".join(key.rpartition("/")[0] for key, _ in found)
+            raise InputError(
+                f"common_delay is listed at {places}; it acts on all joints, so keep one of them."
+            )
+        return found[0] if found else None
 
     def with_component(self, where: str, component: Component) -> System:
         """A new system that has ``component`` too (in a place that holds exactly one, instead of the old one)."""

@@ -27,7 +27,7 @@ from hybrid_id.components.base import (
     Winding,
 )
 from hybrid_id.components.bristle import Bristle
-from hybrid_id.components.input.delay import Delay
+from hybrid_id.components.input.delay import DeadTime, Delay
 from hybrid_id.components.load.rotor_inertia import RotorInertia
 from hybrid_id.components.sensor.sensor_delay import SensorDelay
 from hybrid_id.components.sensor.torque_lag import TorqueLag
@@ -208,7 +208,8 @@ class Drive:
         read = "q_a" if self.input[1].at_joint else "q_m"
         sensors = [(k, c) for k, c in parts.items() if isinstance(c, Sensor) and c.channel == read]
         self.encoders = [(k, c) for k, c in sensors if c.in_loop]
-        self.delay = next(((key, part) for key, part in parts.items() if isinstance(part, Delay)), None)
+        own = ((key, part) for key, part in parts.items() if isinstance(part, Delay))
+        self.delay: tuple[str, DeadTime] | None = next(own, None)
         maps = [(key, part) for key, part in parts.items() if isinstance(part, CommandMap)]
         self.maps = sorted(maps, key=lambda item: item[1].stage)
         self.torques = [(key, part) for key, part in parts.items() if isinstance(part, RotorTorque)]

@@ -30,7 +30,7 @@ from hybrid_id.components.base import (
     Winding,
 )
 from hybrid_id.components.bristle import Bristle, relax
-from hybrid_id.components.input.delay import Delay
+from hybrid_id.components.input.delay import DeadTime
 from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.components.input.torque_command import TorqueCommand
 from hybrid_id.components.load.base_tilt import BaseTilt
@@ -126,7 +126,7 @@ def answers(part: Component, p: SimpleNamespace, lanes: slice = slice(None)) -> 
     if isinstance(part, Input):
         channels = {name: CHANNELS[name] * (0.5 + 0.1 * q) for name in part.channels}
         found["command"] = part.command(p, channels, 0.3 * q, v)
-    if isinstance(part, Delay):
+    if isinstance(part, DeadTime):
         found["held"] = part.held(p, [torch.sin(q + k) for k in range(4)], 0.002 * one)
     if isinstance(part, TorqueLag):
         found["drive"], found["rate"], _, _ = part.state_update(p, 0.1 * torch.cos(q))
@@ -407,8 +407,8 @@ def test_runs_in_every_place_that_it_claims(kind: str) -> None:
             assert all(f"{name}1" in system.input_names for name in getattr(part, "channels", ()))
             p = system.views(list(system.theta().detach()[:, None]))
             dt = torch.full((3,), 0.001, dtype=torch.float64)
-            channels["step1"] = dt
-            for name, lags in system.joints[0].drive.past(0.001).items():
+            channels |= {f"step{joint.number}": dt for joint in system.joints}
+            for name, lags in [past for joint in system.joints for past in joint.drive.past(0.001).items()]:
                 channels |= {f"{name}@{k}": channels[name] for k in range(1, lags + 1)}
             for engine in (Engine("dry", 2), Engine("smooth", 20)):
                 x = [torch.zeros(3, dtype=torch.float64) for _ in system.state_names]

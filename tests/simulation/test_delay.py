@@ -1,13 +1,14 @@
 """A delay shifts the held command, by whole and by broken samples, and the records tell it."""
 
 import shutil
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from drives import STEP, measure, multisine, rigid_drive
 
-from hybrid_id.components import Delay, SensorDelay
+from hybrid_id.components import CommonDelay, Delay, SensorDelay
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
 from hybrid_id.records.record import Record
@@ -72,6 +73,43 @@ def test_fit_finds_a_delay_from_none() -> None:
     record, start = Record("run", STEP * np.arange(400), {"u1": voltage}, {"q_m1": y}), delayed(0.0)
     (found,) = fit(start, make_batch(start, [record], noise_std={"q_m1": 0.01}))
     assert found.values[found.names.index("T_d")] == pytest.approx(2.6 * STEP, abs=1e-4)
+
+
+ARM = two_link((50.0, 40.0))
+
+
+def test_common_delay_holds_back_the_commands_of_all_joints() -> None:
+    channels = {"u1": VOLTAGE, "u2": 0.5 * np.roll(VOLTAGE, 3)}
+    shifted = {name: np.concatenate([np.repeat(u[:1], 2), u[:-2]]) for name, u in channels.items()}
+    late = ARM.with_component("joint2/input", CommonDelay(T_d=2 * STEP))
+    for name, found in measured(late, channels).items():
+        np.testing.assert_allclose(found, measured(ARM, shifted)[name], atol=1e-9)
+    own = late.with_component("joint1/input", Delay(T_d=0.0))
+    shifted["u1"] = channels["u1"]
+    np.testing.assert_allclose(measured(own, channels)["q_m1"], measured(ARM, shifted)["q_m1"], atol=1e-9)
+    with pytest.raises(InputError, match="common_delay is listed at joint1/input, joint2/input"):
+        late.with_component("joint1/input", CommonDelay())
+
+
+def measured(system: System, channels: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    blank = {name: np.zeros_like(VOLTAGE) for name in ("q_m1", "q_m2")}
+    record = Record("run", STEP * np.arange(len(VOLTAGE)), channels, blank)
+    batch = make_batch(system, [record], noise_std=dict.fromkeys(blank, 1.0), estimate_start=False)
+    with torch.no_grad():
+        y = simulate(system, Engine(substeps=2), batch).y[0]
+    return {name: y[:, k].numpy() for k, name in enumerate(blank)}
+
+
+def test_common_delay_shifts_broken_samples_and_has_no_kinks() -> None:
+    time, step = torch.arange(12, dtype=torch.float64), torch.full((12,), STEP, dtype=torch.float64)
+    history, slopes = [(0.3 * (10.0 - k - time)).sin() for k in range(9)], {}
+    for samples in (0.4, 1.0 - 1e-9, 1.0 + 1e-9, 3.0 - 1e-9, 3.0 + 1e-9, 3.7):
+        late = torch.full_like(time, samples * STEP).requires_grad_()
+        found = CommonDelay().held(SimpleNamespace(T_d=late), history, step)
+        torch.testing.assert_close(found, (0.3 * (10.0 - samples - time)).sin(), atol=2e-3, rtol=0.0)
+        (slopes[samples],) = torch.autograd.grad(found.sum(), late)
+    for whole in (1.0, 3.0):
+        torch.testing.assert_close(slopes[whole - 1e-9], slopes[whole + 1e-9], rtol=1e-6, atol=1e-6)
 
 
 def test_channels_without_a_past_are_refused() -> None:

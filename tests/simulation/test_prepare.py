@@ -1,6 +1,7 @@
 """Records to tensors: start states, weights, padding, switches, windows."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ from hybrid_id.components import MotorEncoder
 from hybrid_id.errors import InputError
 from hybrid_id.parameters import Bounded
 from hybrid_id.records.record import Record
+from hybrid_id.robots.description import load_tree
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
-from hybrid_id.systems.builders import one_link_flexible
+from hybrid_id.systems.builders import one_link_flexible, robot
 
 NOISE = {"q_m1": 0.01, "q_a1": 1e-4, "v_m1": 0.1, "i1": 0.01}
 
@@ -141,6 +143,26 @@ def test_encoder_offset_is_taken_off_the_start() -> None:
     assert abs(batch.x[0, 0, 0].item()) < 0.01
     residual = simulate(system, Engine(substeps=4), batch).y[0, :, 0] - batch.y[0, :, 0]
     assert residual.std() < 0.02
+
+
+def test_encoder_offset_of_a_joint_with_two_digits_is_its_own(tmp_path: Path) -> None:
+    bodies = "".join(
+        f'<body><joint name="j{k}" axis="0 0 1" armature="0.01"/><inertial mass="1" pos="0.1 0 0" '
+        'diaginertia="0.01 0.01 0.01"/></body>'
+        for k in range(11)
+    )
+    (tmp_path / "row.xml").write_text(f"<mujoco><worldbody>{bodies}</worldbody></mujoco>")
+    system = robot(load_tree(tmp_path / "row.xml"))
+    system = system.with_component(
+        "joint11/sensor", MotorEncoder(offset=Bounded(3.0, -1e3, 1e3, "rad", True))
+    )
+    time = 0.002 * np.arange(100)
+    torques = {f"tau{k}": 0.0 * time for k in range(1, 12)}
+    angles = {f"q_m{k}": 3.0 + 0.0 * time for k in range(1, 12)}
+    batch = make_batch(system, [Record("run", time, torques, angles)])
+    rows = [joint.positions[0] for joint in system.joints]
+    assert batch.x[0, 0, rows].tolist() == pytest.approx([3.0] * 10 + [0.0])
+    assert (batch.x0_std[0, rows] > 0.5).tolist() == [False] * 10 + [True]
 
 
 def test_switch_is_read_where_records_have_it() -> None:
