@@ -67,9 +67,10 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
         raise InputError(f"{path} is no folder; give another name for the results")
     if not path.exists() or not any(path.iterdir()):
         return
-    below = [] if reads is None else [file for file in reads if file.resolve().is_relative_to(path.resolve())]
+    below = [file for file in reads or () if file.resolve().is_relative_to(path.resolve())]
+    below += [] if reads is None else read_below(path)
     settings = path.resolve() / SETTINGS  # of an earlier run, which this one may follow, and writes again
-    if held := next((file for file in (*below, *read_below(path)) if file != settings), None):
+    if held := next((file for file in below if file != settings), None):
         raise InputError(
             f"{path} holds {held}, which this command reads; give another folder for the results"
         )

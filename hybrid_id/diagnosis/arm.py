@@ -407,6 +407,10 @@ def _of_whole_robot(
         errors(moving, one, engine(), horizon=horizon, signal_share=signal_share)
         for one in (now, refit, model)
     )
+    odd = {name: joint_number(nominal, name) + 1 for name, one in found.items() if one.unknown}
+    within = (
+        _within_records(moving, model, odd, signal_share) if odd and horizon == WHOLE and not stopped else {}
+    )
     if now.seats is not None:
         refit, model = together(refit), together(model)
     if before is not None and after is not None:
@@ -415,8 +419,6 @@ def _of_whole_robot(
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
     parts, known = _parts(found, horizon, signal_share), estimates_of(whole)
-    odd = [] if stopped or horizon != WHOLE else [name for name, one in found.items() if one.unknown]
-    within = _within_records(moving, model, odd, signal_share) if odd else {}
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, known, common_sizes(found, model, known), within, refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,
@@ -454,11 +456,17 @@ def fitted_coupled(
 
 
 def _within_records(
-    dataset: Dataset, system: System, joints: Sequence[str], signal_share: float
+    dataset: Dataset, system: System, joints: Mapping[str, int], signal_share: float
 ) -> dict[str, float]:
     """Share of the structure in joints' errors that values of each record's own leave, all joints simulated.
 
     Of the train records in their geometric mean, so that one which runs away from its own values does not decide.
+
+    Args:
+        dataset: of all joints that move.
+        system: their drives.
+        joints: numbers of the joints that are asked for, as in the channels' names, by name.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
     batch, structure = batch_of(dataset, system, dataset.train, signal_share, "cpu"), []
     for pooled, iterations in ((True, COUPLED), (False, FULL)):
@@ -472,10 +480,9 @@ def _within_records(
         structure.append([[structural([one[:, [k]]]) for k in range(one.shape[1])] for one in left])
     common, own = np.maximum(structure, CRITERIA.negligible_structure**2)
     share = np.exp(np.log(np.minimum(own / common, 1.0)).mean(0))
-    numbers = {name: joint_number(system, name) + 1 for name in joints}
     columns = {number_of(name): k for k, name in enumerate(batch.outputs) if stem(name) in ("q_m", "q_a")}
     return {
-        name: float(share[columns[str(number)]]) for name, number in numbers.items() if str(number) in columns
+        name: float(share[columns[str(number)]]) for name, number in joints.items() if str(number) in columns
     }
 
 

@@ -175,7 +175,7 @@ FAULTS = {
     "seed too large": (
         "seeds: 3",
         "seeds: [1180591620717411303424]",
-        ("'ablation.seeds'", "at most 4294967295"),
+        ("'ablation.seeds[0]'", "a number of 22 digits"),
     ),
     "negative seed": ("seeds: 3", "seeds: [-1]", ("key 'ablation.seeds': seeds are not negative",)),
     "seed twice": ("seeds: 3", "seeds: [0, 0]", ("'ablation.seeds'", "0 is given twice")),

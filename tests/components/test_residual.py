@@ -211,7 +211,7 @@ def test_faults_are_told(tmp_path: Path) -> None:
         ("layers.0.bias", "layers.7.bias", "layers.7.bias"),
         ("hidden: [8, 8]", "hidden: [8, 9]", "must hold 9 x 8"),
         ("hidden: [8, 8]", "hiden: [8, 8]", "no option 'hiden'"),
-        ("hidden: [8, 8]", "hidden: many", "wrong type"),
+        ("hidden: [8, 8]", "hidden: many", "give whole numbers from 1 to 1000"),
     ):
         assert old in text
         (tmp_path / "broken.yaml").write_text(text.replace(old, new))

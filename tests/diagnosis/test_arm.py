@@ -251,5 +251,5 @@ def test_values_of_each_records_own_explain_records_that_differ_and_no_missing_s
     days = [records_of(one) for one in machines]
     drift = replace(days[0], records=tuple(day.records[k] for k, day in enumerate(days)))
     spring = records_of(nominal.with_component("joint3/load", REGISTRY["spring_load"](k_s=0.8, q_s=0.4)))
-    left = [arm._within_records(one, nominal, ["elbow"], SIGNAL_SHARE)["elbow"] for one in (drift, spring)]
+    left = [arm._within_records(one, nominal, {"elbow": 3}, SIGNAL_SHARE)["elbow"] for one in (drift, spring)]
     assert left[0] < CRITERIA.coloured < left[1]
