@@ -76,7 +76,7 @@ def job(kind: str, size: int, device: str) -> Callable[[], torch.Tensor]:
         return lambda: torch.tensor(np.stack([r.values for r in fit(start.to(device), batch, **settings)]))
     network = ResidualNetwork(inputs=("speed", "sin 3", "cos 3"), hidden=(8,))
     with torch.no_grad():
-        network.layers[-1].weight.copy_(0.1 * torch.sin(torch.arange(8.0)))
+        network.layers[-1].weight.copy_(0.01 * torch.sin(torch.arange(8.0)))
     hybrid = with_scales(start.with_component("joint1/motor", network), batch.to("cpu")).to(device)
     theta = hybrid.theta().detach().to(device)[:, None]
     adjoint = OdeEngine(width=1.0, fine=8).stable(hybrid, batch, theta)

@@ -82,7 +82,7 @@ class ResidualNetwork(Component):
             self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
         self.register_buffer("output_scale", torch.tensor(output_scale, dtype=torch.float64))
         widths = [count + memory, *self.hidden, 1]
-        with torch.random.fork_rng():  # what is drawn here is drawn again below
+        with torch.random.fork_rng(devices=[]):  # what is drawn here is drawn again below
             pairs = pairwise(widths)
             self.layers = nn.ModuleList(nn.Linear(a, b, dtype=torch.float64) for a, b in pairs)
             self.cell = nn.Linear(widths[0], memory, dtype=torch.float64) if memory else None
@@ -116,11 +116,16 @@ class ResidualNetwork(Component):
             )
 
     def forget(self) -> None:
-        """Draw all weights anew from the seed, the last layer's zero, and with them the output."""
-        with torch.random.fork_rng(), torch.no_grad():
-            torch.manual_seed(self.seed)
+        """Draw all weights anew from the seed, the last layer's zero, and with them the output.
+
+        They are drawn on the CPU, since a GPU's generator gives other numbers.
+        """
+        with torch.random.fork_rng(devices=[]), torch.no_grad():
+            torch.default_generator.manual_seed(self.seed)
             for layer in (*self.layers, *([] if self.cell is None else [self.cell])):
-                cast(nn.Linear, layer).reset_parameters()
+                linear = cast(nn.Linear, layer)
+                sizes = linear.in_features, linear.out_features
+                linear.load_state_dict(nn.Linear(*sizes, device="cpu", dtype=torch.float64).state_dict())
             if self.memory:
                 first, last = map(math.log, MEMORY_TIMES)
                 self.log_time.copy_(
