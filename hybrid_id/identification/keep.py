@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import io
 import json
@@ -16,6 +17,7 @@ from torch import Tensor
 from hybrid_id.components.base import Component
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.files import write_whole
+from hybrid_id.robots.tree import RigidBodyTree
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -153,7 +155,17 @@ def unpack_result(arrays: Mapping[str, np.ndarray], start: System) -> FitResult:
 def same_but_for_values(result: FitResult, start: System) -> bool:
     """Whether a fit's system is the one that it started from with other values, as it is when it is read."""
     values = dict(zip(result.names, result.values.tolist(), strict=True))
-    return digest_of(result.system) == digest_of(start.with_values(values))
+    return _content(result.system) == _content(start.with_values(values))
+
+
+def _content(system: System) -> tuple[Any, ...]:
+    """All that makes a system, to be compared with another one's; its tree last, which most fits of a search share."""
+    components = cast("dict[str, Component]", dict(system.components.items()))
+    parts = {key: (part.kind, part.specs, part.options()) for key, part in components.items()}
+    state = {
+        key: (str(v.dtype), v.shape, v.cpu().numpy().tobytes()) for key, v in system.state_dict().items()
+    }
+    return system.name, system.gear_ratio, system.aliases, parts, system.seats, state, system.tree
 
 
 def digest_of(value: Any) -> str:
@@ -166,10 +178,9 @@ def digest_of(value: Any) -> str:
 def _digest(digest: Any, value: Any) -> None:
     """Feed a value into a digest: arrays and systems by their content, dataclasses field by field."""
     if isinstance(value, System):
-        components = cast("dict[str, Component]", dict(value.components.items()))
-        parts = {key: (part.kind, part.specs, part.options()) for key, part in components.items()}
-        arm = (value.tree, value.seats)
-        _digest(digest, (value.name, value.gear_ratio, value.aliases, parts, arm, value.state_dict()))
+        *about, tree = _content(value)
+        more = None if tree is None else (_digest_of_tree(tree), tree.points, tree.source, tree.held)
+        _digest(digest, (*about, more))
     elif isinstance(value, Tensor):
         _digest(digest, value.detach().cpu().numpy())
     elif isinstance(value, np.ndarray):
@@ -185,3 +196,9 @@ def _digest(digest: Any, value: Any) -> None:
             _digest(digest, one)
     else:
         digest.update(f"{type(value).__name__} {value!r};".encode())
+
+
+@functools.lru_cache(maxsize=64)
+def _digest_of_tree(tree: RigidBodyTree) -> str:
+    """Digest of what equal trees share; a tree has thousands of numbers, and a search has one tree."""
+    return digest_of((tree.joints, tree.bodies, tree.gravity, tree.couplings))

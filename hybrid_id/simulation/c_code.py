@@ -6,8 +6,8 @@ import contextlib
 import ctypes
 import functools
 import hashlib
+import json
 import os
-import platform
 import re
 import shutil
 import stat
@@ -19,7 +19,7 @@ from pathlib import Path
 from torch import Tensor
 
 from hybrid_id.errors import InputError, MachineError
-from hybrid_id.records.files import write_together
+from hybrid_id.records.files import write_together, write_whole
 
 FLAGS = ("-O2", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC")
 MOST_KEPT = 8000
@@ -49,7 +49,7 @@ def library(source: str, names: tuple[str, ...], flags: Sequence[str] = FLAGS) -
     if found is None:
         raise InputError("Compiled steps need a C compiler; install gcc, or leave 'compiled' off.")
     cache = _cache()
-    kept = None if cache is None else cache / f"{_key(source, found, *flags)}.so"
+    kept = None if cache is None else cache / _name(source, found, flags)
     if kept is not None and _is_whole(kept) and (known := _loaded(kept, names)) is not None:
         return known
     with tempfile.TemporaryDirectory() as folder:
@@ -75,6 +75,39 @@ def library(source: str, names: tuple[str, ...], flags: Sequence[str] = FLAGS) -
         # killed for want of memory, or without room: another model would fail as well
         kind = MachineError if re.search("Killed|No space left", done.stderr) else InputError
         raise kind(f"The C compiler {found} failed, leave 'compiled' off: {done.stderr.strip()[-300:]}")
+
+
+def note(about: Sequence[str], source: str, constants: Sequence[float], flags: Sequence[str] = FLAGS) -> None:
+    """Keep which library was made for something, and with which constants, for :func:`noted` of later runs.
+
+    Args:
+        about: all that decides source and constants.
+        source: of the library.
+        constants: to be kept with it.
+        flags: of the compiler.
+    """
+    cache, found = _cache(), compiler()
+    if cache is not None and found is not None:
+        text = json.dumps({"library": _name(source, found, flags), "constants": list(constants)})
+        with contextlib.suppress(OSError):
+            write_whole(cache / f"{_key(*about)}.json", text)
+
+
+def noted(about: Sequence[str], names: tuple[str, ...]) -> tuple[ctypes.CDLL, list[float]] | None:
+    """The library that an earlier run has made for something, and its constants; None where there is none.
+
+    Neither its source nor a compiler is needed.
+    """
+    cache = _cache()
+    if cache is None:
+        return None
+    try:
+        told = json.loads((cache / f"{_key(*about)}.json").read_text(encoding="utf-8"))
+        kept, constants = cache / Path(told["library"]).name, [float(c) for c in told["constants"]]
+    except (OSError, ValueError, TypeError, KeyError):
+        return None
+    known = _loaded(kept, names) if _is_whole(kept) else None
+    return None if known is None else (known, constants)
 
 
 def _loaded(path: Path, names: Sequence[str]) -> ctypes.CDLL | None:
@@ -123,7 +156,13 @@ def _machine() -> str:
     except OSError:
         lines = []
     features = next((line for line in lines if line.lower().startswith(("flags", "features"))), "")
-    return f"{platform.platform()} {platform.machine()} {features or platform.node()}"
+    system = os.uname()  # platform.platform() starts another program, which takes longer than all else here
+    libc = os.confstr("CS_GNU_LIBC_VERSION") if "CS_GNU_LIBC_VERSION" in os.confstr_names else ""
+    return f"{system.sysname} {system.release} {system.machine} {libc} {features or system.nodename}"
+
+
+def _name(source: str, compiler: str, flags: Sequence[str]) -> str:
+    return f"{_key(source, compiler, *flags)}.so"
 
 
 def _key(*parts: str) -> str:

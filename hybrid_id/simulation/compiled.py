@@ -10,6 +10,8 @@ systems.
 
 from __future__ import annotations
 
+import functools
+import hashlib
 import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +27,7 @@ import torch
 from torch import Tensor, nn
 
 from hybrid_id.components.base import Component
-from hybrid_id.simulation.c_code import call, compiler, library
+from hybrid_id.simulation.c_code import call, compiler, library, note, noted
 from hybrid_id.simulation.parts import NAMES, Body, alone, assigned, in_lanes, in_parts, lanes, lines
 from hybrid_id.simulation.step import Engine, update_internal_states
 from hybrid_id.simulation.tracing import DECLARED, record
@@ -146,17 +148,41 @@ def _library(
     free: tuple[int, ...] | None = None,
     late: tuple[int, ...] = (),
 ) -> tuple[CDLL, Tensor]:
-    """The code of a system, and the constants that follow its parameters."""
+    """The code of a system, and the constants that follow its parameters; recorded where no earlier run has done so."""
     if system not in _STRUCTURES:
         _STRUCTURES[system] = structure(system)
     width = engine.width if engine.friction == "smooth" else None
     key = (_STRUCTURES[system], width, channels, free, late)
     if key not in _LIBRARIES:
-        code, constants = source(system, channels, free, width, late)
         flags = FLAGS if width is None else SMOOTH_FLAGS
-        name = "shoot" if free is None else "linearise"
-        _LIBRARIES[key] = library(code, (name,), flags), torch.tensor(constants, dtype=torch.float64)
+        names = ("shoot" if free is None else "linearise",)
+        about = (_program(), repr(key), *flags) if _is_ours(system) else None
+        found = noted(about, names) if about else None
+        if found is None:
+            text, constants = source(system, channels, free, width, late)
+            found = library(text, names, flags), constants
+            if about:
+                note(about, text, constants, flags)
+        code, constants = found
+        _LIBRARIES[key] = code, torch.tensor(constants, dtype=torch.float64)
     return _LIBRARIES[key]
+
+
+def _is_ours(system: System) -> bool:
+    """Whether all components are of this package: how others move may change with no change of :func:`_program`."""
+    package = __name__.partition(".")[0]
+    return all(type(part).__module__.partition(".")[0] == package for part in system.components.values())
+
+
+@functools.cache
+def _program() -> str:
+    """Digest of all that decides the code of a structure of ours: this package's equations, and PyTorch's version."""
+    digest, package = hashlib.sha256(torch.__version__.encode()), resources.files("hybrid_id")
+    folders = ("components", "robots", "simulation", "systems")
+    files = [file for folder in folders for file in package.joinpath(folder).iterdir() if file.is_file()]
+    for file in sorted([*files, package.joinpath("parameters.py")], key=lambda file: file.name):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def _point(

@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from torch import Tensor
 
 from hybrid_id.components import (
     AsymmetricStribeck,
+    Cogging,
     Coulomb,
     Dahl,
     Delay,
@@ -263,6 +265,7 @@ def test_a_function_in_parts_computes_the_same(name: str, monkeypatch: pytest.Mo
     monkeypatch.setattr(compiled_engine, "WHOLE", 100)
     monkeypatch.setattr(compiled_engine, "PART", 60)
     monkeypatch.setattr(compiled_engine, "_LIBRARIES", {})
+    monkeypatch.setattr(compiled_engine, "noted", lambda *_: None)
     assert "rates_lanes_2(" in source(system, ["u1", "u2"], free)[0]
     for one, other in zip(found(), whole, strict=True):
         assert_same(one, other)
@@ -316,7 +319,45 @@ def test_missing_compiler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.setattr("hybrid_id.simulation.compiled.library", library.__wrapped__)
     monkeypatch.setattr("hybrid_id.simulation.compiled._LIBRARIES", {})
+    monkeypatch.setattr("hybrid_id.simulation.compiled.noted", lambda *_: None)
     system = rigid_drive()
     batch, theta = moved(system)
     with pytest.raises(InputError, match="C compiler"):
         rollout(system, Engine(compiled=True), batch, theta)
+
+
+@pytest.mark.parametrize("name", ["coulomb", "arm"])
+@pytest.mark.parametrize("damage", [None, "note", "library", "program"])
+def test_a_later_run_neither_records_nor_compiles(
+    name: str, damage: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = SYSTEMS[name]
+    batch, theta = moved(system)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def run() -> Tensor:
+        monkeypatch.setattr(compiled_engine, "_LIBRARIES", {})
+        library.cache_clear()
+        return rollout(system, Engine(compiled=True), batch, theta)
+
+    recorded: list[System] = []
+    monkeypatch.setattr(compiled_engine, "source", lambda s, *a: recorded.append(s) or source(s, *a))
+    first = run()
+    (note,), (code,) = ((tmp_path / "hybrid_id").glob(f"*.{ending}") for ending in ("json", "so"))
+    if damage == "program":  # another version of this package
+        monkeypatch.setattr(compiled_engine, "_program", lambda: "other")
+    elif damage:
+        (note if damage == "note" else code).write_bytes(b"{}")
+    if damage is None:
+        monkeypatch.setattr(shutil, "which", lambda _: None)  # nor is a compiler needed
+    again = run()
+    assert torch.equal(again, first)
+    assert len(recorded) == 1 + (damage is not None)
+
+
+def test_a_component_of_ones_own_is_recorded_by_every_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    own = type("Own", (Cogging,), {})
+    system = rigid_drive().with_component("joint1/motor", own())
+    monkeypatch.setattr(compiled_engine, "noted", lambda *_: pytest.fail("not asked for"))
+    batch, theta = moved(system)
+    rollout(system, Engine(compiled=True), batch, theta)
