@@ -8,6 +8,7 @@ from itertools import combinations, product
 
 import numpy as np
 
+from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.measures import DRIVES, estimate_noise
@@ -18,6 +19,7 @@ from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.systems.arm import MOTION
 from hybrid_id.systems.chain import System
+from hybrid_id.systems.joint import Joint
 
 RESTING = (*DRIVES, *MOTION[1:])
 """Stems of the channels that are zero where a joint rests."""
@@ -27,6 +29,11 @@ REST = 0.1
 """Time [s] at rest at its start."""
 BEYOND = 0.5
 """How far a robot's joint may go beyond where the records have been, over their range."""
+LOOP, DAMPING = 3.0, 0.7
+"""Frequency [Hz] and damping ratio of the position loop by which a robot's joint is thought to be moved, when it is
+commanded in torque: its own controller is not known, but by torque alone it would fall."""
+BY_CONTROLLER = " of goals for its own controller"
+"""Added to the name of such an experiment."""
 DISTINGUISHABLE = 0.5
 """Least RMS difference of two models' outputs, over the encoders' noise, from which a record distinguishes them."""
 
@@ -42,7 +49,8 @@ class Experiment:
         joint: whose command moves; the others rest.
         time: [s], ``(T,)``.
         inputs: all channels of the record, in SI units as the records hold them, ``(T,)`` each.
-        channel: that of the command that moves.
+        channel: that of the command that moves; ``goal`` of a robot's joint that its records command in torque, which
+            its own controller shall follow.
         start: outputs at which it begins, at rest.
         distance: RMS difference of the outputs of two such models, in units of the encoders' noise: the smallest of
             those pairs that the record distinguishes, or the largest where it distinguishes none.
@@ -111,14 +119,19 @@ def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Exp
     moving = time >= REST
     found = []
     names = list(combinations(_names(models), 2))
-    now = np.max([_distances(_runs([record], models, noise), noise) for record in dataset.train], axis=0)
-    for joint in models[0].system.joints:
+    systems = [one.system for one in models]
+    now = np.max(
+        [_distances(_runs(record, systems, models, noise), noise) for record in dataset.train], axis=0
+    )
+    for joint in systems[0].joints:
         name = next(
             (f"{c}{joint.number}" for c in joint.channels if f"{c}{joint.number}" in reference.inputs), None
         )
         if name is None:
             continue
-        centre, amplitude = _room(dataset, name)
+        name, moved = _by_controller(dataset, systems, joint, name)
+        how = "" if name in reference.inputs else BY_CONTROLLER
+        centre, amplitude = _room(dataset, joint, name)
         offered = signals(amplitude, 0.15 * amplitude).items()
         for (title, signal), (posture, angles) in product(offered, _postures(dataset).items()):
             command = centre + np.where(moving, signal(np.maximum(time - REST, 0.0)), 0.0)
@@ -131,22 +144,44 @@ def next_experiment(dataset: Dataset, models: Sequence[FittedModel]) -> list[Exp
             start = {other: float(values[0]) for other, values in reference.outputs.items()}
             outputs = {other: np.full_like(time, value) for other, value in start.items()}
             record = Record(name="proposed", time=time, inputs=inputs, outputs=outputs)
-            runs = _runs([record], models, noise)
+            runs = _runs(record, moved, models, noise)
             apart = _distances(runs, noise)
-            if not np.isfinite(apart).all() or not _within_limits(
-                dataset, models[0].system, list(noise), runs
-            ):
+            if not np.isfinite(apart).all() or not _within_limits(dataset, systems[0], list(noise), runs):
                 continue  # one of the models diverges under it, or leaves the joint's range
             distinguished = apart >= DISTINGUISHABLE
             shown = distinguished if distinguished.any() else apart == apart.max()
             found.append(
                 Experiment(
-                    title + posture, joint.number, time, inputs, name, start, float(apart[shown].min()),
+                    title + how + posture, joint.number, time, inputs, name, start, float(apart[shown].min()),
                     float(now[shown].max()),
                     tuple(pair for pair, one in zip(names, distinguished, strict=True) if not one),
                 )
             )  # fmt: skip
     return sorted(found, key=lambda e: (len(e.together), -e.distance))
+
+
+def _by_controller(
+    dataset: Dataset, systems: Sequence[System], joint: Joint, name: str
+) -> tuple[str, Sequence[System]]:
+    """The channel by which a joint is to be moved, and the systems with what follows it.
+
+    A robot's joint that its records command in torque gets a position loop of :data:`LOOP`, of at most the torque that
+    the records have seen, in place of that command; every other joint keeps its channel.
+    """
+    tree = systems[0].tree
+    if tree is None or stem(name) != "tau":
+        return name, systems
+    torque = max(float(np.abs(record.inputs[name]).max()) for record in dataset.train)
+    system = systems[0]
+    rotor = sum(
+        info.spec.value
+        for info in system.table
+        if info.component.startswith(f"{joint.name}/") and info.spec.unit == "kg m^2"
+    )
+    inertia = tree.at_zero[system.arm.seats[system.joints.index(joint)]] + rotor * joint.gear_ratio**2
+    rate = 2.0 * np.pi * LOOP
+    servo = PositionServo(k_p=inertia * rate**2, k_d=2.0 * DAMPING * inertia * rate, tau_max=torque)
+    return f"goal{joint.number}", [one.with_component(f"{joint.name}/input", servo) for one in systems]
 
 
 def _noise(dataset: Dataset) -> dict[str, float]:
@@ -158,9 +193,15 @@ def _noise(dataset: Dataset) -> dict[str, float]:
     }
 
 
-def _room(dataset: Dataset, name: str) -> tuple[float, float]:
+def _room(dataset: Dataset, joint: Joint, name: str) -> tuple[float, float]:
     """Centre and amplitude of a command: a drive's around nothing, a goal's within what the records have reached."""
-    values = np.concatenate([record.inputs[name] for record in dataset.train])
+    if name in dataset.train[0].inputs:
+        values = np.concatenate([record.inputs[name] for record in dataset.train])
+    else:  # the goals were not logged: where the joint has been
+        link, motor = f"q_a{joint.number}", f"q_m{joint.number}"
+        values = np.concatenate([
+            r.outputs[link] if link in r.outputs else r.outputs[motor] / joint.gear_ratio for r in dataset.train
+        ])  # fmt: skip
     if stem(name) in DRIVES:
         return 0.0, float(np.abs(values).max())
     return float(values.max() + values.min()) / 2.0, float(np.ptp(values)) / 2.0
@@ -212,14 +253,14 @@ def _within_limits(
 
 
 def _runs(
-    records: Sequence[Record], models: Sequence[FittedModel], noise: Mapping[str, float]
+    record: Record, systems: Sequence[System], models: Sequence[FittedModel], noise: Mapping[str, float]
 ) -> list[np.ndarray]:
-    """Outputs of every model on the records, ``(R, T, outputs)`` each."""
+    """Outputs of every system on a record, ``(1, T, outputs)`` each, with its model's engine."""
     runs = []
-    for one in models:
-        batch = make_batch(one.system, records, outputs=list(noise), noise_std=noise)
-        fine = with_substeps(one.system, one.result.engine, batch)
-        runs.append(simulate(one.system, fine, batch).y.numpy())
+    for system, model in zip(systems, models, strict=True):
+        batch = make_batch(system, [record], outputs=list(noise), noise_std=noise)
+        fine = with_substeps(system, model.result.engine, batch)
+        runs.append(simulate(system, fine, batch).y.numpy())
     return runs
 
 

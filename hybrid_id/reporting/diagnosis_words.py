@@ -321,7 +321,7 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
             return []
         return [
             "next experiment: none is proposed, for by every simulated command the joint would leave the range of "
-            "these records by more than half of it; move it by its own controller along other goals."
+            "these records by more than half of it; change the load, or how the joint stands."
         ]
     best = diagnosis.experiments[0]
     if not best.distinguishes:

@@ -113,3 +113,8 @@ def test_a_robots_joint_stays_in_its_range_and_the_others_take_postures(tmp_path
     postures = sorted({float(one.inputs["angle2"][0]) for one in found["wide"]})
     assert postures == pytest.approx([0.1, 0.5, 0.9], abs=0.03)
     assert len({one.name for one in found["wide"]}) == len(found["wide"]) > len(found["narrow"])
+    for one in found[
+        "wide"
+    ]:  # by torque alone it would fall: its own controller follows goals where it has been
+        assert one.channel == "goal1" and "own controller" in one.name
+        assert np.abs(one.command).max() <= 3.0 + 1e-9

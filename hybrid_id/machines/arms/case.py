@@ -170,8 +170,8 @@ class SameArm:
         Noise and drift of the friction are new, of the case's size.
 
         Args:
-            experiment: number of the ``joint`` that moves, its ``command`` (T,) [rad, or N m where torques are
-                commanded], the ``sample_time``, the angles at which others are ``held``, and the ``start``, by channel.
+            experiment: number of the ``joint`` that moves, its ``command`` (T,) [rad], a goal for its controller, the
+                ``sample_time``, the angles at which others are ``held``, and the ``start``, by channel.
             name: of the record.
             seed: of noise and drift.
 
@@ -190,11 +190,9 @@ class SameArm:
         goals = np.zeros((len(command), joints))
         for channel, angle in (*experiment["held"].items(), *experiment["start"].items()):
             goals[:, int(number_of(channel)) - 1] = angle
-        torques = None if arm.servo else {own: command}
-        if arm.servo:
-            goals[:, own] = command
+        goals[:, own] = command
         drift = 1.0 + self.spread * np.clip(rng.standard_normal(joints), -2.0, 2.0)
-        motion = moved(arm, goals, self.drawn.outside, drift, rng.uniform(-np.pi, np.pi), torques)
+        motion = moved(arm, goals, self.drawn.outside, drift, rng.uniform(-np.pi, np.pi))
         return _record(name, arm, motion, np.round(counted(arm, motion.angle, rng), 7), "train")
 
 

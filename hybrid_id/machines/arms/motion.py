@@ -3,7 +3,7 @@
 Friction laws change MuJoCo's dry friction at every step. MuJoCo is asked for when it is used.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import pairwise
@@ -85,7 +85,6 @@ def moved(
     outside: Sequence[Effect],
     drift: np.ndarray,
     phase: float,
-    torques: Mapping[int, np.ndarray] | None = None,
 ) -> Motion:
     """Move an arm.
 
@@ -95,7 +94,6 @@ def moved(
         outside: effects that its drives do not have.
         drift: factor on the friction of each joint, (n,).
         phase: of a clock of its own, at the record's start [rad].
-        torques: by number of the joint, commands (T,) [N m] that take the place of its goals from the record's start.
 
     Raises:
         Unstable: it runs away.
@@ -125,8 +123,6 @@ def moved(
             found.angle[n], found.speed[n] = angle, speed
         if not arm.servo:
             found.command[now] = drive.gain * (goals[now] - angle) - brake * speed
-            for k, own in (torques or {}).items() if n >= 0 else ():
-                found.command[now, k] = own[now]
         command = found.command[now].copy()
         for f in range(fine):
             for k in late:
