@@ -385,7 +385,7 @@ class RigidBodyTree:
     bodies: tuple[Body, ...]
     gravity: Vector = (0.0, 0.0, -9.81)
     points: Mapping[str, Point] = field(default_factory=dict, compare=False)
-    source: str = field(default="", compare=False)
+    source: str = field(default="", compare=False, repr=False)
     held: Mapping[str, float] = field(default_factory=dict, compare=False)
     couplings: tuple[GearCoupling, ...] = ()
     _fixed: dict[str, SpatialInertia] = field(init=False, repr=False, compare=False)
