@@ -121,7 +121,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--lengths", type=int, nargs="+", default=[1000, 10_000, 30_000, 100_000])
+    parser.add_argument("--lengths", type=int, nargs="+", default=[1000, 10_000, 100_000, 1_000_000])
     parser.add_argument("--limit", type=float, default=600.0)
     parser.add_argument("--one", nargs=2, metavar=("WAY", "SAMPLES"), help=argparse.SUPPRESS)
     wish = parser.parse_args()

@@ -129,23 +129,38 @@ def free_run(
 def linearise_sorted(
     system: System, engine: OdeEngine, batch: Batch, x: Tensor, theta: Tensor, free: Sequence[int] = ()
 ) -> Linearisation:
-    """Linearise at all nodes, the lanes sorted by effort so that few blocks hold the costly ones."""
+    """Linearise at all nodes, block by block of lanes sorted by effort, so that few blocks hold the costly ones.
+
+    What is needed to differentiate a sample takes hundreds of times the memory of its result, so that no more than a
+    block of it is there at once.
+    """
     rows, samples, n_x = x.shape
-    flat = x.reshape(-1, 1, n_x)
-    spread = theta.repeat_interleave(samples, 1)
-    u = {name: channel.reshape(-1) for name, channel in batch.u.items()}
-    dt = batch.dt.reshape(-1)
-    near = engine.near_rest(system, flat[:, 0].unbind(1), u, dt, system.views(list(spread)))
-    order = near.to(torch.int8).argsort(stable=True)
-    u = {name: channel[order, None] for name, channel in u.items()}
-    lin = linearise(system, engine, flat[order], u, dt[order, None], spread[:, order], free, batch.outputs)
+    lanes = rows * samples
+    flat_x, flat_dt = x.reshape(lanes, n_x), batch.dt.reshape(lanes)
+    flat_u = {name: channel.reshape(lanes) for name, channel in batch.u.items()}
 
-    def unsorted(tensor: Tensor) -> Tensor:
-        back = torch.empty_like(tensor).index_copy_(0, order, tensor)
-        return back.reshape(rows, samples, *tensor.shape[2:])
+    def at(place: Tensor) -> tuple[Tensor, dict[str, Tensor], Tensor, Tensor]:
+        channels = {name: channel[place] for name, channel in flat_u.items()}
+        return flat_x[place], channels, flat_dt[place], theta[:, place // samples]
 
-    tensors = {f.name: getattr(lin, f.name) for f in fields(lin)}
-    return replace(lin, **{n: unsorted(t) for n, t in tensors.items() if isinstance(t, Tensor)})
+    near = []
+    for place in torch.arange(lanes, device=x.device).split(LANES):
+        now, u, dt, values = at(place)
+        near.append(engine.near_rest(system, now.unbind(1), u, dt, system.views(list(values))))
+    order = torch.cat(near).to(torch.int8).argsort(stable=True)
+    found: dict[str, Tensor] = {}
+    picks: tuple[int | None, ...] = ()
+    for place in order.split(LANES):
+        now, u, dt, values = at(place)
+        u = {name: channel[:, None] for name, channel in u.items()}
+        part = linearise(system, engine, now[:, None], u, dt[:, None], values, free, batch.outputs)
+        picks = part.picks
+        for field in fields(part):
+            if isinstance(tensor := getattr(part, field.name), Tensor):
+                whole = found.setdefault(field.name, tensor.new_empty(lanes, *tensor.shape[2:]))
+                whole.index_copy_(0, place, tensor[:, 0])
+    grids = {name: whole.reshape(rows, samples, *whole.shape[1:]) for name, whole in found.items()}
+    return Linearisation(**grids, picks=picks)
 
 
 def _costates(lin: Linearisation, source: Tensor) -> Tensor:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from hybrid_id.components import AsymmetricStribeck, Coulomb, Dahl, LuGre
 from hybrid_id.components.base import LoadTorque
 from hybrid_id.errors import InputError
+from hybrid_id.identification import costate
 from hybrid_id.identification.costate import gradient
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import condense, linearise
@@ -192,6 +193,15 @@ def test_costates_of_all_samples_are_the_loop_through_the_record(kind: str) -> N
     u = np.stack([multisine(k, samples=60, rest=5) for k in range(2)])
     batch, engine = measured_batch(PAPER, u), OdeEngine(fine=16, gradient=kind)
     assert relative(by_costates(PAPER, engine, batch), by_loop(PAPER, engine, batch)) < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["backprop", "adjoint"])
+def test_blocks_of_samples_are_all_samples_at_once(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    u = np.stack([multisine(k, samples=60, rest=5) for k in range(2)])
+    batch, engine = measured_batch(PAPER, u), OdeEngine(fine=16, gradient=kind)
+    whole = by_costates(PAPER, engine, batch)
+    monkeypatch.setattr(costate, "LANES", 17)
+    assert relative(by_costates(PAPER, engine, batch), whole) < 1e-12
 
 
 def test_adjoint_is_backprop_on_a_smooth_problem_at_tight_tolerance() -> None:
