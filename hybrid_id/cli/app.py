@@ -59,6 +59,10 @@ COMMANDS = {
         "replay",
         "Put models side by side on the same records: report.html, comparison.csv (fit, normalised RMSE), pictures.",
     ),
+    "fleet": (
+        "fleet",
+        "Identify many robots of one kind: the fleet's mean and spread, and which robot stands out and why.",
+    ),
     "export": (
         "export",
         "Write a model for MuJoCo, parameter ranges for domain randomisation, or one step as a torch program.",

@@ -1,5 +1,6 @@
 """A set of records with the same channels, and the folder that it is kept in."""
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -118,6 +119,16 @@ class Dataset:
                 )
         kept = tuple(report for report in self.resampling if report.record in names)
         return replace(self, records=tuple(by_name[name] for name in names), resampling=kept)
+
+    @property
+    def digest(self) -> str:
+        """Hash of the channels and of all records, their names and roles included."""
+        found = hashlib.sha256(repr((self.inputs, self.outputs)).encode())
+        for record in self.records:
+            found.update(f"{record.name} {record.role}".encode() + record.time.tobytes())
+            for name, values in (*record.inputs.items(), *record.outputs.items()):
+                found.update(name.encode() + values.tobytes())
+        return found.hexdigest()
 
     def without_skew(self, late: Mapping[str, float]) -> "Dataset":
         """Return the dataset with channels shifted that were recorded late, so that all belong to one time.

@@ -266,7 +266,7 @@ def write_parameters(path: Path, study: Study) -> None:
             interval = (f"{v:.6g}" if known else "" for v in (errors[k], *intervals[k], *intervals[k]))
             flags = int(known), int(name in result.at_bound), result.status
             rows.append([label, chosen, name, f"{value:.10g}", unit, *interval, *flags])
-    _write_rows(path, PARAMETER_HEADS, rows)
+    write_rows(path, PARAMETER_HEADS, rows)
 
 
 def write_physics(path: Path, found: ArmHybrid) -> None:
@@ -290,7 +290,7 @@ def write_physics(path: Path, found: ArmHybrid) -> None:
                 ends = ("",) * 5 if std is None else _ends(values[name], std, level)
                 flags = int(std is not None), int(name in fit.at_bound), fit.status
                 rows.append([f"{label}: {words}", chosen, name, f"{values[name]:.10g}", unit, *ends, *flags])
-    _write_rows(path, PARAMETER_HEADS, rows)
+    write_rows(path, PARAMETER_HEADS, rows)
 
 
 def _ends(value: float, std: float, level: float) -> tuple[str, ...]:
@@ -315,7 +315,7 @@ def write_replay(path: Path, replay: Replay) -> None:
     columns |= {f"{name}_simulated": values for name, values in replay.outputs.items()}
     rows = zip(*columns.values(), strict=True)
     # stamps may count from 1970
-    _write_rows(path, tuple(columns), ([f"{t:.15g}", *(f"{v:.10g}" for v in row)] for t, *row in rows))
+    write_rows(path, tuple(columns), ([f"{t:.15g}", *(f"{v:.10g}" for v in row)] for t, *row in rows))
 
 
 def write_comparison(path: Path, comparison: Comparison) -> None:
@@ -336,7 +336,7 @@ def write_comparison(path: Path, comparison: Comparison) -> None:
         for r in replays
         for signal in comparison.signals
     )
-    _write_rows(path, heads, rows)
+    write_rows(path, heads, rows)
 
 
 def as_json(command: str, result: Mapping[str, Any]) -> str:
@@ -344,7 +344,8 @@ def as_json(command: str, result: Mapping[str, Any]) -> str:
     return json.dumps({"program": f"hybrid_id {__version__}", "command": command} | plain(result), indent=1)
 
 
-def _write_rows(path: Path, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+def write_rows(path: Path, heads: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+    """A table as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(heads)

@@ -146,12 +146,17 @@ def scaled_inverse(information: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     Eigenvalues are judged after scaling to a unit diagonal, so that units do not matter.
     """
-    scale = diagonal_scale(information)
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    kept = values > _NUMERICALLY_NULL * len(values)
+    scale, values, vectors, kept = scaled_eigen(information)
     inverse = (vectors[:, kept] / values[kept]) @ vectors[:, kept].T
     determined = np.linalg.norm(vectors[:, ~kept], axis=1) < 1e-4
     return inverse / np.outer(scale, scale), determined
+
+
+def scaled_eigen(information: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Scale to a unit diagonal (p,), eigenvalues (p,) and vectors (p, p) then, and which are identified (p,) bool."""
+    scale = diagonal_scale(information)
+    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
+    return scale, values, vectors, values > _NUMERICALLY_NULL * len(values)
 
 
 def _std_error(matrix: np.ndarray, determined: np.ndarray) -> np.ndarray:

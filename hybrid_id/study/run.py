@@ -103,7 +103,7 @@ def identify(
     else:
         batch = batch_of(dataset, system, dataset.train, signal_share, device)
         model = copy.deepcopy(system).to(device)  # the caller's stays where it is
-        sets, horizon = _fitted(
+        sets, horizon = fit_sets(
             model, engine, batch, horizon, pooled=pooled, options=options, starts=starts, seed=seed, kept=kept,
             progress=progress,
         )  # fmt: skip
@@ -121,7 +121,7 @@ def identify(
     )
 
 
-def _fitted(
+def fit_sets(
     model: System,
     engine: Engine,
     batch: Batch,
@@ -132,7 +132,18 @@ def _fitted(
     kept: Kept | None,
     **settings: Any,
 ) -> tuple[list[FitResult], Horizon]:
-    """All sets of a batch, and the horizon over which they are fitted: the one given, or what the records ask for."""
+    """All sets of a batch, and the horizon over which they are fitted: the one given, or what the records ask for.
+
+    Args:
+        model: with start values; it is fitted in place.
+        engine: how a sample is integrated.
+        batch: of the records.
+        horizon: None to let the records choose.
+        pooled: one set over all records.
+        starts: start points; the best end counts.
+        kept: fits that are kept from before.
+        settings: further arguments of :func:`hybrid_id.identification.fit.fit`.
+    """
 
     def fitted(horizon: Horizon) -> list[FitResult]:
         part = horizon.cut(model, engine, batch)

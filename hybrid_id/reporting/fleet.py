@@ -1,0 +1,252 @@
+"""A fleet as plain data, tables, pictures and one page: mean, spread, which robot stands out, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from hybrid_id.reporting.interactive import Drawn, drawn
+from hybrid_id.reporting.page import Page
+from hybrid_id.reporting.results import write_rows
+from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol, unit
+from hybrid_id.reporting.tables import count, interval_words, table
+from hybrid_id.study.fleet import FleetStudy
+
+CSV_HEADS = (
+    "robot", "parameter", "unit", "by_its_records", "std_error", "with_the_fleet", "std_error_with_the_fleet",
+    "deviation", "odd",
+)  # fmt: skip
+_HOW = (
+    "Each record of a robot gives one parameter set. Sets scatter by their own errors, by what varies between records "
+    "of one robot, and by what varies between robots; both variations are estimated by restricted maximum likelihood. "
+    "The deviation of a robot is from the mean of the others, in standard deviations of what spread and errors let one "
+    "expect. A robot stands out where chance would let any robot do so in fewer than one fleet of twenty. Robots that "
+    "stand out are left out of mean and spread."
+)
+
+
+def fleet_result(study: FleetStudy) -> dict[str, Any]:
+    """Everything that is known of a fleet, as plain data."""
+    of = study.fleet
+    infos = [study.system.parameter(name) for name in study.names]
+    return {
+        "robots": [robot.name for robot in study.robots],
+        "failed": {robot.name: robot.message for robot in study.failed},
+        "horizon": dict(zip(("kind", "seconds"), study.robots[0].horizon, strict=True)),
+        "parameters": {
+            info.name: {
+                "unit": info.unit,
+                "held_by_prior": bool(of.held[k]),
+                "mean": of.mean[k],
+                "mean_interval": of.mean_interval[k],
+                "spread": of.spread[k],
+                "spread_interval": of.spread_interval[k],
+                "spread_between_records": of.record_spread[k],
+            }
+            for k, info in enumerate(infos)
+        },
+        "odd": [
+            {
+                "robot": robot.name,
+                "parameters": [name for name, odd in zip(study.names, of.odd[i], strict=True) if odd],
+                "fit": bool(of.odd_fit[i]),
+                "why": why(study, i),
+            }
+            for i, robot in enumerate(study.robots)
+            if of.stands_out[i]
+        ],
+        "by_robot": {
+            robot.name: {
+                "values": dict(zip(study.names, of.values[i], strict=True)),
+                "std_errors": dict(zip(study.names, of.errors[i], strict=True)),
+                "by_its_records": dict(zip(study.names, of.own[i], strict=True)),
+                "deviations": dict(zip(study.names, of.deviation[i], strict=True)),
+                "error_of_fit_over_median": of.misfit[i],
+                "records": robot.records,
+                "unfinished": robot.unfinished,
+            }
+            for i, robot in enumerate(study.robots)
+        },
+    }
+
+
+def verdict(study: FleetStudy) -> list[str]:
+    """What a fleet comes to, in sentences; the first is the outcome."""
+    of, n = study.fleet, len(study.robots)
+    odd = [robot.name for robot, out in zip(study.robots, of.stands_out, strict=True) if out]
+    records = sum(len(robot.records) for robot in study.robots)
+    seen = f"{count(n, 'robot')}, {count(records, 'record')}"
+    names = ", ".join(odd[:8]) + (f" and {len(odd) - 8} more" if len(odd) > 8 else "")
+    words = [
+        f"{seen}: {names} {'stands' if len(odd) == 1 else 'stand'} out."
+        if odd
+        else f"{seen}: none stands out."
+    ]
+    if of.held.any():
+        held = ", ".join(np.array(study.names)[of.held])
+        words.append(
+            f"Held by their priors, and so taken as the same in all robots: {held}. A robot in which they differ shows "
+            "it in the other parameters."
+        )
+    dark = [
+        n
+        for n, known, held in zip(study.names, np.isfinite(of.mean_error), of.held, strict=True)
+        if not known | held
+    ]
+    if dark:
+        words.append(f"Not identifiable by these records: {', '.join(dark)}.")
+    if unfinished := sum(len(robot.unfinished) for robot in study.robots):
+        words.append(f"{count(unfinished, 'fit')} of {records} did not converge.")
+    return words
+
+
+def why(study: FleetStudy, i: int) -> list[str]:
+    """Why a robot stands out, in sentences, the largest deviation first; none where it does not."""
+    of, said = study.fleet, []
+    for k in sorted(np.flatnonzero(of.odd[i]), key=lambda k: -abs(of.deviation[i, k])):
+        info = study.system.parameter(study.names[k])
+        change = 100.0 * (of.own[i, k] / of.mean[k] - 1.0) if of.mean[k] else np.inf
+        size = (
+            f"{abs(change):.0f} % {'above' if change > 0 else 'below'}"
+            if abs(change) < 1000.0
+            else "far from"
+        )
+        said.append(
+            f"{info.doc or info.name} {info.name} is {of.own[i, k]:.4g} {unit(info.unit)}, {size} the fleet's "
+            f"mean {of.mean[k]:.4g}: {abs(of.deviation[i, k]):.1f} standard deviations".replace(" ,", ",")
+        )
+    if of.odd_fit[i]:
+        said.append(
+            f"its error of fit is {of.misfit[i]:.2f} times the fleet's median: its records hold what the model "
+            "lacks, and 'hybrid-id diagnose' of its folder says what"
+        )
+    return said
+
+
+def fleet_tables(study: FleetStudy) -> RenderableType:
+    """The outcome, the fleet's parameters, and who stands out."""
+    first, *others = verdict(study)
+    style = "yellow" if study.fleet.stands_out.any() else "green"
+    parts: list[RenderableType] = [Text(first, style=style), *map(Text, others), fleet_table(study)]
+    if study.fleet.stands_out.any():
+        parts.append(odd_table(study))
+    return Group(*parts, *(Text(f"{robot.name}: {robot.message}", style="red") for robot in study.failed))
+
+
+def fleet_table(study: FleetStudy) -> Table:
+    """Mean and spread of each parameter."""
+    of, rows = study.fleet, []
+    for k, name in enumerate(study.names):
+        info = study.system.parameter(name)
+        if of.held[k]:
+            rows.append((name, info.doc, f"{of.mean[k]:.4g}", "held by its prior", info.unit, "", "", ""))
+            continue
+        if not np.isfinite(of.mean_error[k]):
+            rows.append((name, info.doc, "", "not identifiable", info.unit, "", "", ""))
+            continue
+        share = f" ({100 * of.spread[k] / abs(of.mean[k]):.1f} %)" if of.mean[k] else ""
+        within = f"{of.record_spread[k]:.3g}" if np.isfinite(of.record_spread[k]) else "one record each"
+        rows.append(
+            (
+                name, info.doc, f"{of.mean[k]:.4g}", interval_words(*of.mean_interval[k]), info.unit,
+                f"{of.spread[k]:.3g}{share}", interval_words(*of.spread_interval[k]), within,
+            )
+        )  # fmt: skip
+    heads = (
+        "parameter", "meaning", "fleet mean>", "95 % interval>", "unit", "spread between\nrobots>", "95 % interval>",
+        "between records\nof one robot>",
+    )  # fmt: skip
+    return table(heads, rows)
+
+
+def odd_table(study: FleetStudy) -> Table:
+    """Robots that stand out, and why."""
+    rows = [
+        (robot.name, reason)
+        for i, robot in enumerate(study.robots)
+        if study.fleet.stands_out[i]
+        for reason in why(study, i)
+    ]
+    return table(("robot", "why it stands out"), rows)
+
+
+def write_robots(path: Path, study: FleetStudy) -> None:
+    """One row a robot and parameter: by its own records, with what the fleet knows, and its deviation."""
+    of = study.fleet
+    rows = [
+        (
+            robot.name, name, study.system.parameter(name).unit, of.own[i, k], of.own_error[i, k], of.values[i, k],
+            of.errors[i, k], of.deviation[i, k], int(of.odd[i, k]),
+        )
+        for i, robot in enumerate(study.robots)
+        for k, name in enumerate(study.names)
+    ]  # fmt: skip
+    write_rows(path, CSV_HEADS, rows)
+
+
+def fleet_page(study: FleetStudy, pictures: dict[str, Drawn]) -> Page:
+    """The whole result as one page."""
+    first, *others = verdict(study)
+    page = Page("Fleet", first)
+    section = page.section("Who stands out").add(*others)
+    if study.fleet.stands_out.any():
+        section.add(odd_table(study))
+    page.section("Mean and spread").add(fleet_table(study), _HOW)
+    if "robots" in pictures:
+        page.section("Robots").figure(
+            pictures["robots"],
+            "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
+            "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
+        )
+    if study.failed:
+        page.section("Robots without an estimate").add(
+            table(("robot", "reason"), [(robot.name, robot.message) for robot in study.failed])
+        )
+    return page
+
+
+def fleet_pictures(study: FleetStudy) -> dict[str, Drawn]:
+    """Figures by the name of their file."""
+    return {"robots": drawn(robots_figure(study))}
+
+
+@journal()
+def robots_figure(study: FleetStudy) -> Figure:
+    """Each parameter of each robot, in the order of their names, with the band of the fleet, and the errors of fit."""
+    of = study.fleet
+    known = [k for k in range(len(study.names)) if np.isfinite(of.mean_error[k])]
+    figure = new_figure(1.15 * (len(known) + 1) + 0.4)
+    panels = np.atleast_1d(figure.subplots(len(known) + 1, 1, sharex=True))
+    for axes, k in zip(panels, known, strict=False):
+        seen, reach = np.isfinite(of.own_error[:, k]), 1.96 * of.spread[k]
+        info = study.system.parameter(study.names[k])
+        axes.axhspan(of.mean[k] - reach, of.mean[k] + reach, color=GREY, alpha=0.2, lw=0)
+        axes.axhline(of.mean[k], color=GREY, lw=0.8)
+        _points(axes, study, np.where(seen, of.own[:, k], np.nan), of.odd[:, k])
+        axes.set_ylabel(f"{symbol(info.name)} [{unit(info.unit)}]" if unit(info.unit) else symbol(info.name))
+    panels[-1].axhline(1.0, color=GREY, lw=0.8)
+    _points(panels[-1], study, of.misfit, of.odd_fit)
+    panels[-1].set(ylabel="error of fit", xlabel="robot")
+    return figure
+
+
+def _points(axes: Any, study: FleetStudy, values: np.ndarray, odd: Sequence[bool] | np.ndarray) -> None:
+    numbers, odd = np.arange(1, len(values) + 1), np.asarray(odd, bool)
+    axes.plot(numbers[~odd], values[~odd], "o", ms=2.5, color=COLOURS[0])
+    if odd.any():
+        axes.plot(numbers[odd], values[odd], "D", ms=4.5, color=COLOURS[1])
+    for i in np.flatnonzero(odd):
+        axes.annotate(
+            study.robots[i].name,
+            (numbers[i], values[i]),
+            xytext=(4, 2),
+            textcoords="offset points",
+            fontsize=7,
+        )

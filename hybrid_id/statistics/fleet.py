@@ -1,0 +1,403 @@
+"""Hierarchical parameters of robots of one kind: the fleet's mean, its spread, and the robots that stand out.
+
+Three levels: a record's estimate scatters around its robot's parameters by its own error (known) and by what varies
+between records; a robot's parameters scatter around the fleet's mean. Both scatters are normal, independent between
+parameters, and estimated by restricted maximum likelihood (R. DerSimonian, N. Laird, Control. Clin. Trials 7, 1986, for
+the model; D. A. Harville, JASA 72, 1977, for the likelihood). Estimates enter by their information matrices, so that a
+record that does not identify a direction says nothing of it, and its robot takes it from the fleet.
+
+A parameter that its prior holds is taken as the same in all robots: the records alone do not identify it, and what they
+say of the others is relative to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import brentq, minimize
+from scipy.special import stdtr, stdtrit
+
+from hybrid_id.errors import InputError
+from hybrid_id.statistics.uncertainty import scaled_eigen, scaled_inverse
+
+FEWEST = 3
+"""Robots below which nothing can be said of their spread."""
+HELD = 0.5
+"""Share of a parameter's information from which on its prior holds it."""
+FAR = 3.5
+"""Robust standard deviations from the median beyond which a robot is kept out of the first fit of mean and spread."""
+LEVEL = 0.05
+"""Chance that any robot of a fleet of equals is called odd."""
+WORSE = 1.25
+"""Times the fleet's median error from which on a robot's error of fit is called odd; less is a matter of its motion."""
+ROUNDS = 20
+"""Of setting odd robots aside and taking them back."""
+_NONE, _HUGE = 1e-7, 1e3
+"""Spreads, as a share of a parameter's size, that stand for none at all, and for one beyond all bounds."""
+_DROP = 1.92
+"""Of the log-likelihood at the ends of a 95 % interval (Hardy and Thompson, Stat. Med. 15, 1996)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Fleet:
+    """Mean, spread and robots of a fleet of n, with p parameters.
+
+    Attributes:
+        mean, mean_error: of the robots that do not stand out, and its standard error (p,); nan where no interval may be
+            claimed because the records do not identify the parameter.
+        mean_interval: 95 %, by Student's distribution (p, 2).
+        spread, spread_interval: standard deviation between robots (p,), and its 95 % interval (p, 2).
+        record_spread: standard deviation between records of one robot beyond their own errors (p,); nan where no robot
+            has two records.
+        own, own_error: of each robot by its own records (n, p); infinite errors where they do not identify it.
+        values, errors: of each robot with what the fleet knows, and their standard errors (n, p).
+        deviation: of each robot from the others' mean, in standard deviations of what is expected (n, p).
+        odd: robots and parameters that stand out (n, p) bool.
+        odd_fit: robots whose error of fit stands out (n,) bool.
+        misfit: error of fit of each robot over the fleet's median (n,).
+        held: parameters that their priors hold (p,) bool; nothing is said of them but the mean of the estimates.
+    """
+
+    mean: np.ndarray
+    mean_error: np.ndarray
+    mean_interval: np.ndarray
+    spread: np.ndarray
+    spread_interval: np.ndarray
+    record_spread: np.ndarray
+    own: np.ndarray
+    own_error: np.ndarray
+    values: np.ndarray
+    errors: np.ndarray
+    deviation: np.ndarray
+    odd: np.ndarray
+    odd_fit: np.ndarray
+    misfit: np.ndarray
+    held: np.ndarray
+
+    @property
+    def stands_out(self) -> np.ndarray:
+        """Robots that are odd in a parameter or in their error of fit (n,) bool."""
+        return self.odd.any(1) | self.odd_fit
+
+
+def fleet(
+    values: Sequence[np.ndarray],
+    hessians: Sequence[np.ndarray],
+    covariances: Sequence[np.ndarray],
+    prior_precision: np.ndarray,
+    misfit: np.ndarray,
+) -> Fleet:
+    """Mean, spread and odd robots from the estimates of each record of each robot.
+
+    A robot is odd in a parameter where its deviation from the others' mean is improbable (Student's test with
+    Bonferroni's correction over robots and parameters). Such robots, and those whose error of fit is odd, are left out
+    of mean and spread, so that they hide neither themselves nor each other.
+
+    Args:
+        values: of each robot, estimates of its records ``(r, p)``, with priors.
+        hessians: of each robot, ``JᵀJ`` of its records without priors ``(r, p, p)``.
+        covariances: of those estimates, without what all share, the error of the priors ``(r, p, p)``.
+        prior_precision: of each parameter, 0 where it has no prior (p,).
+        misfit: error of fit of each robot (n,), in any unit.
+
+    Raises:
+        InputError: fewer than three robots.
+    """
+    if len(values) < FEWEST:
+        raise InputError(
+            f"{len(values)} robots are no fleet; give at least {FEWEST}, for their spread is sought"
+        )
+    theta, hessian, spread = (
+        np.concatenate([np.asarray(one, float) for one in each]) for each in (values, hessians, covariances)
+    )
+    shares = [prior_precision * np.diag(scaled_inverse(one + np.diag(prior_precision))[0]) for one in hessian]
+    held = np.median(shares, axis=0) > HELD
+    free = ~held
+    typical, largest = np.median(np.abs(theta), axis=0), np.abs(theta).max(0)
+    size = np.where(typical > 0.0, typical, np.where(largest > 0.0, largest, 1.0))
+    information = [
+        _information(one + np.diag(prior_precision), around, free)
+        for one, around in zip(hessian, spread, strict=True)
+    ]
+    levels = _Levels(
+        (theta / size)[:, free],
+        np.array(information) * np.outer(size[free], size[free]),
+        np.array([len(one) for one in values]),
+    )
+    odd_fit, relative = _odd_fits(np.asarray(misfit, float))
+    variances, state, deviation, improbable, kept = _separated(levels, odd_fit)
+    own = np.array([np.mean(one, 0) for one in values])
+    known = np.where(state.determined, 1.0, np.nan)
+    reach = float(stdtrit(kept.sum() - 1, 0.975)) * state.mean_error * known
+    between, within = (
+        np.sqrt(np.where(one > 10.0 * _NONE**2, one, 0.0)) for one in (variances.robots, variances.records)
+    )
+
+    def whole(found: np.ndarray, otherwise: float | np.ndarray = np.nan) -> np.ndarray:
+        """What was found of the free parameters, the last axis, among all of them, in their units."""
+        every = np.broadcast_to(np.asarray(otherwise, float), (*found.shape[:-1], len(size))).copy()
+        every[..., free] = found * size[free]
+        return every
+
+    return Fleet(
+        mean=whole(state.mean * known, own.mean(0)),
+        mean_error=whole(state.mean_error * known),
+        mean_interval=whole(np.array([-reach, reach]) + state.mean).T,
+        spread=whole(between * known),
+        spread_interval=whole(levels.spread_intervals(variances, kept).T * known).T,
+        record_spread=whole(within * known if levels.repeated else np.full(free.sum(), np.nan)),
+        own=whole(state.own, own),
+        own_error=whole(state.own_error),
+        values=whole(state.values, own),
+        errors=whole(state.errors),
+        deviation=whole(deviation / size[free], 0.0),
+        odd=whole(improbable, 0.0) > 0.0,
+        odd_fit=odd_fit,
+        misfit=relative,
+        held=held,
+    )
+
+
+def _information(hessian: np.ndarray, covariance: np.ndarray, free: np.ndarray) -> np.ndarray:
+    """Inverse covariance of the free parameters, zero in directions that neither records nor priors identify."""
+    scale, _, vectors, kept = scaled_eigen(hessian)
+    unknown = vectors[free][:, ~kept]
+    axes = (
+        np.linalg.qr(unknown, mode="complete")[0][:, unknown.shape[1] :]
+        if unknown.size
+        else np.eye(free.sum())
+    )
+    spread = (covariance * np.outer(scale, scale))[np.ix_(free, free)]
+    return (
+        axes
+        @ np.linalg.pinv(axes.T @ spread @ axes, hermitian=True)
+        @ axes.T
+        * np.outer(scale[free], scale[free])
+    )
+
+
+def _separated(
+    levels: _Levels, odd_fit: np.ndarray
+) -> tuple[_Variances, _State, np.ndarray, np.ndarray, np.ndarray]:
+    """Mean and spread of the robots that do not stand out, every robot's deviation from them, and who they are."""
+    kept = ~odd_fit & ~_far(levels)
+    for enough in (~odd_fit, np.ones_like(odd_fit)):
+        kept = kept if kept.sum() >= FEWEST else enough
+    seen: list[np.ndarray] = []
+    while True:
+        variances = levels.fit(kept)
+        state = levels.state(variances, kept)
+        deviation, improbable = _deviations(state, kept)
+        seen.append(kept)
+        others = ~odd_fit & ~improbable.any(1)
+        if others.sum() < FEWEST or any((others == one).all() for one in seen) or len(seen) == ROUNDS:
+            return variances, state, deviation, improbable, kept
+        kept = others
+
+
+@dataclass(frozen=True, eq=False)
+class _Variances:
+    """Of each parameter between robots and between records of one robot, (p,) each, in units of its size squared."""
+
+    robots: np.ndarray
+    records: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """What follows from variances: the mean with its covariance, and each robot.
+
+    `precisions` (n, p, p) is what each robot says of the mean, and `known` (n, p) that times its estimate; `precision`
+    sums those of the robots that are kept.
+    """
+
+    variances: _Variances
+    precisions: np.ndarray
+    known: np.ndarray
+    precision: np.ndarray
+    mean: np.ndarray
+    mean_error: np.ndarray
+    determined: np.ndarray
+    own: np.ndarray
+    own_error: np.ndarray
+    values: np.ndarray
+    errors: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Levels:
+    """Records below robots: estimates (R, p) with information (R, p, p), and how many records each robot has."""
+
+    theta: np.ndarray
+    information: np.ndarray
+    records: np.ndarray
+
+    @property
+    def repeated(self) -> bool:
+        """Whether any robot has two records."""
+        return bool((self.records > 1).any())
+
+    def by_robot(self, of_record: np.ndarray) -> np.ndarray:
+        """Sums over the records of each robot."""
+        return np.add.reduceat(of_record, np.cumsum(self.records) - self.records, axis=0)
+
+    def select(self, kept: np.ndarray) -> _Levels:
+        """Some of the robots."""
+        rows = np.repeat(kept, self.records)
+        return _Levels(self.theta[rows], self.information[rows], self.records[kept])
+
+    def start(self) -> _Variances:
+        """Variances to start from: the robust scatter of the robots' own estimates, and that of records around them."""
+        none = np.zeros(self.theta.shape[1])
+        own, error = self.own(none)
+        scatter = np.clip(np.nan_to_num(_around_median(own, error)[1], nan=0.1), 1e-4, 1.0)
+        return _Variances(scatter**2, np.full_like(scatter, 1e-4) if self.repeated else none)
+
+    def own(self, between_records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Estimates of each robot by its own records, and their standard errors (n, p)."""
+        weight, weighted = self.marginal(between_records)
+        found, errors = [], []
+        for one, right in zip(self.by_robot(weight), self.by_robot(weighted), strict=True):
+            inverse, determined = scaled_inverse(one)
+            found.append(inverse @ right)
+            errors.append(np.where(determined, np.sqrt(np.maximum(np.diag(inverse), 0.0)), np.inf))
+        return np.array(found), np.array(errors)
+
+    def marginal(self, between_records: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inverse covariance of each record around its robot (R, p, p), and that times the estimate (R, p)."""
+        right = np.concatenate([self.information, self.information @ self.theta[..., None]], -1)
+        both = np.linalg.solve(np.eye(self.theta.shape[1]) + self.information * between_records, right)
+        return both[..., :-1], both[..., -1]
+
+    def likelihood(self, variances: _Variances) -> tuple[float, np.ndarray, np.ndarray]:
+        """Restricted log-likelihood without its constant, and its derivatives by both variances' logarithms (p,)."""
+        t, c = variances.robots, variances.records
+        one = np.eye(len(t))
+        weight, weighted = self.marginal(c)
+        total, right = self.by_robot(weight), self.by_robot(weighted)
+        back = np.linalg.inv(one + total * t)  # (I + L T)^-1
+        precision, known = back @ total, np.einsum("nij,nj->ni", back, right)
+        covariance, _ = scaled_inverse(precision.sum(0))
+        mean = covariance @ known.sum(0)
+        pull = known - precision @ mean  # V^-1 times the deviation, summed over a robot's records
+        drop = precision - precision @ covariance @ precision
+        by_robots = 0.5 * t * ((pull**2).sum(0) - np.einsum("nii->i", drop))
+        shrink = t[:, None] * back  # (L + T^-1)^-1
+        row = np.repeat(np.arange(len(self.records)), self.records)
+        moved = weighted - np.einsum("rij,rj->ri", weight, (mean + t * pull)[row])
+        cross = weight @ (one - t[:, None] * precision)[row]
+        held = weight - weight @ shrink[row] @ weight - cross @ covariance @ np.swapaxes(cross, -1, -2)
+        by_records = 0.5 * c * ((moved**2).sum(0) - np.einsum("rii->i", held))
+        quadratic = (
+            float(np.sum(self.theta * weighted))
+            - float(np.einsum("ni,nij,nj->", right, shrink, right))
+            - float(known.sum(0) @ mean)
+        )
+        spectrum = np.linalg.eigvalsh(precision.sum(0))
+        spectrum = spectrum[spectrum > 1e-12 * spectrum.max()]
+        logs = (
+            np.linalg.slogdet(one + self.information * c)[1].sum()
+            + np.linalg.slogdet(one + total * t)[1].sum()
+            + np.log(spectrum).sum()
+        )
+        return -0.5 * (float(logs) + quadratic), by_robots, by_records
+
+    def fit(self, kept: np.ndarray) -> _Variances:
+        """Variances of largest restricted likelihood."""
+        some = self.select(kept)
+        p, start = self.theta.shape[1], some.start()
+        levels = [np.log(start.robots), np.log(start.records)] if some.repeated else [np.log(start.robots)]
+
+        def worth(logs: np.ndarray) -> tuple[float, np.ndarray]:
+            found, *slopes = some.likelihood(_of_logs(logs, p))
+            return -found, -np.concatenate(slopes[: len(levels)])
+
+        bounds = [(2 * np.log(_NONE), 2 * np.log(_HUGE))] * p * len(levels)
+        end = minimize(worth, np.concatenate(levels), jac=True, method="L-BFGS-B", bounds=bounds)
+        return _of_logs(end.x, p)
+
+    def state(self, variances: _Variances, kept: np.ndarray) -> _State:
+        """Mean of the robots that are kept, and every robot beside it."""
+        t = variances.robots
+        weight, weighted = self.marginal(variances.records)
+        total, right = self.by_robot(weight), self.by_robot(weighted)
+        back = np.linalg.inv(np.eye(len(t)) + total * t)
+        precisions, known = back @ total, np.einsum("nij,nj->ni", back, right)
+        precision = precisions[kept].sum(0)
+        covariance, determined = scaled_inverse(precision)
+        mean = covariance @ known[kept].sum(0)
+        own, own_error = self.own(variances.records)
+        shrink = t[:, None] * back
+        values = mean + np.einsum("nij,nj->ni", shrink, right - total @ mean)
+        # errors of the mean move a robot as far as its own records leave it to the fleet
+        left = np.eye(len(t)) - shrink @ total
+        spreads = shrink + left @ covariance @ np.swapaxes(left, -1, -2)
+        errors = np.sqrt(np.maximum(np.einsum("nii->ni", spreads), 0.0))
+        mean_error = np.sqrt(np.diag(covariance))
+        return _State(
+            variances, precisions, known, precision, mean, mean_error, determined, own, own_error, values, errors
+        )  # fmt: skip
+
+    def spread_intervals(self, variances: _Variances, kept: np.ndarray) -> np.ndarray:
+        """95 % interval of each standard deviation between robots (p, 2): where the likelihood falls, all else held."""
+        some, ends = self.select(kept), []
+        top = some.likelihood(variances)[0]
+        for k, value in enumerate(variances.robots):
+
+            def above(log: float, k: int = k) -> float:
+                t = variances.robots.copy()
+                t[k] = np.exp(log)
+                return some.likelihood(_Variances(t, variances.records))[0] - top + _DROP
+
+            low, at, high = 2 * np.log(_NONE), np.log(value), 2 * np.log(_HUGE)
+            lower = 0.0 if above(low) > 0.0 else np.exp(0.5 * brentq(above, low, at, xtol=1e-3))
+            upper = np.inf if above(high) > 0.0 else np.exp(0.5 * brentq(above, at, high, xtol=1e-3))
+            ends.append((lower, upper))
+        return np.array(ends)
+
+
+def _of_logs(logs: np.ndarray, p: int) -> _Variances:
+    return _Variances(np.exp(logs[:p]), np.exp(logs[p:]) if len(logs) > p else np.zeros(p))
+
+
+def _far(levels: _Levels) -> np.ndarray:
+    """Robots far from the median in some parameter (n,) bool."""
+    own, error = levels.own(levels.start().records)
+    apart, scatter = _around_median(own, error)
+    return (apart > FAR * np.maximum(scatter, error)).any(1)  # nothing is far where nothing is known
+
+
+def _around_median(own: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the median (n, p) and robust standard deviations (p,) of what is known, nan elsewhere."""
+    apart, scatter = np.full(own.shape, np.nan), np.full(own.shape[1], np.nan)
+    for k, known in enumerate(np.isfinite(error).T):
+        if known.any():
+            apart[known, k] = np.abs(own[known, k] - np.median(own[known, k]))
+            scatter[k] = 1.4826 * np.median(apart[known, k])
+    return apart, scatter
+
+
+def _deviations(state: _State, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Each robot against the others, in standard deviations of what is expected (n, p); where that is improbable."""
+    n, p = state.own.shape
+    deviation = np.zeros((n, p))
+    for k in range(n):
+        own = kept[k]
+        rest, determined = scaled_inverse(state.precision - own * state.precisions[k])
+        mean = rest @ (state.precision @ state.mean - own * state.known[k])
+        error = np.sqrt(state.own_error[k] ** 2 + state.variances.robots + np.diag(rest))
+        deviation[k] = np.where(determined & np.isfinite(error), (state.own[k] - mean) / error, 0.0)
+    degrees = max(int(kept.sum()) - 1, 1)
+    chance = 2.0 * stdtr(degrees, -np.abs(deviation)) * n * max(int(state.determined.sum()), 1)
+    return deviation, chance < LEVEL
+
+
+def _odd_fits(misfit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Robots whose error of fit is improbably large beside the others' (n,), and all errors over the median."""
+    relative = misfit / np.median(misfit)
+    logs = np.log(np.maximum(relative, 1e-12))
+    scale = max(1.4826 * float(np.median(np.abs(logs))), 1e-12)
+    chance = stdtr(len(logs) - 1, -logs / scale) * len(logs)
+    return (chance < LEVEL) & (relative > WORSE), relative
