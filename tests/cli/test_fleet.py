@@ -1,0 +1,150 @@
+"""`fleet`: results, what is kept, and what is refused."""
+
+import csv
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import look_at
+from drives import make_records, multisine, rigid_drive
+
+from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.study import fleet as fleets
+from hybrid_id.systems.model_file import load_model, save_model
+
+HEAVY = "robot_4"
+ROBOTS = 6
+
+
+@pytest.fixture(scope="module")
+def robots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six robots with two short records each; the fourth has half as much inertia again."""
+    folder, random = tmp_path_factory.mktemp("fleet"), np.random.default_rng(4)
+    channels = (Channel("u1", "V"),), (Channel("q_m1", "rad", 0.01),)
+    truth = rigid_drive()
+    for k in range(1, ROBOTS + 1):
+        factors = {name: np.exp(0.02 * random.standard_normal()) for name in ("J", "F_c", "F_v")}
+        factors["J"] *= 1.5 if f"robot_{k}" == HEAVY else 1.0
+        own = truth.with_values({name: f * truth.parameter(name).spec.value for name, f in factors.items()})
+        voltages = [multisine(seed, samples=400, amplitude=6.0 + seed) for seed in range(2)]
+        records = make_records(own, voltages, noise={"q_m1": 0.01}, seeds=[10 * k, 10 * k + 1])
+        Dataset(f"drive {k}", *channels, tuple(records), 0.002).save(folder / f"robot_{k}")
+    start = truth.with_values({"J": 2.4e-5, "F_c": 0.008, "F_v": 6e-5})
+    held = {name: replace(start.parameter(name).spec, estimate=False) for name in ("P_m1", "P_m2")}
+    save_model(start.with_specs(held), folder / "model.yaml")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def result(robots: Path, run: type, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("result") / "fleet"
+    said = run("fleet", robots, "--out", out)
+    assert said.code == 0
+    assert f"{HEAVY} stands out" in said.out and "above the fleet's mean" in " ".join(said.out.split())
+    return out
+
+
+def test_the_odd_robot_and_its_reason_are_in_all_files(result: Path) -> None:
+    found = json.loads((result / "fleet.json").read_text())
+    (odd,) = found["odd"]
+    assert odd["robot"] == HEAVY and odd["parameters"] == ["J"] and "inertia" in odd["why"][0]
+    assert len(found["by_robot"]) == ROBOTS and found["parameters"]["J"]["spread"] < 3e-6
+    with (result / "robots.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == ROBOTS * len(found["parameters"])
+    assert [row["robot"] for row in rows if row["odd"] == "1"] == [HEAVY]
+    assert sorted(path.name for path in (result / "robots").iterdir()) == [
+        f"robot_{k}.json" for k in range(1, 7)
+    ]
+    text = (result / "report.html").read_text()
+    assert HEAVY in text and "Who stands out" in text
+
+
+def test_the_page_is_sound(result: Path, tmp_path: Path) -> None:
+    look_at(result / "report.html", tmp_path, figures=1)
+
+
+def test_the_fleets_model_expects_one_more_robot(result: Path) -> None:
+    found = json.loads((result / "fleet.json").read_text())["parameters"]
+    spec = load_model(result / "model.yaml").parameter("J").spec
+    assert spec.value == pytest.approx(found["J"]["mean"]) and spec.prior_mean == pytest.approx(
+        found["J"]["mean"]
+    )
+    assert spec.prior_std is not None and spec.prior_std >= found["J"]["spread"]
+
+
+def test_kept_robots_are_not_fitted_again(
+    robots: Path, result: Path, run: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, fitted = tmp_path / "fleet", []
+    shutil.copytree(result, out)
+    (out / "robots" / "robot_2.json").unlink()
+    edited = json.loads((out / "robots" / "robot_3.json").read_text())
+    (out / "robots" / "robot_3.json").write_text(json.dumps(edited | {"key": "of other records"}))
+    fit = fleets.fit_robot
+    monkeypatch.setattr(fleets, "fit_robot", lambda task, one: fitted.append(one.name) or fit(task, one))
+    said = run("fleet", robots, "--out", out, "--json")
+    assert sorted(fitted) == ["robot_2", "robot_3"]
+    again, before = json.loads(said.out), json.loads((result / "fleet.json").read_text())
+    assert again["parameters"] == before["parameters"] and again["odd"] == before["odd"]
+
+
+def test_a_robot_that_breaks_is_told_and_loses_no_other(
+    robots: Path, run: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = fleets.fit_robot
+
+    def breaks(task: fleets.FleetTask, one: Dataset) -> fleets.RobotFit:
+        if one.name in ("robot_1", "robot_5"):  # the first one's records would have chosen the horizon
+            raise ValueError("out of order")
+        return fit(task, one)
+
+    monkeypatch.setattr(fleets, "fit_robot", breaks)
+    said = run("fleet", robots, "--out", tmp_path / "fleet")
+    assert said.code == 1 and "robot_5: ValueError: out of order" in said.out
+    assert "2 of 6 robots have no estimate" in said.err
+    assert "robot_1.json" not in {path.name for path in (tmp_path / "fleet" / "robots").iterdir()}
+
+
+def test_ctrl_c_keeps_what_is_done(
+    robots: Path, run: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = fleets.fit_robot
+
+    def stops(task: fleets.FleetTask, one: Dataset) -> fleets.RobotFit:
+        if one.name == "robot_3":
+            raise KeyboardInterrupt
+        return fit(task, one)
+
+    monkeypatch.setattr(fleets, "fit_robot", stops)
+    said = run("fleet", robots, "--out", tmp_path / "fleet")
+    assert (
+        said.code == 130 and "2 of 6 robots are kept" in said.err and "the same command goes on" in said.err
+    )
+    assert not (tmp_path / "fleet" / "fleet.json").exists()
+
+
+def test_processes_come_to_the_same(robots: Path, result: Path, run: type, tmp_path: Path) -> None:
+    said = run("fleet", robots, "--out", tmp_path / "fleet", "--json", "--jobs", 2)
+    before = json.loads((result / "fleet.json").read_text())["parameters"]
+    assert said.code == 0 and json.loads(said.out)["parameters"] == before
+
+
+def test_wrong_folders_are_refused_in_a_sentence(robots: Path, run: type, tmp_path: Path) -> None:
+    few = tmp_path / "few"
+    for name in ("robot_1", "robot_2"):
+        shutil.copytree(robots / name, few / name)
+    for source, words in ((few, "holds 2 dataset folders"), (tmp_path / "none", "is no folder")):
+        said = run("fleet", source, "--model", robots / "model.yaml", "--out", tmp_path / "out")
+        assert said.code == 2 and words in said.err
+    said = run("fleet", few, "--out", tmp_path / "out")
+    assert said.code == 2 and "does not exist; name the model of all robots with --model" in said.err
+    other = tmp_path / "other"
+    shutil.copytree(robots, other)
+    file = other / "robot_2" / "dataset.yaml"
+    file.write_text(file.read_text().replace("q_m1", "q_a1"))
+    said = run("fleet", other, "--out", tmp_path / "out")
+    assert said.code == 2 and not (tmp_path / "out").exists()

@@ -1,0 +1,146 @@
+"""Fleets of drawn robots: mean and spread with their intervals, robots that stand out, and what records do not say."""
+
+import numpy as np
+import pytest
+
+from hybrid_id.errors import InputError
+from hybrid_id.statistics.fleet import Fleet, _Levels, _Variances, fleet
+from hybrid_id.statistics.uncertainty import scaled_inverse
+
+MEAN = np.array([1.0, 2e-5, 0.01, 5.0])
+SPREAD, WITHIN = np.array([0.1, 0.05, 0.3, 0.0]) * MEAN, np.array([0.02, 0.0, 0.1, 0.0]) * MEAN
+TOGETHER = np.array([1.0, 1.0, 0.0, 0.0])
+"""Direction, in units of the means, that a fleet without it cannot identify."""
+
+
+class Drawn:
+    """A fleet with a known truth; the seventh robot's first parameter may be off by a factor."""
+
+    def __init__(
+        self, seed: int, robots: int = 20, records: int = 4, *, factor: float = 1.0, blind: bool = False
+    ):
+        random = np.random.default_rng(seed)
+        self.truth = MEAN + SPREAD * random.standard_normal((robots, 4))
+        self.truth[6 % robots, 0] *= factor
+        axis = TOGETHER / np.sqrt(2)
+        across = np.eye(4) - np.outer(axis, axis) if blind else np.eye(4)
+        self.values, self.hessians, self.covariances = [], [], []
+        for truth in self.truth:
+            rows = random.standard_normal((records, 7, 4)) / 0.06
+            hessians = np.einsum("ij,rkj,rkl,lm->rim", across, rows, rows, across) / np.outer(MEAN, MEAN)
+            covariances = np.array([scaled_inverse(one)[0] for one in hessians])
+            errors = np.array(
+                [random.multivariate_normal(np.zeros(4), c / np.outer(MEAN, MEAN)) for c in covariances]
+            )
+            within = WITHIN * random.standard_normal((records, 4))
+            self.values.append(truth + within + MEAN * errors)
+            self.hessians.append(hessians)
+            self.covariances.append(covariances)
+        self.misfit = np.exp(0.1 * random.standard_normal(robots))
+
+    def found(self, precision: np.ndarray | None = None) -> Fleet:
+        precision = np.zeros(4) if precision is None else precision
+        return fleet(self.values, self.hessians, self.covariances, precision, self.misfit)
+
+
+def test_intervals_hold_the_truth_and_a_fleet_of_equals_has_no_odd_robot() -> None:
+    mean, spread, robots, odd, fleets = 0, 0, 0, 0, 25
+    for seed in range(fleets):
+        drawn = Drawn(seed)
+        found = drawn.found()
+        mean += ((found.mean_interval[:, 0] <= MEAN) & (found.mean_interval[:, 1] >= MEAN)).sum()
+        spread += ((found.spread_interval[:, 0] <= SPREAD) & (found.spread_interval[:, 1] >= SPREAD)).sum()
+        robots += (np.abs(found.values - drawn.truth) <= 1.96 * found.errors).sum()
+        odd += found.stands_out.any()
+    assert 0.90 <= mean / (4 * fleets) <= 0.99
+    assert 0.88 <= spread / (4 * fleets) <= 0.99
+    assert robots / (4 * 20 * fleets) >= 0.92
+    assert odd <= 4  # 1 is expected
+
+
+def test_spreads_between_robots_and_between_records_are_distinguished() -> None:
+    found = [Drawn(seed, robots=60).found() for seed in range(4)]
+    np.testing.assert_allclose(np.mean([one.spread for one in found], 0)[:3], SPREAD[:3], rtol=0.12)
+    np.testing.assert_allclose(
+        np.mean([one.record_spread for one in found], 0)[[0, 2]], WITHIN[[0, 2]], rtol=0.25
+    )
+    assert np.isnan(Drawn(0, records=1).found().record_spread).all()
+
+
+def test_the_likelihoods_derivatives_are_its_differences() -> None:
+    drawn = Drawn(3)
+    levels = _Levels(
+        np.concatenate(drawn.values) / MEAN,
+        np.linalg.inv(np.concatenate(drawn.covariances) / np.outer(MEAN, MEAN)),
+        np.full(20, 4),
+    )
+    robots, records = np.array([0.01, 0.002, 0.05, 1e-4]), np.array([4e-4, 1e-4, 0.01, 1e-5])
+    _, by_robots, by_records = levels.likelihood(_Variances(robots, records))
+    step = 1e-5 * np.eye(4)
+    for k in range(4):
+
+        def moved(side: int, a: np.ndarray, b: np.ndarray) -> float:
+            return levels.likelihood(_Variances(robots * np.exp(side * a), records * np.exp(side * b)))[0]
+
+        none = np.zeros(4)
+        by_difference = (moved(1, step[k], none) - moved(-1, step[k], none)) / 2e-5
+        assert by_robots[k] == pytest.approx(by_difference, rel=1e-4, abs=1e-5)
+        by_difference = (moved(1, none, step[k]) - moved(-1, none, step[k])) / 2e-5
+        assert by_records[k] == pytest.approx(by_difference, rel=1e-4, abs=1e-5)
+
+
+def test_a_balanced_fleet_of_one_parameter_has_the_closed_form() -> None:
+    random = np.random.default_rng(2)
+    values = 1.0 + 0.2 * random.standard_normal((30, 1))
+    sharp = np.full((30, 1, 1), 1e-8)
+    found = fleet(
+        list(values[:, None]), list(1 / sharp[:, None]), list(sharp[:, None]), np.zeros(1), np.ones(30)
+    )
+    assert found.mean[0] == pytest.approx(values.mean(), rel=1e-9)
+    assert found.spread[0] ** 2 == pytest.approx(values.var(ddof=1) - 1e-8, rel=1e-3)
+
+
+@pytest.mark.parametrize("robots", [8, 40])
+def test_an_odd_robot_is_found_and_leaves_mean_and_spread_alone(robots: int) -> None:
+    for seed in range(3):
+        found = Drawn(seed, robots, factor=2.5).found()
+        assert found.odd[6, 0]
+        assert np.flatnonzero(found.stands_out).tolist() == [6]
+        assert found.spread_interval[0, 0] <= SPREAD[0] <= found.spread_interval[0, 1]
+
+
+def test_many_odd_robots_do_not_hide_each_other() -> None:
+    drawn = Drawn(6, robots=40)
+    for i in range(0, 40, 8):
+        drawn.values[i] = drawn.values[i] * np.array([2.5, 1.0, 1.0, 1.0])
+    assert np.flatnonzero(drawn.found().stands_out).tolist() == [0, 8, 16, 24, 32]
+
+
+def test_an_odd_error_of_fit_is_found_and_a_small_one_is_not() -> None:
+    drawn = Drawn(2)
+    drawn.misfit[4] = 3.0
+    assert np.flatnonzero(drawn.found().odd_fit).tolist() == [4]
+    drawn.misfit[:] = 1.0 + 1e-6 * np.arange(20)
+    drawn.misfit[4] = 1.1
+    assert not drawn.found().odd_fit.any()
+
+
+def test_what_records_do_not_identify_is_not_claimed() -> None:
+    found = Drawn(1, blind=True).found()
+    assert np.isnan(found.mean_error[:2]).all() and np.isnan(found.spread[:2]).all()
+    assert np.isfinite(found.mean_error[2:]).all()
+    assert np.isinf(found.own_error[:, :2]).all() and not found.odd[:, :2].any()
+
+
+def test_a_parameter_that_its_prior_holds_takes_no_part() -> None:
+    drawn = Drawn(1)
+    found = drawn.found(np.array([1e12, 0.0, 0.0, 0.0]))
+    assert found.held.tolist() == [True, False, False, False]
+    assert np.isnan(found.spread[0]) and not found.odd[:, 0].any()
+    assert found.mean[0] == pytest.approx(np.mean([one.mean(0)[0] for one in drawn.values]))
+    assert np.isfinite(found.spread[1:]).all()
+
+
+def test_two_robots_are_no_fleet() -> None:
+    with pytest.raises(InputError, match="2 robots are no fleet; give at least 3"):
+        Drawn(0, robots=2).found()
