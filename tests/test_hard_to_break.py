@@ -197,6 +197,26 @@ def test_a_study_is_a_regular_file(tmp_path: Path) -> None:
     refused(lambda: load_config(tmp_path / "study.yaml"), "study.yaml is a pipe or a device")
 
 
+@pytest.mark.parametrize("name", ["r" * 300 + ".csv", "a/" * 3000 + "r.csv", "ü" * 130 + "*"])
+def test_names_longer_than_any_file_has_are_refused_with_their_key(tmp_path: Path, name: str) -> None:
+    write_sound_dataset(tmp_path)
+    change_yaml(tmp_path, lambda said: said["records"][0].update(file=name))
+    refused(lambda: Dataset.load(tmp_path), "key 'records[0].file'", "is longer than the name of any file")
+    (tmp_path / "robot.yaml").write_text(yaml.safe_dump({"robot": {"file": name}}))
+    refused(lambda: load_model(tmp_path / "robot.yaml"), "robot.file", "is longer than the name of any file")
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump({"dataset": name, "model": "model.yaml"}))
+    refused(
+        lambda: load_config(tmp_path / "study.yaml"), "key 'dataset'", "is longer than the name of any file"
+    )
+
+
+def test_thousands_of_faults_take_no_longer_than_their_file(tmp_path: Path) -> None:
+    parts = [{"kind": "stribeck_friction", f"key_{k}": 1} for k in range(5000)]
+    path = tmp_path / "model.yaml"
+    path.write_text(yaml.safe_dump({"system": "one_link", "components": parts}))
+    refused(lambda: load_model(path), "(and 9999 more)")
+
+
 def test_a_link_in_a_circle_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.csv").symlink_to("a.csv")
     refused(lambda: load_any(tmp_path / "a.csv", ["t"]), "in a circle")

@@ -30,7 +30,7 @@ from hybrid_id.config.sections import (
     Training,
 )
 from hybrid_id.errors import InputError
-from hybrid_id.records.yaml_file import read_yaml, validate, write_yaml
+from hybrid_id.records.yaml_file import FilePath, read_yaml, validate, write_yaml
 
 MODEL_NAME = "model.yaml"
 __all__ = [
@@ -70,8 +70,8 @@ class StudyConfig(Section):
     """
 
     model_config = ConfigDict(json_schema_extra={"required": ["dataset"]})
-    dataset: Path
-    model: Path
+    dataset: FilePath
+    model: FilePath
     previous: Previous | None = None
     preprocessing: Preprocessing = Preprocessing()
     identification: Identification = Identification()

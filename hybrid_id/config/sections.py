@@ -1,12 +1,12 @@
 """The sections of a study file, with all their defaults."""
 
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hybrid_id.parameters import MOST_LAYERS, MOST_NEURONS, MOST_STATES
 from hybrid_id.records.schema import ResampleEntry
+from hybrid_id.records.yaml_file import FilePath
 
 MOST_SEED = 2**32 - 1  # what every generator of random numbers takes
 MOST_STARTS, MOST_JOBS, MOST_THREADS, MOST_EFFECTS = 10_000, 1000, 1000, 100
@@ -74,7 +74,7 @@ class Previous(Section):
         hold: names of parameters that keep the earlier value and are not estimated again.
     """
 
-    model: Path
+    model: FilePath
     hold: list[str] = []
 
 
@@ -254,7 +254,7 @@ class Output(Section):
         report: everything on one page, report.html.
     """
 
-    folder: Path | None = None
+    folder: FilePath | None = None
     figures: bool = True
     tensorboard: bool = True
     report: bool = True

@@ -29,7 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hybrid_id.records.resample import MAX_GAP
 from hybrid_id.records.units import spellings
-from hybrid_id.records.yaml_file import one_of
+from hybrid_id.records.yaml_file import FileName, one_of
 
 Format = Literal["csv", "parquet", "mat", "bam", "bag", "npz", "lerobot"]
 
@@ -112,7 +112,7 @@ class RecordEntry(_Part):
         meta: facts that hold throughout the record, payload or temperature say.
     """
 
-    file: str = Field(min_length=1)
+    file: FileName = Field(min_length=1)
     name: str | None = None
     role: Literal["train", "validation", "test"] = "train"
     note: str = ""

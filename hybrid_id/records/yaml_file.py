@@ -2,13 +2,14 @@
 
 import difflib
 import math
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import AfterValidator, BaseModel, ValidationError
 
 from hybrid_id import __version__
 from hybrid_id.errors import CONTROL, InputError, has_control, shown
@@ -16,6 +17,9 @@ from hybrid_id.reading import LONGEST_NAME, MOST_DEPTH, read_bytes
 from hybrid_id.records.files import write_whole
 
 Schema = TypeVar("Schema", bound=BaseModel)
+PathLike = TypeVar("PathLike", str, Path)
+LONGEST_PART, LONGEST_PATH = 255, 4000
+"""Bytes of a name, and of a path, that file systems take."""
 MAX_BYTES = 5_000_000  # a larger one is a data file by mistake, or an attack on the parser
 MAX_VALUES = 150_000
 """Values and keys of one file: the weights of a model's networks are the most that any has."""
@@ -98,6 +102,26 @@ def editor_schema(schema: type[BaseModel]) -> dict[str, Any]:
             for name in names.split(", "):
                 part["properties"][name]["description"] = " ".join(about.split())
     return {"$schema": DRAFT, **found}
+
+
+def _short_enough(path: PathLike) -> PathLike:
+    """A path that a file system can hold.
+
+    Raises:
+        ValueError: it is too long.
+    """
+    longest = max((len(os.fsencode(part)) for part in (*Path(path).parts, "")), default=0)
+    if longest > LONGEST_PART or len(os.fsencode(path)) > LONGEST_PATH:
+        raise ValueError(
+            f"is longer than the name of any file ({LONGEST_PART} bytes, {LONGEST_PATH} with its folders)"
+        )
+    return path
+
+
+FileName = Annotated[str, AfterValidator(_short_enough)]
+"""Words that name a file or a pattern of files."""
+FilePath = Annotated[Path, AfterValidator(_short_enough)]
+"""A file or folder."""
 
 
 def one_of(names: Callable[[], Iterable[str]]) -> Callable[[dict[str, Any]], None]:
@@ -237,16 +261,15 @@ def _refuse_stranger(schema: type[BaseModel], values: Mapping[str, Any], path: s
 
 def _without_misspelt(faults: Sequence[Any]) -> list[Any]:
     """Leave out missing keys beside which an unknown key has nearly their name: that one is the fault."""
-
-    def unknown_beside(fault: Any) -> list[str]:
-        beside = (f["loc"] for f in faults if f["type"] == "extra_forbidden")
-        return [str(place[-1]) for place in beside if place[:-1] == fault["loc"][:-1]]
-
+    unknown: dict[tuple[str | int, ...], list[str]] = {}
+    for fault in faults:
+        if fault["type"] == "extra_forbidden":
+            unknown.setdefault(fault["loc"][:-1], []).append(str(fault["loc"][-1]))
     return [
         fault
         for fault in faults
         if fault["type"] != "missing"
-        or not difflib.get_close_matches(str(fault["loc"][-1]), unknown_beside(fault), n=1)
+        or not difflib.get_close_matches(str(fault["loc"][-1]), unknown.get(fault["loc"][:-1], []), n=1)
     ]
 
 

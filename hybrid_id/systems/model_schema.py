@@ -14,7 +14,7 @@ from hybrid_id.components.load.two_link import LinkInertia
 from hybrid_id.components.motor.dc_motor import DCMotor
 from hybrid_id.components.transmission.linear_spring import LinearSpring
 from hybrid_id.components.transmission.rigid import Rigid
-from hybrid_id.records.yaml_file import one_of
+from hybrid_id.records.yaml_file import FileName, one_of
 from hybrid_id.systems.servos import SERVOS
 
 ParameterPlace = tuple[str, str, str]
@@ -192,7 +192,7 @@ class RobotEntry(_Section):
         hold: joints that do not move, and where they stand [rad or m].
     """
 
-    file: str
+    file: FileName
     base: Literal["fixed"] = "fixed"
     hold: dict[str, float] = {}
 
