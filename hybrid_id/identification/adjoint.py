@@ -23,7 +23,7 @@ from torch import Tensor
 from hybrid_id.errors import InputError
 from hybrid_id.identification import least_squares
 from hybrid_id.identification.checkpoint import fingerprint, read_state, write_state
-from hybrid_id.identification.costate import free_run
+from hybrid_id.identification.costate import free_run, simulated
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.fit import Progress, make_bounds
 from hybrid_id.identification.least_squares import free_parameters
@@ -220,8 +220,9 @@ def validation_loss(problem: Problem, theta: Tensor, batch: Batch) -> Tensor:
     count = theta.shape[1]
     many = batch.take(torch.arange(batch.rows, device=theta.device).repeat(count))
     spread = theta.repeat_interleave(batch.rows, 1)
-    _, lin, closed = free_run(problem.system, problem.engine, many, many.x, spread)
-    cost = problem.loss.value((many.y - lin.y) * many.weight).sum((1, 2)).where(closed, torch.nan)
+    x, closed = free_run(problem.system, problem.engine, many, many.x, spread)
+    y = simulated(problem.system, many, x, spread)
+    cost = problem.loss.value((many.y - y) * many.weight).sum((1, 2)).where(closed, torch.nan)
     return cost.reshape(count, batch.rows).sum(1) / (batch.weight > 0).sum()
 
 

@@ -9,7 +9,8 @@ through the record, sample by sample, comes to the same numbers at many hundred 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -17,12 +18,15 @@ from torch import Tensor, nn
 
 from hybrid_id.identification.objective import Loss
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.lifted import LANES, Linearisation, condense, linearise
+from hybrid_id.simulation.lifted import LANES, Linearisation, condense, linearise, linearise_outputs
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System
 
-NEWTON_STEPS = 12
+NEWTON_STEPS, ADVANCE = 12, 2000
+"""Steps of Newton's method, and samples for which one more is allowed: what has closed advances from the start on."""
+SAMPLES, SHORTEST = 25_000, 256
+"""Samples of all rows that are worked on at once, and of one row at least."""
 
 
 @dataclass
@@ -70,20 +74,53 @@ def gradient(
         extra: parameters beyond the table to differentiate by, which all rows share.
     """
     loss = loss or Loss()
-    for weight in extra:
-        weight.requires_grad_(False)  # neither the simulation nor A needs their gradients
+    with _held(extra):
+        x, closed = free_run(system, engine, batch, guess, theta)
+    y, cost = torch.empty_like(batch.y), batch.y.new_zeros(batch.rows)
+    by_theta, by_extra = (
+        theta.new_zeros(len(free), batch.rows),
+        [torch.zeros_like(weight) for weight in extra],
+    )
+    later = torch.zeros_like(x[:, 0])  # what comes back through the end of a piece
+    for piece in reversed(_pieces(batch)):
+        part, nodes = _cut(batch, piece), x[:, piece].nan_to_num(0.0)
+        with _held(extra):
+            lin = linearise_sorted(system, engine, part, nodes, theta)
+        y[:, piece] = lin.y
+        residual = (part.y - lin.y) * part.weight
+        slope = -loss.factor(residual) * residual * part.weight
+        costate = _costates(lin, (lin.c.transpose(2, 3) @ slope[..., None])[..., 0], later)
+        arriving, later = torch.cat([costate[:, 1:], later[:, None]], 1), costate[:, 0]
+        own, more = _parameters(system, engine, part, nodes, theta, free, extra, arriving, slope)
+        by_theta += own
+        by_extra = [total + one for total, one in zip(by_extra, more, strict=True)]
+        cost += loss.value(residual).sum((1, 2))
+    return Gradient(x, y, cost.where(closed, torch.nan), by_theta.T.contiguous(), later, by_extra)
+
+
+@contextmanager
+def _held(weights: Sequence[nn.Parameter]) -> Iterator[None]:
+    """Spare what neither the simulation nor A needs: gradients of the weights."""
+    for weight in weights:
+        weight.requires_grad_(False)
     try:
-        x, lin, closed = free_run(system, engine, batch, guess, theta)
+        yield
     finally:  # Ctrl-C, too, leaves them as they were
-        for weight in extra:
+        for weight in weights:
             weight.requires_grad_(True)
-    residual = (batch.y - lin.y) * batch.weight
-    slope = -loss.factor(residual) * residual * batch.weight
-    costate = _costates(lin, (lin.c.transpose(2, 3) @ slope[..., None])[..., 0])
-    arriving = torch.cat([costate[:, 1:], torch.zeros_like(costate[:, :1])], 1)
-    by_theta, by_extra = _parameters(system, engine, batch, x, theta, free, extra, arriving, slope)
-    cost = loss.value(residual).sum((1, 2)).where(closed, torch.nan)
-    return Gradient(x, lin.y, cost, by_theta.T.contiguous(), costate[:, 0], by_extra)
+
+
+def _pieces(batch: Batch) -> list[slice]:
+    """Pieces of the samples that are worked on one after the other, so that memory does not grow with a record."""
+    rows, samples = batch.dt.shape
+    length = max(SAMPLES // rows, SHORTEST)
+    return [slice(begin, min(begin + length, samples)) for begin in range(0, samples, length)]
+
+
+def _cut(batch: Batch, piece: slice) -> Batch:
+    """The rows between two samples."""
+    picked = {field: getattr(batch, field)[:, piece] for field in ("dt", "y", "weight", "x")}
+    return replace(batch, u={name: channel[:, piece] for name, channel in batch.u.items()}, **picked)
 
 
 def free_run(
@@ -95,35 +132,45 @@ def free_run(
     tolerance: float = 1e-9,
     *,
     roll_out: bool = False,
-) -> tuple[Tensor, Linearisation, Tensor]:
+) -> tuple[Tensor, Tensor]:
     """Free run from ``guess[:, 0]`` by Newton's method over all samples (see :mod:`hybrid_id.simulation.lifted`).
 
     Returns:
-        States ``(R, T, n_x)``, the linearisation there by the engine's own gradient, and for each row whether its
-        defects closed; a row that did not close has diverged, or its guess was too far off. With ``roll_out`` such rows
-        are simulated sample by sample (slow), and have closed where they are finite.
+        States ``(R, T, n_x)``, and for each row whether its defects closed; a row that did not close has diverged, or
+        its guess was too far off. With ``roll_out`` such rows are simulated sample by sample (slow), and have closed
+        where they are finite.
     """
     x, tolerance = guess.clone(), max(tolerance, 64.0 * torch.finfo(guess.dtype).eps)
     cheap = replace(engine, gradient="backprop")
-    opened = torch.arange(batch.rows, device=x.device)
-    closed = torch.zeros(batch.rows, dtype=torch.bool, device=x.device)
-    for _ in range(NEWTON_STEPS):
-        part = batch.take(opened)
-        step = condense(linearise_sorted(system, cheap, part, x[opened], theta[:, opened]), x[opened])[
-            ..., -1
-        ]
-        x[opened] = x[opened] + step
-        size = step.abs().amax((1, 2)) / x[opened].abs().amax((1, 2)).clamp_min(1e-12)
-        closed[opened] = size <= tolerance
-        opened = opened[(size > tolerance) & torch.isfinite(size)]
-        if opened.numel() == 0:
-            break
+    closed = torch.ones(batch.rows, dtype=torch.bool, device=x.device)
+    for piece in _pieces(batch):
+        whole = slice(piece.start, piece.stop + 1)  # its last state is the first one of the next piece
+        part, nodes = _cut(batch, whole), x[:, whole]
+        opened = closed.nonzero().flatten()
+        closed = torch.zeros_like(closed)
+        for _ in range(NEWTON_STEPS + nodes.shape[1] // ADVANCE):
+            some = part.take(opened)
+            lin = linearise_sorted(system, cheap, some, nodes[opened], theta[:, opened])
+            step = condense(lin, nodes[opened])[..., -1]
+            nodes[opened] = nodes[opened] + step
+            size = step.abs().amax((1, 2)) / x[opened].abs().amax((1, 2)).clamp_min(1e-12)
+            closed[opened] = size <= tolerance
+            opened = opened[(size > tolerance) & torch.isfinite(size)]
+            if opened.numel() == 0:
+                break
     if roll_out and not bool(closed.all()):
         rows = (~closed).nonzero().flatten()
         with torch.no_grad():
             x[rows] = rollout(system, cheap, batch.take(rows), theta[:, rows])
         closed[rows] = torch.isfinite(x[rows]).all(2).all(1)
-    return x, linearise_sorted(system, engine, batch, x.nan_to_num(0.0), theta), closed
+    return x, closed
+
+
+def simulated(system: System, batch: Batch, x: Tensor, theta: Tensor) -> Tensor:
+    """Outputs ``(R, T, n_y)`` of a free run's states."""
+    parts = [(_cut(batch, piece), x[:, piece].nan_to_num(0.0)) for piece in _pieces(batch)]
+    found = [linearise_outputs(system, nodes, part.u, theta, (), batch.outputs).y for part, nodes in parts]
+    return torch.cat(found, 1)
 
 
 def linearise_sorted(
@@ -163,9 +210,13 @@ def linearise_sorted(
     return Linearisation(**grids, picks=picks)
 
 
-def _costates(lin: Linearisation, source: Tensor) -> Tensor:
-    """Solve ``lambda_k = source_k + A_k' lambda_{k+1}`` for all rows, ``(R, T, n_x)``: condensing, back in time."""
+def _costates(lin: Linearisation, source: Tensor, later: Tensor) -> Tensor:
+    """Solve ``lambda_k = source_k + A_k' lambda_{k+1}`` for all rows, ``(R, T, n_x)``: condensing, back in time.
+
+    ``later`` is the one after the last, ``(R, n_x)``.
+    """
     rows, samples, n_x = source.shape
+    source[:, -1] += (lin.a[:, -1].transpose(1, 2) @ later[..., None])[..., 0]
     back = lin.a.transpose(2, 3).flip(1)
     forcing = torch.cat([source.flip(1), source.new_zeros(rows, 1, n_x)], 1)
     none = source.new_zeros(rows, samples + 1, n_x, 0)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from hybrid_id.identification.adjoint import Snapshot, Writer
 from hybrid_id.identification.checkpoint import as_content, write_checkpoint
-from hybrid_id.identification.costate import free_run
+from hybrid_id.identification.costate import free_run, simulated
 from hybrid_id.identification.decision_vector import Problem
 from hybrid_id.identification.networks import output_shares, projection, with_memory, with_price
 from hybrid_id.identification.objective import Loss
@@ -244,10 +244,10 @@ class Trainer:
         that of one whose free run is too far off for Newton's method.
         """
         engine = replace(self.whole.engine, gradient="backprop")
-        _, lin, closed = free_run(
-            self.whole.system, engine, batch, batch.x, theta.expand(-1, batch.rows), roll_out=roll_out
-        )
-        loss = self.whole.loss.value((batch.y - lin.y) * batch.weight).sum(2)
+        spread = theta.expand(-1, batch.rows)
+        x, closed = free_run(self.whole.system, engine, batch, batch.x, spread, roll_out=roll_out)
+        y = simulated(self.whole.system, batch, x, spread)
+        loss = self.whole.loss.value((batch.y - y) * batch.weight).sum(2)
         loss = loss.where(closed[:, None], torch.inf).nan_to_num(torch.inf, torch.inf)
         number = (batch.weight > 0).sum(2)
         seen = number.cumsum(1)

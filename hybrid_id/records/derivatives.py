@@ -74,47 +74,43 @@ def smooth_derivatives(
 
     longest = (n_samples - 1) // 2
     lower, upper = np.full(y.shape, -np.inf), np.full(y.shape, np.inf)
-    chosen = np.zeros(y.shape, int)
+    chosen = np.zeros(y.shape, np.int8)
     half_windows = [h for h in _HALF_WINDOWS if h <= longest]
-    fits = []
     for number, half in enumerate(half_windows):
-        fit = _local_polynomial(y, half)
-        reach = threshold * noise * fit[1]
-        lower = np.maximum(lower, fit[0][0] - reach)
-        upper = np.minimum(upper, fit[0][0] + reach)
+        value, gain = _local_polynomial(y, half)
+        reach = threshold * noise * gain
+        np.maximum(lower, value - reach, out=lower)
+        np.minimum(upper, value + reach, out=upper)
         chosen[lower <= upper] = number  # the intersection only shrinks, so this ends at the last agreement
-        fits.append(fit[0])
     chosen = median_filter(chosen, size=(1,) * (y.ndim - 1) + (min(_MEDIAN, n_samples),))
 
     results = np.empty((3, *y.shape))
-    for number, fit in enumerate(fits):
+    for number, half in enumerate(
+        half_windows
+    ):  # once more, for all of them of a long record fill the memory
         mine = chosen == number
-        for d in range(3):
-            results[d][mine] = fit[d][mine] / step**d
+        for d in range(3 if mine.any() else 0):
+            results[d][mine] = _local_polynomial(y, half, d)[0][mine] / step**d
     return results[0], results[1], results[2]
 
 
-def _local_polynomial(y: np.ndarray, half: int) -> tuple[list[np.ndarray], np.ndarray]:
-    """Derivatives per sample [(..., T)] * 3 in windows of 2 half + 1, and the value's gain of noise (T,)."""
+def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """The d-th derivative per sample (..., T) in windows of 2 half + 1, and its gain of noise (T,)."""
     n_samples = y.shape[-1]
     offset = np.arange(-half, half + 1)
     inverse = np.linalg.pinv(np.vander(offset / half, _DEGREE + 1, increasing=True))
-    gain = np.full(n_samples, np.linalg.norm(inverse[0]))
-    results = []
-    for d in range(3):
-        # Row k reads the d-th derivative off the window's polynomial at its k-th sample.
-        basis = np.zeros((2 * half + 1, _DEGREE + 1))
-        for power in range(d, _DEGREE + 1):
-            basis[:, power] = factorial(power) / factorial(power - d) * (offset / half) ** (power - d)
-        weights = basis @ inverse / half**d
-        fit = convolve1d(y, weights[half][::-1], axis=-1, mode="nearest")
-        fit[..., :half] = y[..., : 2 * half + 1] @ weights[:half].T
-        fit[..., n_samples - half :] = y[..., n_samples - 2 * half - 1 :] @ weights[half + 1 :].T
-        if d == 0:
-            gain[:half] = np.linalg.norm(weights[:half], axis=1)
-            gain[n_samples - half :] = np.linalg.norm(weights[half + 1 :], axis=1)
-        results.append(fit)
-    return results, gain
+    # Row k reads the d-th derivative off the window's polynomial at its k-th sample.
+    basis = np.zeros((2 * half + 1, _DEGREE + 1))
+    for power in range(d, _DEGREE + 1):
+        basis[:, power] = factorial(power) / factorial(power - d) * (offset / half) ** (power - d)
+    weights = basis @ inverse / half**d
+    fit = convolve1d(y, weights[half][::-1], axis=-1, mode="nearest")
+    fit[..., :half] = y[..., : 2 * half + 1] @ weights[:half].T
+    fit[..., n_samples - half :] = y[..., n_samples - 2 * half - 1 :] @ weights[half + 1 :].T
+    gain = np.full(n_samples, np.linalg.norm(weights[half]))
+    gain[:half] = np.linalg.norm(weights[:half], axis=1)
+    gain[n_samples - half :] = np.linalg.norm(weights[half + 1 :], axis=1)
+    return fit, gain
 
 
 def _on_stamps(

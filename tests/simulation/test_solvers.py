@@ -196,12 +196,16 @@ def test_costates_of_all_samples_are_the_loop_through_the_record(kind: str) -> N
 
 
 @pytest.mark.parametrize("kind", ["backprop", "adjoint"])
-def test_blocks_of_samples_are_all_samples_at_once(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_pieces_and_blocks_of_samples_are_all_samples_at_once(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     u = np.stack([multisine(k, samples=60, rest=5) for k in range(2)])
     batch, engine = measured_batch(PAPER, u), OdeEngine(fine=16, gradient=kind)
     whole = by_costates(PAPER, engine, batch)
     monkeypatch.setattr(costate, "LANES", 17)
-    assert relative(by_costates(PAPER, engine, batch), whole) < 1e-12
+    monkeypatch.setattr(costate, "SAMPLES", 50)
+    monkeypatch.setattr(costate, "SHORTEST", 7)
+    assert relative(by_costates(PAPER, engine, batch), whole) < 1e-9
 
 
 def test_adjoint_is_backprop_on_a_smooth_problem_at_tight_tolerance() -> None:
