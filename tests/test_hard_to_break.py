@@ -197,6 +197,21 @@ def test_a_study_is_a_regular_file(tmp_path: Path) -> None:
     refused(lambda: load_config(tmp_path / "study.yaml"), "study.yaml is a pipe or a device")
 
 
+@pytest.mark.parametrize("cell", ["1_000", "\u0661\u0662", "1e", "0x10"])
+def test_a_cell_that_only_python_reads_is_named_with_its_row(tmp_path: Path, cell: str) -> None:
+    write_sound_dataset(tmp_path)
+    lines = (tmp_path / "rec_1.csv").read_text().splitlines()
+    lines[50] = f"0.1,{cell},0.5"
+    (tmp_path / "rec_1.csv").write_text("\n".join(lines))
+    refused(lambda: Dataset.load(tmp_path), "rec_1.csv, row 51", "column 'u1'", "not a finite number")
+
+
+@pytest.mark.parametrize("number", ["1:30", "-2:30.5", "0100", "9" * 5000])
+def test_numbers_that_yaml_reads_in_its_own_way_are_refused_with_their_row(number: str) -> None:
+    refused(lambda: parse_yaml(f"name: x\nsample_time: {number}", HERE), "settings.yaml, row 2")
+    assert parse_yaml(f"note: '{number}'", HERE) == {"note": number}
+
+
 @pytest.mark.parametrize("name", ["r" * 300 + ".csv", "a/" * 3000 + "r.csv", "ü" * 130 + "*"])
 def test_names_longer_than_any_file_has_are_refused_with_their_key(tmp_path: Path, name: str) -> None:
     write_sound_dataset(tmp_path)
@@ -522,6 +537,31 @@ def test_descriptions_that_reach_out_or_explode_are_refused(tmp_path: Path, text
     os.mkfifo(home / "pipe")
     (home / "arm.xml").write_text(text)
     refused(lambda: load_tree(home / "arm.xml"), str(home), word)
+
+
+@pytest.mark.parametrize(
+    ("was", "now", "words"),
+    [
+        ('mass="1"', 'mass="nan"', ("'mass' of <inertial>", "is nan")),
+        ('mass="1"', 'mass="inf"', ("'mass' of <inertial>", "is inf")),
+        ('mass="1"', 'mass="1e300"', ("'mass' of <inertial>", "is 1e300")),
+        ('range="-1 1"', 'range="-1 nan"', ("'range' of <joint> 'q'", "is nan")),
+    ],
+)
+def test_numbers_that_no_machine_has_are_refused_before_the_parser_logs_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, was: str, now: str, words: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes MUJOCO_LOG.TXT there
+    arm = tmp_path / "arm.xml"
+    text = (
+        '<mujoco><worldbody><body name="nan"><joint name="q" range="-1 1"/>'
+        '<inertial mass="1" pos="0 0 0" diaginertia="1 1 1"/></body></worldbody></mujoco>'
+    )
+    arm.write_text(text)
+    load_tree(arm)
+    arm.write_text(text.replace(was, now))
+    refused(lambda: load_tree(arm), *words, "which no machine has")
+    assert [path.name for path in tmp_path.iterdir()] == ["arm.xml"]
 
 
 def test_a_prefix_that_is_not_declared_is_refused(tmp_path: Path) -> None:

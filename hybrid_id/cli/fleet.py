@@ -1,5 +1,6 @@
 """`fleet`: robots of one kind, their mean and spread, and which one stands out."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -22,7 +23,8 @@ from hybrid_id.cli.options import (
     use_threads,
 )
 from hybrid_id.cli.results import write_last
-from hybrid_id.errors import InputError
+from hybrid_id.errors import CONTROL, InputError, has_control, shown
+from hybrid_id.reading import LONGEST_NAME, refuse_outside
 from hybrid_id.records.files import make_folder, natural_order
 from hybrid_id.reporting.provenance import program
 
@@ -67,16 +69,17 @@ def fleet(
         raise InputError(f"{model} does not exist; name the model of all robots with --model")
     from hybrid_id.study import Horizon
 
-    task_horizon = Horizon.of(window or "auto")
+    wish = "auto" if window is None else window
+    horizon = Horizon.of(wish)
     system = read_model(model)
     datasets = read_fleet(robots)
-    check_window(window or "auto", datasets[0].train)
+    check_window(wish, datasets[0].train)
     use_threads(1)
     make_folder(home / ROBOTS)
     with sole_writer(home):
         from hybrid_id.study.fleet import FleetTask, gather
 
-        fits = _run(FleetTask(system, task_horizon), datasets, home, jobs, scheduler)
+        fits = _run(FleetTask(system, horizon), datasets, home, jobs, scheduler)
         study = gather(system, fits)
         text = _write(home, robots, model, study)
     if as_json:
@@ -114,6 +117,8 @@ def read_fleet(folder: Path) -> "list[Dataset]":
     with counting("robots read") as bar:
         task = bar.add_task("robots read", total=len(places))
         for place in places:
+            _refuse_name(place)
+            refuse_outside(place, folder, str(place), "put the folder itself there")
             dataset = replace(load_records(place), name=place.name)
             if not dataset.train:
                 raise InputError(f"{place / DATASET} has no train record; give at least one the role 'train'")
@@ -131,6 +136,14 @@ def read_fleet(folder: Path) -> "list[Dataset]":
             f"warning: the records of {warned} of {len(found)} robots have faults; 'hybrid-id check' names them"
         )
     return found
+
+
+def _refuse_name(place: Path) -> None:
+    """Raise InputError where a robot's results could not have the name of its folder."""
+    if has_control(place.name):
+        raise InputError(f"the folder {shown(str(place))} {CONTROL}; rename it")
+    if len(os.fsencode(place.name)) > LONGEST_NAME:
+        raise InputError(f"the folder {place} has a name of more than {LONGEST_NAME} signs; shorten it")
 
 
 def _channels(dataset: "Dataset") -> tuple[list[str], list[str]]:
@@ -169,7 +182,7 @@ def _run(
 
             rest = list(datasets)
             while task.horizon is None and rest:
-                fit(rest[:1], 1, None)
+                fit(rest[:1], 1, scheduler)
                 first = found[rest.pop(0).name]
                 if not first.message:
                     task = replace(task, horizon=Horizon(*first.horizon))

@@ -71,9 +71,9 @@ def refuse_taken(path: Path, *, force: bool | None = None, reads: Iterable[Path]
     below += [] if reads is None else read_below(path)
     settings = path.resolve() / SETTINGS  # of an earlier run, which this one may follow, and writes again
     if held := next((file for file in below if file != settings), None):
-        raise InputError(
-            f"{path} holds {held}, which this command reads; give another folder for the results"
-        )
+        same = held.resolve() == path.resolve()
+        what = "is what this command reads" if same else f"holds {held}, which this command reads"
+        raise InputError(f"{path} {what}; give another folder for the results")
     if not force:
         training = (path / CHECKPOINT).exists() and _holds_ours(path)
         unfinished = training and not (path / RESULT).exists()

@@ -208,4 +208,5 @@ def _other_unit(record: Record, sample_time: float) -> str:
 
 def _steps(record: Record) -> str:
     steps = np.diff(record.time)
-    return f"{steps.min():.6g} to {steps.max():.6g} s apart"
+    least, most = f"{steps.min():.6g}", f"{steps.max():.6g}"
+    return f"{least} s apart" if least == most else f"{least} to {most} s apart"

@@ -27,6 +27,8 @@ Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 """Plain data only; libyaml's, which is ten times as fast, where PyYAML has it."""
 ODD_NUMBER = re.compile(r"[-+]?([1-9][0-9_]*(:[0-5]?[0-9])+(\.[0-9_]*)?|0[0-7_]+)")
 """What YAML takes for a number to base 60 or 8, and nobody else does: ``1:40`` is 100, ``0100`` is 64."""
+MOST_DIGITS = 1000
+"""Of a whole number: longer ones take Python ever longer to read."""
 LARGEST_WHOLE = 2**63 - 1
 """What machines count to."""
 KINDS = {"study": "dataset", "dataset": "records", "model": "system"}
@@ -189,7 +191,13 @@ def _refuse_what_misleads(root: yaml.Node, path: Path) -> None:
     waiting = [root]
     while waiting:
         node = waiting.pop()
-        if isinstance(node, yaml.ScalarNode) and node.style is None and ODD_NUMBER.fullmatch(node.value):
+        plain = isinstance(node, yaml.ScalarNode) and not node.style  # None or '', as the library has it
+        if plain and len(node.value) > MOST_DIGITS and node.value.lstrip("-+").isdigit():
+            row = node.start_mark.line + 1
+            raise InputError(
+                f"{path}, row {row}: a number of {len(node.value)} digits is beyond all use; correct it"
+            )
+        if plain and ODD_NUMBER.fullmatch(node.value):
             row = node.start_mark.line + 1
             raise InputError(
                 f"{path}, row {row}: YAML reads '{node.value}' to base {60 if ':' in node.value else 8}; "

@@ -90,7 +90,9 @@ def _parsed(path: Path) -> tuple[Any, Any]:
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give an MJCF or URDF file.") from error
     except BROKEN as error:
-        raise InputError(f"{path}: {_first_line(error)}; give an MJCF or URDF file.") from error
+        raise InputError(
+            f"{path}: MuJoCo cannot read it ({_first_line(error)}); correct it there."
+        ) from error
 
 
 def _first_line(error: Exception) -> str:
@@ -147,9 +149,10 @@ def without_missing_meshes(path: Path, mujoco: Any, spec: Any) -> None:
         if geom.type == mujoco.mjtGeom.mjGEOM_MESH and geom.meshname in missing:
             body = geom.parent
             if not body.explicitinertial and body.name != "world":
+                own = f"body '{body.name}'" if body.name else "a body without a name"
                 raise InputError(
-                    f"{path}: the mesh '{geom.meshname}' of body '{body.name}' is not there and the body has no "
-                    "<inertial>; add one of them."
+                    f"{path}: the mesh '{geom.meshname}' of {own} is not there and the body has no <inertial>; add one "
+                    "of them."
                 )
             spec.delete(geom)
     for mesh in list(spec.meshes):

@@ -21,6 +21,22 @@ MOST_JOINTS = 300
 """Elements that are joints, those of defaults and tendons counted in."""
 MOST_PIXELS = 5_000_000
 """Of a texture or a height field that MuJoCo makes by itself, and entries that it may be told to set aside."""
+LARGEST_NUMBER = 1e30
+NAMES = (
+    "name",
+    "class",
+    "childclass",
+    "joint",
+    "body",
+    "link",
+    "parent",
+    "child",
+    "site",
+    "mesh",
+    "file",
+    "data",
+)
+"""Attributes that hold names, which may look like numbers."""
 ROOTS = ("mujoco", "robot")
 REPEATED = ("replicate", "composite", "flexcomp")
 AREAS = {"texture": ("width", "height"), "hfield": ("nrow", "ncol")}
@@ -122,6 +138,12 @@ class _Walk:
             )
         if len(values.get("name", "")) > LONGEST_NAME:
             raise InputError(f"{path}: the name of a <{tag}> has more than {LONGEST_NAME} signs; shorten it.")
+        for key, words in values.items():
+            if key not in NAMES and (odd := _senseless(key, words)):
+                name = f" '{values['name']}'" if values.get("name") else ""
+                raise InputError(
+                    f"{path}: '{key}' of <{tag}>{name} is {odd}, which no machine has; correct it."
+                )
         reserved = [n for key, words in values.items() if key != "memory" for n in _numbers(words)]
         area = math.prod(n for key in AREAS.get(tag, ()) for n in _numbers(values.get(key, "")))
         if area > MOST_PIXELS or (tag == "size" and max(reserved, default=0.0) > MOST_PIXELS):
@@ -168,6 +190,19 @@ def _is_there(path: Path) -> bool:
         return os.path.lexists(path)
     except ValueError:  # no file can have that name
         return False
+
+
+def _senseless(key: str, words: str) -> str:
+    """The first word of an attribute that is no number of a machine; limits may be infinite, so that they are none."""
+    limit = key.endswith("range") or key in ("effort", "velocity", "lower", "upper")
+    for word in words.split()[:99]:
+        try:
+            number = float(word)
+        except ValueError:
+            continue
+        if math.isnan(number) or (abs(number) > LARGEST_NUMBER and not limit):
+            return word
+    return ""
 
 
 def _numbers(words: str) -> list[float]:

@@ -15,21 +15,19 @@ import torch
 from pydantic import BeforeValidator, TypeAdapter
 
 from hybrid_id import __version__
-from hybrid_id.errors import InputError
 from hybrid_id.identification.adjoint import Snapshot
 from hybrid_id.identification.hybrid import HybridResult, fit_physics, train_hybrid
 from hybrid_id.identification.networks import with_memory
 from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.identification.windows import measured_windows
-from hybrid_id.reading import read_object
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.files import hidden_beside, plain
+from hybrid_id.records.files import hidden_beside
 from hybrid_id.records.yaml_file import write_yaml
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.study.ablation_plan import BLACK_BOX, NONE, Cell, Split, split_records, with_arm
-from hybrid_id.study.fan_out import Failure, fan_out
+from hybrid_id.study.fan_out import Failure, fan_out, sealed, unsealed
 from hybrid_id.study.hybrid import network_roles
 from hybrid_id.study.replays import batch_of, weighted_errors
 from hybrid_id.study.training import scalars
@@ -121,13 +119,8 @@ class History:
             self.history.setdefault(tag, []).append((snapshot.step, value))
 
 
-def as_plain(result: CellResult) -> dict[str, Any]:
-    """A cell's result as JSON holds it; what is not finite becomes None."""
-    return plain(asdict(result))
-
-
 def from_plain(content: dict[str, Any]) -> CellResult:
-    """The result that :func:`as_plain` made a mapping of; an error that is None was infinite.
+    """The result that :func:`save_cell` made a mapping of; an error that is None was infinite.
 
     Raises:
         ValueError: no such mapping.
@@ -292,9 +285,7 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
     with hidden_beside(place) as temporary:
         new = temporary / "new"
         new.mkdir()
-        plain = as_plain(result)
-        content = {"program": f"hybrid_id {__version__}", "key": key, "seal": _seal(plain), "result": plain}
-        (new / CELL).write_text(json.dumps(content), encoding="utf-8")
+        (new / CELL).write_text(json.dumps(sealed(asdict(result), key)), encoding="utf-8")
         if result.model:
             write_yaml(new / MODEL, result.model)
         if place.exists():
@@ -305,13 +296,7 @@ def save_cell(folder: Path, result: CellResult, key: str) -> None:
 def load_cell(folder: Path, cell: Cell, key: str) -> CellResult | None:
     """The cell that an earlier run has kept; None where there is none, or one of other settings or edited."""
     try:
-        content = read_object(folder / cell.name / CELL, "cell of an ablation")
-        whole = content["key"] == key and content["seal"] == _seal(content["result"])
-        return from_plain(content["result"]) if whole else None
-    except (OSError, InputError, ValueError, KeyError, TypeError):
+        kept = unsealed(folder / cell.name / CELL, key)
+        return None if kept is None else from_plain(kept)
+    except ValueError:
         return None
-
-
-def _seal(plain: dict[str, Any]) -> str:
-    """Digest of a result as JSON holds it."""
-    return hashlib.sha256(json.dumps(plain).encode()).hexdigest()

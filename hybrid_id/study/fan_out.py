@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import multiprocessing
 import signal
 import threading
@@ -16,7 +18,10 @@ import torch
 from joblib import Parallel, delayed
 from joblib.externals.loky.process_executor import BrokenProcessPool
 
+from hybrid_id import __version__
 from hybrid_id.errors import InputError, MachineError
+from hybrid_id.reading import read_object
+from hybrid_id.records.files import plain
 
 TIMEOUT = 20.0
 """Time [s] within which a Dask scheduler has to answer."""
@@ -30,6 +35,26 @@ class Failure:
     """What is left of a piece of work that broke: the reason in one line."""
 
     message: str
+
+
+def sealed(result: Any, key: str) -> dict[str, Any]:
+    """What is kept of a piece of work as JSON, with the key of all that decides it and a digest of what it holds."""
+    result = plain(result)
+    return {"program": f"hybrid_id {__version__}", "key": key, "seal": _digest(result), "result": result}
+
+
+def unsealed(path: Path, key: str) -> Any:
+    """The result that :func:`sealed` has kept; None where there is none, or one of other settings or edited."""
+    try:
+        content = read_object(path, "kept result")
+        whole = content["key"] == key and content["seal"] == _digest(content["result"])
+        return content["result"] if whole else None
+    except (OSError, InputError, KeyError):
+        return None
+
+
+def _digest(result: Any) -> str:
+    return hashlib.sha256(json.dumps(result).encode()).hexdigest()
 
 
 def fan_out(

@@ -8,7 +8,6 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import TypeAdapter
@@ -17,14 +16,13 @@ from hybrid_id import __version__
 from hybrid_id.errors import InputError
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.least_squares import Options
-from hybrid_id.reading import read_object
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.files import write_json
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.step import Engine
 from hybrid_id.statistics.fleet import Fleet, fleet
 from hybrid_id.statistics.uncertainty import autocorrelation_robust
-from hybrid_id.study.fan_out import Failure, fan_out
+from hybrid_id.study.fan_out import Failure, fan_out, sealed, unsealed
 from hybrid_id.study.replays import batch_of
 from hybrid_id.study.run import fit_sets
 from hybrid_id.systems.chain import System
@@ -132,6 +130,8 @@ def fit_robot(task: FleetTask, dataset: Dataset) -> RobotFit:
         hessians.append(sum(np.einsum("tyi,tyj->ij", j, j) for j in one.jacobian))
         found = autocorrelation_robust(one.jacobian, one.residual, prior_precision=one.prior_precision)
         covariances.append(found.matrix - found.inverse_hessian @ precision @ found.inverse_hessian)
+    if not all(np.isfinite(one).all() for one in covariances):
+        raise InputError("the errors of its estimates are not finite; check units and start values")
     square = sum(float(np.sum(r**2)) for one in used for r in one.residual)
     return RobotFit(
         dataset.name,
@@ -197,16 +197,13 @@ def key_of(task: FleetTask, dataset: Dataset, program: str = __version__) -> str
 
 def save_robot(folder: Path, robot: RobotFit, key: str) -> None:
     """Keep a robot's fit under its name, whole or not at all."""
-    write_json(
-        folder / f"{robot.name}.json",
-        {"program": f"hybrid_id {__version__}", "key": key, "fit": asdict(robot)},
-    )
+    write_json(folder / f"{robot.name}.json", sealed(asdict(robot), key))
 
 
 def load_robot(folder: Path, name: str, key: str) -> RobotFit | None:
     """The fit that an earlier run has kept; None where there is none, or one of other records or settings."""
     try:
-        content: dict[str, Any] = read_object(folder / f"{name}.json", "fit of a robot")
-        return TypeAdapter(RobotFit).validate_python(content["fit"]) if content["key"] == key else None
-    except (OSError, InputError, ValueError, KeyError, TypeError):
+        kept = unsealed(folder / f"{name}.json", key)
+        return None if kept is None else TypeAdapter(RobotFit).validate_python(kept)
+    except ValueError:
         return None

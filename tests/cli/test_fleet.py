@@ -82,12 +82,19 @@ def test_kept_robots_are_not_fitted_again(
     out, fitted = tmp_path / "fleet", []
     shutil.copytree(result, out)
     (out / "robots" / "robot_2.json").unlink()
-    edited = json.loads((out / "robots" / "robot_3.json").read_text())
-    (out / "robots" / "robot_3.json").write_text(json.dumps(edited | {"key": "of other records"}))
+    for name, change in (
+        ("robot_3", {"key": "of other records"}),
+        ("robot_4", {"seal": "of another result"}),
+    ):
+        edited = json.loads((out / "robots" / f"{name}.json").read_text())
+        (out / "robots" / f"{name}.json").write_text(json.dumps(edited | change))
+    edited = json.loads((out / "robots" / "robot_5.json").read_text())
+    edited["result"]["message"] = "broke"
+    (out / "robots" / "robot_5.json").write_text(json.dumps(edited))
     fit = fleets.fit_robot
     monkeypatch.setattr(fleets, "fit_robot", lambda task, one: fitted.append(one.name) or fit(task, one))
     said = run("fleet", robots, "--out", out, "--json")
-    assert sorted(fitted) == ["robot_2", "robot_3"]
+    assert sorted(fitted) == ["robot_2", "robot_3", "robot_4", "robot_5"]
     again, before = json.loads(said.out), json.loads((result / "fleet.json").read_text())
     assert again["parameters"] == before["parameters"] and again["odd"] == before["odd"]
 
@@ -142,6 +149,17 @@ def test_wrong_folders_are_refused_in_a_sentence(robots: Path, run: type, tmp_pa
         assert said.code == 2 and words in said.err
     said = run("fleet", few, "--out", tmp_path / "out")
     assert said.code == 2 and "does not exist; name the model of all robots with --model" in said.err
+    for name, words in (("r" * 220, "has a name of more than 200 signs"), ("a\x1b[31m", "rename it")):
+        odd = tmp_path / f"odd{len(name)}"
+        shutil.copytree(robots, odd)
+        (odd / "robot_6").rename(odd / name)
+        said = run("fleet", odd, "--out", tmp_path / "out")
+        assert said.code == 2 and words in " ".join(said.err.split()) and "\x1b" not in said.err
+    linked = tmp_path / "linked"
+    shutil.copytree(robots, linked)
+    (linked / "robot_7").symlink_to(robots / "robot_1")
+    said = run("fleet", linked, "--out", tmp_path / "out")
+    assert said.code == 2 and "put the folder itself there" in " ".join(said.err.split())
     other = tmp_path / "other"
     shutil.copytree(robots, other)
     file = other / "robot_2" / "dataset.yaml"

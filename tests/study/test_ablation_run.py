@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -12,12 +12,12 @@ from drives import make_records, multisine, rigid_drive
 from hybrid_id.errors import InputError
 from hybrid_id.identification.training_loop import HybridOptions
 from hybrid_id.records.dataset import Channel, Dataset
+from hybrid_id.records.files import plain
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.simulation.step import Engine
 from hybrid_id.study.ablation import (
     CellResult,
     Task,
-    as_plain,
     from_plain,
     key_of,
     load_cell,
@@ -92,7 +92,7 @@ def test_physics_of_a_hybrid_cell_is_that_of_physics_only(task: Task, in_turn: l
     assert result.rungs[0].errors == pytest.approx(in_turn[0].best.errors, rel=1e-6)
     assert [rung.price for rung in result.rungs] == [math.inf, 1.0]
     assert {"loss/train", "loss/validation", "parameters/joint1/J"} <= set(result.history)
-    assert from_plain(json.loads(json.dumps(as_plain(result)))) == result
+    assert from_plain(json.loads(json.dumps(plain(asdict(result))))) == result
 
 
 def test_a_network_alone_is_trained_by_the_same_machinery(task: Task) -> None:

@@ -206,8 +206,8 @@ def _cut(line: str, delimiter: str) -> list[str]:
 
 
 def _is_number(cell: str) -> bool:
-    try:
-        return math.isfinite(float(cell))
+    try:  # Python reads 1_000 and digits of other scripts, which the parser of tables does not
+        return cell.isascii() and "_" not in cell and math.isfinite(float(cell))
     except ValueError:
         return False
 
