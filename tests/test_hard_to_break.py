@@ -31,6 +31,7 @@ from hybrid_id.identification.keep import Kept
 from hybrid_id.machines.seal import open_answers, read_manifest, refuse_reachable
 from hybrid_id.reading import LONGEST_NAME, MOST_COLUMNS, MOST_DEPTH, parse_json
 from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.logs import find_logs
 from hybrid_id.records.readers import column_names, load_any
 from hybrid_id.records.yaml_file import MAX_VALUES, parse_yaml, read_yaml
 from hybrid_id.robots.description import load_tree
@@ -189,6 +190,10 @@ def test_what_is_no_regular_file_is_not_opened(tmp_path: Path, name: str, make: 
         "bag/a.mcap": lambda: load_any(file.parent, ["/a"]),
     }
     refused(readers.get(name, lambda: load_any(file, ["t"])), name, "is a pipe or a device")
+
+
+def test_a_device_is_no_log() -> None:
+    refused(lambda: find_logs([Path("/dev/null")]), "/dev/null is a pipe or a device")
 
 
 def test_a_study_is_a_regular_file(tmp_path: Path) -> None:

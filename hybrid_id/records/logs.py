@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from hybrid_id.errors import InputError
+from hybrid_id.reading import size_of
 from hybrid_id.records.files import natural_order
 from hybrid_id.records.readers import (
     Table,
@@ -67,6 +68,8 @@ def find_logs(paths: Sequence[Path]) -> list[LogFile]:
     for path in paths:
         if not path.exists():
             raise InputError(f"{path} does not exist; correct the path or bring the file")
+        if not path.is_dir():
+            size_of(path)  # refuses pipes and devices
         try:
             files = _below(path)
         except PermissionError as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, StrictBool, field_validator, model_validator
 
 from hybrid_id.components.base import PLACES, REGISTRY, Component
 from hybrid_id.components.input.voltage import Voltage
@@ -141,7 +141,7 @@ class ParameterEntry(_Section):
     lower: float | None = None
     upper: float | None = None
     unit: str | None = None
-    estimate: bool | None = None
+    estimate: StrictBool | None = None
     prior_std: float | None = Field(default=None, gt=0)
     prior_mean: float | None = None
 
