@@ -84,8 +84,6 @@ def prepare(problem: Problem, *, compiled: bool = False) -> Callable[[Problem], 
             np.array(values), np.concatenate([f.x0 for f in found]), np.array([f.iterations for f in found])
         )
 
-    if compiled:
-        solve(problem)
     return solve
 
 
