@@ -171,7 +171,6 @@ def test_time_in_another_unit_is_refused_before_anything_is_simulated(
     run, drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, case: str
 ) -> None:
     words, factor = TIMES_IN[case]
-    monkeypatch.setattr("hybrid_id.simulation.rollout.simulate", None)
     monkeypatch.setattr("hybrid_id.study.check_model", None)
     folder = with_column(drive, tmp_path / "wrong", "t", factor)
     said = run("check", folder)
