@@ -26,6 +26,7 @@ CASES = {
     "identify, a study": "identify study.yaml --out DATA --force",
     "train": "train study.yaml --out DATA --force",
     "ablate": "ablate study.yaml --out DATA",
+    "fleet": "fleet . --model m.yaml --out DATA",
     "diagnose": "diagnose DATA --model m.yaml --out DATA --force",
     "simulate": "simulate DATA --model m.yaml --out DATA --force",
     "compare": "compare DATA --model m.yaml --out DATA --force",
@@ -67,7 +68,9 @@ def home(drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_no_command_writes_to_what_it_reads(name: str, home: Path, run) -> None:
     before = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
     outcome = run(*CASES[name].split())
-    words = {"identify": "the folder that you are in", "ablate": "is not empty"}.get(name, "this command")
+    words = {"identify": "the folder that you are in", "ablate": "is not empty", "fleet": "is not empty"}.get(
+        name, "this command"
+    )
     assert outcome.code == 2
     assert outcome.err.splitlines()[-1].startswith("Error: ") and words in outcome.err
     after = {path: path.read_bytes() for path in home.rglob("*") if path.is_file()}
