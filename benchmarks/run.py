@@ -183,21 +183,27 @@ def fits(contestants: list[Contestant], python_of, cpu: int, repetitions: int, c
         worker.close()
     for _ in range(cold):
         for contestant in running:
-            worker = Worker(contestant.module, python_of(contestant), cpu)
-            build = worker.ask("prepare", records=1, options=contestant.options)["seconds"]
-            seconds = build + worker.ask("solve", records=1)["seconds"]
+            seconds, whole = cold_start(contestant, python_of(contestant), cpu)
             results[contestant.key]["cold_1"].append(seconds)
-            results[contestant.key]["process_1"].append(time.perf_counter() - worker.begin)
-            worker.close()
+            results[contestant.key]["process_1"].append(whole)
             if contestant.key == "ours":  # nobody else keeps compiled code for later processes
                 with tempfile.TemporaryDirectory() as cache:
-                    worker = Worker(contestant.module, python_of(contestant), cpu, cache)
-                    build = worker.ask("prepare", records=1, options=contestant.options)["seconds"]
-                    seconds = build + worker.ask("solve", records=1)["seconds"]
-                    worker.close()
+                    seconds, _ = cold_start(contestant, python_of(contestant), cpu, cache)
             results[contestant.key]["empty_1"].append(seconds)
     print(f"{cold} cold starts each", flush=True)
     return results
+
+
+def cold_start(
+    contestant: Contestant, python: str, cpu: int, cache: str | None = None
+) -> tuple[float, float]:
+    """Seconds of build and first fit of one record in a fresh process, and from that process's start."""
+    worker = Worker(contestant.module, python, cpu, cache)
+    build = worker.ask("prepare", records=1, options=contestant.options)["seconds"]
+    seconds = build + worker.ask("solve", records=1)["seconds"]
+    whole = time.perf_counter() - worker.begin
+    worker.close()
+    return seconds, whole
 
 
 def others(python_of, cpu: int, repetitions: int, cases: Path | None) -> dict[str, dict]:

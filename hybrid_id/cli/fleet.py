@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from hybrid_id.study.fleet import FleetStudy, FleetTask, RobotFit
 
 ROBOTS, RESULT, DATASET = "robots", "fleet.json", "dataset.yaml"
-FEWEST, MOST = 3, 10_000
+MOST = 10_000
 """Robots of a fleet."""
 
 
@@ -103,6 +103,7 @@ def read_fleet(folder: Path) -> "list[Dataset]":
         InputError: fewer than three robots, other channels than the first's, no train record, or a fault of a dataset.
     """
     from hybrid_id.records.quality import check_dataset
+    from hybrid_id.study.fleet import FEWEST
 
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; give the one that holds a dataset folder for each robot")

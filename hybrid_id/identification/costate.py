@@ -25,8 +25,8 @@ from hybrid_id.systems.chain import System
 
 NEWTON_STEPS, ADVANCE = 12, 2000
 """Steps of Newton's method, and samples for which one more is allowed: what has closed advances from the start on."""
-SAMPLES, SHORTEST = 25_000, 256
-"""Samples of all rows that are worked on at once, and of one row at least."""
+SHORTEST = 256
+"""Samples of a row that are worked on at once, at least; `LANES` of all rows together."""
 
 
 @dataclass
@@ -77,10 +77,8 @@ def gradient(
     with _held(extra):
         x, closed = free_run(system, engine, batch, guess, theta)
     y, cost = torch.empty_like(batch.y), batch.y.new_zeros(batch.rows)
-    by_theta, by_extra = (
-        theta.new_zeros(len(free), batch.rows),
-        [torch.zeros_like(weight) for weight in extra],
-    )
+    by_theta = theta.new_zeros(len(free), batch.rows)
+    by_extra = [torch.zeros_like(weight) for weight in extra]
     later = torch.zeros_like(x[:, 0])  # what comes back through the end of a piece
     for piece in reversed(_pieces(batch)):
         part, nodes = _cut(batch, piece), x[:, piece].nan_to_num(0.0)
@@ -113,7 +111,7 @@ def _held(weights: Sequence[nn.Parameter]) -> Iterator[None]:
 def _pieces(batch: Batch) -> list[slice]:
     """Pieces of the samples that are worked on one after the other, so that memory does not grow with a record."""
     rows, samples = batch.dt.shape
-    length = max(SAMPLES // rows, SHORTEST)
+    length = max(LANES // rows, SHORTEST)
     return [slice(begin, min(begin + length, samples)) for begin in range(0, samples, length)]
 
 
@@ -142,22 +140,28 @@ def free_run(
     """
     x, tolerance = guess.clone(), max(tolerance, 64.0 * torch.finfo(guess.dtype).eps)
     cheap = replace(engine, gradient="backprop")
-    closed = torch.ones(batch.rows, dtype=torch.bool, device=x.device)
-    for piece in _pieces(batch):
+    closed, pieces = torch.ones(batch.rows, dtype=torch.bool, device=x.device), _pieces(batch)
+    peaks = torch.stack([x[:, piece].abs().amax((1, 2)) for piece in pieces])
+    for number, piece in enumerate(pieces):
         whole = slice(piece.start, piece.stop + 1)  # its last state is the first one of the next piece
         part, nodes = _cut(batch, whole), x[:, whole]
-        opened = closed.nonzero().flatten()
+        peaks[number] = 0.0
+        elsewhere, opened = peaks.amax(0), closed.nonzero().flatten()
         closed = torch.zeros_like(closed)
         for _ in range(NEWTON_STEPS + nodes.shape[1] // ADVANCE):
             some = part.take(opened)
             lin = linearise_sorted(system, cheap, some, nodes[opened], theta[:, opened])
             step = condense(lin, nodes[opened])[..., -1]
             nodes[opened] = nodes[opened] + step
-            size = step.abs().amax((1, 2)) / x[opened].abs().amax((1, 2)).clamp_min(1e-12)
+            peak = torch.maximum(elsewhere[opened], nodes[opened].abs().amax((1, 2)))
+            size = step.abs().amax((1, 2)) / peak.clamp_min(1e-12)
             closed[opened] = size <= tolerance
             opened = opened[(size > tolerance) & torch.isfinite(size)]
             if opened.numel() == 0:
                 break
+        if not bool(closed.any()):
+            break
+        peaks[number] = nodes.abs().amax((1, 2))
     if roll_out and not bool(closed.all()):
         rows = (~closed).nonzero().flatten()
         with torch.no_grad():

@@ -10,6 +10,7 @@ on Fourier series", 1966). What is left of the ringing stays near the ends, and 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from math import comb, factorial
 from typing import Literal
 
@@ -96,14 +97,7 @@ def smooth_derivatives(
 
 def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """The d-th derivative per sample (..., T) in windows of 2 half + 1, and its gain of noise (T,)."""
-    n_samples = y.shape[-1]
-    offset = np.arange(-half, half + 1)
-    inverse = np.linalg.pinv(np.vander(offset / half, _DEGREE + 1, increasing=True))
-    # Row k reads the d-th derivative off the window's polynomial at its k-th sample.
-    basis = np.zeros((2 * half + 1, _DEGREE + 1))
-    for power in range(d, _DEGREE + 1):
-        basis[:, power] = factorial(power) / factorial(power - d) * (offset / half) ** (power - d)
-    weights = basis @ inverse / half**d
+    n_samples, weights = y.shape[-1], _weights(half, d)
     fit = convolve1d(y, weights[half][::-1], axis=-1, mode="nearest")
     fit[..., :half] = y[..., : 2 * half + 1] @ weights[:half].T
     fit[..., n_samples - half :] = y[..., n_samples - 2 * half - 1 :] @ weights[half + 1 :].T
@@ -111,6 +105,17 @@ def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> tuple[np.ndarray,
     gain[:half] = np.linalg.norm(weights[:half], axis=1)
     gain[n_samples - half :] = np.linalg.norm(weights[half + 1 :], axis=1)
     return fit, gain
+
+
+@cache
+def _weights(half: int, d: int) -> np.ndarray:
+    """Row k reads the d-th derivative off the polynomial of a window of 2 half + 1 samples at its k-th sample."""
+    offset = np.arange(-half, half + 1)
+    inverse = np.linalg.pinv(np.vander(offset / half, _DEGREE + 1, increasing=True))
+    basis = np.zeros((2 * half + 1, _DEGREE + 1))
+    for power in range(d, _DEGREE + 1):
+        basis[:, power] = factorial(power) / factorial(power - d) * (offset / half) ** (power - d)
+    return basis @ inverse / half**d
 
 
 def _on_stamps(

@@ -112,7 +112,7 @@ def _short_enough(path: PathLike) -> PathLike:
     Raises:
         ValueError: it is too long.
     """
-    longest = max((len(os.fsencode(part)) for part in (*Path(path).parts, "")), default=0)
+    longest = max((len(os.fsencode(part)) for part in Path(path).parts), default=0)
     if longest > LONGEST_PART or len(os.fsencode(path)) > LONGEST_PATH:
         raise ValueError(
             f"is longer than the name of any file ({LONGEST_PART} bytes, {LONGEST_PATH} with its folders)"

@@ -15,7 +15,7 @@ from rich.text import Text
 from hybrid_id.reporting.interactive import Drawn, drawn
 from hybrid_id.reporting.page import Page
 from hybrid_id.reporting.results import write_rows
-from hybrid_id.reporting.style import COLOURS, GREY, journal, new_figure, symbol, unit
+from hybrid_id.reporting.style import COLOURS, GREY, journal, label, new_figure, unit
 from hybrid_id.reporting.tables import count, interval_words, table
 from hybrid_id.study.fleet import FleetStudy
 
@@ -199,12 +199,11 @@ def fleet_page(study: FleetStudy, pictures: dict[str, Drawn]) -> Page:
     if study.fleet.stands_out.any():
         section.add(odd_table(study))
     page.section("Mean and spread").add(fleet_table(study), _HOW)
-    if "robots" in pictures:
-        page.section("Robots").figure(
-            pictures["robots"],
-            "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
-            "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
-        )
+    page.section("Robots").figure(
+        pictures["robots"],
+        "Each robot by its own records (points) in the order of their names; band: 95 % of the fleet; a robot that "
+        "stands out in a parameter is marked there. Last: error of fit over the fleet's median.",
+    )
     if study.failed:
         page.section("Robots without an estimate").add(
             table(("robot", "reason"), [(robot.name, robot.message) for robot in study.failed])
@@ -230,7 +229,7 @@ def robots_figure(study: FleetStudy) -> Figure:
         axes.axhspan(of.mean[k] - reach, of.mean[k] + reach, color=GREY, alpha=0.2, lw=0)
         axes.axhline(of.mean[k], color=GREY, lw=0.8)
         _points(axes, study, np.where(seen, of.own[:, k], np.nan), of.odd[:, k])
-        axes.set_ylabel(f"{symbol(info.name)} [{unit(info.unit)}]" if unit(info.unit) else symbol(info.name))
+        axes.set_ylabel(label(info.name, info.unit))
     panels[-1].axhline(1.0, color=GREY, lw=0.8)
     _points(panels[-1], study, of.misfit, of.odd_fit)
     panels[-1].set(ylabel="error of fit", xlabel="robot")

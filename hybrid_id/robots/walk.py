@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
@@ -195,11 +197,7 @@ def _is_there(path: Path) -> bool:
 def _senseless(key: str, words: str) -> str:
     """The first word of an attribute that is no number of a machine; limits may be infinite, so that they are none."""
     limit = key.endswith("range") or key in ("effort", "velocity", "lower", "upper")
-    for word in words.split()[:99]:
-        try:
-            number = float(word)
-        except ValueError:
-            continue
+    for word, number in _read(words):
         if math.isnan(number) or (abs(number) > LARGEST_NUMBER and not limit):
             return word
     return ""
@@ -207,10 +205,11 @@ def _senseless(key: str, words: str) -> str:
 
 def _numbers(words: str) -> list[float]:
     """Numbers in an attribute, but for what is none."""
-    found = []
+    return [number for _, number in _read(words) if not math.isnan(number)]
+
+
+def _read(words: str) -> Iterator[tuple[str, float]]:
+    """The first words of an attribute that are numbers, NaN too, and those."""
     for word in words.split()[:99]:
-        try:
-            found.append(float(word))
-        except ValueError:
-            continue
-    return [number for number in found if not math.isnan(number)]
+        with suppress(ValueError):
+            yield word, float(word)

@@ -135,11 +135,15 @@ def fleet(
         np.sqrt(np.where(one > 10.0 * _NONE**2, one, 0.0)) for one in (variances.robots, variances.records)
     )
 
-    def whole(found: np.ndarray, otherwise: float | np.ndarray = np.nan) -> np.ndarray:
-        """What was found of the free parameters, the last axis, among all of them, in their units."""
-        every = np.broadcast_to(np.asarray(otherwise, float), (*found.shape[:-1], len(size))).copy()
-        every[..., free] = found * size[free]
+    def among_all(found: np.ndarray, otherwise: float | np.ndarray) -> np.ndarray:
+        """What was found of the free parameters, the last axis, among all of them."""
+        every = np.broadcast_to(np.asarray(otherwise, found.dtype), (*found.shape[:-1], len(size))).copy()
+        every[..., free] = found
         return every
+
+    def whole(found: np.ndarray, otherwise: float | np.ndarray = np.nan) -> np.ndarray:
+        """The same in the parameters' units."""
+        return among_all(found * size[free], otherwise)
 
     return Fleet(
         mean=whole(state.mean * known, own.mean(0)),
@@ -152,8 +156,8 @@ def fleet(
         own_error=whole(state.own_error),
         values=whole(state.values, own),
         errors=whole(state.errors),
-        deviation=whole(deviation / size[free], 0.0),
-        odd=whole(improbable, 0.0) > 0.0,
+        deviation=among_all(deviation, 0.0),
+        odd=among_all(improbable, False),
         odd_fit=odd_fit,
         misfit=relative,
         held=held,
@@ -271,13 +275,19 @@ class _Levels:
         both = np.linalg.solve(np.eye(self.theta.shape[1]) + self.information * between_records, right)
         return both[..., :-1], both[..., -1]
 
+    def around_mean(
+        self, weight: np.ndarray, weighted: np.ndarray, between_robots: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Each robot's inverse covariance L (n, p, p), that times its estimate (n, p), and (I + L T)^-1 (n, p, p)."""
+        total = self.by_robot(weight)
+        return total, self.by_robot(weighted), np.linalg.inv(np.eye(total.shape[-1]) + total * between_robots)
+
     def likelihood(self, variances: _Variances) -> tuple[float, np.ndarray, np.ndarray]:
         """Restricted log-likelihood without its constant, and its derivatives by both variances' logarithms (p,)."""
         t, c = variances.robots, variances.records
         one = np.eye(len(t))
         weight, weighted = self.marginal(c)
-        total, right = self.by_robot(weight), self.by_robot(weighted)
-        back = np.linalg.inv(one + total * t)  # (I + L T)^-1
+        total, right, back = self.around_mean(weight, weighted, t)
         precision, known = back @ total, np.einsum("nij,nj->ni", back, right)
         covariance, _ = scaled_inverse(precision.sum(0))
         mean = covariance @ known.sum(0)
@@ -321,9 +331,7 @@ class _Levels:
     def state(self, variances: _Variances, kept: np.ndarray) -> _State:
         """Mean of the robots that are kept, and every robot beside it."""
         t = variances.robots
-        weight, weighted = self.marginal(variances.records)
-        total, right = self.by_robot(weight), self.by_robot(weighted)
-        back = np.linalg.inv(np.eye(len(t)) + total * t)
+        total, right, back = self.around_mean(*self.marginal(variances.records), t)
         precisions, known = back @ total, np.einsum("nij,nj->ni", back, right)
         precision = precisions[kept].sum(0)
         covariance, determined = scaled_inverse(precision)

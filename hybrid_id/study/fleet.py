@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.files import write_json
 from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.step import Engine
-from hybrid_id.statistics.fleet import Fleet, fleet
+from hybrid_id.statistics.fleet import FEWEST, Fleet, fleet
 from hybrid_id.statistics.uncertainty import autocorrelation_robust
 from hybrid_id.study.fan_out import Failure, fan_out, sealed, unsealed
 from hybrid_id.study.replays import batch_of
@@ -69,14 +68,10 @@ class FleetTask:
     Attributes:
         system: model with start values, bounds and priors.
         horizon: how long the free runs are; None where the first robot's records choose for all.
-        engine: how a sample is integrated.
-        options: of the fit.
     """
 
     system: System
     horizon: Horizon | None = None
-    engine: Engine = field(default_factory=Engine)
-    options: Options = field(default_factory=Options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,12 +110,11 @@ class FleetStudy:
 def fit_robot(task: FleetTask, dataset: Dataset) -> RobotFit:
     """Fit each train record of a robot; arguments in the order of :func:`.fan_out.fan_out`."""
     start = time.perf_counter()
-    engine = compiled_for(task.system, task.engine)
+    engine = compiled_for(task.system, Engine())
     batch = batch_of(dataset, task.system, dataset.train)
     sets, horizon = fit_sets(
-        copy.deepcopy(task.system), engine, batch, task.horizon, pooled=False, options=task.options, starts=1, seed=0,
-        kept=None,
-    )  # fmt: skip
+        task.system, engine, batch, task.horizon, pooled=False, options=Options(), starts=1, seed=0, kept=None
+    )
     used = [one for one in sets if one.status != "diverged"]
     if not used:
         raise InputError("every fit diverged; check units, signs and start values")
@@ -132,14 +126,14 @@ def fit_robot(task: FleetTask, dataset: Dataset) -> RobotFit:
         covariances.append(found.matrix - found.inverse_hessian @ precision @ found.inverse_hessian)
     if not all(np.isfinite(one).all() for one in covariances):
         raise InputError("the errors of its estimates are not finite; check units and start values")
-    square = sum(float(np.sum(r**2)) for one in used for r in one.residual)
+    samples = [max(one.n_samples, 1) for one in used]
     return RobotFit(
         dataset.name,
         tuple(one.records[0] for one in used),
         tuple(tuple(one.values.tolist()) for one in used),
         tuple(tuple(map(tuple, matrix.tolist())) for matrix in hessians),
         tuple(tuple(map(tuple, matrix.tolist())) for matrix in covariances),
-        float(np.sqrt(square / max(sum(one.n_samples for one in used), 1))),
+        float(np.sqrt(np.average([one.noise_scale**2 for one in used], weights=samples))),
         (horizon.kind, horizon.seconds),
         tuple(one.records[0] for one in sets if not one.ok),
         time.perf_counter() - start,
@@ -172,7 +166,7 @@ def gather(system: System, robots: Sequence[RobotFit]) -> FleetStudy:
     """
     fitted = tuple(robot for robot in robots if not robot.message)
     failed = tuple(robot for robot in robots if robot.message)
-    if failed and len(fitted) < 3:
+    if failed and len(fitted) < FEWEST:
         raise InputError(f"{len(failed)} of {len(robots)} robots have no estimate ({failed[0].message})")
     specs = [system.table[k].spec for k in system.estimated]
     found = fleet(
@@ -190,9 +184,7 @@ def key_of(task: FleetTask, dataset: Dataset, program: str = __version__) -> str
     """Digest of all that decides a robot's fit: records, model, settings, and the program that computes it."""
     horizon = None if task.horizon is None else (task.horizon.kind, task.horizon.seconds)
     model = describe_model(task.system), task.system.tree
-    return hashlib.sha256(
-        repr((program, model, horizon, task.engine, task.options, dataset.digest)).encode()
-    ).hexdigest()
+    return hashlib.sha256(repr((program, model, horizon, dataset.digest)).encode()).hexdigest()
 
 
 def save_robot(folder: Path, robot: RobotFit, key: str) -> None:

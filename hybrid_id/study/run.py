@@ -135,7 +135,7 @@ def fit_sets(
     """All sets of a batch, and the horizon over which they are fitted: the one given, or what the records ask for.
 
     Args:
-        model: with start values; it is fitted in place.
+        model: with start values.
         engine: how a sample is integrated.
         batch: of the records.
         horizon: None to let the records choose.
