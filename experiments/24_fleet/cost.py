@@ -16,9 +16,9 @@ import tempfile
 import time
 from pathlib import Path
 
+import distributed
 import numpy as np
 import psutil
-from distributed import LocalCluster
 
 WAYS = ("one process", "joblib, 2 processes", "Dask, 2 workers")
 
@@ -33,7 +33,8 @@ def main() -> None:
     asked = parser.parse_args()
     settings = {"n_workers": 2, "threads_per_worker": 1, "processes": True, "dashboard_address": None}
     found: dict[str, list[tuple[float, float]]] = {way: [] for way in WAYS}
-    with LocalCluster(**settings) as cluster, tempfile.TemporaryDirectory() as temporary:
+    cluster = distributed.LocalCluster(**settings)
+    with cluster, tempfile.TemporaryDirectory() as temporary:
         options = {
             WAYS[0]: [],
             WAYS[1]: ["--jobs", "2"],

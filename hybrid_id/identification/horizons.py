@@ -29,6 +29,8 @@ from hybrid_id.simulation.stability import with_substeps
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
+Kind = Literal["whole", "strokes", "windows"]
+"""Whole records, strokes (from rest to rest), or windows of one length."""
 STILL, REST = 0.02, 0.1
 """A joint rests while its speed stays below this share of its largest one, for so long [s] at least."""
 FOLLOWED, LOST = 0.1, 0.5
@@ -53,7 +55,7 @@ class Horizon:
         reason: why it was chosen, in words; empty where the user chose it.
     """
 
-    kind: Literal["whole", "strokes", "windows"] = "whole"
+    kind: Kind = "whole"
     seconds: float = 0.0
     reason: str = ""
 

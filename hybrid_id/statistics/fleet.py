@@ -12,8 +12,10 @@ say of the others is relative to it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy.optimize import brentq, minimize
@@ -360,10 +362,15 @@ class _Levels:
                 return some.likelihood(_Variances(t, variances.records))[0] - top + _DROP
 
             low, at, high = 2 * np.log(_NONE), np.log(value), 2 * np.log(_HUGE)
-            lower = 0.0 if above(low) > 0.0 else np.exp(0.5 * brentq(above, low, at, xtol=1e-3))
-            upper = np.inf if above(high) > 0.0 else np.exp(0.5 * brentq(above, at, high, xtol=1e-3))
+            lower = 0.0 if above(low) > 0.0 else _root(above, low, at)
+            upper = np.inf if above(high) > 0.0 else _root(above, at, high)
             ends.append((lower, upper))
         return np.array(ends)
+
+
+def _root(above: Callable[[float], float], low: float, high: float) -> float:
+    """The standard deviation whose log variance is the root of a function between two of them."""
+    return math.exp(0.5 * cast(float, brentq(above, low, high, xtol=1e-3)))
 
 
 def _of_logs(logs: np.ndarray, p: int) -> _Variances:
@@ -374,7 +381,8 @@ def _far(levels: _Levels) -> np.ndarray:
     """Robots far from the median in some parameter (n,) bool."""
     own, error = levels.own(levels.start().records)
     apart, scatter = _around_median(own, error)
-    return (apart > FAR * np.maximum(scatter, error)).any(1)  # nothing is far where nothing is known
+    far = apart > FAR * np.maximum(scatter, error)  # nothing is far where nothing is known
+    return np.asarray(far.any(1))
 
 
 def _around_median(own: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

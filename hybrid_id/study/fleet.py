@@ -13,7 +13,7 @@ from pydantic import TypeAdapter
 
 from hybrid_id import __version__
 from hybrid_id.errors import InputError
-from hybrid_id.identification.horizons import Horizon
+from hybrid_id.identification.horizons import Horizon, Kind
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.files import write_json
@@ -55,7 +55,7 @@ class RobotFit:
     hessians: tuple[tuple[tuple[float, ...], ...], ...] = ()
     covariances: tuple[tuple[tuple[float, ...], ...], ...] = ()
     misfit: float = 0.0
-    horizon: tuple[str, float] = ("whole", 0.0)
+    horizon: tuple[Kind, float] = ("whole", 0.0)
     unfinished: tuple[str, ...] = ()
     seconds: float = 0.0
     message: str = ""
