@@ -28,7 +28,7 @@ from torch import Tensor, nn
 
 from hybrid_id.components.base import Component
 from hybrid_id.simulation.c_code import call, compiler, library, note, noted
-from hybrid_id.simulation.parts import NAMES, Body, alone, assigned, in_lanes, in_parts, lanes, lines
+from hybrid_id.simulation.parts import NAMES, Body, assigned, in_lanes, in_parts, lanes, lines
 from hybrid_id.simulation.step import Engine, update_internal_states
 from hybrid_id.simulation.tracing import DECLARED, record
 from hybrid_id.systems.balance import PIVOTS, Directions
@@ -303,14 +303,12 @@ def source(
     bodies["margins"] = code.function(margins, {"s": n, "d": n}, sides) if n else Body([[]], 0, {})
     texts: dict[str, str] = {}
     for name, body in bodies.items():
-        texts[f"{name}_parts"], texts[name] = alone(name, ARRAYS[name], body)
-        texts[f"{name}_lanes_parts"], texts[f"{name}_lanes"] = lanes(name, ARRAYS[name], body)
+        texts[f"{name}_parts"], texts[name] = lanes(name, ARRAYS[name], body)
     texts["rates_tangents"] = lines(code.tangents(bodies["rates"]))
-    texts["rates_lanes_tangents"] = lines(code.tangents(bodies["rates"], lane="[l]"))
     body = code.function(internal, {"h": 0}, [f"x[{i}]" for i in kept], tangents=kept, whole=True)
     after = [f"TANGENTS x_t[{i}][c][l] = k_t[{i}][c][l];" for i in kept] if code.columns else []
     texts["internal_lanes"] = in_lanes(lines(body.parts[0]))
-    texts["internal_tangents"] = lines([*code.tangents(body, lane="[l]"), *after])
+    texts["internal_tangents"] = lines([*code.tangents(body), *after])
     template = resources.files("hybrid_id.simulation").joinpath("engine.c.in").read_text(encoding="utf-8")
     written = Template(template).substitute(
         texts, functions=DECLARED, width=WIDTH, internal_states=int(bool(kept)), rollouts=int(free is None),
@@ -477,17 +475,16 @@ class Statements:
         kinds = {name: known[name].split(" = ")[0] for name in kept}
         return [f"{kinds[name]} = {place};" for name, place in places.items()], moving
 
-    def tangents(self, body: Body, lane: str = "") -> list[str]:
+    def tangents(self, body: Body) -> list[str]:
         """Statements that fill ``k_t`` by the chain rule from gradients by states and free parameters."""
         n_x = len(self.system.state_names)
-        every, one = ("TANGENTS", "LANES ") if lane else ("COLUMNS", "")
         found = []
         for row, places in body.gradients.items():
-            gradient = [in_lanes(place) if lane else place for place in places]
-            terms = [f"{g} * x_t[{j}][c]{lane}" for j, g in enumerate(gradient[:n_x]) if g != "0.0"]
+            gradient = [in_lanes(place) for place in places]
+            terms = [f"{g} * x_t[{j}][c][l]" for j, g in enumerate(gradient[:n_x]) if g != "0.0"]
             own = [(c, g) for c, g in enumerate(gradient) if c >= n_x and g != "0.0"]
             found += [
-                f"{every} k_t[{row}][c]{lane} = {' + '.join(terms) or '0.0'};",
-                *(f"{one}k_t[{row}][{c}]{lane} += {g};" for c, g in own),
+                f"TANGENTS k_t[{row}][c][l] = {' + '.join(terms) or '0.0'};",
+                *(f"LANES k_t[{row}][{c}][l] += {g};" for c, g in own),
             ]
         return found

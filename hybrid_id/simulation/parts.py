@@ -65,38 +65,26 @@ def in_parts(
     )
 
 
-def alone(name: str, arrays: Sequence[str], body: Body) -> tuple[str, str]:
-    """Functions for the parts of a body, and the body that calls them, for one lane."""
-    return _written(name, arrays, body, [lines(part) for part in body.parts], "")
-
-
 def lanes(name: str, arrays: Sequence[str], body: Body) -> tuple[str, str]:
-    """As :func:`alone`, for the lanes side by side."""
-    loops = [f"    LANES {{\n{in_lanes(lines(part))}\n    }}" for part in body.parts]
-    return _written(f"{name}_lanes", arrays, body, loops, "[W]")
-
-
-def _written(
-    name: str, arrays: Sequence[str], body: Body, texts: Sequence[str], lane: str
-) -> tuple[str, str]:
+    """Functions for the parts of a body, and the body that calls them, for the lanes side by side."""
+    texts = [f"    LANES {{\n{in_lanes(lines(part))}\n    }}" for part in body.parts]
     if len(texts) == 1:
         return "", texts[0]
     given = [*arrays, "between"]
-    declared = ", ".join(_declared(array, lane) for array in given)
+    declared = ", ".join(map(_declared, given))
     functions = [
         f"static __attribute__((noinline)) void {name}_{k}({declared})\n{{\n{text}\n}}\n"
         for k, text in enumerate(texts)
     ]
     calls = [f"{name}_{k}({', '.join(given)});" for k in range(len(texts))]
-    return "\n".join(functions), lines([f"double between[{body.between}]{lane} ALIGNED;", *calls])
+    return "\n".join(functions), lines([f"double between[{body.between}][W] ALIGNED;", *calls])
 
 
-def _declared(array: str, lane: str) -> str:
+def _declared(array: str) -> str:
     """A parameter of a part, which is an array."""
     if array == "g":
-        return f"double (*g)[MC]{lane}"
-    kind = "double" if array in WRITTEN else "const double"
-    return f"{kind} (*{array}){lane}" if lane else f"{kind} *{array}"
+        return "double (*g)[MC][W]"
+    return f"{'double' if array in WRITTEN else 'const double'} (*{array})[W]"
 
 
 def in_lanes(body: str) -> str:

@@ -266,7 +266,7 @@ def test_a_function_in_parts_computes_the_same(name: str, monkeypatch: pytest.Mo
     monkeypatch.setattr(compiled_engine, "PART", 60)
     monkeypatch.setattr(compiled_engine, "_LIBRARIES", {})
     monkeypatch.setattr(compiled_engine, "noted", lambda *_: None)
-    assert "rates_lanes_2(" in source(system, ["u1", "u2"], free)[0]
+    assert "rates_2(" in source(system, ["u1", "u2"], free)[0]
     for one, other in zip(found(), whole, strict=True):
         assert_same(one, other)
 
