@@ -202,9 +202,9 @@ def _ranked(
 ) -> list[tuple[int, tuple[float, ...]]]:
     """Some of the shapes by what they leave, least first."""
     own, left = opened.own.flatten(0, 1).numpy(), opened.left.flatten().numpy()
-    moved = opened.response(torch.cat([shapes[i] for i in numbers], -1))
+    moved = opened.response(*(shapes[i] for i in numbers))
     if beside is not None:
-        moved = moved + beside[0].response(torch.cat([beside[1][i] for i in numbers], -1))
+        moved = moved + beside[0].response(*(beside[1][i] for i in numbers))
     response = moved.flatten(0, 1).numpy()
     basis = np.linalg.qr(own / np.maximum(np.linalg.norm(own, axis=0), 1e-300))[0]
     response, left = response - basis @ (basis.T @ response), left - basis @ (basis.T @ left)

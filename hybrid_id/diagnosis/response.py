@@ -76,17 +76,20 @@ class Response:
         )
         return replace(self, lin=lin, **some)
 
-    def response(self, waves: Tensor) -> Tensor:
-        """Weighted response of the windows' outputs to torques ``(R, T, m)`` [N m], ``(W, L n_y, m)``."""
-        return self._chained(waves[self.record[:, None], self.index])
+    def response(self, *waves: Tensor) -> Tensor:
+        """Weighted response of the windows' outputs to torques [N m], each ``(R, T, m)``: ``(W, L n_y, sum of m)``."""
+        return self._chained(torch.cat([one[self.record[:, None], self.index] for one in waves], -1))
 
     def _chained(self, waves: Tensor) -> Tensor:
         """The same of torques within each window, ``(W, L, m)``."""
-        empty = self.lin.d.new_zeros(1).expand(*self.lin.d.shape[:-1], waves.shape[-1])
-        chained = condense(replace(self.lin, b=self.lin.b * waves[:, :, None, :], d=empty), self.x)
-        n_x = self.x.shape[-1]
-        found = (self.lin.c @ chained[..., n_x:-1] * self.weight[..., None]).flatten(1, 2)
-        return found - self.start @ (self.start.transpose(1, 2) @ found)
+        through = self.lin.c * self.weight[..., None]
+        state = waves.new_zeros(len(waves), self.x.shape[-1], waves.shape[-1])
+        found = waves.new_empty(*through.shape[:3], waves.shape[-1])
+        for k in range(waves.shape[1]):  # a state at a time: those of all samples would not fit the cache
+            found[:, k] = through[:, k] @ state
+            state = torch.baddbmm(self.lin.b[:, k] * waves[:, k, None], self.lin.a[:, k], state)
+        found = found.flatten(1, 2)
+        return torch.baddbmm(found, self.start, self.start.transpose(1, 2) @ found, alpha=-1.0)
 
     def unexplained(self, knot: float) -> tuple[np.ndarray, np.ndarray]:
         """Squares that a torque of any course in time cannot explain, and all of them, in each window, ``(W,)``.

@@ -1,6 +1,7 @@
 """Figures that a record gives away about its sensors: noise, quantisation, rest at the start, turning points."""
 
 from math import comb
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -11,6 +12,7 @@ ORDER = 6  # of the differences that leave the noise and take the motion away
 BLOCKS = 40
 STUCK = 10  # samples in a row at one extreme
 DRIVES = ("u", "duty", "tau", "i")  # stems of the inputs that push the motor
+_AT_REST: WeakKeyDictionary[Record, int] = WeakKeyDictionary()
 
 
 def quantisation_step(values: np.ndarray) -> float:
@@ -64,13 +66,19 @@ def estimate_noise(values: np.ndarray) -> float:
 
 
 def rest_samples(record: Record) -> int:
-    """Count the first samples that are taken at rest; at least 1.
+    """Count the first samples that are taken at rest; at least 1. Counted once a record, however often it is asked.
 
     At rest means: every voltage, duty, torque or current is zero and no
     output leaves its noise. Where a motion ends that stretch (an arm let go), only its first quarter counts,
     in which such a motion has gone a sixteenth of the way. The sample at which the input sets in still
     shows the rest, but it is left out, since its stamp may lag behind the input.
     """
+    if record not in _AT_REST:
+        _AT_REST[record] = _count_at_rest(record)
+    return _AT_REST[record]
+
+
+def _count_at_rest(record: Record) -> int:
     drives = [name for name in record.inputs if stem(name) in DRIVES]
     pushed = np.zeros(record.n_samples, dtype=bool)
     for name in drives:
