@@ -331,10 +331,8 @@ def _rivals(
     heavy = 0.07 * base.drive.gain  # a dominant effect's size at a joint of this stiffness
     for name, kind in KINDS.items():
         if name != lead.name and kind.fits(drawn.arm.servo):
-            for side in range(STARTS):
+            for _ in range(STARTS):
                 values = kind.draw(rng, base.drive, heavy)
-                if side and name in ("constant_torque",):  # whose sign no fit changes
-                    values = {key: -v for key, v in values.items()}
                 starts.append(Fit(lead.joint, replace(base.drive, **values), tuple(values)))
                 names.append(name)
     found: dict[str, Fit] = {}
