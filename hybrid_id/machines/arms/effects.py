@@ -91,8 +91,15 @@ KINDS: Mapping[str, Kind] = {
     ),
 }
 """Effects of the catalogue by name."""
-SIGNED = {"uneven": 0.4, "phase": 1.1, "rest": 0.45, "zero": 0.04, "mass": 0.35, "bias": 0.8}
-"""Values that may be negative, and what each is measured by in a fit: a bias by so much of the joint's dry friction."""
+SIGNED: Mapping[str, Callable[[Drive], float]] = {
+    "uneven": lambda d: 0.4,
+    "phase": lambda d: 1.1,
+    "rest": lambda d: 0.45,
+    "zero": lambda d: 0.04,
+    "mass": lambda d: 0.35,
+    "bias": lambda d: 0.8 * float(d.friction),
+}
+"""Values that may be negative, and what each is measured by in a fit of a drive."""
 SMALL: Mapping[str, Callable[[np.random.Generator, Drive, float], Values]] = {
     "stribeck_friction": lambda r, d, g: {
         "drop": g * d.friction * _uniform(r, 0.01, 0.07),

@@ -262,8 +262,7 @@ def _changed(drive: Drive, names: Sequence[str], step: np.ndarray) -> Drive:
     for name, own in zip(names, step, strict=True):
         before = float(getattr(drive, name))
         if name in SIGNED:
-            unit = float(drive.friction) if name == "bias" else 1.0
-            values[name] = before + unit * SIGNED[name] * float(own)
+            values[name] = before + SIGNED[name](drive) * float(own)
         else:
             values[name] = before * float(np.exp(own))
     return replace(drive, **values)
