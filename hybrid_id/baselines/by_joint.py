@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hybrid_id.diagnosis.arm import joints_to_diagnose
 from hybrid_id.errors import InputError
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.systems.by_joint import alone, joint_number, named, with_drive, with_others_measured
+from hybrid_id.systems.by_joint import (
+    alone,
+    joint_number,
+    joints_to_diagnose,
+    named,
+    with_drive,
+    with_others_measured,
+)
 from hybrid_id.systems.chain import System
 
 

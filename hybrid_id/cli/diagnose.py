@@ -105,7 +105,8 @@ def diagnose(
         use_threads(1)
         system = load_system(config, dataset)
         by_joint = takes_by_joint(system, config.model, joint)
-        from hybrid_id.diagnosis.arm import ArmDiagnosis, with_standing_held
+        from hybrid_id.diagnosis.arm import ArmDiagnosis
+        from hybrid_id.systems.by_joint import with_standing_held
 
         remark_start_values(*(with_standing_held(dataset, system) if by_joint else (dataset, system)))
         from hybrid_id.reporting.arm_diagnosis import arm_table
@@ -174,7 +175,8 @@ def run_arm(
     dataset: "Dataset", system: "System", config: StudyConfig, kept: "Kept", joints: list[str] | None
 ) -> "ArmDiagnosis":
     """Diagnose a robot joint by joint as the config says, with a bar on stderr."""
-    from hybrid_id.diagnosis.arm import diagnose_arm, joints_to_diagnose
+    from hybrid_id.diagnosis.arm import diagnose_arm
+    from hybrid_id.systems.by_joint import joints_to_diagnose
 
     searches = len(set(joints or ()) or joints_to_diagnose(dataset, system)[0])
     with SearchProgress(config.gap.max_effects, searches) as progress:

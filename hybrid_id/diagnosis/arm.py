@@ -18,11 +18,11 @@ from scipy.stats import chi2
 from hybrid_id.components.base import Shared
 from hybrid_id.diagnosis.catalogue import brought, effect
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import diagnose
+from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
-from hybrid_id.diagnosis.fits import FULL, engine
+from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import RatedEffect
-from hybrid_id.diagnosis.per_record import structural
+from hybrid_id.diagnosis.own_values import COUPLED, borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
@@ -35,32 +35,25 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
-from hybrid_id.records.units import number_of, stem
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import (
     alone,
-    check_angles,
     joint_number,
-    moves,
+    joints_to_diagnose,
     moving_records,
     named,
     some,
     together,
     with_drive,
     with_others_measured,
+    with_standing_held,
 )
 from hybrid_id.systems.chain import System
 
-COUPLED = 10
-"""Iterations of the fit of the whole robot, which begins where the joints' own fits have ended."""
 VERDICTS = ("effects", "outside_catalogue", "parameters_only", "inconclusive", "no_gap")
-NOT_ASKED, STANDS, STOPPED = (
-    "not asked for",
-    "stands still in all train records, so it is held where it was measured",
-    "the search was stopped",
-)
+NOT_ASKED, STOPPED = "not asked for", "the search was stopped"
 """Why joints are not diagnosed."""
 
 
@@ -106,10 +99,6 @@ class ArmDiagnosis:
         estimates: parameters of the corrected robot with their standard errors, by name, from the fit of all joints;
             empty where that fit was not better than the joints' own, or the search was stopped before it.
         common: parameters of effects that several joints have.
-        within_records: of each joint whose own diagnosis finds something outside the catalogue, the share of the
-            structure in its errors that stays where every record has values of its own, all joints simulated; empty
-            where free runs are shorter than records. What such values explain is a difference between records: it adds
-            up along the motion of all joints, and a joint by itself takes a part of it for more.
         refit, model: the whole robot, re-fitted and corrected.
         nominal_errors, refit_errors, model_errors: on the test records, all joints simulated; None without.
         shrink: how far the gap shrinks there.
@@ -124,7 +113,6 @@ class ArmDiagnosis:
     parts: Mapping[str, float]
     estimates: Mapping[str, tuple[float, float]]
     common: tuple[CommonSize, ...]
-    within_records: Mapping[str, float]
     refit: System
     model: System
     nominal_errors: Errors | None
@@ -185,24 +173,14 @@ class ArmDiagnosis:
         return sum(
             self.parts[joint] * found.remainder
             for joint, found in self.joints.items()
-            if self.verdict_of(joint) in ("effects", "outside_catalogue") and joint not in self.differing
+            if found.verdict in ("effects", "outside_catalogue")
         )
-
-    @property
-    def differing(self) -> list[str]:
-        """Joints at which values of each record's own explain what looks like something outside the catalogue."""
-        return [joint for joint, left in self.within_records.items() if left <= CRITERIA.coloured]
-
-    def verdict_of(self, joint: str) -> str:
-        """A joint's verdict as the whole robot bears it out: where its records differ, nothing is missing."""
-        own = self.joints[joint].verdict
-        return "parameters_only" if own == "outside_catalogue" and joint in self.differing else own
 
     @property
     def unknown(self) -> bool:
         """Whether what the catalogue lacks explains a substantial share of the robot's gap at any joint."""
         return any(
-            found.unknown and self.parts[joint] >= CRITERIA.substantial and joint not in self.differing
+            found.unknown and self.parts[joint] >= CRITERIA.substantial
             for joint, found in self.joints.items()
         )
 
@@ -212,7 +190,7 @@ class ArmDiagnosis:
 
         Something is outside the catalogue where it is a substantial part of the robot's gap.
         """
-        found = {self.verdict_of(joint) for joint in self.joints}
+        found = {one.verdict for one in self.joints.values()}
         if not self.unknown and found - {"outside_catalogue"}:
             found -= {"outside_catalogue"}
         if self.interrupted and "effects" not in found:
@@ -240,7 +218,6 @@ class ArmDiagnosis:
             "gap": gap_entry(
                 self.nominal_errors, self.refit_errors, self.model_errors, self.shrink, self.contradiction
             ),
-            "within_records": dict(self.within_records),
             "location": [
                 {"joint": joint, "side": None, "share_of_gap": part} for joint, part in self._by_part()
             ],
@@ -253,49 +230,6 @@ class ArmDiagnosis:
 
     def _by_part(self) -> list[tuple[str, float]]:
         return sorted(self.parts.items(), key=lambda one: -one[1])
-
-
-def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dict[str, str]]:
-    """Names of the joints of a robot that can be diagnosed, and of the others, each with the reason.
-
-    Args:
-        dataset: of the whole robot.
-        system: a robot with a tree.
-
-    Raises:
-        InputError: a joint's angle was not measured.
-    """
-    check_angles(dataset, system)
-    taken, skipped = [], {}
-    for k, name in enumerate(() if system.tree is None else system.tree.names):
-        if system.tree is not None and system.tree.coupling(k) is not None:
-            skipped[name] = "motor turns other joints, too"
-        elif not any(moves(record, k) for record in dataset.train):
-            skipped[name] = STANDS
-        else:
-            taken.append(name)
-    return taken, skipped
-
-
-def with_standing_held(dataset: Dataset, system: System) -> tuple[Dataset, System]:
-    """A robot's records and drives without the joints that stand still, which are held where they were measured.
-
-    Args:
-        dataset: of the whole robot.
-        system: the robot.
-
-    Returns:
-        Both as they were where all joints move, or none does.
-
-    Raises:
-        InputError: a joint's angle was not measured.
-    """
-    skipped = joints_to_diagnose(dataset, system)[1]
-    standing = [joint_number(system, name) for name, why in skipped.items() if why == STANDS]
-    moving = [k for k in range(len(system.joints)) if k not in standing]
-    if not standing or not moving:
-        return dataset, system
-    return with_others_measured(dataset, system, *moving), some(system, moving)
 
 
 def diagnose_arm(
@@ -343,7 +277,7 @@ def diagnose_arm(
     if not names:
         reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
         raise InputError(f"No joint of dataset '{dataset.name}' can be diagnosed by itself ({reasons}).")
-    found: dict[str, Diagnosis] = {}
+    found: dict[str, tuple[Measured, Answer]] = {}
     stopped = False
     for name in names:
         k = joint_number(system, name)
@@ -353,10 +287,9 @@ def diagnose_arm(
                 progress(f"{name}: {stage}", done, total)
 
         try:
-            found[name] = diagnose(
+            found[name] = answered(
                 with_others_measured(moving_records(dataset, k), system, k), alone(system, k), horizon=horizon,
-                max_effects=max_effects, jobs=jobs, seed=seed, level=level, signal_share=signal_share, kept=kept,
-                progress=say,
+                max_effects=max_effects, jobs=jobs, seed=seed, signal_share=signal_share, kept=kept, progress=say,
             )  # fmt: skip
         except InputError as error:  # one joint's records or values must not cost the others theirs
             if len(names) == 1:
@@ -367,7 +300,7 @@ def diagnose_arm(
             if not found:
                 raise
             stopped = True
-        if stopped or found[name].interrupted:
+        if stopped or found[name][1].found.interrupted:
             rest = [later for later in names if later not in found and later not in skipped]
             skipped |= dict.fromkeys(rest, STOPPED)
             stopped = True
@@ -378,7 +311,16 @@ def diagnose_arm(
         )
     if progress is not None:
         progress("the whole robot", 0, 1)
-    return _of_whole_robot(dataset, system, found, skipped, stopped, seed, signal_share)
+    answers = {name: answer for name, (_, answer) in found.items()}
+    if not stopped:  # who stops waits for no more fits
+        answers = borne_out(dataset, system, answers, seed=seed, signal_share=signal_share)
+    done = {
+        name: reported(
+            measured, alone(system, joint_number(system, name)), answers[name], seed=seed, level=level
+        )
+        for name, (measured, _) in found.items()
+    }
+    return _of_whole_robot(dataset, system, done, skipped, stopped, seed, signal_share)
 
 
 def _of_whole_robot(
@@ -407,10 +349,6 @@ def _of_whole_robot(
         errors(moving, one, engine(), horizon=horizon, signal_share=signal_share)
         for one in (now, refit, model)
     )
-    odd = {name: joint_number(nominal, name) + 1 for name, one in found.items() if one.unknown}
-    within = (
-        _within_records(moving, model, odd, signal_share) if odd and horizon == WHOLE and not stopped else {}
-    )
     if now.seats is not None:
         refit, model = together(refit), together(model)
     if before is not None and after is not None:
@@ -420,7 +358,7 @@ def _of_whole_robot(
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
     parts, known = _parts(found, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
-        dataset, found, skipped, horizon, parts, known, common_sizes(found, model, known), within, refit, model,
+        dataset, found, skipped, horizon, parts, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,
     )  # fmt: skip
 
@@ -453,37 +391,6 @@ def fitted_coupled(
         if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
             return again.system, again
     return system, None
-
-
-def _within_records(
-    dataset: Dataset, system: System, joints: Mapping[str, int], signal_share: float
-) -> dict[str, float]:
-    """Share of the structure in joints' errors that values of each record's own leave, all joints simulated.
-
-    Of the train records in their geometric mean, so that one which runs away from its own values does not decide.
-
-    Args:
-        dataset: of all joints that move.
-        system: their drives.
-        joints: numbers of the joints that are asked for, as in the channels' names, by name.
-        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
-    """
-    batch, structure = batch_of(dataset, system, dataset.train, signal_share, "cpu"), []
-    for pooled, iterations in ((True, COUPLED), (False, FULL)):
-        options = Options(max_iterations=iterations)
-        try:
-            sets = fit(system, batch, pooled=pooled, engine=engine(), options=options, warm=False)
-        except (InputError, RuntimeError, np.linalg.LinAlgError):
-            return {}
-        system = sets[0].system  # each record's own begin at the common ones
-        left = [one for each in sets for one in each.residual]
-        structure.append([[structural([one[:, [k]]]) for k in range(one.shape[1])] for one in left])
-    common, own = np.maximum(structure, CRITERIA.negligible_structure**2)
-    share = np.exp(np.log(np.minimum(own / common, 1.0)).mean(0))
-    columns = {number_of(name): k for k, name in enumerate(batch.outputs) if stem(name) in ("q_m", "q_a")}
-    return {
-        name: float(share[columns[str(number)]]) for name, number in joints.items() if str(number) in columns
-    }
 
 
 def _parts(found: Mapping[str, Diagnosis], horizon: Horizon, signal_share: float) -> dict[str, float]:

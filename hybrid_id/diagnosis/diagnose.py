@@ -96,6 +96,26 @@ def diagnose(
         InputError: no train record, or the nominal model cannot be fitted to them.
         KeyboardInterrupt: stopped before the search has found anything.
     """
+    measured, answer = answered(
+        dataset, system, horizon=horizon, max_effects=max_effects, jobs=jobs, seed=seed, signal_share=signal_share,
+        kept=kept, progress=progress,
+    )  # fmt: skip
+    return reported(measured, system, answer, seed=seed, level=level, progress=progress)
+
+
+def answered(
+    dataset: Dataset,
+    system: System,
+    *,
+    horizon: Horizon | None = None,
+    max_effects: int = MAX_EFFECTS,
+    jobs: int = 1,
+    seed: int = 0,
+    signal_share: float = SIGNAL_SHARE,
+    kept: Kept | None = None,
+    progress: Progress | None = None,
+) -> tuple[Measured, Answer]:
+    """Stages measure to freeze of :func:`diagnose`, whose arguments these are: the test records stay closed."""
     if not dataset.train:
         raise InputError(f"dataset '{dataset.name}' has no train record; give at least one the role 'train'.")
     say = progress or (lambda *_: None)
@@ -110,8 +130,21 @@ def diagnose(
         progress=progress,
     )
     say("location", 0, 1)
-    answer = freeze(fits, found, system, seed=seed)
-    say("test records", 0, 1)
+    return measured, freeze(fits, found, system, seed=seed)
+
+
+def reported(
+    measured: Measured,
+    system: System,
+    answer: Answer,
+    *,
+    seed: int = 0,
+    level: float = 0.95,
+    progress: Progress | None = None,
+) -> Diagnosis:
+    """Stages test and report of :func:`diagnose`."""
+    if progress is not None:
+        progress("test records", 0, 1)
     tested = test(measured.dataset, system, answer, seed=seed)
     return report(measured.dataset, system, answer, tested, skews=measured.skews, seed=seed, level=level)
 
@@ -160,7 +193,8 @@ class Answer:
 
     Attributes:
         fits: holds the records and their horizon.
-        found: the search.
+        searched: the search.
+        found: the same with what is asserted alone, its models fitted to train and validation records.
         grade: shares, probabilities, what remains.
         before, after: torques that would explain what the re-fitted and the chosen model leave, best first.
         structural: share of what the chosen model leaves that has a cause.
@@ -172,6 +206,7 @@ class Answer:
     """
 
     fits: Fits
+    searched: Selection
     found: Selection
     grade: Grade
     before: tuple[Location, ...]
@@ -345,7 +380,8 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     :func:`locate` comes first, for the structural share of what remains depends on it; :func:`grade` divides the gap.
     The last effect that is not sure enough is dropped, and both are done again for the rest.
     """
-    before, rejected = tuple(locate(fits, found.base)), list[str]()
+    searched, before = found, tuple(locate(fits, found.base))
+    rejected = [in_words(name) for name in found.refuted]
     while True:
         chosen = found.chosen
         after = before if chosen is found.base else tuple(locate(fits, chosen))
@@ -360,7 +396,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         if not unsure:
             break
         name = unsure[-1]
-        rejected.append(f"{name[0]} at {name[1]}")
+        rejected.append(in_words(name))
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
         found = replace(found, chosen=rest or found.base)
     nothing = not found.chosen.effects and not graded.unknown and not varying
@@ -368,7 +404,14 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     std = 0.0 if identified is None else float(min(identified.combination_std, default=np.inf))
     found = _unheld(_final(fits, found), system)
     wrong = _wrong_values(fits, system, found.base)
-    return Answer(fits, found, graded, before, after, structural, varying, tuple(rejected), wrong, std)
+    return Answer(
+        fits, searched, found, graded, before, after, structural, varying, tuple(rejected), wrong, std
+    )
+
+
+def in_words(name: Name) -> str:
+    """An effect and its place."""
+    return f"{name[0]} at {name[1]}"
 
 
 def _for_all_records(found: Selection, own: PerRecord) -> Selection:

@@ -75,9 +75,9 @@ def per_record(fits: Fits, model: FittedModel, nominal: System) -> PerRecord | N
     if float(np.mean([structural(one.residual) for one in sets])) > CRITERIA.negligible_structure**2:
         return PerRecord(model, left)
     if model.autocorrelation <= CRITERIA.coloured:
-        return PerRecord(model, left, _scatter(sets), True)
+        return PerRecord(model, left, scatter(sets), True)
     best = sets[select(cross_validate(sets, batch, pooled=False)).index]
-    task, words = Task(model.effects, best.system), _scatter(sets)
+    task, words = Task(model.effects, best.system), scatter(sets)
     there, fitted = fits.run([task], 0)[0], fits.run([task], FULL)[0]
     if fitted is not None and fitted.autocorrelation <= CRITERIA.coloured:
         return PerRecord(fitted, left, explained=True)
@@ -96,7 +96,7 @@ def structural(residual: Sequence[np.ndarray]) -> float:
     return found * mean_square(residual) if found > CRITERIA.white else 0.0
 
 
-def _scatter(sets: list[FitResult]) -> tuple[str, ...]:
+def scatter(sets: Sequence[FitResult]) -> tuple[str, ...]:
     """Parameters by how much their differences move the outputs, along the directions that the records identify.
 
     Directions along which the sets differ by little more than their own errors are left out, so that records with

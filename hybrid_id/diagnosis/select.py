@@ -49,6 +49,7 @@ class Selection:
         interrupted: whether the search was stopped before its end.
         own: each record's own values of the nominal model, where they explain all that any effect does, and more.
         near: the search over short runs that this one, over whole records, has gone on from.
+        refuted: effects that were accepted and take nothing of what each record's own values leave.
     """
 
     base: FittedModel
@@ -57,6 +58,7 @@ class Selection:
     interrupted: bool = False
     own: PerRecord | None = None
     near: Selection | None = None
+    refuted: tuple[Name, ...] = ()
 
     @property
     def compared(self) -> tuple[SelectionStep, ...]:

@@ -33,6 +33,7 @@ from hybrid_id.reporting.diagnosis_words import (
     place_words,
     probability_words,
     range_percent,
+    rejected_lines,
     shrink_line,
     unmeasured,
     words_of,
@@ -126,7 +127,7 @@ def _nothing_named(found: ArmDiagnosis) -> str:
     any_joint = "any joint that was diagnosed" if found.skipped else "any joint"
     if found.interrupted:
         return f"Inconclusive: no effect had been accepted at {any_joint}."
-    there = [joint for joint, one in found.joints.items() if found.verdict_of(joint) == found.verdict]
+    there = [joint for joint, one in found.joints.items() if one.verdict == found.verdict]
     if found.verdict == "outside_catalogue":
         return (
             "No effect of the catalogue surely explains any of the gap, and something structural remains at "
@@ -143,7 +144,7 @@ def lacks(found: ArmDiagnosis, joint: str) -> str:
     """What a joint lacks, in words."""
     one = found.joints[joint]
     if not one.selected:
-        return _DIFFERS if joint in found.differing else _VERDICTS[one.verdict]
+        return _DIFFERS if one.varying else _VERDICTS[one.verdict]
     return "; ".join(
         f"{words_of(e.name)}{' or what looks like it' if e.tied_with else ''}, {place_words(e.where)}"
         for e in asserted(one)
@@ -163,7 +164,7 @@ def joints_table(found: ArmDiagnosis) -> Table:
             percent(e.share or 0.0) + (f" ({range_percent(e.share_interval)})" if e.share_interval else "")
             for e in asserted(one)
         )
-        left = percent(one.remainder) if found.verdict_of(joint) in ("effects", "outside_catalogue") else ""
+        left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
         rows.append(
             (joint, lacks(found, joint), percent(part), explained, sure, left, *_errors_cells(found, joint))
         )
@@ -246,12 +247,13 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     lines += [common_words(one, found.dataset.outputs) for one in found.common]
     for joint, one in found.joints.items():
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
-        lines += [f"{joint}: {line}" for line in (*implausible_lines(one), *failed_lines(one))]
+        more = (*rejected_lines(one), *implausible_lines(one), *failed_lines(one))
+        lines += [f"{joint}: {line}" for line in more]
     lines += [
-        f"{joint}: by itself it seems to lack something outside the catalogue. With all joints simulated, values of "
-        f"each record's own leave {percent(found.within_records[joint])} of that: the records differ (friction of "
-        "another day, say), and nothing is missing."
-        for joint in found.differing
+        f"{joint}: values differ from record to record (friction of another day, say), {joined(list(one.varying))}; "
+        "each record's own leave next to nothing, so that nothing else is missing."
+        for joint, one in found.joints.items()
+        if one.varying
     ]
     lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]

@@ -346,7 +346,9 @@ def rejected_lines(diagnosis: Diagnosis) -> list[str]:
         return []
     split = (one.partition(" at ") for one in diagnosis.rejected)
     words = joined([_at(name, where, diagnosis.model) for name, _, where in split])
-    return [f"rejected: {words}: improbable, or of a size that may be zero."]
+    return [
+        f"rejected: {words}: improbable, of a size that may be zero, or no help beside values of each record's own."
+    ]
 
 
 def failed_lines(diagnosis: Diagnosis) -> list[str]:

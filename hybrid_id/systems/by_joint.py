@@ -33,6 +33,8 @@ STILL = 10.0
 """Range of an angle, in standard deviations of its noise, up to which a joint has not moved."""
 EVERYWHERE = FloorContact, CommonDelay
 """What acts on all joints and may be listed at any of them."""
+STANDS = "stands still in all train records, so it is held where it was measured"
+"""Why a joint is not diagnosed."""
 UNITS = {"hinge": ("rad", "rad/s", "rad/s^2"), "slide": ("m", "m/s", "m/s^2")}
 
 
@@ -181,6 +183,49 @@ def moves(record: Record, joint: int) -> bool:
     """Whether a joint, by its number from 0, moves in a record."""
     seen = (record.outputs[n] for n in (f"q_m{joint + 1}", f"q_a{joint + 1}") if n in record.outputs)
     return any(np.ptp(one) > STILL * max(float(noise_level(one)), 1e-12) for one in seen)
+
+
+def joints_to_diagnose(dataset: Dataset, system: System) -> tuple[list[str], dict[str, str]]:
+    """Names of the joints of a robot that can be diagnosed, and of the others, each with the reason.
+
+    Args:
+        dataset: of the whole robot.
+        system: a robot with a tree.
+
+    Raises:
+        InputError: a joint's angle was not measured.
+    """
+    check_angles(dataset, system)
+    taken, skipped = [], {}
+    for k, name in enumerate(() if system.tree is None else system.tree.names):
+        if system.tree is not None and system.tree.coupling(k) is not None:
+            skipped[name] = "motor turns other joints, too"
+        elif not any(moves(record, k) for record in dataset.train):
+            skipped[name] = STANDS
+        else:
+            taken.append(name)
+    return taken, skipped
+
+
+def with_standing_held(dataset: Dataset, system: System) -> tuple[Dataset, System]:
+    """A robot's records and drives without the joints that stand still, which are held where they were measured.
+
+    Args:
+        dataset: of the whole robot.
+        system: the robot.
+
+    Returns:
+        Both as they were where all joints move, or none does.
+
+    Raises:
+        InputError: a joint's angle was not measured.
+    """
+    skipped = joints_to_diagnose(dataset, system)[1]
+    standing = [joint_number(system, name) for name, why in skipped.items() if why == STANDS]
+    moving = [k for k in range(len(system.joints)) if k not in standing]
+    if not standing or not moving:
+        return dataset, system
+    return with_others_measured(dataset, system, *moving), some(system, moving)
 
 
 def as_in_robot(inputs: Mapping[str, np.ndarray], system: System) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from hybrid_id.diagnosis.catalogue import CATALOGUE
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.fits import Fits
 from hybrid_id.diagnosis.model import FittedModel
-from hybrid_id.diagnosis.per_record import _scatter, per_record, structural
+from hybrid_id.diagnosis.per_record import per_record, scatter, structural
 from hybrid_id.diagnosis.select import Selection
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
@@ -112,11 +112,11 @@ def test_a_record_that_does_not_see_a_parameter_says_nothing_of_it() -> None:
         )
 
     alike = [one([1.0, 1.3], seen), one([1.0, 1.3], seen), one([1.0, 1.0], blind)]
-    assert _scatter(alike) == ()
+    assert scatter(alike) == ()
     differ = [one([1.0, 1.3], seen), one([1.0, 1.1], seen), one([1.0, 1.2], seen)]
-    assert [words.split()[0] for words in _scatter(differ)] == ["b"]
+    assert [words.split()[0] for words in scatter(differ)] == ["b"]
     turned = [one([1.0, 0.2], seen), one([1.0, -0.2], seen), one([1.0, 1e-9], seen)]  # a mean of nothing
-    assert _scatter(turned) == ("b by 1.2e+02 %",)
+    assert scatter(turned) == ("b by 1.2e+02 %",)
 
 
 def test_what_an_encoder_rounds_is_no_sign_of_something_missing_within_a_record() -> None:

@@ -52,13 +52,15 @@ def test_what_explains_next_to_nothing_is_set_apart(found: ArmDiagnosis) -> None
 
 def test_where_records_differ_a_joint_is_said_to_lack_nothing(found: ArmDiagnosis) -> None:
     joint, own = next((j, one) for j, one in found.joints.items() if not one.selected)
-    odd = replace(own, verdict="outside_catalogue", unknown=True)
     parts = {j: float(j == joint) for j in found.joints}
-    for left, verdict in ((0.02, "parameters_only"), (0.9, "outside_catalogue")):
-        robot = replace(found, joints={joint: odd}, parts=parts, within_records={joint: left})
-        assert (robot.verdict, robot.unknown) == (verdict, left == 0.9)
+    others = {j: replace(one, verdict="no_gap", effects=(), varying=()) for j, one in found.joints.items()}
+    for varying, verdict in ((("F_c by 9 %",), "parameters_only"), ((), "outside_catalogue")):
+        odd = replace(own, verdict=verdict, unknown=not varying, varying=varying)
+        robot = replace(found, joints={**others, joint: odd}, parts=parts)
+        assert (robot.verdict, robot.unknown) == (verdict, not varying)
         said = " ".join(remark_lines(robot))
-        assert ("the records differ" in said) == (left == 0.02)
+        assert ("values differ from record to record" in said) == bool(varying)
+        assert ("other values in each record" in "".join(cells(robot)["lacks"])) == bool(varying)
 
 
 def test_a_joint_with_hardly_any_part_of_the_gap_keeps_what_it_lacks(found: ArmDiagnosis) -> None:
