@@ -41,6 +41,7 @@ from hybrid_id.diagnosis.select import (
     accepted,
     accepted_ones,
     interrupted,
+    leaves_something,
     refitted_without,
     select,
 )
@@ -266,6 +267,8 @@ def search(
         Fits over the horizon of the search, and its result.
     """
     best, first, steps, whole = base, None, list[SelectionStep](), None
+    if not leaves_something(base):
+        return fits, Selection(base, (), base)
     try:
         if choose_horizon:
             if fits.astray(base) <= CRITERIA.lost_refit:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from hybrid_id.diagnosis.catalogue import over_angle
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.model import FittedModel, Name, Tally, Unfitted, kept_model
 from hybrid_id.diagnosis.plausibility import NUISANCE
-from hybrid_id.diagnosis.validation import Validation, autocorrelation, validation
+from hybrid_id.diagnosis.validation import Validation, autocorrelation, mean_square, validation
 from hybrid_id.errors import InputError, MachineError, shortened
 from hybrid_id.identification.finite_differences import (
     WORST,
@@ -83,8 +84,8 @@ class Task:
         cost: where an earlier fit has ended; another method is tried where this one ends higher.
         x0: first states that the earlier fit has ended with, ``(R, n_x)``.
         perturb: whether the last fit of a gear whose link nobody measures is restarted from perturbed values.
-        judge: whether the last fit is followed by its errors on records left out, by re-fits where these are train
-            records.
+        judged_below: mean square of its own errors below which the last fit is followed by its errors on records left
+            out, by re-fits where these are train records.
     """
 
     effects: tuple[Name, ...]
@@ -93,7 +94,7 @@ class Task:
     cost: float = 0.0
     x0: np.ndarray | None = None
     perturb: bool = True
-    judge: bool = True
+    judged_below: float = math.inf
 
 
 class Fits:
@@ -188,7 +189,10 @@ class Fits:
 
     def _best(self, starts: Sequence[System], *, judge: bool = False) -> FittedModel | None:
         """The fit of the nominal model from several starts that ends lowest."""
-        ends = [e for e in self.run([Task((), one, judge=judge) for one in starts], FULL) if e is not None]
+        below = math.inf if judge else 0.0
+        ends = [
+            e for e in self.run([Task((), one, judged_below=below) for one in starts], FULL) if e is not None
+        ]
         return min(ends, key=lambda e: e.result.cost, default=None)
 
     def _base_with_priors(self, system: System, free: FittedModel) -> FittedModel | None:
@@ -304,7 +308,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
     torch.set_num_threads(1)
     if fits.jobs > 1:
         leave_ctrl_c_to_the_first()
-    full, judge = iterations == FULL, iterations == FULL and task.judge
+    full = iterations == FULL
     try:
         batch = fits.batch(task.system)
         hidden = fits.whole and hidden_links(task.system, batch)
@@ -318,6 +322,7 @@ def _fit(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel 
             result = _nearest(fits.engine, task, batch, iterations, halting)
         if hidden and task.perturb and full:
             result = perturbed_restarts(result, batch, tries=TRIES)
+        judge = full and mean_square(result.residual) < task.judged_below
         found = (
             _judged(fits, result, batch)
             if judge
@@ -443,9 +448,10 @@ def _nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bo
 def _both_ways(
     how: Engine, system: System, batch: Batch, iterations: int, cost: float, x0: np.ndarray | None
 ) -> list[FitResult]:
-    """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower than a cost.
+    """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower.
 
-    The first walks through basins in which whole rollouts are stuck; the second sees through events and from afar.
+    Than a cost, that is, or to the end than what leaves more than white noise. The first walks through basins in which
+    whole rollouts are stuck; the second sees through events and from afar.
     """
     # standard errors are those of the encoders' noise, of which the errors of what is not there yet are many
     noise = (2.0 * cost / float((batch.weight > 0).sum())) ** 0.5
@@ -456,7 +462,8 @@ def _both_ways(
         # behind impacts exact sensitivities tell nothing of the neighbourhood: finite ones are kept
         there = finite_difference_fit(exact.system, batch, engine=exact.engine, iterations=0, x0=exact.x0)
         ends.append(replace(there, status=exact.status, iterations=exact.iterations))
-    if last or not ends or ends[0].cost > cost:
+    enough = ends and (autocorrelation(ends[0].residual) < CRITERIA.white if last else ends[0].cost <= cost)
+    if not enough:
         ends.append(finite_difference_fit(system, batch, engine=how, iterations=iterations, x0=x0))
     return ends
 

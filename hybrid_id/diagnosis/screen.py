@@ -97,6 +97,7 @@ def screen(
     """
     coarse = best_of_each([one for one in fits.run(near, COARSE, tick) if one is not None], STARTS)
     ranked = _finer(fits, nominal, before, coarse, tick)
+    ranked = [*_freed(fits, nominal, before, ranked[:1]), *ranked[1:]]
     if fits.whole and not (ranked and ranked[0].white):
         far = from_nominal(fits, before, nominal, best_of_each(coarse, key=effects_of))
         ranked = best_of_each([*ranked, *_from_afar(fits, ranked, far, tick)], 2)
@@ -201,43 +202,94 @@ def _further(
 ) -> list[FittedModel]:
     """Some of the candidates fitted further, as far as they are not hopeless, among everyone again, best first.
 
-    To the end, what leaves no structure without its parameters held is fitted without.
+    A few at a time, for what the first ones leave says which others are still rivals. To the end, what leaves no
+    structure without its parameters held is fitted without.
     """
-    if not some:
-        return list(everyone)
-    best = min((*some, *everyone), key=lambda e: e.trained)
-    limit = math.inf
-    if iterations == FULL or before.effects or best.white:
-        open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.major_share
-        closed = best.trained + open_ * max(before.trained - best.trained, 0.0)
-        limit = max(HOPELESS * best.trained, closed)
-    rivals = [e for e in some if e.trained < limit]
-    leads = best.trained / (1.0 - CRITERIA.distinct_fall)
-    starts = [e.system for e in rivals]
-    if iterations == FULL:
-        starts = [_unheld_if_enough(fits, nominal, e) for e in rivals]
-    todo = [
-        Task(
-            e.effects,
-            start,
-            cost=e.result.cost,
-            x0=e.result.x0,
-            perturb=promising(e, before) and e.trained < leads,
+    left, done, ends = list(some), list[FittedModel](), list[FittedModel]()
+    for count in (1, FINALISTS - 1, len(left)):
+        seen = [e for e in (*ends, *some, *everyone) if e not in done]
+        if not left or not seen:
+            break
+        best = min(seen, key=lambda e: e.trained)
+        limit = math.inf
+        if iterations == FULL or before.effects or best.white:
+            limit = _limit(best, before, last=iterations == FULL)
+        leads, below = best.trained / (1.0 - CRITERIA.distinct_fall), _judged_below(ends)
+        left = [e for e in left if e.trained < limit]
+        rivals, left = left[:count], left[count:]
+        more = fits.run(
+            [
+                Task(
+                    e.effects,
+                    _unheld_if_enough(fits, nominal, e) if iterations == FULL else e.system,
+                    cost=e.result.cost,
+                    x0=e.result.x0,
+                    perturb=promising(e, before) and e.trained < leads,
+                    judged_below=below,
+                )
+                for e in rivals
+            ],
+            iterations,
+            tick,
         )
-        for e, start in zip(rivals, starts, strict=True)
-    ]
-    more = fits.run(todo, iterations, tick)
-    # what has been fitted further counts, be it better or worse; the rest stays as it was seen
-    kept = [e for e in (*everyone, *some) if e not in rivals]
-    return best_of_each([*(e for e in more if e is not None), *kept], 2)
+        # what has been fitted further counts, be it better or worse; the rest stays as it was seen
+        done += rivals
+        ends += [e for e in more if e is not None]
+        if iterations == FINER and len(done) == 1:
+            ends = _freed(fits, nominal, before, ends)
+    return best_of_each([*ends, *(e for e in (*everyone, *some) if e not in done)], 2)
+
+
+def _limit(best: FittedModel, before: FittedModel, *, last: bool) -> float:
+    """Mean square of the errors from which a candidate is not worth another fit, or the last one, beside the best.
+
+    To the end, beside what has left white noise with its parameters held, only what has come near it is a rival.
+    """
+    open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.major_share
+    closed = best.trained + open_ * max(before.trained - best.trained, 0.0)
+    return max(_no_rival(best) if last and best.white else HOPELESS * best.trained, closed)
+
+
+def _no_rival(best: FittedModel) -> float:
+    """Mean square of the errors from which no candidate is a rival of one that leaves no structure."""
+    return best.trained / (1.0 - CRITERIA.distinct_fall) ** 2
+
+
+def _judged_below(ends: Sequence[FittedModel]) -> float:
+    """Mean square below which further candidates are judged, beside those that have been fitted to the end.
+
+    Where the best leaves no structure, one that errs clearly more is no rival, whatever records left out say.
+    """
+    best = min(ends, key=lambda e: e.trained, default=None)
+    if best is None or not best.no_structure:
+        return math.inf
+    return _no_rival(best)
+
+
+def _freed(
+    fits: Fits, nominal: System, before: FittedModel, leader: Sequence[FittedModel]
+) -> list[FittedModel]:
+    """A leading candidate, if any, fitted with its parameters held no longer where that leaves white noise.
+
+    Then no other can do much better, and far fewer are worth a fit.
+    """
+    if not leader or leader[0].white or not promising(leader[0], before):
+        return list(leader)
+    free = _unheld(fits, nominal, leader[0])
+    return list(leader) if free is None or not free.white else [free]
+
+
+def _unheld(fits: Fits, nominal: System, one: FittedModel) -> FittedModel | None:
+    """A candidate fitted with its parameters held no longer; None where none is."""
+    start = without_priors(one.system, nominal)
+    if start.table == one.system.table:
+        return None
+    return fits.run([Task(one.effects, start, x0=one.result.x0)], FINER)[0]
 
 
 def _unheld_if_enough(fits: Fits, nominal: System, one: FittedModel) -> System:
     """Where a candidate's last fit starts: held no longer, if it then leaves no structure."""
-    start = without_priors(one.system, nominal)
-    if start.table == one.system.table:
-        return one.system
-    free = fits.run([Task(one.effects, start, x0=one.result.x0)], FINER)[0]
+    free = _unheld(fits, nominal, one)
     return free.system if free is not None and free.no_structure else one.system
 
 

@@ -98,7 +98,7 @@ def select(
     while (
         len(model.effects) < max_effects
         and sum(not one.swap for one in steps) < MAX_STEPS
-        and _leaves_something(model)
+        and leaves_something(model)
     ):
         step = first or selection_step(fits, model, nominal, among=_alive(steps, model), progress=progress)
         first = None
@@ -285,11 +285,15 @@ def _better_set(model: FittedModel, before: FittedModel) -> bool:
     return model.error < before.error and bool(model.effects) and model.effects != before.effects
 
 
-def _leaves_something(model: FittedModel) -> bool:
-    """Whether another effect could be accepted at all: none explains white noise, or errors far below the noise."""
+def leaves_something(model: FittedModel) -> bool:
+    """Whether another effect could be accepted at all.
+
+    None explains errors far below the noise, nor white noise: what takes less than all that neighbouring samples have
+    in common falls short of what an effect needs.
+    """
     if mean_square(model.result.residual) < CRITERIA.negligible**2:
         return False
-    return not model.effects or model.autocorrelation >= CRITERIA.completing_fall
+    return model.autocorrelation >= (CRITERIA.completing_fall if model.effects else CRITERIA.least_fall)
 
 
 def _alive(steps: Sequence[SelectionStep], model: FittedModel) -> frozenset[Name] | None:

@@ -15,10 +15,10 @@ from hybrid_id.diagnosis.screen import SelectionStep
 from hybrid_id.diagnosis.select import (
     Selection,
     _alive,
-    _leaves_something,
     _with_whole_numbers,
     accepted,
     chance,
+    leaves_something,
     needed_fall,
     select,
 )
@@ -57,11 +57,12 @@ def test_a_second_effect_is_accepted_at_a_small_fall_only_where_it_completes_the
     )
 
 
-def test_nothing_is_looked_for_beside_an_effect_that_leaves_white_noise() -> None:
-    assert not _leaves_something(model(NOISE, PLAY))
-    assert _leaves_something(model(NOISE + WAVE, PLAY))
-    assert _leaves_something(model(NOISE))  # the first step says how probable each effect is
-    assert not _leaves_something(model(0.05 * (NOISE + WAVE)))
+def test_nothing_is_looked_for_in_white_noise_nor_far_below_it() -> None:
+    assert not leaves_something(model(NOISE, PLAY))
+    assert leaves_something(model(NOISE + WAVE, PLAY))
+    assert not leaves_something(model(NOISE))
+    assert leaves_something(model(NOISE + 0.3 * WAVE))  # as little as a first effect may take
+    assert not leaves_something(model(0.05 * (NOISE + WAVE)))
 
 
 def test_no_effect_is_looked_for_where_the_errors_are_far_below_the_noise(
