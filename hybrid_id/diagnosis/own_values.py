@@ -68,6 +68,12 @@ class OwnValues:
         ratio = np.minimum(np.maximum(own, least) / np.maximum(common, least), 1.0)
         return float(np.exp(np.log(ratio).mean()))
 
+    def explain(self, joint: str) -> bool:
+        """Whether values of each record's own explain what looks missing at a joint: little or no structure is left."""
+        return (
+            self.structure(joint) <= CRITERIA.negligible_structure**2 or self.left(joint) <= CRITERIA.coloured
+        )
+
     def structure(self, joint: str) -> float:
         """Mean square of what these values leave of a joint's motion that is no white noise, in noise variances."""
         return float(np.mean([structural(self._of(joint, one)) for one in self.sets]))
@@ -199,7 +205,7 @@ def borne_out(
                 continue
             chosen[name], now = rest, bare
             refuted.append(effect)
-        differ = now is not None and not chosen[name].effects and now.left(key) <= CRITERIA.coloured
+        differ = now is not None and not chosen[name].effects and now.explain(key)
         if not (refuted or differ):
             continue
         own = PerRecord(chosen[name], 0.0, scatter(now.of_joint(key)), True) if differ and now else None

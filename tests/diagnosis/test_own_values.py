@@ -42,8 +42,12 @@ def test_values_of_each_records_own_explain_records_that_differ_and_no_missing_s
     drift = days_of([nominal.with_values({"F_c_elbow": friction}) for friction in FRICTIONS])
     spring = records_of(nominal.with_component("joint3/load", SPRING))
     found = [own_values(one, nominal, (), WHOLE) for one in (drift, spring)]
-    left = [one.left("joint3") for one in found if one is not None]
-    assert left[0] < CRITERIA.coloured < left[1]
+    assert [one.explain("joint3") for one in found if one is not None] == [True, False]
+
+
+def test_white_noise_is_explained_however_little_structure_one_set_leaves(nominal: System) -> None:
+    found = own_values(records_of(nominal), nominal, (), WHOLE)
+    assert found is not None and found.left("joint3") > CRITERIA.coloured and found.explain("joint3")
 
 
 def test_an_effect_has_to_help_beside_values_of_each_records_own(nominal: System) -> None:
