@@ -22,7 +22,7 @@ from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import RatedEffect
-from hybrid_id.diagnosis.own_values import COUPLED, borne_out
+from hybrid_id.diagnosis.own_values import borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
@@ -53,6 +53,8 @@ from hybrid_id.systems.by_joint import (
 from hybrid_id.systems.chain import System
 
 VERDICTS = ("effects", "outside_catalogue", "parameters_only", "inconclusive", "no_gap")
+COUPLED = 10
+"""Iterations of the fit of the whole robot, which begins where the joints' own fits have ended."""
 NOT_ASKED, STOPPED = "not asked for", "the search was stopped"
 """Why joints are not diagnosed."""
 
@@ -305,22 +307,32 @@ def diagnose_arm(
             skipped |= dict.fromkeys(rest, STOPPED)
             stopped = True
             break
-    if not found:
-        raise InputError(
-            "No joint can be diagnosed: " + "; ".join(f"{n}: {w}" for n, w in skipped.items()) + "."
-        )
+    _raise_without_any(found, skipped)
     if progress is not None:
         progress("the whole robot", 0, 1)
     answers = {name: answer for name, (_, answer) in found.items()}
     if not stopped:  # who stops waits for no more fits
-        answers = borne_out(dataset, system, answers, seed=seed, signal_share=signal_share)
-    done = {
-        name: reported(
-            measured, alone(system, joint_number(system, name)), answers[name], seed=seed, level=level
-        )
-        for name, (measured, _) in found.items()
-    }
+        try:
+            answers = borne_out(dataset, system, answers, seed=seed, signal_share=signal_share)
+        except KeyboardInterrupt:
+            stopped = True
+    done = dict[str, Diagnosis]()
+    for name, (measured, _) in found.items():
+        one = alone(system, joint_number(system, name))
+        try:
+            done[name] = reported(measured, one, answers[name], seed=seed, level=level)
+        except InputError as error:
+            if len(found) == 1:
+                raise
+            skipped[name] = str(error).removesuffix(".")
+    _raise_without_any(done, skipped)
     return _of_whole_robot(dataset, system, done, skipped, stopped, seed, signal_share)
+
+
+def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:
+    if not found:
+        reasons = "; ".join(f"{name}: {why}" for name, why in skipped.items())
+        raise InputError(f"No joint can be diagnosed: {reasons}.")
 
 
 def _of_whole_robot(

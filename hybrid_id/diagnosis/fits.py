@@ -448,10 +448,10 @@ def _nearest(how: Engine, task: Task, batch: Batch, iterations: int, halting: bo
 def _both_ways(
     how: Engine, system: System, batch: Batch, iterations: int, cost: float, x0: np.ndarray | None
 ) -> list[FitResult]:
-    """The fit by exact sensitivities of all samples, and that by finite steps where it may end lower.
+    """The fit by exact sensitivities, and by finite steps, too, where the first is not enough.
 
-    Than a cost, that is, or to the end than what leaves more than white noise. The first walks through basins in which
-    whole rollouts are stuck; the second sees through events and from afar.
+    It is not where it ends above an earlier cost or, in the last fit, leaves more than white noise. The first walks
+    through basins in which whole rollouts are stuck; the second sees through events and from afar.
     """
     # standard errors are those of the encoders' noise, of which the errors of what is not there yet are many
     noise = (2.0 * cost / float((batch.weight > 0).sum())) ** 0.5

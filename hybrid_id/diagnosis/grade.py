@@ -278,7 +278,11 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
         for c in best.values()
     ]
     rivals = {rival for c in rated if c.selected for rival in c.tied_with}
-    others = {name: structural * p for name, p in _beside(found).items() if "@".join(name) not in rivals}
+    others = {
+        name: structural * p
+        for name, p in _beside(found).items()
+        if "@".join(name) not in rivals and name not in found.refuted
+    }
     return [
         c if c.selected else replace(c, probability=max(c.probability, others.get((c.name, c.where), 0.0)))
         for c in rated

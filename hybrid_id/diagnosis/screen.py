@@ -207,63 +207,66 @@ def _further(
     """
     left, done, ends = list(some), list[FittedModel](), list[FittedModel]()
     for count in (1, FINALISTS - 1, len(left)):
-        seen = [e for e in (*ends, *some, *everyone) if e not in done]
-        if not left or not seen:
+        if not left:
             break
-        best = min(seen, key=lambda e: e.trained)
-        limit = math.inf
-        if iterations == FULL or before.effects or best.white:
-            limit = _limit(best, before, last=iterations == FULL)
-        leads, below = best.trained / (1.0 - CRITERIA.distinct_fall), _judged_below(ends)
+        best = min((e for e in (*ends, *some, *everyone) if e not in done), key=lambda e: e.trained)
+        limit = _limit(best, before) if iterations == FULL or before.effects or best.white else math.inf
+        leads, below = best.trained / (1.0 - CRITERIA.distinct_fall), _judged_below(ends, before)
         left = [e for e in left if e.trained < limit]
         rivals, left = left[:count], left[count:]
+        starts = {e: e for e in rivals}
+        if iterations == FULL:
+            starts = {e: _unheld_if_enough(fits, nominal, e) for e in rivals}
+        if ends and iterations == FULL and best.white:
+            starts = {e: start for e, start in starts.items() if start.trained < _no_rival(best, before)}
         more = fits.run(
             [
                 Task(
                     e.effects,
-                    _unheld_if_enough(fits, nominal, e) if iterations == FULL else e.system,
+                    start.system,
                     cost=e.result.cost,
                     x0=e.result.x0,
                     perturb=promising(e, before) and e.trained < leads,
                     judged_below=below,
                 )
-                for e in rivals
+                for e, start in starts.items()
             ],
             iterations,
             tick,
         )
         # what has been fitted further counts, be it better or worse; the rest stays as it was seen
-        done += rivals
+        done += starts
         ends += [e for e in more if e is not None]
         if iterations == FINER and len(done) == 1:
             ends = _freed(fits, nominal, before, ends)
     return best_of_each([*ends, *(e for e in (*everyone, *some) if e not in done)], 2)
 
 
-def _limit(best: FittedModel, before: FittedModel, *, last: bool) -> float:
-    """Mean square of the errors from which a candidate is not worth another fit, or the last one, beside the best.
+def _limit(best: FittedModel, before: FittedModel) -> float:
+    """Mean square of the errors from which a candidate is not worth another fit beside the best."""
+    return max(HOPELESS * best.trained, _closed(best, before))
 
-    To the end, beside what has left white noise with its parameters held, only what has come near it is a rival.
-    """
+
+def _closed(best: FittedModel, before: FittedModel) -> float:
     open_ = CRITERIA.left_open if best.no_structure else 1.0 - CRITERIA.major_share
-    closed = best.trained + open_ * max(before.trained - best.trained, 0.0)
-    return max(_no_rival(best) if last and best.white else HOPELESS * best.trained, closed)
+    return best.trained + open_ * max(before.trained - best.trained, 0.0)
 
 
-def _no_rival(best: FittedModel) -> float:
+def _no_rival(best: FittedModel, before: FittedModel) -> float:
     """Mean square of the errors from which no candidate is a rival of one that leaves no structure."""
-    return best.trained / (1.0 - CRITERIA.distinct_fall) ** 2
+    return max(best.trained / (1.0 - CRITERIA.distinct_fall) ** 2, _closed(best, before))
 
 
-def _judged_below(ends: Sequence[FittedModel]) -> float:
+def _judged_below(ends: Sequence[FittedModel], before: FittedModel) -> float:
     """Mean square below which further candidates are judged, beside those that have been fitted to the end.
 
-    Where the best leaves no structure, one that errs clearly more is no rival, whatever records left out say.
+    Where the best leaves no structure, and records left out bear it out, one that errs clearly more is no rival.
     """
     best = min(ends, key=lambda e: e.trained, default=None)
-    if best is None or not best.no_structure:
+    if best is None or not (best.judged and best.no_structure):
         return math.inf
-    return _no_rival(best)
+    sure = best.fall(before) >= needed_fall(best, before) and best.error < _no_rival(best, before)
+    return _no_rival(best, before) if sure else math.inf
 
 
 def _freed(
@@ -287,10 +290,10 @@ def _unheld(fits: Fits, nominal: System, one: FittedModel) -> FittedModel | None
     return fits.run([Task(one.effects, start, x0=one.result.x0)], FINER)[0]
 
 
-def _unheld_if_enough(fits: Fits, nominal: System, one: FittedModel) -> System:
-    """Where a candidate's last fit starts: held no longer, if it then leaves no structure."""
+def _unheld_if_enough(fits: Fits, nominal: System, one: FittedModel) -> FittedModel:
+    """A candidate where its last fit starts: held no longer, if it then leaves no structure."""
     free = _unheld(fits, nominal, one)
-    return free.system if free is not None and free.no_structure else one.system
+    return free if free is not None and free.no_structure else one
 
 
 def _polished(

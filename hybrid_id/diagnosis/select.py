@@ -288,8 +288,8 @@ def _better_set(model: FittedModel, before: FittedModel) -> bool:
 def leaves_something(model: FittedModel) -> bool:
     """Whether another effect could be accepted at all.
 
-    None explains errors far below the noise, nor white noise: what takes less than all that neighbouring samples have
-    in common falls short of what an effect needs.
+    It could not where errors are far below the noise, or are white noise: what an effect takes neighbouring samples
+    have in common, unless it changes from one sample to the next, and it has to take enough.
     """
     if mean_square(model.result.residual) < CRITERIA.negligible**2:
         return False

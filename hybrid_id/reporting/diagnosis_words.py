@@ -167,6 +167,8 @@ def _parameters_only(diagnosis: Diagnosis) -> str:
 
 
 def _no_gap(diagnosis: Diagnosis) -> str:
+    if not diagnosis.effects:
+        return "There is no gap: the re-fitted nominal model leaves white noise or less, in which no effect was tried."
     tried = count(len(diagnosis.effects), "effect")
     return (
         f"There is no gap: none of {tried} predicts records left out surely better than the nominal model, "

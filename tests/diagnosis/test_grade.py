@@ -262,6 +262,17 @@ def test_a_law_that_contains_another_is_no_rival_of_it() -> None:
     assert share_of(found, waves).probability > 0.9
 
 
+def test_what_each_records_own_values_refute_is_improbable_beside_what_remains() -> None:
+    base = model(9.0)
+    found = search((base, model(1.0, SPRING, seed=1), model(5.0, WEIGHT, seed=2)), chosen=base)
+    before, after = (
+        {(c.name, c.where): c.probability for c in grade(NONE, one, 0.9).effects}
+        for one in (found, replace(found, refuted=(SPRING,)))
+    )
+    assert before[SPRING] > 0.9 and after[SPRING] <= CRITERIA.false_alarms
+    assert after[WEIGHT] == before[WEIGHT]
+
+
 def leaving(residual: np.ndarray, share: float, **components: None) -> Any:
     return SimpleNamespace(
         result=SimpleNamespace(residual=[residual]),

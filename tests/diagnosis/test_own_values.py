@@ -10,6 +10,7 @@ from servo_arm import described, records_of
 
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY
+from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import answered
 from hybrid_id.diagnosis.fits import FULL, Task
@@ -43,6 +44,23 @@ def test_values_of_each_records_own_explain_records_that_differ_and_no_missing_s
     spring = records_of(nominal.with_component("joint3/load", SPRING))
     found = [own_values(one, nominal, (), WHOLE) for one in (drift, spring)]
     assert [one.explain("joint3") for one in found if one is not None] == [True, False]
+
+
+def test_a_robot_that_runs_away_decides_nothing(nominal: System) -> None:
+    assert own_values(records_of(nominal), nominal.with_values({"k_p_pan": 1e6}), (), WHOLE) is None
+
+
+def test_a_tilt_that_two_joints_claim_is_not_refuted_by_the_other_claim(nominal: System) -> None:
+    tilt = BaseTilt(e_x=0.15, e_y=-0.1)
+    dataset = records_of(nominal.with_component("joint2/load", tilt))
+    answers = {}
+    with only("base_tilt"):
+        for name, number in (("lift", 1), ("elbow", 2)):
+            own = alone(nominal, number)
+            answers[name] = answered(with_others_measured(dataset, nominal, number), own, max_effects=1)[1]
+        assert all(one.found.chosen.effects for one in answers.values())
+        kept = borne_out(dataset, nominal, answers)
+    assert kept["lift"].found.chosen.effects
 
 
 def test_white_noise_is_explained_however_little_structure_one_set_leaves(nominal: System) -> None:
