@@ -339,7 +339,10 @@ def _smoothed(
     offset = sum(part.specs["offset"].value for part in sensors if "offset" in part.specs)
     steps = record.sample_time if record.is_uniform else record.time
     given = {} if threshold is None else {"threshold": threshold}
-    return smooth_derivatives((record.outputs[name] - offset) * scale, steps, **given)
+    angle = (record.outputs[name] - offset) * scale
+    if np.ptp(angle) == 0.0:  # of what stands still derivatives are rounding, which no record takes for motion
+        return angle, np.zeros_like(angle), np.zeros_like(angle)
+    return smooth_derivatives(angle, steps, **given)
 
 
 def _tree(system: System) -> RigidBodyTree:

@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from gapcase import only
 from servo_arm import described, records_of
@@ -11,12 +13,15 @@ from servo_arm import described, records_of
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY
 from hybrid_id.components.load.base_tilt import BaseTilt
+from hybrid_id.diagnosis import own_values as module
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import answered
 from hybrid_id.diagnosis.fits import FULL, Task
 from hybrid_id.diagnosis.grade import RatedEffect
 from hybrid_id.diagnosis.own_values import borne_out, helps, own_values
+from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import WHOLE
+from hybrid_id.identification.result import FitResult
 from hybrid_id.systems.by_joint import alone, with_others_measured
 from hybrid_id.systems.chain import System
 
@@ -46,8 +51,13 @@ def test_values_of_each_records_own_explain_records_that_differ_and_no_missing_s
     assert [one.explain("joint3") for one in found if one is not None] == [True, False]
 
 
-def test_a_robot_that_runs_away_decides_nothing(nominal: System) -> None:
-    assert own_values(records_of(nominal), nominal.with_values({"k_p_pan": 1e6}), (), WHOLE) is None
+def test_a_robot_that_runs_away_decides_nothing(nominal: System, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lost(*given: Any, **settings: Any) -> list[FitResult]:
+        (one,) = kept_fit(*given, **settings)
+        return [replace(one, residual=(*one.residual[:-1], np.full_like(one.residual[-1], np.nan)))]
+
+    monkeypatch.setattr(module, "kept_fit", lost)
+    assert own_values(records_of(nominal), nominal, (), WHOLE) is None
 
 
 def test_a_tilt_that_two_joints_claim_is_not_refuted_by_the_other_claim(nominal: System) -> None:

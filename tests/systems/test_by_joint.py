@@ -1,5 +1,6 @@
 """One joint of a robot with the others as measured: the same motion as all simulated, and the same parameters."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +95,16 @@ def test_a_joint_moves_as_in_the_whole_arm(tmp_path: Path, joint: str) -> None:
     for row, record in zip(found, data.records, strict=True):
         measured = record.outputs[f"q_m{k + 1}"]
         assert np.abs(row - measured).max() < 0.01 * np.ptp(measured)
+
+
+def test_a_joint_that_stands_still_has_no_speed_of_rounding(tmp_path: Path) -> None:
+    system = arm(tmp_path)
+    (record,) = records_of(system, 1).records
+    rng, step = np.random.default_rng(0), 2 * np.pi / 4096  # a servo's encoder
+    for held in step * rng.integers(-2000, 2000, 20):
+        still = replace(record, outputs={**record.outputs, "q_m3": np.full(record.n_samples, held)})
+        (one,) = with_others_measured(replace(records_of(system, 1), records=(still,)), system, 0).records
+        assert (one.inputs["speed3"] == 0.0).all() and (one.inputs["acceleration3"] == 0.0).all()
 
 
 def test_two_joints_move_as_in_the_whole_arm_and_keep_their_names(tmp_path: Path) -> None:
