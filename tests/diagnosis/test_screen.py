@@ -1,5 +1,6 @@
 """One selection step: which candidates are fitted further, and which leads."""
 
+import math
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
-from hybrid_id.diagnosis.screen import best_of_each, effects_of, promising, simplest_first
+from hybrid_id.diagnosis.screen import _judged_below, best_of_each, effects_of, promising, simplest_first
 
 
 @dataclass(eq=False)
@@ -55,6 +56,18 @@ def test_of_equals_the_one_with_the_fewest_parameters_leads() -> None:
     sure = [fitted("spring_load", 1.0, 7, z=4.0), bias, weight]
     assert simplest_first(sure, small) == sure
     assert simplest_first(sure, large) == [bias, sure[0], weight]
+
+
+def test_rivals_are_judged_unless_records_left_out_bear_out_what_leaves_no_structure() -> None:
+    def below(error: float, **other: Any) -> float:
+        before: Any = Fitted((), 5.0)
+        best: Any = Fitted((("spring_load", "joint1/load"),), error, **other)
+        best.trained, best.autocorrelation, before.autocorrelation = 1.0, 0.05, 0.9
+        return _judged_below([best], before)
+
+    assert 1.0 < below(1.1) < 2.0
+    assert below(1.1, no_structure=False) == below(1.1, judged=False) == below(4.9) == math.inf
+    assert _judged_below([], Fitted((), 5.0)) == math.inf  # type: ignore[arg-type]
 
 
 def test_where_structure_is_left_a_simple_law_leads_that_does_most_of_it() -> None:
