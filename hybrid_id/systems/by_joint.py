@@ -340,7 +340,7 @@ def _smoothed(
     steps = record.sample_time if record.is_uniform else record.time
     given = {} if threshold is None else {"threshold": threshold}
     angle = (record.outputs[name] - offset) * scale
-    if np.ptp(angle) == 0.0:  # of what stands still derivatives are rounding, which no record takes for motion
+    if np.ptp(angle) == 0.0:  # the derivatives of what stands still would be rounding, which records refuse
         return angle, np.zeros_like(angle), np.zeros_like(angle)
     return smooth_derivatives(angle, steps, **given)
 
