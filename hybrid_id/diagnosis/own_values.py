@@ -7,7 +7,7 @@ joint takes a part of it for something missing. An effect that a robot lacks sho
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,9 +67,11 @@ class OwnValues:
 
     def explain(self, joint: str) -> bool:
         """Whether values of each record's own explain what looks missing at a joint: little or no structure is left."""
-        return (
-            self.structure(joint) <= CRITERIA.negligible_structure**2 or self.left(joint) <= CRITERIA.coloured
-        )
+        return self.nothing_left(joint) or self.left(joint) <= CRITERIA.coloured
+
+    def nothing_left(self, joint: str) -> bool:
+        """Whether these values leave next to no structure at a joint."""
+        return self.structure(joint) <= CRITERIA.negligible_structure**2
 
     def structure(self, joint: str) -> float:
         """Mean square of what these values leave of a joint's motion that is no white noise, in noise variances."""
@@ -149,7 +151,7 @@ def own_values(
 
 def helps(richer: OwnValues, simpler: OwnValues, joint: str) -> bool:
     """Whether effects take enough of what records' own values leave at their joint, where that has structure."""
-    if simpler.structure(joint) <= CRITERIA.negligible_structure**2:
+    if simpler.nothing_left(joint):
         return False
     return richer.mean_square(joint) <= (1.0 - CRITERIA.completing_fall) * simpler.mean_square(joint)
 
@@ -179,55 +181,95 @@ def borne_out(
     unsure = [name for name, one in answers.items() if chosen[name].effects or one.grade.unknown]
     if not unsure or len(dataset.train) < 2:
         return dict(answers)
-    horizon = shortest([one.fits.horizon for one in answers.values()])
-    numbers = {name: joint_number(nominal, name) for name in answers}
-    drives = {name: alone(nominal, number) for name, number in numbers.items()}
-    every = len(numbers) == len(nominal.joints)
-    records = dataset if every else with_others_measured(dataset, nominal, *numbers.values())
+    robot = _Robot(dataset, nominal, answers, signal_share)
+    # without any effect first: that robot is one program, and often explains most joints
+    plain = robot.own_values({name: one.searched.base for name, one in answers.items()})
+    nothing = [name for name in unsure if plain is not None and plain.nothing_left(robot.key(name))]
+    chosen |= {name: answers[name].searched.base for name in nothing}
+    now = plain if not any(one.effects for one in chosen.values()) else robot.own_values(chosen)
+    found = dict(answers)
+    for name in unsure:
+        claimed = [(e.name, e.where) for e in answers[name].grade.effects if e.selected]
+        refuted, seen = claimed, plain
+        if name not in nothing:
+            refuted, seen = [], now
+            for effect in reversed(claimed):
+                models = robot.lacking(chosen, name, effect)
+                bare = None if models is None else robot.own_values(models)
+                if models is None or bare is None or seen is None or helps(seen, bare, robot.key(name)):
+                    continue
+                chosen[name] = models[name]
+                seen = now = bare if models == chosen else robot.own_values(chosen)
+                refuted.append(effect)
+        rest = chosen[name] if chosen[name].effects else answers[name].searched.base
+        own = None
+        if seen is not None and not rest.effects and seen.explain(robot.key(name)):
+            own = PerRecord(rest, 0.0, scatter(seen.of_joint(robot.key(name))), True)
+        if refuted or own is not None:
+            found[name] = _again(answers[name], rest, own, refuted, robot.drives[name], seed)
+    return found
 
-    def of(models: Mapping[str, FittedModel]) -> OwnValues | None:
-        robot = nominal
+
+def _again(
+    answer: Answer,
+    chosen: FittedModel,
+    own: PerRecord | None,
+    refuted: Sequence[Name],
+    nominal: System,
+    seed: int,
+) -> Answer:
+    """A joint's answer frozen once more, with what the robot has refuted."""
+    found = replace(answer.searched, chosen=chosen, own=own, refuted=tuple(refuted))
+    again = freeze(answer.fits, found, nominal, seed=seed)
+    return replace(again, rejected=tuple(dict.fromkeys((*answer.rejected, *again.rejected))))
+
+
+class _Robot:
+    """The diagnosed joints of a robot simulated together; the others, if any, move as they were measured.
+
+    Attributes:
+        drives: the nominal drive of each joint by itself, by name.
+    """
+
+    def __init__(
+        self, dataset: Dataset, nominal: System, answers: Mapping[str, Answer], signal_share: float
+    ) -> None:
+        self.nominal, self.answers, self.signal_share = nominal, answers, signal_share
+        self.numbers = {name: joint_number(nominal, name) for name in answers}
+        self.drives = {name: alone(nominal, number) for name, number in self.numbers.items()}
+        self.every = len(self.numbers) == len(nominal.joints)
+        some_joints = self.numbers.values()
+        self.records = dataset if self.every else with_others_measured(dataset, nominal, *some_joints)
+        self.horizon = shortest([one.fits.horizon for one in answers.values()])
+        self.kept = next(iter(answers.values())).fits.kept
+
+    def key(self, name: str) -> str:
+        """Where a joint's components stand."""
+        return f"joint{self.numbers[name] + 1}"
+
+    def own_values(self, models: Mapping[str, FittedModel]) -> OwnValues | None:
+        """Each record's own values of the robot with these models of the joints, by name, held no longer."""
+        robot = self.nominal
         for name, one in models.items():
-            robot = with_drive(robot, without_priors(one.system, drives[name]))
-        robot = robot if every else some(robot, list(numbers.values()))
+            robot = with_drive(robot, without_priors(one.system, self.drives[name]))
+        robot = robot if self.every else some(robot, list(self.numbers.values()))
         effects = [name for one in models.values() for name in one.effects]
-        kept = next(iter(answers.values())).fits.kept
-        return own_values(records, robot, effects, horizon, signal_share, kept)
+        return own_values(self.records, robot, effects, self.horizon, self.signal_share, self.kept)
 
-    def lacking(name: str, effect: Name) -> dict[str, FittedModel] | None:
+    def lacking(
+        self, models: Mapping[str, FittedModel], name: str, effect: Name
+    ) -> dict[str, FittedModel] | None:
         """The models without an effect of a joint: of one that acts on several joints, wherever it is claimed."""
         shared = any(issubclass(law, Shared) for law in CATALOGUE[effect[0]].laws)
-        found = dict(chosen)
-        for joint, model in chosen.items():
+        found = dict(models)
+        for joint, model in models.items():
             for one in model.effects:
                 if (joint, one) == (name, effect) or (shared and one[0] == effect[0]):
-                    rest = _rest(answers[joint], found[joint], one)
+                    rest = _rest(self.answers[joint], found[joint], one)
                     if rest is None:
                         return None
                     found[joint] = rest
         return found
-
-    found, now = dict(answers), of(chosen)
-    for name in unsure:
-        answer, refuted, key = answers[name], list[Name](), f"joint{numbers[name] + 1}"
-        for one in reversed([e for e in answer.grade.effects if e.selected]):
-            models = lacking(name, (one.name, one.where))
-            bare = None if models is None else of(models)
-            if models is None or bare is None or now is None or helps(now, bare, key):
-                continue
-            chosen[name] = models[name]
-            now = bare if models == chosen else of(chosen)
-            refuted.append((one.name, one.where))
-        differ = now is not None and not chosen[name].effects and now.explain(key)
-        if not (refuted or differ):
-            continue
-        rest = chosen[name] if chosen[name].effects else answer.searched.base
-        own = PerRecord(rest, 0.0, scatter(now.of_joint(key)), True) if differ and now else None
-        more = replace(answer.searched, chosen=rest, own=own, refuted=tuple(refuted))
-        again = freeze(answer.fits, more, drives[name], seed=seed)
-        rejected = tuple(dict.fromkeys((*answer.rejected, *again.rejected)))
-        found[name] = replace(again, rejected=rejected)
-    return found
 
 
 def _rest(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None:
