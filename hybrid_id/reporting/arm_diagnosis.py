@@ -54,6 +54,7 @@ _VERDICTS = {
     "outside_catalogue": "something outside the catalogue",
     "inconclusive": "inconclusive",
 }
+_REJECTED = "improbable, of a size that may be zero, or no help beside values of each record's own"
 _DIFFERS = "nothing; other values in each record"
 _HOW = (
     "Each joint is searched by itself while the others move as they were measured, so that what a joint lacks shows in "
@@ -247,7 +248,7 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     lines += [common_words(one, found.dataset.outputs) for one in found.common]
     for joint, one in found.joints.items():
         lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
-        more = (*rejected_lines(one), *implausible_lines(one), *failed_lines(one))
+        more = (*rejected_lines(one, _REJECTED), *implausible_lines(one), *failed_lines(one))
         lines += [f"{joint}: {line}" for line in more]
     lines += [
         f"{joint}: values differ from record to record (friction of another day, say), {joined(list(one.varying))}; "

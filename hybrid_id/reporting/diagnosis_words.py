@@ -342,15 +342,13 @@ def experiment_lines(diagnosis: Diagnosis) -> list[str]:
     return [words + (f" It does not distinguish {alike}." if alike else "")]
 
 
-def rejected_lines(diagnosis: Diagnosis) -> list[str]:
+def rejected_lines(diagnosis: Diagnosis, why: str = "improbable, or of a size that may be zero") -> list[str]:
     """Effects that the search accepted and that are not sure enough to be asserted, as one line."""
     if not diagnosis.rejected:
         return []
     split = (one.partition(" at ") for one in diagnosis.rejected)
     words = joined([_at(name, where, diagnosis.model) for name, _, where in split])
-    return [
-        f"rejected: {words}: improbable, of a size that may be zero, or no help beside values of each record's own."
-    ]
+    return [f"rejected: {words}: {why}."]
 
 
 def failed_lines(diagnosis: Diagnosis) -> list[str]:

@@ -111,7 +111,7 @@ WORDS = {
     "unexplained, at joint 2, on the link side, with the angle: an effect outside the catalogue, or several",
     "parameters_only": "Wrong parameter values explain the gap, and no effect is missing. A load explains the new "
     "values.",
-    "no_gap": "There is no gap: none of ",
+    "no_gap": "There is no gap: the re-fitted nominal model leaves white noise",
     "inconclusive": "Inconclusive: too little data. The errors are worth ",
 }
 
