@@ -101,7 +101,9 @@ def diagnose(
         dataset, system, horizon=horizon, max_effects=max_effects, jobs=jobs, seed=seed, signal_share=signal_share,
         kept=kept, progress=progress,
     )  # fmt: skip
-    return reported(measured, system, answer, seed=seed, level=level, progress=progress)
+    if progress is not None:
+        progress("test records", 0, 1)
+    return reported(measured, system, answer, seed=seed, level=level)
 
 
 def answered(
@@ -141,11 +143,8 @@ def reported(
     *,
     seed: int = 0,
     level: float = 0.95,
-    progress: Progress | None = None,
 ) -> Diagnosis:
     """Stages test and report of :func:`diagnose`."""
-    if progress is not None:
-        progress("test records", 0, 1)
     tested = test(measured.dataset, system, answer, seed=seed)
     return report(measured.dataset, system, answer, tested, skews=measured.skews, seed=seed, level=level)
 
@@ -384,7 +383,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     The last effect that is not sure enough is dropped, and both are done again for the rest.
     """
     searched, before = found, tuple(locate(fits, found.base))
-    rejected = [in_words(name) for name in found.refuted]
+    rejected = [_in_words(name) for name in found.refuted]
     while True:
         chosen = found.chosen
         after = before if chosen is found.base else tuple(locate(fits, chosen))
@@ -399,7 +398,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         if not unsure:
             break
         name = unsure[-1]
-        rejected.append(in_words(name))
+        rejected.append(_in_words(name))
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
         found = replace(found, chosen=rest or found.base)
     nothing = not found.chosen.effects and not graded.unknown and not varying
@@ -412,7 +411,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     )
 
 
-def in_words(name: Name) -> str:
+def _in_words(name: Name) -> str:
     """An effect and its place."""
     return f"{name[0]} at {name[1]}"
 

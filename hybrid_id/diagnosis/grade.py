@@ -266,13 +266,14 @@ def _rated_effects(found: Selection, structural: float) -> list[RatedEffect]:
                 best[name] = one
     # what the selected ones have made needless is no more probable than that these are wrong
     least = min((c.probability for c in best.values() if c.selected), default=0.0)
-    if found.own is not None or found.refuted:
-        untrue = None if found.own is not None else found.refuted
-        for name, c in best.items():
-            if untrue is None or name in untrue:
-                best[name] = replace(c, probability=CRITERIA.false_alarms * c.probability)
-        if untrue is None:
-            return list(best.values())
+    untrue = best.keys() if found.own is not None else found.refuted
+    best |= {
+        name: replace(c, probability=CRITERIA.false_alarms * c.probability)
+        for name, c in best.items()
+        if name in untrue
+    }
+    if found.own is not None:
+        return list(best.values())
     rated = [
         c if c.selected or not chosen else replace(c, probability=min(c.probability, 1.0 - least))
         for c in best.values()

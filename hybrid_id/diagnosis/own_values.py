@@ -83,9 +83,13 @@ class OwnValues:
 
     def of_joint(self, joint: str) -> list[FitResult]:
         """The records' fits with the parameters of one joint alone."""
-        return [
-            _columns(one, [k for k, n in enumerate(one.names) if _at(one, n, joint)]) for one in self.sets
-        ]
+        found = []
+        for one in self.sets:
+            infos = [one.system.parameter(name) for name in one.names]
+            own = [k for k, info in enumerate(infos) if info.component.startswith(f"{joint}/")]
+            names, jacobian = (one.names[k] for k in own), (part[..., own] for part in one.jacobian)
+            found.append(replace(one, names=tuple(names), values=one.values[own], jacobian=tuple(jacobian)))
+        return found
 
     def _of(self, joint: str, one: FitResult) -> list[np.ndarray]:
         number = joint.removeprefix("joint")
@@ -93,19 +97,6 @@ class OwnValues:
             k for k, n in enumerate(self.outputs) if number_of(n) == number and stem(n) in ("q_m", "q_a")
         ]
         return [piece[:, columns] for piece in one.residual]
-
-
-def _at(one: FitResult, parameter: str, joint: str) -> bool:
-    return one.system.parameter(parameter).component.startswith(f"{joint}/")
-
-
-def _columns(one: FitResult, columns: list[int]) -> FitResult:
-    return replace(
-        one,
-        names=tuple(one.names[k] for k in columns),
-        values=one.values[columns],
-        jacobian=tuple(part[..., columns] for part in one.jacobian),
-    )
 
 
 def own_values(
@@ -190,17 +181,15 @@ def borne_out(
     found = dict(answers)
     for name in unsure:
         claimed = [(e.name, e.where) for e in answers[name].grade.effects if e.selected]
-        refuted, seen = claimed, plain
-        if name not in nothing:
-            refuted, seen = [], now
-            for effect in reversed(claimed):
-                models = robot.lacking(chosen, name, effect)
-                bare = None if models is None else robot.own_values(models)
-                if models is None or bare is None or seen is None or helps(seen, bare, robot.key(name)):
-                    continue
-                chosen[name] = models[name]
-                seen = now = bare if models == chosen else robot.own_values(chosen)
-                refuted.append(effect)
+        for effect in reversed(claimed):
+            models = robot.lacking(chosen, name, effect) if effect in chosen[name].effects else None
+            bare = None if models is None else robot.own_values(models)
+            if models is None or bare is None or now is None or helps(now, bare, robot.key(name)):
+                continue
+            chosen[name] = models[name]
+            now = bare if models == chosen else robot.own_values(chosen)
+        refuted = [effect for effect in claimed if effect not in chosen[name].effects]
+        seen = plain if name in nothing else now
         rest = chosen[name] if chosen[name].effects else answers[name].searched.base
         own = None
         if seen is not None and not rest.effects and seen.explain(robot.key(name)):
