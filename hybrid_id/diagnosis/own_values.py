@@ -126,8 +126,11 @@ def own_values(
     try:
         batch = horizon.cut(system, engine(), batch_of(dataset, system, dataset.train, signal_share, "cpu"))
         common, names = fitted(system, batch), np.array(batch.names)
+        # by bounds that meet, so that compiled steps, which are made for what a fit estimates, are those of `common`
         held = {
-            info.name: replace(info.spec, estimate=False)
+            info.name: replace(
+                info.spec, lower=info.spec.value, upper=info.spec.value, prior_mean=None, prior_std=None
+            )
             for name, where in effects
             for info in brought(common.system, name, where).values()
         }

@@ -91,6 +91,11 @@ def test_an_effect_has_to_help_beside_values_of_each_records_own(nominal: System
         both = own_values(dataset, start, [name], WHOLE), own_values(dataset, nominal, (), WHOLE)
         assert both[0] is not None and both[1] is not None
         helpful.append(helps(*both, "joint3"))
+        common = both[0].common
+        assert all(one.names == common.names for one in both[0].sets)  # one program for all of them
+        assert {one.system.parameter("k_s").spec.value for one in both[0].sets} == {
+            common.system.parameter("k_s").spec.value
+        }
     assert helpful == [False, True]
 
 
