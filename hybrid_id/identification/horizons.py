@@ -228,10 +228,12 @@ def free_runs(system: System, engine: Engine, batch: Batch, theta: Tensor | None
     """
     if theta is None:
         theta = system.theta().detach().to(batch.x.device)[:, None].expand(-1, batch.rows)
-    at = evaluate(system, engine, batch, batch.x, theta, [], loss=Loss(), chunk=batch.x.shape[1])
-    x = batch.x.clone()
+    # compiled steps are made for what they are differentiated by: those of a fit of the model are there already
+    free = system.estimated if engine.compiled else []
+    at = evaluate(system, engine, batch, batch.x, theta, free, loss=Loss(), chunk=batch.x.shape[1])
+    x, n_x = batch.x.clone(), batch.x.shape[-1]
     with suppress(RuntimeError):  # states that nothing identifies stay as they were measured
-        x[:, 0] -= torch.linalg.solve(at.hessian, at.gradient)
+        x[:, 0] -= torch.linalg.solve(at.hessian[:, :n_x, :n_x], at.gradient[:, :n_x])
     return simulate(system, engine, replace(batch, x=x), theta)
 
 
