@@ -339,10 +339,7 @@ def _smoothed(
     offset = sum(part.specs["offset"].value for part in sensors if "offset" in part.specs)
     steps = record.sample_time if record.is_uniform else record.time
     given = {} if threshold is None else {"threshold": threshold}
-    angle = (record.outputs[name] - offset) * scale
-    if np.ptp(angle) == 0.0:  # the derivatives of what stands still would be rounding, which records refuse
-        return angle, np.zeros_like(angle), np.zeros_like(angle)
-    return smooth_derivatives(angle, steps, **given)
+    return smooth_derivatives((record.outputs[name] - offset) * scale, steps, **given)
 
 
 def _tree(system: System) -> RigidBodyTree:

@@ -100,6 +100,9 @@ def test_too_few_samples_are_refused():
         smooth_derivatives(np.zeros(4), STEP)
 
 
-def test_a_constant_record_is_at_rest():
-    _, slope, curvature = smooth_derivatives(np.full(50, 3.0), STEP)
-    assert np.abs(slope).max() < 1e-9 and np.abs(curvature).max() < 1e-5
+@pytest.mark.parametrize("stamps", [STEP, np.cumsum(np.linspace(0.5, 1.5, 50)) * STEP])
+def test_a_constant_record_is_at_rest(stamps):
+    y = np.stack([np.full(50, -0.37), np.sin(np.arange(50.0))])
+    value, slope, curvature = smooth_derivatives(y, stamps)
+    assert np.all(value[0] == -0.37) and not slope[0].any() and not curvature[0].any()
+    assert np.all(slope[1] != 0.0)
