@@ -92,11 +92,10 @@ def smooth_derivatives(
         mine = chosen == number
         for d in range(3 if mine.any() else 0):
             results[d][mine] = _local_polynomial(y, half, d)[0][mine] / step**d
-    still = (
-        np.ptp(y, axis=-1, keepdims=True) == 0.0
-    )  # its speed would be rounding, a tiny value that records refuse
-    value, slope, curvature = np.where(still, np.stack([y, *2 * [np.zeros_like(y)]]), results)
-    return value, slope, curvature
+    still = np.ptp(y, axis=-1) == 0.0
+    # a speed of rounding alone is a tiny value, which records refuse
+    results[0][still], results[1:, still] = y[still], 0.0
+    return results[0], results[1], results[2]
 
 
 def _local_polynomial(y: np.ndarray, half: int, d: int = 0) -> tuple[np.ndarray, np.ndarray]:
