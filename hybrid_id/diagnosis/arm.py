@@ -95,9 +95,11 @@ class ArmDiagnosis:
         skipped: joints that were not diagnosed, each with the reason.
         horizon: how long the free runs are over which the joints' parts and the whole robot are measured: the shortest
             that a joint's records call for.
-        parts: what share of the re-fitted robot's error beyond noise each diagnosed joint has, on train records, the
-            others moving as they were measured (mean squares over the signal's variance): simulated, an error of one
-            joint would be one of all that feel it.
+        parts: share of each diagnosed joint in the robot's gap, on train records, the others moving as they were
+            measured (mean squares over the signal's variance): simulated, an error of one joint would be one of all
+            that feel it. Where nothing is missing at any joint, in what the re-fitted robot leaves beyond noise.
+        least_parts: the same if whatever the other joints leave beyond noise were gap: other values in each record may
+            hide that something is missing.
         estimates: parameters of the corrected robot with their standard errors, by name, from the fit of all joints;
             empty where that fit was not better than the joints' own, or the search was stopped before it.
         common: parameters of effects that several joints have.
@@ -113,6 +115,7 @@ class ArmDiagnosis:
     skipped: Mapping[str, str]
     horizon: Horizon
     parts: Mapping[str, float]
+    least_parts: Mapping[str, float]
     estimates: Mapping[str, tuple[float, float]]
     common: tuple[CommonSize, ...]
     refit: System
@@ -145,7 +148,8 @@ class ArmDiagnosis:
 
     def _of_robot(self, one: RatedEffect, joint: str) -> RatedEffect:
         """An effect of a joint as the whole robot has it: its place, its share of that gap, its model's values."""
-        part, where, sizes = self.parts[joint], self._placed(one.where, joint), one.parameters
+        part, least = self.parts[joint], self.least_parts[joint]
+        where, sizes = self._placed(one.where, joint), one.parameters
         if one.selected:
             infos = brought(self.model, one.name, one.where)
             sizes = {s: self.estimates.get(infos[s].name, v) if s in infos else v for s, v in sizes.items()}
@@ -155,7 +159,7 @@ class ArmDiagnosis:
             tied_with=tuple(self._placed(tie, joint) for tie in one.tied_with),
             share=None if one.share is None else one.share * part,
             share_interval=one.share_interval
-            and (one.share_interval[0] * part, one.share_interval[1] * part),
+            and (one.share_interval[0] * least, one.share_interval[1] * part),
             alone=None if one.alone is None else one.alone * part,
             parameters=sizes,
         )
@@ -368,9 +372,9 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
-    parts, known = _parts(found, horizon, signal_share), estimates_of(whole)
+    (parts, least), known = _parts(found, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
-        dataset, found, skipped, horizon, parts, known, common_sizes(found, model, known), refit, model,
+        dataset, found, skipped, horizon, parts, least, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,
     )  # fmt: skip
 
@@ -405,9 +409,11 @@ def fitted_coupled(
     return system, None
 
 
-def _parts(found: Mapping[str, Diagnosis], horizon: Horizon, signal_share: float) -> dict[str, float]:
-    """Share of each diagnosed joint in the re-fitted robot's errors on train records, beyond the noise."""
-    size = dict.fromkeys(found, 0.0)
+def _parts(
+    found: Mapping[str, Diagnosis], horizon: Horizon, signal_share: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Share of each diagnosed joint in the robot's gap on train records, and the least that it may be."""
+    gap, beyond = dict.fromkeys(found, 0.0), dict.fromkeys(found, 0.0)
     for name, one in found.items():
         dataset, base = one.details.dataset, one.search.base.system
         trained = errors(dataset, base, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
@@ -418,11 +424,19 @@ def _parts(found: Mapping[str, Diagnosis], horizon: Horizon, signal_share: float
                 noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs
             ]
             noise, error = channel.noise_std or float(np.mean(logged)), trained.rmse.get(channel.name, 0.0)
-            if error > noise:  # records in which a joint stands still are not among its own
-                beyond = trained.by_output[channel.name] ** 2 * (1.0 - (noise / error) ** 2)
-                size[name] += len(dataset.train) * beyond
-    whole = sum(size.values())
-    return {name: value / whole if whole > 0.0 else 1.0 / len(size) for name, value in size.items()}
+            if error > noise:
+                # records in which a joint stands still are not among its own
+                whole = len(dataset.train) * trained.by_output[channel.name] ** 2
+                beyond[name] += whole * (1.0 - (noise / error) ** 2)
+                gap[name] += whole * min(one.beyond_floor, 1.0 - (noise / error) ** 2)
+    if not any(gap.values()):
+        gap = beyond
+    if not any(gap.values()):
+        even = dict.fromkeys(found, 1.0 / len(found))
+        return even, even
+    parts = {name: size / sum(gap.values()) for name, size in gap.items()}
+    others = {name: sum(beyond.values()) - beyond[name] for name in found}
+    return parts, {name: size / max(size + others[name], 1e-300) for name, size in gap.items()}
 
 
 def estimates_of(whole: FitResult | None) -> dict[str, tuple[float, float]]:

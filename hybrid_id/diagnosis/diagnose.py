@@ -578,6 +578,7 @@ def report(
         unknown=graded.unknown and not found.interrupted,
         remainder=graded.remainder,
         remainder_interval=graded.remainder_interval,
+        beyond_floor=graded.beyond_floor,
         horizon=fits.horizon,
         sample_time=fits.dataset.sample_time,
         nominal=tested.nominal,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -61,6 +61,7 @@ class Grade:
         remainder_interval: 95 % interval, for the chosen model as it is: its draws know no rivals.
         unknown: whether what remains is at least a tenth of the gap and surely as much as all that is explained.
         gap: mean square of weighted errors, in noise variances.
+        beyond_floor: the same as a share of what the re-fitted model leaves.
 
     The floor is ``(1 - structural) * error`` of the chosen model.
     """
@@ -70,6 +71,7 @@ class Grade:
     remainder_interval: Interval
     unknown: bool
     gap: float
+    beyond_floor: float
 
     @property
     def explained(self) -> float:
@@ -129,13 +131,14 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
         for k, (a, b) in enumerate(pairwise(models))
     }
     rated = [_with_share(c, shares, found, gap) for c in _rated_effects(found, structural)]
-    rated.sort(key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability))
     remainder = structural * last.error / gap
     explained = sum(c.share or 0.0 for c in rated if c.selected)
     interval = _interval(draws[:, -1])
     # a remainder that other records could have made the smaller part says nothing of the catalogue
     surely = remainder >= CRITERIA.substantial and interval[0] >= explained
-    return Grade(tuple(rated), remainder, interval, surely and structural > CRITERIA.coloured, gap)
+    unknown = surely and structural > CRITERIA.coloured
+    beyond_floor = min(max(1.0 - floor / max(first.error, 1e-300), 0.0), 1.0)
+    return Grade(_in_order(rated), remainder, interval, unknown, gap, beyond_floor)
 
 
 def _with_share(
@@ -171,6 +174,31 @@ def doubtful(found: Grade) -> list[Name]:
         for c in found.effects
         if c.selected and (together(c, found.effects) < CRITERIA.least_probability or not c.sure)
     ]
+
+
+def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
+    """The same at a joint of a robot that lacks something: such a robot lacks more than its records can show.
+
+    What was tried and not selected has the base rate, which small effects have that records do not exclude. It has
+    more as far as what is left at the joint is the robot's and not that of the motion of the others as measured.
+
+    Args:
+        found: of the joint by itself.
+        refuted: effects that the robot has refuted.
+        left: share of the structure in the joint's errors that each record's own values of the robot leave.
+    """
+    rate = CRITERIA.base_rate
+    effects = (
+        c
+        if c.selected or (c.name, c.where) in refuted
+        else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
+        for c in found.effects
+    )
+    return replace(found, effects=_in_order(effects))
+
+
+def _in_order(effects: Iterable[RatedEffect]) -> tuple[RatedEffect, ...]:
+    return tuple(sorted(effects, key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability)))
 
 
 def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[SelectionStep]]:

@@ -18,6 +18,7 @@ from hybrid_id.diagnosis.catalogue import CATALOGUE, brought
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, freeze
 from hybrid_id.diagnosis.fits import FULL, engine, with_priors_of, without_priors
+from hybrid_id.diagnosis.grade import of_robot
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.per_record import PerRecord, scatter, structural
 from hybrid_id.diagnosis.select import refitted_without
@@ -55,8 +56,10 @@ class OwnValues:
         """Share of the structure in a joint's errors that values of each record's own leave.
 
         Of the records in which one set leaves any, in their geometric mean, so that one which runs away from its own
-        values does not decide.
+        values does not decide; 0 where these values leave next to none.
         """
+        if self.nothing_left(joint):
+            return 0.0
         together, records = self._of(joint, self.common), np.array(self.common.records)
         least, ratios = CRITERIA.negligible_structure**2, list[float]()
         for one in self.sets:
@@ -67,7 +70,7 @@ class OwnValues:
 
     def explain(self, joint: str) -> bool:
         """Whether values of each record's own explain what looks missing at a joint: little or no structure is left."""
-        return self.nothing_left(joint) or self.left(joint) <= CRITERIA.coloured
+        return self.left(joint) <= CRITERIA.coloured
 
     def nothing_left(self, joint: str) -> bool:
         """Whether these values leave next to no structure at a joint."""
@@ -161,7 +164,8 @@ def borne_out(
     """The joints' answers as the whole robot bears them out.
 
     Effects that take nothing of what each record's own values leave are dropped, one at a time, the smallest first.
-    Where such values explain what is left, records differ and nothing is missing. Joints that were not diagnosed move
+    Where such values explain what is left, records differ and nothing is missing. Where something is, the probabilities
+    of the others are those of a robot that lacks several things. Joints that were not diagnosed move
     as they were measured.
 
     Args:
@@ -173,8 +177,10 @@ def borne_out(
     """
     chosen = {name: one.found.chosen for name, one in answers.items()}
     unsure = [name for name, one in answers.items() if chosen[name].effects or one.grade.unknown]
-    if not unsure or len(dataset.train) < 2:
+    if not unsure:
         return dict(answers)
+    if len(dataset.train) < 2:
+        return _rated(answers, {})
     robot = _Robot(dataset, nominal, answers, signal_share)
     # without any effect first: that robot is one program, and often explains most joints
     plain = robot.own_values({name: one.searched.base for name, one in answers.items()})
@@ -199,7 +205,17 @@ def borne_out(
             own = PerRecord(rest, 0.0, scatter(seen.of_joint(robot.key(name))), True)
         if refuted or own is not None:
             found[name] = _again(answers[name], rest, own, refuted, robot.drives[name], seed)
-    return found
+    return _rated(found, {} if now is None else {name: now.left(robot.key(name)) for name in found})
+
+
+def _rated(answers: Mapping[str, Answer], left: Mapping[str, float]) -> dict[str, Answer]:
+    """The answers with the probabilities of a robot, where any says that something is missing."""
+    if not any(one.found.chosen.effects or one.grade.unknown for one in answers.values()):
+        return dict(answers)
+    return {
+        name: replace(one, grade=of_robot(one.grade, one.searched.refuted, left.get(name, 1.0)))
+        for name, one in answers.items()
+    }
 
 
 def _again(

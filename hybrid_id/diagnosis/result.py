@@ -52,6 +52,7 @@ class Diagnosis:
             all selected effects.
         remainder: structural share of the gap that stays unexplained, on records left out.
         remainder_interval: 95 % interval.
+        beyond_floor: share of the re-fitted model's mean square error on records left out that is the gap.
         horizon: how long the free runs are over which models were fitted and compared, here and on the test records.
         sample_time: of the records as they were fitted, thinned where that loses nothing [s]; None if they share none.
         nominal, refit, with_effect: errors on the test records of the nominal, the re-fitted and the corrected model;
@@ -90,6 +91,7 @@ class Diagnosis:
     unknown: bool
     remainder: float
     remainder_interval: Interval
+    beyond_floor: float
     horizon: Horizon
     sample_time: float | None
     nominal: Errors | None

@@ -67,10 +67,11 @@ _GAP = (
     "sensors' noise."
 )
 _PART = (
-    "A joint's part of the gap is its share in the re-fitted robot's errors beyond noise on the train records, the "
-    "others moving as they were measured and each joint's errors taken relative to how far it moves. These are mean "
-    "squares: a joint with a third of another's relative error has a ninth of its part, so that one joint often has "
-    "nearly all of the gap. What the others lack shows in the share of their own gap, and in their RMSE."
+    "A joint's part of the gap is its share in the re-fitted robot's errors on the train records, beyond noise and "
+    "what other values in each record explain, the others moving as they were measured and each joint's errors taken "
+    "relative to how far it moves. An interval reaches to the share that would be left if such values hid a gap. These "
+    "are mean squares: a joint with a third of another's relative error has a ninth of its part, so that one joint "
+    "often has nearly all of the gap. What the others lack shows in the share of their own gap, and in their RMSE."
 )
 _OF_ALL = (
     "These values are of the fit of all joints at once, as in model.yaml here. A joint's own page and folder have "

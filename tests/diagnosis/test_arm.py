@@ -19,6 +19,7 @@ from hybrid_id.components.load.base_tilt import BaseTilt
 from hybrid_id.components.load.body_inertia import BodyInertia
 from hybrid_id.diagnosis import arm
 from hybrid_id.diagnosis.arm import NOT_ASKED, STOPPED, ArmDiagnosis
+from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import answered
 from hybrid_id.errors import InputError
 from hybrid_id.identification.keep import Kept
@@ -51,7 +52,10 @@ def test_a_missing_spring_is_found_at_its_joint_and_mends_the_whole_robot(
     assert found.verdict == "effects" and not found.unknown and not found.interrupted
     right = {one.verdict for name, one in found.joints.items() if name != "elbow"}
     assert right <= {"no_gap", "parameters_only"}
-    assert found.parts["elbow"] > 0.9
+    assert found.parts["elbow"] > 0.9 and sum(found.parts.values()) == pytest.approx(1.0)
+    assert all(0.0 <= least <= found.parts[name] for name, least in found.least_parts.items())
+    # one that lacks something lacks more than its records can show
+    assert all(one.selected or one.probability >= CRITERIA.base_rate for one in found.effects)
     assert found.shrink is not None and found.shrink.share > 0.9
     assert found.model.parameter("k_s_elbow").spec.value == pytest.approx(0.8, rel=0.03)
     assert found.model.tree is not None and len(found.model.joints) == 3
@@ -88,6 +92,7 @@ def test_one_joint_alone_is_diagnosed_where_it_is_asked_for(nominal: System) -> 
     dataset = records_of(nominal, 3)
     found = diagnose_arm(dataset, nominal, joints=["lift"])
     assert set(found.joints) == {"lift"} and not found.selected
+    assert any(one.probability < CRITERIA.base_rate for one in found.effects)
     assert found.verdict in ("no_gap", "parameters_only")
     assert found.skipped == {"pan": NOT_ASKED, "elbow": NOT_ASKED}
     said = json.loads(json.dumps(found.as_dict()))["joints"]["lift"]

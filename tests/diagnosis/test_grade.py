@@ -18,6 +18,7 @@ from hybrid_id.diagnosis.grade import (
     behind_play,
     doubtful,
     grade,
+    of_robot,
     structural_share,
     tied_models,
     tied_sets,
@@ -170,7 +171,7 @@ def candidate(
 
 
 def graded(*candidates: RatedEffect) -> Grade:
-    return Grade(candidates, 0.0, (0.0, 0.0), False, 1.0)
+    return Grade(candidates, 0.0, (0.0, 0.0), False, 1.0, 1.0)
 
 
 def test_nothing_improbable_or_of_no_sure_size_is_asserted() -> None:
@@ -271,6 +272,19 @@ def test_what_each_records_own_values_refute_is_improbable_beside_what_remains()
     )
     assert before[SPRING] > 0.9 and after[SPRING] <= CRITERIA.false_alarms
     assert after[WEIGHT] == before[WEIGHT]
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_a_robot_that_lacks_something_lacks_other_things_at_the_base_rate(p: float, left: float) -> None:
+    """Nothing tried falls below it but what was refuted, and nothing rises; selected effects stay as they are."""
+    odds = {SPRING: 0.97, WEIGHT: p, BIAS: p}
+    rated = tuple(RatedEffect(*name, odds[name], name == SPRING, (), {}) for name in odds)
+    found = of_robot(Grade(rated, 0.0, (0.0, 0.0), False, 1.0, 0.9), [BIAS], left)
+    now = {(c.name, c.where): c.probability for c in found.effects}
+    assert found.effects[0].selected and now[SPRING] == 0.97 and now[BIAS] == p
+    assert CRITERIA.base_rate <= now[WEIGHT] <= max(p, CRITERIA.base_rate) + 1e-12
+    if left == 1.0 and p >= CRITERIA.base_rate:
+        assert now[WEIGHT] == pytest.approx(p)
 
 
 def leaving(residual: np.ndarray, share: float, **components: None) -> Any:
