@@ -102,7 +102,7 @@ def best_of_each(found: list[FittedModel | None]) -> list[FittedModel]:
 def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
     """Content of ``diagnosis.json``, with all that the proposed experiment is made of; of a robot joint by joint.
 
-    A robot's ``next_experiments`` are the best of each joint with a tie.
+    A robot's ``next_experiments`` are the best of each joint with a tie that matters.
 
     Raises:
         KeyboardInterrupt: stopped before its end: half a search is no answer to a case.
@@ -118,7 +118,7 @@ def diagnosis(dataset: Dataset, system: System) -> dict[str, Any]:
         raise KeyboardInterrupt
     acting = [joint for joint, one in arm.joints.items() if one.unknown]
     where = max(acting, key=lambda joint: arm.parts[joint]) if arm.unknown else None
-    experiments = [entry for one in arm.joints.values() if one.ties for entry in proposed(one)]
+    experiments = [entry for joint in arm.tied for entry in proposed(arm.joints[joint])]
     return arm.as_dict() | {
         "unknown_at": where and {"joint": where, "place": None}, "next_experiments": experiments,
     }  # fmt: skip

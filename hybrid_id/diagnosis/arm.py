@@ -21,7 +21,7 @@ from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
 from hybrid_id.diagnosis.fits import engine
-from hybrid_id.diagnosis.grade import RatedEffect
+from hybrid_id.diagnosis.grade import RatedEffect, tied_sets
 from hybrid_id.diagnosis.own_values import borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
@@ -174,6 +174,18 @@ class ArmDiagnosis:
         return tuple(one for one in self.effects if one.selected)
 
     @property
+    def tied(self) -> dict[str, tuple[tuple[str, ...], ...]]:
+        """Groups of effects that a joint's records cannot distinguish, by joint, as the joint by itself has them.
+
+        Of what explains more than next to nothing of the robot's gap: for less nobody records anew.
+        """
+        found: dict[str, list[RatedEffect]] = {}
+        for one, own, joint in self.rated():
+            if one.selected and one.tied_with and not one.negligible:
+                found.setdefault(joint, []).append(own)
+        return {joint: tuple(tied_sets(effects)) for joint, effects in found.items()}
+
+    @property
     def remainder(self) -> float:
         """Structural share of the robot's gap that stays unexplained, of joints where something is missing."""
         return sum(
@@ -217,7 +229,9 @@ class ArmDiagnosis:
             "no_gap": self.verdict in ("no_gap", "parameters_only"),
             "effects": effects,
             "ties": [
-                [self._placed(name, j) for name in tie] for j, one in self.joints.items() for tie in one.ties
+                [self._placed(name, joint) for name in tie]
+                for joint, groups in self.tied.items()
+                for tie in groups
             ],
             "remainder": {"share": self.remainder},
             "horizon": self.horizon.as_dict(),

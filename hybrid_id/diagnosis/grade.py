@@ -20,6 +20,8 @@ from hybrid_id.diagnosis.select import Selection, accepted_ones, chances, refitt
 from hybrid_id.diagnosis.validation import Validation, mean_square
 
 Interval = tuple[float, float]
+NEGLIGIBLE = 0.005
+"""Share of a gap below which an effect explains next to nothing of it."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,11 @@ class RatedEffect:
     share_interval: Interval | None = None
     alone: float | None = None
     sure: bool = True
+
+    @property
+    def negligible(self) -> bool:
+        """Whether it explains next to nothing of the gap: it is fitted, and not said to be missing."""
+        return self.share is not None and self.share < NEGLIGIBLE
 
 
 @dataclass(frozen=True)

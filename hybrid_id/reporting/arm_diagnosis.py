@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 from matplotlib.figure import Figure
 from rich.console import Group, RenderableType
@@ -22,19 +23,20 @@ from hybrid_id.reporting.diagnosis_words import (
     asserted,
     called,
     capital,
+    experiment_lines,
     failed_lines,
     headline,
     implausible_lines,
     joined,
     measured,
     moved_line,
-    negligible,
     percent,
     place_words,
     probability_words,
     range_percent,
     rejected_lines,
     shrink_line,
+    tie_lines,
     unmeasured,
     words_of,
 )
@@ -120,9 +122,9 @@ Rated = tuple[RatedEffect, RatedEffect, str]
 def _by_size(found: ArmDiagnosis) -> tuple[list[Rated], list[Rated], list[Rated]]:
     """The selected effects: of the robot's gap, of hardly more than their joint's own, and of next to nothing."""
     named = [one for one in found.rated() if one[0].selected]
-    large = [one for one in named if not negligible(one[0])]
-    small = [one for one in named if negligible(one[0]) and not negligible(one[1])]
-    return large, small, [one for one in named if negligible(one[0]) and negligible(one[1])]
+    large = [one for one in named if not one[0].negligible]
+    small = [one for one in named if one[0].negligible and not one[1].negligible]
+    return large, small, [one for one in named if one[0].negligible and one[1].negligible]
 
 
 def _nothing_named(found: ArmDiagnosis) -> str:
@@ -257,6 +259,10 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
         for joint, one in found.joints.items()
         if one.varying
     ]
+    for joint, groups in found.tied.items():
+        one = found.joints[joint]
+        more = (*tie_lines(replace(one, ties=groups), brief=True), *experiment_lines(one))
+        lines += [f"{joint}: {line}" for line in more]
     lines += moved_line(_moved_values(found), found.dataset.outputs, MOVED)
     left = [joint for joint, why in found.skipped.items() if why == NOT_ASKED]
     if beside := [f"{words_of(one.name)} at {joint}" for one, _, joint in _by_size(found)[2]]:

@@ -24,8 +24,6 @@ from hybrid_id.systems.chain import System
 
 LEAST_SHARE = 0.02
 """Share of the gap from which a place is worth naming."""
-NEGLIGIBLE = 0.005
-"""Share of a gap below which it is printed as 0 %: the model has such an effect, and nobody is told to look for it."""
 WORSE = 1.5
 """Error of the re-fitted model over that of the nominal one from which it is said."""
 NAMED = 4
@@ -79,14 +77,9 @@ def _effects(diagnosis: Diagnosis) -> str:
     return sentence
 
 
-def negligible(one: RatedEffect) -> bool:
-    """Whether an effect explains next to nothing of a gap: it is fitted, and not said to be missing."""
-    return one.share is not None and one.share < NEGLIGIBLE
-
-
 def asserted(diagnosis: Diagnosis) -> list[RatedEffect]:
     """The selected effects that explain more than next to nothing; all of them where none does."""
-    return [one for one in diagnosis.selected if not negligible(one)] or list(diagnosis.selected)
+    return [one for one in diagnosis.selected if not one.negligible] or list(diagnosis.selected)
 
 
 def _sure(diagnosis: Diagnosis, one: RatedEffect) -> str:

@@ -50,6 +50,20 @@ def test_what_explains_next_to_nothing_is_set_apart(found: ArmDiagnosis) -> None
     assert said in remark_lines(nothing) and said not in remark_lines(some)
 
 
+def test_ties_are_said_where_the_effect_matters_to_the_robot(found: ArmDiagnosis) -> None:
+    elbow = found.joints["elbow"]
+    first, second, *others = elbow.effects
+    rival = f"{second.name}@{second.where}"
+    unsure = replace(elbow, effects=(replace(first, tied_with=(rival,)), second, *others))
+    robot = replace(found, joints={**found.joints, "elbow": unsure})
+    group = [f"{first.name}@elbow/load", f"{second.name}@elbow/{second.where.rpartition('/')[2]}"]
+    assert robot.as_dict()["ties"] == [group]
+    said = next(line for line in remark_lines(robot) if "indistinguishable on these records" in line)
+    assert said.startswith("elbow: ") and second.name.replace("_", " ") in said
+    slight = replace(robot, parts={"pan": 0.999, "lift": 0.0, "elbow": 0.001})
+    assert slight.as_dict()["ties"] == [] and "indistinguishable" not in " ".join(remark_lines(slight))
+
+
 def test_where_records_differ_a_joint_is_said_to_lack_nothing(found: ArmDiagnosis) -> None:
     joint, own = next((j, one) for j, one in found.joints.items() if not one.selected)
     parts = {j: float(j == joint) for j in found.joints}
