@@ -17,6 +17,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from hybrid_id.components.base import Component, Friction, Inertia
+from hybrid_id.components.input.position_servo import PositionServo
 from hybrid_id.components.load.arm_gravity import ArmGravity
 from hybrid_id.components.load.gravity import Gravity
 from hybrid_id.components.load.two_link import JointCoupling
@@ -35,6 +36,8 @@ LEFT = 0.02
 """Probability of a chi-square, were nothing else changed, below which something sure is left."""
 HALF_WIDTH = 1.96
 """Standard errors from the middle of a 95 % interval to its ends."""
+LATE = 0.01
+"""Shift of a goal in time [s] from which it is said: less is within the cycle of most position loops."""
 VAGUE = 1.0
 """Relative standard error from which a direction counts as not identified."""
 
@@ -177,10 +180,9 @@ def _several(
 ) -> ParameterChange:
     """Changes that act at once, and the parameters that moved beside them."""
     within = {k for one in parts for k in np.flatnonzero(one.hypothesis.columns.any(1))}
+    changes = [(nominal.parameter(names[k]), own) for k, own in alone.items() if k not in within]
     beside = ", ".join(
-        f"{named(nominal.parameter(names[k]))} {_change_words(own)}"
-        for k, own in alone.items()
-        if k not in within
+        f"{named(info)} {_change_words(own)}{_as_late(nominal, info, own)}" for info, own in changes
     )
     if parts:
         words = "; ".join(_words(nominal, one, names) for one in parts)
@@ -435,6 +437,20 @@ def _change_words(size: float) -> str:
     return f"{100 * np.expm1(size):+.0f} %"
 
 
+def _as_late(system: System, info: ParameterInfo, own: float) -> str:
+    """What looks like other viscous friction in a position loop: at a steady speed w the goal leads by F_v w / k_p."""
+    place, side, _ = info.component.split("/")
+    loop = dict(system.components.items()).get(f"{place}/input/position_servo")
+    if not isinstance(loop, PositionServo) or not isinstance(_part(system, info), Friction):
+        return ""
+    geared = system.joint(_joint(info)).gear_ratio ** 2 if side == "motor_friction" else 1.0
+    late = geared * info.spec.value * math.expm1(own) / loop.specs["k_p"].value
+    if info.spec.unit != "N m s/rad" or abs(late) < LATE:
+        return ""
+    way = "later" if late > 0.0 else "earlier"
+    return f" (a goal that acts {1e3 * abs(late):.0f} ms {way} looks alike in slow motion)"
+
+
 def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
     """A change as a clause, with what each parameter did where they did not move as one."""
     one, lead = solution.hypothesis, solution.hypothesis.lead
@@ -456,14 +472,17 @@ def _words(system: System, solution: _Solution, names: tuple[str, ...]) -> str:
             "smaller",
         )
     words = text.format(joint=joint, size=interval, heavier=more if size > 0 else less)
-    each = [named(system.parameter(name)) for name in moved]
+    infos = [system.parameter(name) for name in moved]
     if one.name == "friction" and np.ptp(np.sign(solution.sizes)):
         words = f"friction{joint} has changed (temperature, grease or wear)"
     if one.columns.shape[1] > 1:
-        changes = [f"{name} {_change_words(s)}" for name, s in zip(each, solution.sizes, strict=True)]
+        changes = [
+            f"{named(info)} {_change_words(own)}{_as_late(system, info, own)}"
+            for info, own in zip(infos, solution.sizes, strict=True)
+        ]
         return f"{words}: {', '.join(changes)}"
     if len(moved) > 1 and one.name == "friction":
-        return f"{words}: {', '.join(each)} {'rose' if size > 0 else 'fell'} together"
+        return f"{words}: {', '.join(map(named, infos))} {'rose' if size > 0 else 'fell'} together"
     return words
 
 

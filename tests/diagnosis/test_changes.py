@@ -2,10 +2,12 @@
 
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from drives import make_records, multisine, rigid_drive
+from servo_arm import described
 
 from hybrid_id.diagnosis.changes import _change_words, find_change
 from hybrid_id.identification.fit import fit
@@ -13,6 +15,7 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, two_link
+from hybrid_id.systems.by_joint import alone
 
 STEP, NOISE, SEEDS = 0.005, 0.02, (0, 1)
 TILTED = rigid_drive(vertical=True, ratio=50.0).with_values({"G_l": 0.8})
@@ -164,6 +167,19 @@ def test_two_changes_at_once_are_each_named() -> None:
     assert found.name == "several" and set(found.together) == {"load", "friction"}
     assert re.search(r"the load is 2[1-5] % \(\d\d-\d\d %\) lighter: inertia .* J -2[3-7] %", found.words)
     assert re.search(r"beside that .* P_m2 \+(19|20|21) %$", found.words)
+
+
+def test_in_a_position_loop_viscous_friction_may_be_a_late_goal(tmp_path: Path) -> None:
+    """Its size is that of the delay by which slow motion looks alike; nothing is said of other friction."""
+    pytest.importorskip("mujoco")
+    servo = alone(described(tmp_path), 1)
+    more = servo.parameter("k_p_lift").spec.value * 0.03 / servo.parameter("F_v_lift").spec.value
+    found = find_change(servo, pretended(servo, changed(servo, F_v_lift=1.0 + more)))
+    late = re.search(
+        r"F_v_lift \+\d+ % \(a goal that acts (\d+) ms later looks alike in slow motion\)", found.words
+    )
+    assert late and abs(int(late[1]) - 30) < 4
+    assert "goal" not in find_change(servo, pretended(servo, changed(servo, F_c_lift=1.5))).words
 
 
 def test_held_parameters_and_a_condensed_fit() -> None:
