@@ -144,7 +144,7 @@ class ArmDiagnosis:
             for joint, found in self.joints.items()
             for one in found.effects
         ]
-        return sorted(every, key=lambda of: (not of[0].selected, -(of[0].share or 0.0), -of[0].probability))
+        return sorted(every, key=lambda of: of[0].rank)
 
     def _of_robot(self, one: RatedEffect, joint: str) -> RatedEffect:
         """An effect of a joint as the whole robot has it: its place, its share of that gap, its model's values."""

@@ -53,6 +53,11 @@ class RatedEffect:
     sure: bool = True
 
     @property
+    def rank(self) -> tuple[float, ...]:
+        """Sorts effects: selected ones by share, then by probability; equally probable ones by what each explains."""
+        return -self.selected, -(self.share or 0.0), -self.probability, -(self.alone or 0.0)
+
+    @property
     def negligible(self) -> bool:
         """Whether it explains next to nothing of the gap: it is fitted, and not said to be missing."""
         return self.share is not None and self.share < NEGLIGIBLE
@@ -205,7 +210,7 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
 
 
 def _in_order(effects: Iterable[RatedEffect]) -> tuple[RatedEffect, ...]:
-    return tuple(sorted(effects, key=lambda c: (-c.selected, -(c.share or 0.0), -c.probability)))
+    return tuple(sorted(effects, key=lambda one: one.rank))
 
 
 def _ladder(fits: Fits, found: Selection) -> tuple[list[FittedModel], list[SelectionStep]]:

@@ -13,7 +13,7 @@ from rich.text import Text
 from hybrid_id.diagnosis.arm import NOT_ASKED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.errors_on_test import Errors
-from hybrid_id.diagnosis.grade import RatedEffect
+from hybrid_id.diagnosis.grade import NEGLIGIBLE, RatedEffect
 from hybrid_id.records.dataset import Channel
 from hybrid_id.records.quality import Finding
 from hybrid_id.records.units import number_of
@@ -33,8 +33,8 @@ from hybrid_id.reporting.diagnosis_words import (
     percent,
     place_words,
     probability_words,
-    range_percent,
     rejected_lines,
+    share_interval,
     shrink_line,
     tie_lines,
     unmeasured,
@@ -57,23 +57,20 @@ _VERDICTS = {
     "inconclusive": "inconclusive",
 }
 _REJECTED = "improbable, of a size that may be zero, or no help beside values of each record's own"
-_DIFFERS = "nothing; other values in each record"
+_DIFFERS = "nothing; values differ from record to record"
 _HOW = (
     "Each joint is searched by itself while the others move as they were measured, so that what a joint lacks shows in "
     "its own motion. Shares and probabilities are those of the joint's own page. Then all joints are simulated, driven "
     "by their commands alone: the re-fitted and the corrected robot are fitted once more as a whole, and the test "
     "records measure them."
 )
-_GAP = (
-    "The gap is the mean square error that the nominal model leaves after a re-fit of its parameters, less that of the "
-    "sensors' noise."
-)
 _PART = (
-    "A joint's part of the gap is its share in the re-fitted robot's errors on the train records, beyond noise and "
-    "what other values in each record explain, the others moving as they were measured and each joint's errors taken "
-    "relative to how far it moves. An interval reaches to the share that would be left if such values hid a gap. These "
-    "are mean squares: a joint with a third of another's relative error has a ninth of its part, so that one joint "
-    "often has nearly all of the gap. What the others lack shows in the share of their own gap, and in their RMSE."
+    "The gap is what the nominal model leaves of the train records after a re-fit of its parameters, beyond noise and "
+    "what other values in each record explain: mean squares, the other joints moving as they were measured, each "
+    "joint's errors taken relative to how far it moves. One joint often has nearly all of it, for a third of another's "
+    "error is a ninth of its part. The interval of an effect's share reaches down to what it would be if values of "
+    "each record's own hid a gap at other joints. RMSE is of all joints simulated, so that what mends one joint may "
+    "lower the errors of others."
 )
 _OF_ALL = (
     "These values are of the fit of all joints at once, as in model.yaml here. A joint's own page and folder have "
@@ -95,12 +92,15 @@ def arm_headline(found: ArmDiagnosis) -> str:
     if found.selected:
         said = [
             f"{words_of(one.name)} at {joint}{' explains' if k == 0 else ''} {percent(one.share or 0.0)} "
-            f"(probability {probability_words(one.probability)})"
+            f"({f'{between}; ' if (between := share_interval(one)) else ''}probability "
+            f"{probability_words(one.probability)})"
             for k, (one, _, joint) in enumerate(large)
         ]
         sentence = f"{capital(joined(said))} of {of}; " if said else f"No effect explains 0.5 % of {of}; "
         rest = found.remainder
-        sentence += f"{percent(rest)} remains unexplained." if rest >= 0.01 else "nothing structural remains."
+        sentence += (
+            f"{percent(rest)} remains unexplained." if rest >= NEGLIGIBLE else "nothing structural remains."
+        )
         if small:
             said = [
                 f"{words_of(one.name)} at {joint} ({percent(own.share or 0.0)} of that joint's own gap; "
@@ -165,7 +165,7 @@ def joints_table(found: ArmDiagnosis) -> Table:
         one = found.joints[joint]
         sure = "; ".join(f"{e.probability:.2f}" for e in asserted(one))
         explained = "; ".join(
-            percent(e.share or 0.0) + (f" ({range_percent(e.share_interval)})" if e.share_interval else "")
+            percent(e.share or 0.0) + (f" ({between})" if (between := share_interval(e)) else "")
             for e in asserted(one)
         )
         left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
@@ -236,6 +236,11 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
         lines.append(shrink_line(gap))
     if found.contradiction:
         lines.append(f"contradiction: {found.contradiction}")
+    if halting := [joint for joint, one in found.joints.items() if one.rest_differs]:
+        lines.append(
+            f"rest positions differ (stick) at {joined(halting)}: free runs halt elsewhere than the machine, although "
+            "the corrected model follows it from measured states."
+        )
     return lines
 
 
@@ -250,12 +255,12 @@ def remark_lines(found: ArmDiagnosis) -> list[str]:
     lines = [*sizes, *([_OF_ALL if found.estimates else _OF_EACH] if sizes else [])]
     lines += [common_words(one, found.dataset.outputs) for one in found.common]
     for joint, one in found.joints.items():
-        lines += [f"{joint}: {one.changes.removesuffix('.')}."] if one.changes else []
+        lines += [f"{joint}, fitted by itself: {one.changes.removesuffix('.')}."] if one.changes else []
         more = (*rejected_lines(one, _REJECTED), *implausible_lines(one), *failed_lines(one))
         lines += [f"{joint}: {line}" for line in more]
     lines += [
-        f"{joint}: values differ from record to record (friction of another day, say), {joined(list(one.varying))}; "
-        "each record's own leave next to nothing, so that nothing else is missing."
+        f"{joint}: values differ from record to record (friction of another day, say), {joined(list(one.varying))} "
+        "(standard deviation); values of each record's own leave noise."
         for joint, one in found.joints.items()
         if one.varying
     ]
@@ -373,7 +378,7 @@ def arm_page(
         findings: what the check of the records remarked.
     """
     page = Page(f"Diagnosis of {found.case}", arm_headline(found))
-    joints = page.section("Joints").add(joints_table(found), f"{_GAP} {_PART}")
+    joints = page.section("Joints").add(joints_table(found), _PART)
     if pages:
         joints.links("Each joint's own page:", pages)
     joints.add(*map(Text, remark_lines(found)), _HOW)

@@ -8,6 +8,7 @@ from rich.console import Console, Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
+from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.result import LIKELY, Diagnosis
 from hybrid_id.errors import InputError
 from hybrid_id.records.quality import Finding
@@ -30,8 +31,8 @@ from hybrid_id.reporting.diagnosis_words import (
     not_identifiable_lines,
     percent,
     place_words,
-    range_percent,
     rejected_lines,
+    share_interval,
     thinned_line,
     tie_lines,
     value_lines,
@@ -91,7 +92,7 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
     told = asserted(diagnosis)
     for one in diagnosis.effects[:most]:
         others = "indistinguishable" if f"{one.name}@{one.where}" in tied else ""
-        interval = "" if one.share_interval is None else f" ({range_percent(one.share_interval)})"
+        interval = f" ({between})" if (between := share_interval(one)) else ""
         rows.append(
             (
                 words_of(one.name), "" if one.share is None else percent(one.share) + interval,
@@ -100,14 +101,14 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
                 Text(others) if not one.selected else Text("selected", style="green") if one in told else "negligible",
             )
         )  # fmt: skip
-    return table(("effect", "share of the gap>", "probability>", "where", ""), rows)
+    return table(("effect", "share of the gap>", "probability>", "where", "status"), rows)
 
 
 def parameters_table(diagnosis: Diagnosis) -> Table:
     """Every estimated parameter in the nominal, the re-fitted and the corrected model, with intervals."""
     nominal, studies = diagnosis.details.nominal, diagnosis.details.studies
     last = studies[-1]
-    heads = [h for name in diagnosis.fitted for h in (f"{name}>", f"{100 * last.level:g} % interval>")]
+    heads = [h for name in diagnosis.fitted for h in (f"{name}>", f"{name}, {100 * last.level:g} %>")]
     rows = []
     models = (nominal, *(one.selected_model for one in studies))
     infos = {i.name: i for model in models for i in model.table if i.spec.estimate}
@@ -145,8 +146,12 @@ _HOW = (
     "choose; finalists are fitted again without the records that judge them. A probability is that of the effect being "
     "at work at this place, so probabilities need not sum to one. The test records measure, and decide nothing."
 )
+_BASE_RATE = (
+    f"Where a robot lacks something, every effect that its records do not exclude has at least {CRITERIA.base_rate:g}: "
+    "real machines have many small ones."
+)
 _NOWHERE = (
-    f"No torque over one signal explains {percent(LEAST_SHARE)} of the residual before (re-fitted model)."
+    f"No torque over one signal explains {percent(LEAST_SHARE)} of the re-fitted model's residual or more."
 )
 _TIED = "Some are indistinguishable on these records: see Ties and next experiment."
 _NO_TIES = "Nothing is indistinguishable, so no experiment is proposed."
@@ -266,11 +271,11 @@ def _add_effects(
     effects.add(*map(_sentence, remarks))
     others = sorted({words_of(one.name) for one in diagnosis.effects[shown:]})
     if others:
-        effects.add(_sentence(f"also tried, each less probable: {', '.join(others)}."))
+        effects.add(_sentence(f"also tried, none of them more probable: {', '.join(others)}."))
     if diagnosis.ties:
         effects.add(Text(_TIED, style="yellow"))
     picture(effects, "candidates")
-    effects.add(_HOW)
+    effects.add(f"{_HOW} {_BASE_RATE}" if robot else _HOW)
 
 
 def _add_location(page: Page, diagnosis: Diagnosis, picture: Callable[..., None]) -> None:

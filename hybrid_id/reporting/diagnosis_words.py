@@ -11,7 +11,7 @@ from hybrid_id.diagnosis.catalogue import brought, separation
 from hybrid_id.diagnosis.changes import NOMINAL
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink
-from hybrid_id.diagnosis.grade import Interval, RatedEffect, together
+from hybrid_id.diagnosis.grade import NEGLIGIBLE, Interval, RatedEffect, together
 from hybrid_id.diagnosis.locate import HISTORY, IN_WORDS, Location, acts_at
 from hybrid_id.diagnosis.plausibility import named
 from hybrid_id.diagnosis.result import Diagnosis
@@ -84,7 +84,7 @@ def asserted(diagnosis: Diagnosis) -> list[RatedEffect]:
 
 def _sure(diagnosis: Diagnosis, one: RatedEffect) -> str:
     """The share's interval, and the probability of an effect or of one that it is indistinguishable from."""
-    share = "" if one.share_interval is None else f"{range_percent(one.share_interval)}; "
+    share = f"{between}; " if (between := share_interval(one)) else ""
     of = " of one of them" if one.tied_with else ""
     return f"{share}probability{of} {probability_words(together(one, diagnosis.effects))}"
 
@@ -108,7 +108,7 @@ def _named(diagnosis: Diagnosis, one: RatedEffect) -> str:
 
 def _remains(diagnosis: Diagnosis) -> str:
     """The unexplained share, its interval, and where it acts and on what it depends where that is identified."""
-    if diagnosis.remainder < 0.5 * LEAST_SHARE:
+    if diagnosis.remainder < NEGLIGIBLE:
         return "nothing structural remains"
     interval = range_percent(diagnosis.remainder_interval)
     return f"{percent(diagnosis.remainder)} ({interval}) remains unexplained{_acting(diagnosis)}"
@@ -195,6 +195,7 @@ def where_line(diagnosis: Diagnosis) -> str:
     if not sides:
         return ""
     words = "; ".join(f"{side}, over {', '.join(signals)}" for side, signals in sides.items())
+    words += ", each alone" if sum(map(len, sides.values())) > 1 else ""
     history = (
         "; motion history: how the joint moved just before, its last reversal say" if HISTORY in words else ""
     )
@@ -372,8 +373,8 @@ def varying_lines(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.varying:
         return []
     return [
-        f"between-record variation (standard deviation): {joined(list(diagnosis.varying))}. `identify` fits a set a "
-        "record; a simulator is drawn from such sets, not from one."
+        f"between-record variation (standard deviation): {joined(list(diagnosis.varying))}. `identify` gives a set for "
+        "each record; draw a simulator's values from these."
     ]
 
 
@@ -395,7 +396,9 @@ def implausible_lines(diagnosis: Diagnosis, most: int | None = None) -> list[str
         if not diagnosis.selected
         else "the missing effect hides in them"
     )
-    return [f"implausible parameters: the re-fit moves them beyond data-sheet tolerance, so {why}: {words}."]
+    return [
+        f"implausible parameters: the re-fit alone moves them beyond data-sheet tolerance, so {why}: {words}."
+    ]
 
 
 Moved = tuple[ParameterInfo, float, Sequence[float] | np.ndarray]
@@ -422,8 +425,8 @@ def moved_line(values: Iterable[Moved], channels: Sequence[Channel], most: int |
     more += [f"{len(away) - len(far)} more by less than {100 * NOMINAL:g} %"] if len(away) > len(far) else []
     beside = f" (and {', '.join(more)})" if more else ""
     return [
-        f"intervals exclude the nominal value: {'; '.join(said)}{beside}. Unless named implausible, such values are "
-        "within data-sheet tolerance: take those that were fitted."
+        f"intervals exclude the nominal value: {'; '.join(said)}{beside}. Within data-sheet tolerance take the values "
+        "that were fitted."
     ]
 
 
@@ -557,6 +560,14 @@ def place_words(where: str) -> str:
 def percent(share: float) -> str:
     """A share as it is printed."""
     return f"{round(100 * min(share, 1.0))} %"
+
+
+def share_interval(one: RatedEffect) -> str:
+    """The interval of an effect's share as it is printed; empty where it has none, or none that says more than it."""
+    if one.share is None or one.share_interval is None:
+        return ""
+    between = range_percent(one.share_interval)
+    return "" if between == range_percent((one.share, one.share)) else between
 
 
 def range_percent(interval: Interval) -> str:

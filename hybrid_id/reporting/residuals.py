@@ -97,8 +97,8 @@ def sentence(test: ResidualTest, channels: Sequence[Channel] = ()) -> str:
     if test.rms < FAINT:
         return f"not white, but only {size}: the counts of an encoder, which dwell, look alike."
     return (
-        f"not white: neighbours correlate by {test.shared:.2f}, so the model lacks something; the residual "
-        f"follows no input surely. It is {size}."
+        f"not white: neighbours correlate by {test.shared:.2f}, as where an effect is missing or values differ from "
+        f"record to record; the residual follows no input surely. It is {size}."
     )
 
 

@@ -21,7 +21,7 @@ LOST = ResidualTest("q_m1", 4000, math.inf, 100, math.nan, math.nan, math.nan, (
     [
         (WHITE, "white: nothing left to model. The residual is 1.02 times the noise (RMS)."),
         (FAINT, "nearly white: next to nothing left to model."),
-        (SMOOTH, "not white: neighbours correlate by 0.84, so the model lacks something"),
+        (SMOOTH, "not white: neighbours correlate by 0.84, as where an effect is missing"),
         (LATE, "not white: the residual follows u1 (correlation -0.31, 7 samples later)"),
         (COUNTS, "not white, but only 0.3 times the noise"),
         (LOST, "the simulation has diverged"),
