@@ -28,16 +28,17 @@ from torch import Tensor, nn
 
 from hybrid_id.components.base import Component
 from hybrid_id.simulation.c_code import call, compiler, library, note, noted
-from hybrid_id.simulation.parts import NAMES, Body, assigned, in_lanes, in_parts, lanes, lines
+from hybrid_id.simulation.parts import NAMES, Body, assigned, in_lanes, in_parts, lanes, lines, stored
 from hybrid_id.simulation.step import Engine, update_internal_states
-from hybrid_id.simulation.tracing import DECLARED, record
+from hybrid_id.simulation.tracing import DECLARED, WRAPPED, record
 from hybrid_id.systems.balance import PIVOTS, Directions
 from hybrid_id.systems.chain import Channels, System, Views
 
 WIDTH = 8
 """Lanes that go side by side."""
 FLAGS = (
-    "-O1", "-fexpensive-optimizations", "-ftree-vectorize", "-march=native", "-std=gnu11", "-fPIC", "-fopenmp-simd",
+    "-O1", "-fexpensive-optimizations", "-ftree-vectorize", "-fno-predictive-commoning", "-march=native", "-std=gnu11",
+    "-fPIC", "-fopenmp-simd",
     "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fno-builtin-sin", "-fno-builtin-cos",
 )  # fmt: skip
 """As exact as the reference: whether a joint sticks may hang on a difference that is zero. With -O1 alone GCC leaves
@@ -50,9 +51,9 @@ PLAIN = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
 """Numbers that belong to a formula and not to a machine."""
 NUMBER = re.compile(r"(?<![\w.])(?:\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+)(?![\w.])")
 """A number in a recorded expression."""
-WHOLE, PART = 30000, 2000
+WHOLE, PART = 5000, 3000
 """A function of more statements than the first is compiled in parts of the second, as compilers' time and memory grow
-faster than a function does. Six joints with ten parameters each stay whole: in parts their steps take 13 % longer."""
+faster than a function does: six joints with ten parameters each in 11 s, and not in 42, at steps as fast."""
 ARRAYS = {
     "rates": ("x", "u", "p", "fixed", "d", "k", "g"),
     "margins": ("x", "u", "p", "fixed", "s", "d", "side", "margin", "against"),
@@ -311,7 +312,8 @@ def source(
     texts["internal_tangents"] = lines([*code.tangents(body), *after])
     template = resources.files("hybrid_id.simulation").joinpath("engine.c.in").read_text(encoding="utf-8")
     written = Template(template).substitute(
-        texts, functions=DECLARED, width=WIDTH, internal_states=int(bool(kept)), rollouts=int(free is None),
+        texts, functions=DECLARED, vectors=WRAPPED, width=WIDTH, internal_states=int(bool(kept)),
+        rollouts=int(free is None),
         prepare="\n".join(code.prepare), hold_lanes=in_lanes("\n".join(code.hold)), n_x=n_x, held=len(channels),
         n_p=len(system.table) + len(code.constants), n_fixed=code.n_fixed, n_columns=code.columns, n_dry=n,
         n_speeds=speeds, n_coupled=len(coupled), pivots=min(3 ** len(coupled), PIVOTS) if coupled else 0,
@@ -467,12 +469,14 @@ class Statements:
             else:
                 moving.append(line)
                 needed.update(used)
-        kept = [name for name in known if name in needed]
-        places = {name: f"fixed[{self.n_fixed + i}]" for i, name in enumerate(kept)}
-        self.n_fixed += len(kept)
-        body = [*load, *known.values(), *(f"{place} = {name};" for name, place in places.items())]
-        earlier += ["    {", *(f"        {line}" for line in body), "    }"] if kept else []
-        kinds = {name: known[name].split(" = ")[0] for name in kept}
+        needed_later = [name for name in known if name in needed]
+        places = {name: f"fixed[{self.n_fixed + i}]" for i, name in enumerate(needed_later)}
+        self.n_fixed += len(places)
+        kinds = {name: known[name].split(" = ")[0] for name in needed_later}
+        body = [
+            *load, *known.values(), *(stored(kinds[name], name, place) for name, place in places.items())
+        ]  # fmt: skip
+        earlier += ["    {", *(f"        {line}" for line in body), "    }"] if places else []
         return [f"{kinds[name]} = {place};" for name, place in places.items()], moving
 
     def tangents(self, body: Body) -> list[str]:
@@ -481,10 +485,10 @@ class Statements:
         found = []
         for row, places in body.gradients.items():
             gradient = [in_lanes(place) for place in places]
-            terms = [f"{g} * x_t[{j}][c][l]" for j, g in enumerate(gradient[:n_x]) if g != "0.0"]
+            terms = [f"{g} * AT(x_t[{j}][c])" for j, g in enumerate(gradient[:n_x]) if g != "0.0"]
             own = [(c, g) for c, g in enumerate(gradient) if c >= n_x and g != "0.0"]
             found += [
-                f"TANGENTS k_t[{row}][c][l] = {' + '.join(terms) or '0.0'};",
-                *(f"LANES k_t[{row}][{c}][l] += {g};" for c, g in own),
+                f"TANGENT_VECTORS AT(k_t[{row}][c]) = {' + '.join(terms) or 'ALL(0.0)'};",
+                *(f"VECTORS AT(k_t[{row}][{c}]) += {g};" for c, g in own),
             ]
         return found

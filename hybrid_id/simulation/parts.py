@@ -10,6 +10,8 @@ NAMES = re.compile(r"\b(?:[a-z]\d+|h)\b")
 """Variables in a recorded expression."""
 ROWS = re.compile(r"\b([xupsdk]|fixed|side|margin|against|between|g\[\d+\])\[(\d+)\]")
 """Arrays of which every lane has its own."""
+FUNCTION = re.compile(r"\b(?=[a-z]\w*\()(?!AT)")
+"""Where the name of a function begins."""
 BETWEEN = re.compile(r"\bbetween\[(\d+)\]")
 WRITTEN = ("k", "side", "margin", "against", "between")
 """Arrays that a function writes, beside its gradients g."""
@@ -58,7 +60,7 @@ def in_parts(
         idle += [place.pop(name) for name in list(place) if last[name] == k]
         for name in (name for name, where in made.items() if where == k and last.get(name, k) > k):
             place[name] = idle.pop() if idle else f"between[{len(place)}]"
-            part.append(f"{place[name]} = {name};")
+            part.append(stored(kinds[name], name, place[name]))
         parts.append(part)
     return parts, 1 + max(
         (int(n) for part in parts for line in part for n in BETWEEN.findall(line)), default=-1
@@ -67,7 +69,7 @@ def in_parts(
 
 def lanes(name: str, arrays: Sequence[str], body: Body) -> tuple[str, str]:
     """Functions for the parts of a body, and the body that calls them, for the lanes side by side."""
-    texts = [f"    LANES {{\n{in_lanes(lines(part))}\n    }}" for part in body.parts]
+    texts = [f"    VECTORS {{\n{in_lanes(lines(part))}\n    }}" for part in body.parts]
     if len(texts) == 1:
         return "", texts[0]
     given = [*arrays, "between"]
@@ -88,8 +90,16 @@ def _declared(array: str) -> str:
 
 
 def in_lanes(body: str) -> str:
-    """Statements of one lane as those of lane l."""
-    return ROWS.sub(r"\1[\2][l]", body)
+    """Statements of one lane as those of a vector of lanes, as engine.c.in has them."""
+    body = FUNCTION.sub("v_", ROWS.sub(r"AT(\1[\2])", body))
+    body = re.sub(r"const _Bool (\w+) = (AT\(.*\));", r"const M \1 = \2 != 0.0;", body)
+    body = body.replace("const _Bool ", "const M ").replace("const double ", "const V ")
+    return re.sub(r"^( *AT\(\S+\)) = (.*);$", r"\1 = ALL(\2);", body, flags=re.MULTILINE)
+
+
+def stored(kind: str, name: str, place: str) -> str:
+    """The statement that keeps a value in an array of numbers, a truth as 1 or 0."""
+    return f"{place} = pick({name}, 1.0, 0.0);" if "_Bool" in kind else f"{place} = {name};"
 
 
 def lines(statements: Sequence[str]) -> str:

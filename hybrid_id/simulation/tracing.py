@@ -1,7 +1,7 @@
 """C statements of a function of rows: what PyTorch computes in every lane, gradients included, written down once.
 
 The function runs once on example rows while every elementary operation is recorded as one assignment. Lanes do not
-mix, so that the assignments are the body of a loop over lanes that a C compiler turns into vector code.
+mix, so that the assignments hold for vectors of lanes as well as for one.
 """
 
 from __future__ import annotations
@@ -23,22 +23,28 @@ OPERATIONS: dict[str, str] = {
     "log1p": "log1p({0})", "sin": "sin({0})", "cos": "cos({0})", "tan": "tan({0})", "atan": "atan({0})",
     "asinh": "asinh({0})", "tanh": "tanh({0})", "cosh": "cosh({0})", "sinh": "sinh({0})", "erf": "erf({0})",
     "sigmoid": "1.0 / (1.0 + exp(-{0}))",
-    "sign": "(double)({0} > 0.0) - (double)({0} < 0.0)", "sgn": "(double)({0} > 0.0) - (double)({0} < 0.0)",
+    "sign": "pick({0} > 0.0, 1.0, 0.0) - pick({0} < 0.0, 1.0, 0.0)",
+    "sgn": "pick({0} > 0.0, 1.0, 0.0) - pick({0} < 0.0, 1.0, 0.0)",
     "tanh_backward": "{0} * (1.0 - {1} * {1})", "sigmoid_backward": "{0} * {1} * (1.0 - {1})",
     "lerp": "{0} + {2} * ({1} - {0})", "pow": "pow({0}, {1})", "atan2": "atan2({0}, {1})",
-    "maximum": "{0} > {1} ? {0} : {1}", "minimum": "{0} < {1} ? {0} : {1}",
-    "clamp_min": "{0} > {1} ? {0} : {1}", "clamp_max": "{0} < {1} ? {0} : {1}",
-    "where": "{0} ? {1} : {2}", "masked_fill": "{1} ? {2} : {0}", "threshold_backward": "{1} > {2} ? {0} : 0.0",
+    "maximum": "pick({0} > {1}, {0}, {1})", "minimum": "pick({0} < {1}, {0}, {1})",
+    "clamp_min": "pick({0} > {1}, {0}, {1})", "clamp_max": "pick({0} < {1}, {0}, {1})",
+    "where": "pick({0}, {1}, {2})", "masked_fill": "pick({1}, {2}, {0})",
+    "threshold_backward": "pick({1} > {2}, {0}, 0.0)",
     "gt": "{0} > {1}", "ge": "{0} >= {1}", "lt": "{0} < {1}", "le": "{0} <= {1}", "eq": "{0} == {1}",
     "ne": "{0} != {1}",
-    "logical_and": "{0} && {1}", "logical_or": "{0} || {1}", "logical_not": "!{0}",
-    "bitwise_and": "{0} && {1}", "bitwise_or": "{0} || {1}", "bitwise_not": "!{0}",
+    "logical_and": "{0} & {1}", "logical_or": "{0} | {1}", "logical_not": "{0} == 0",
+    "bitwise_and": "{0} & {1}", "bitwise_or": "{0} | {1}", "bitwise_not": "{0} == 0",
     "zeros_like": "0.0", "new_zeros": "0.0", "ones_like": "1.0", "new_ones": "1.0", "fill": "{1}", "zero": "0.0",
     "scalar_tensor": "{0}", "full_like": "{1}", "full": "{0}", "new_full": "{1}",
     "detach": "{0}", "alias": "{0}", "clone": "{0}", "expand": "{0}", "view": "{0}", "_to_copy": "{0}", "copy": "{1}",
     "_unsafe_view": "{0}", "reshape": "{0}",
 }  # fmt: skip
-"""C expression of each operation of PyTorch's kernel language; {0}, {1} ... stand for its arguments."""
+"""C expression of each operation of PyTorch's kernel language; {0}, {1} ... stand for its arguments. ``pick(c, a, b)``
+is a where c holds, else b: of one lane and of several at once, for which C has no such operator."""
+CONDITIONS = {("where", 0), ("masked_fill", 1)}
+"""Arguments that are conditions, by operation and place."""
+COMPARISONS = ("gt", "ge", "lt", "le", "eq", "ne")
 FUNCTIONS = (
     "exp",
     "expm1",
@@ -60,6 +66,10 @@ DECLARED = "\n".join(
     for name in (*FUNCTIONS, "pow", "atan2")
 )
 """C declarations that say so."""
+WRAPPED = "\n".join(
+    [*(f"OF_ONE({name})" for name in (*FUNCTIONS, "sqrt")), *(f"OF_TWO({name})" for name in ("pow", "atan2"))]
+)
+"""The same of several lanes at once, by macros of engine.c.in."""
 
 MIXED = "mixed"
 """Name of a value that belongs to no lane."""
@@ -103,8 +113,16 @@ class Recorder(TorchDispatchMode):
             )
         return _literal(row.item())
 
-    def _written(self, value: Any) -> str:
-        return self.name(value) if isinstance(value, Tensor) else _literal(value)
+    def _written(self, value: Any, truth: bool = False) -> str:
+        """A value as a number, or as a truth."""
+        if not isinstance(value, Tensor):
+            return _literal(value)
+        name = self.name(value)
+        if _is_atom(name) and not name.isidentifier():
+            return name
+        if truth and value.dtype != torch.bool:
+            return f"({name} != 0.0)"
+        return name if truth or value.dtype != torch.bool else f"pick({name}, 1.0, 0.0)"
 
     def __torch_dispatch__(self, func: Any, types: Any, args: Sequence[Any] = (), kwargs: Any = None) -> Any:
         name = func.overloadpacket.__name__
@@ -122,7 +140,10 @@ class Recorder(TorchDispatchMode):
         alpha = (kwargs or {}).get("alpha", 1)
         used = OPERATIONS.get(key, "{0}{1}{2}")
         values = enumerate(a for a in args if _counts(a))
-        given = [self._written(a) if f"{{{k}}}" in used else "" for k, a in values]
+        truth = result.dtype == torch.bool and key not in COMPARISONS
+        given = [
+            self._written(a, truth or (key, k) in CONDITIONS) if f"{{{k}}}" in used else "" for k, a in values
+        ]
         if alpha != 1:
             given[1] = f"({_literal(alpha)} * {given[1]})"
         code = _expression(key, given, args)
@@ -200,9 +221,8 @@ def _expression(key: str, given: Sequence[str], args: Sequence[Any]) -> str:
         value, *limits = given
         below = args[1] is not None
         above = len(args) > 2 and args[2] is not None
-        low = f"{value} < {limits[0]} ? {limits[0]} : " if below else ""
-        high = f"{value} > {limits[-1]} ? {limits[-1]} : " if above else ""
-        return low + high + value
+        held = f"pick({value} > {limits[-1]}, {limits[-1]}, {value})" if above else value
+        return f"pick({value} < {limits[0]}, {limits[0]}, {held})" if below else held
     return OPERATIONS[key].format(*given)
 
 
@@ -218,4 +238,14 @@ def _folded(key: str, given: Sequence[str], code: str) -> str:
         return given[0]
     if key == "neg" and given[0] == "0.0":
         return "0.0"
+    if key.endswith("_and") and {"0.0", "1.0"} & {*given}:
+        return "0.0" if "0.0" in given else given[given[0] == "1.0"]
+    if key.endswith("_or") and {"0.0", "1.0"} & {*given}:
+        return "1.0" if "1.0" in given else given[given[0] == "0.0"]
+    if key.endswith("_not") and given[0] in ("0.0", "1.0"):
+        return "1.0" if given[0] == "0.0" else "0.0"
+    if key == "where" and given[0] in ("0.0", "1.0"):
+        return given[1] if given[0] == "1.0" else given[2]
+    if key == "masked_fill" and given[1] in ("0.0", "1.0"):
+        return given[2] if given[1] == "1.0" else given[0]
     return code
