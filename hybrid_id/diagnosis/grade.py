@@ -192,21 +192,38 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
     """The same at a joint of a robot that lacks something: such a robot lacks more than its records can show.
 
     What was tried and not selected has the base rate, which small effects have that records do not exclude. It has
-    more as far as what is left at the joint is the robot's and not that of the motion of the others as measured.
+    more as far as what remains at the joint is the robot's, and not the others' noise or other values in each record:
+    the rest of it is no part of the gap, and intervals of shares reach from those with it to those without it.
 
     Args:
         found: of the joint by itself.
         refuted: effects that the robot has refuted.
         left: share of the structure in the joint's errors that each record's own values of the robot leave.
     """
-    rate = CRITERIA.base_rate
-    effects = (
-        c
-        if c.selected or (c.name, c.where) in refuted
-        else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
-        for c in found.effects
+    rate, gap = CRITERIA.base_rate, max(1.0 - (1.0 - left) * found.remainder, 1e-12)
+
+    def rated(c: RatedEffect) -> RatedEffect:
+        if not c.selected:
+            known = (c.name, c.where) in refuted
+            return c if known else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
+        low, high = c.share_interval or (0.0, 0.0)
+        return replace(
+            c,
+            share=c.share and c.share / gap,
+            alone=c.alone and c.alone / gap,
+            share_interval=c.share_interval and (low, max(high, c.share or 0.0) / gap),
+        )
+
+    remainder = left * found.remainder / gap
+    return replace(
+        found,
+        effects=_in_order(map(rated, found.effects)),
+        remainder=remainder,
+        remainder_interval=(left * found.remainder_interval[0], found.remainder_interval[1]),
+        unknown=found.unknown and remainder >= CRITERIA.substantial,
+        gap=gap * found.gap,
+        beyond_floor=gap * found.beyond_floor,
     )
-    return replace(found, effects=_in_order(effects))
 
 
 def _in_order(effects: Iterable[RatedEffect]) -> tuple[RatedEffect, ...]:

@@ -287,6 +287,19 @@ def test_a_robot_that_lacks_something_lacks_other_things_at_the_base_rate(p: flo
         assert now[WEIGHT] == pytest.approx(p)
 
 
+def test_what_other_values_in_each_record_explain_is_no_part_of_a_robots_gap() -> None:
+    """Shares are of a smaller gap then; their intervals reach from the old to the new one."""
+    spring = RatedEffect(*SPRING, 0.97, True, (), {}, share=0.6, share_interval=(0.5, 0.65), alone=0.6)
+    found = Grade((spring,), 0.4, (0.3, 0.5), True, 10.0, 0.9)
+    part, whole = of_robot(found, (), 0.25), of_robot(found, (), 1.0)
+    assert (whole.remainder, whole.gap, whole.unknown, whole.effects) == (0.4, 10.0, True, (spring,))
+    (one,) = part.effects
+    assert one.share is not None and one.share + part.remainder == pytest.approx(1.0)
+    assert part.gap == pytest.approx(7.0) and part.remainder == pytest.approx(0.1 / 0.7)
+    assert one.share_interval == pytest.approx((0.5, 0.65 / 0.7)) and part.beyond_floor == pytest.approx(0.63)
+    assert of_robot(found, (), 0.0).remainder == 0.0 and not of_robot(found, (), 0.0).unknown
+
+
 def leaving(residual: np.ndarray, share: float, **components: None) -> Any:
     return SimpleNamespace(
         result=SimpleNamespace(residual=[residual]),
