@@ -99,7 +99,9 @@ def test_a_diagnosis_takes_joint_by_joint_and_writes_each(run, arm: Path, tmp_pa
         assert (out / name / "report.html").exists()
         assert f'href="{name}/report.html"' in (out / "report.html").read_text()
         assert 'href="../report.html"' in (out / name / "report.html").read_text()
-    assert "The gap is what the nominal model leaves of the train records" in (out / "report.html").read_text()
+    assert (
+        "The gap is what the nominal model leaves of the train records" in (out / "report.html").read_text()
+    )
     assert "q_m3 (tip)" in (out / "tip" / "report.html").read_text()
     assert "joint 1," not in (out / "tip" / "report.html").read_text()  # it is called as the robot calls it
     for name in ("model.yaml", "refit.yaml"):
