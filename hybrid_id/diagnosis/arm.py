@@ -179,11 +179,11 @@ class ArmDiagnosis:
 
         Of what explains more than next to nothing of the robot's gap: for less nobody records anew.
         """
-        found: dict[str, list[RatedEffect]] = {}
+        found: dict[str, tuple[tuple[str, ...], ...]] = {}
         for one, own, joint in self.rated():
-            if one.selected and one.tied_with and not one.negligible:
-                found.setdefault(joint, []).append(own)
-        return {joint: tuple(tied_sets(effects)) for joint, effects in found.items()}
+            if not one.negligible and (groups := tied_sets([own])):
+                found[joint] = (*found.get(joint, ()), *groups)
+        return found
 
     @property
     def remainder(self) -> float:
@@ -438,19 +438,18 @@ def _parts(
                 noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs
             ]
             noise, error = channel.noise_std or float(np.mean(logged)), trained.rmse.get(channel.name, 0.0)
-            if error > noise:
-                # records in which a joint stands still are not among its own
-                whole = len(dataset.train) * trained.by_output[channel.name] ** 2
-                beyond[name] += whole * (1.0 - (noise / error) ** 2)
-                gap[name] += whole * min(one.beyond_floor, 1.0 - (noise / error) ** 2)
-    if not any(gap.values()):
-        gap = beyond
-    if not any(gap.values()):
+            if error > noise:  # records in which a joint stands still are not among its own
+                square, share = trained.by_output[channel.name] ** 2, 1.0 - (noise / error) ** 2
+                beyond[name] += len(dataset.train) * square * share
+                gap[name] += len(dataset.train) * square * min(one.beyond_floor, share)
+    every, whole = sum(beyond.values()), sum(gap.values())
+    if every == 0.0:
         even = dict.fromkeys(found, 1.0 / len(found))
         return even, even
-    parts = {name: size / sum(gap.values()) for name, size in gap.items()}
-    others = {name: sum(beyond.values()) - beyond[name] for name in found}
-    return parts, {name: size / max(size + others[name], 1e-300) for name, size in gap.items()}
+    if whole == 0.0:
+        gap, whole = beyond, every
+    least = {name: size / max(size + every - beyond[name], 1e-300) for name, size in gap.items()}
+    return {name: size / whole for name, size in gap.items()}, least
 
 
 def estimates_of(whole: FitResult | None) -> dict[str, tuple[float, float]]:

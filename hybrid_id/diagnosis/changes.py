@@ -439,13 +439,13 @@ def _change_words(size: float) -> str:
 
 def _as_late(system: System, info: ParameterInfo, own: float) -> str:
     """What looks like other viscous friction in a position loop: at a steady speed w the goal leads by F_v w / k_p."""
-    place, side, _ = info.component.split("/")
-    loop = dict(system.components.items()).get(f"{place}/input/position_servo")
-    if not isinstance(loop, PositionServo) or not isinstance(_part(system, info), Friction):
+    joint = system.joint(_joint(info))
+    loop, viscous = joint.drive.input[1], info.spec.unit == "N m s/rad"
+    if not (isinstance(loop, PositionServo) and isinstance(_part(system, info), Friction) and viscous):
         return ""
-    geared = system.joint(_joint(info)).gear_ratio ** 2 if side == "motor_friction" else 1.0
+    geared = joint.gear_ratio**2 if "/motor_friction/" in info.component else 1.0
     late = geared * info.spec.value * math.expm1(own) / loop.specs["k_p"].value
-    if info.spec.unit != "N m s/rad" or abs(late) < LATE:
+    if abs(late) < LATE:
         return ""
     way = "later" if late > 0.0 else "earlier"
     return f" (a goal that acts {1e3 * abs(late):.0f} ms {way} looks alike in slow motion)"

@@ -165,8 +165,8 @@ def borne_out(
 
     Effects that take nothing of what each record's own values leave are dropped, one at a time, the smallest first.
     Where such values explain what is left, records differ and nothing is missing. Where something is, the probabilities
-    of the others are those of a robot that lacks several things. Joints that were not diagnosed move
-    as they were measured.
+    of the others are those of a robot that lacks several things. Joints that were not diagnosed move as they were
+    measured.
 
     Args:
         dataset: of the whole robot.
@@ -177,9 +177,7 @@ def borne_out(
     """
     chosen = {name: one.found.chosen for name, one in answers.items()}
     unsure = [name for name, one in answers.items() if chosen[name].effects or one.grade.unknown]
-    if not unsure:
-        return dict(answers)
-    if len(dataset.train) < 2:
+    if not unsure or len(dataset.train) < 2:
         return _rated(answers, {})
     robot = _Robot(dataset, nominal, answers, signal_share)
     # without any effect first: that robot is one program, and often explains most joints

@@ -34,7 +34,9 @@ from hybrid_id.reporting.diagnosis_words import (
     place_words,
     probability_words,
     rejected_lines,
+    rest_line,
     share_interval,
+    share_words,
     shrink_line,
     tie_lines,
     unmeasured,
@@ -164,10 +166,7 @@ def joints_table(found: ArmDiagnosis) -> Table:
     for joint, part in sorted(found.parts.items(), key=lambda one: -one[1]):
         one = found.joints[joint]
         sure = "; ".join(f"{e.probability:.2f}" for e in asserted(one))
-        explained = "; ".join(
-            percent(e.share or 0.0) + (f" ({between})" if (between := share_interval(e)) else "")
-            for e in asserted(one)
-        )
+        explained = "; ".join(map(share_words, asserted(one)))
         left = percent(one.remainder) if one.verdict in ("effects", "outside_catalogue") else ""
         rows.append(
             (joint, lacks(found, joint), percent(part), explained, sure, left, *_errors_cells(found, joint))
@@ -237,10 +236,7 @@ def error_lines(found: ArmDiagnosis) -> list[str]:
     if found.contradiction:
         lines.append(f"contradiction: {found.contradiction}")
     if halting := [joint for joint, one in found.joints.items() if one.rest_differs]:
-        lines.append(
-            f"rest positions differ (stick) at {joined(halting)}: free runs halt elsewhere than the machine, although "
-            "the corrected model follows it from measured states."
-        )
+        lines.append(rest_line(f" at {joined(halting)}"))
     return lines
 
 

@@ -32,7 +32,7 @@ from hybrid_id.reporting.diagnosis_words import (
     percent,
     place_words,
     rejected_lines,
-    share_interval,
+    share_words,
     thinned_line,
     tie_lines,
     value_lines,
@@ -92,10 +92,9 @@ def effects_table(diagnosis: Diagnosis, most: int | None = None) -> Table:
     told = asserted(diagnosis)
     for one in diagnosis.effects[:most]:
         others = "indistinguishable" if f"{one.name}@{one.where}" in tied else ""
-        interval = f" ({between})" if (between := share_interval(one)) else ""
         rows.append(
             (
-                words_of(one.name), "" if one.share is None else percent(one.share) + interval,
+                words_of(one.name), "" if one.share is None else share_words(one),
                 f"{one.probability:.3f}",
                 f"{joint_words(one.where, diagnosis.model)}, {place_words(one.where)}",
                 Text(others) if not one.selected else Text("selected", style="green") if one in told else "negligible",

@@ -251,11 +251,16 @@ def error_lines(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.contradiction:
         lines.append(f"contradiction: {diagnosis.contradiction}")
     if diagnosis.rest_differs:
-        lines.append(
-            "rest positions differ (stick): free runs halt elsewhere than the machine, although the corrected model "
-            "follows it from measured states."
-        )
+        lines.append(rest_line())
     return lines
+
+
+def rest_line(where: str = "") -> str:
+    """That free runs stick elsewhere than the machine, at the joints that ``where`` names."""
+    return (
+        f"rest positions differ (stick){where}: free runs halt elsewhere than the machine, although the corrected "
+        "model follows it from measured states."
+    )
 
 
 def unmeasured(dataset: Dataset) -> str:
@@ -560,6 +565,12 @@ def place_words(where: str) -> str:
 def percent(share: float) -> str:
     """A share as it is printed."""
     return f"{round(100 * min(share, 1.0))} %"
+
+
+def share_words(one: RatedEffect) -> str:
+    """The share of an effect that has one, and its interval."""
+    between = share_interval(one)
+    return percent(one.share or 0.0) + (f" ({between})" if between else "")
 
 
 def share_interval(one: RatedEffect) -> str:

@@ -10,7 +10,7 @@ NAMES = re.compile(r"\b(?:[a-z]\d+|h)\b")
 """Variables in a recorded expression."""
 ROWS = re.compile(r"\b([xupsdk]|fixed|side|margin|against|between|g\[\d+\])\[(\d+)\]")
 """Arrays of which every lane has its own."""
-FUNCTION = re.compile(r"\b(?=[a-z]\w*\()(?!AT)")
+FUNCTION = re.compile(r"\b(?=[a-z]\w*\()")
 """Where the name of a function begins."""
 BETWEEN = re.compile(r"\bbetween\[(\d+)\]")
 WRITTEN = ("k", "side", "margin", "against", "between")

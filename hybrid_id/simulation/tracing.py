@@ -244,8 +244,8 @@ def _folded(key: str, given: Sequence[str], code: str) -> str:
         return "1.0" if "1.0" in given else given[given[0] == "0.0"]
     if key.endswith("_not") and given[0] in ("0.0", "1.0"):
         return "1.0" if given[0] == "0.0" else "0.0"
-    if key == "where" and given[0] in ("0.0", "1.0"):
-        return given[1] if given[0] == "1.0" else given[2]
-    if key == "masked_fill" and given[1] in ("0.0", "1.0"):
-        return given[2] if given[1] == "1.0" else given[0]
+    if key in ("where", "masked_fill"):
+        truth, one, other = given if key == "where" else (*given[1:], given[0])
+        if truth in ("0.0", "1.0"):
+            return one if truth == "1.0" else other
     return code

@@ -276,7 +276,7 @@ def test_what_each_records_own_values_refute_is_improbable_beside_what_remains()
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0))
 def test_a_robot_that_lacks_something_lacks_other_things_at_the_base_rate(p: float, left: float) -> None:
-    """Nothing tried falls below it but what was refuted, and nothing rises; selected effects stay as they are."""
+    """Only what was refuted is below it, and nothing rises beyond it; selected effects stay as they are."""
     odds = {SPRING: 0.97, WEIGHT: p, BIAS: p}
     rated = tuple(RatedEffect(*name, odds[name], name == SPRING, (), {}) for name in odds)
     found = of_robot(Grade(rated, 0.0, (0.0, 0.0), False, 1.0, 0.9), [BIAS], left)
