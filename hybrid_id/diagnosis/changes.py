@@ -36,8 +36,8 @@ LEFT = 0.02
 """Probability of a chi-square, were nothing else changed, below which something sure is left."""
 HALF_WIDTH = 1.96
 """Standard errors from the middle of a 95 % interval to its ends."""
-LATE = 0.01
-"""Shift of a goal in time [s] from which it is said: less is within the cycle of most position loops."""
+LATE = 0.008
+"""Shift of a goal in time [s] from which it is said: less is within a cycle of a position loop of 125 Hz."""
 VAGUE = 1.0
 """Relative standard error from which a direction counts as not identified."""
 
