@@ -178,6 +178,11 @@ def _put(built: Path, kept: Path) -> None:
             old.unlink(missing_ok=True)
 
 
+def address(code: ctypes.CDLL, name: str) -> int:
+    """Where something that a library exports lies."""
+    return ctypes.addressof(ctypes.c_char.in_dll(code, name))
+
+
 def call(code: ctypes.CDLL, name: str, *arguments: Tensor | int) -> None:
     """Call a function of a library with arrays (contiguous) and whole numbers."""
     values = [ctypes.c_void_p(a.data_ptr()) if isinstance(a, Tensor) else ctypes.c_long(a) for a in arguments]

@@ -1,11 +1,11 @@
 """Compiled engine: what :mod:`hybrid_id.simulation.step` does, as vector code for this machine and this structure.
 
 The equations of motion are recorded with their gradients (:mod:`hybrid_id.simulation.tracing`) and put into the places
-of ``engine.c.in``, which holds the loops over samples and sub-steps, the events of dry friction and the tangents.
-Tangents follow the same steps, the moments of events included: they are those of the discrete map, as the reference's
-are. Smooth friction is the same code without dry speeds. A compiler takes about a second a structure; values of
-parameters and numbers of a machine (gear ratios, say) stay free, so that a search meets the same code in hundreds of
-systems.
+of ``equations.c.in``. ``engine.c`` steps any of them: it holds the loops over samples and sub-steps, the events of dry
+friction and the tangents, and is compiled once for a machine. Tangents follow the same steps, the moments of events
+included: they are those of the discrete map, as the reference's are. Smooth friction is the same code without dry
+speeds. A compiler takes a tenth of a second or two for the equations of a joint; values of parameters and numbers of a
+machine (gear ratios, say) stay free, so that a search meets the same code in hundreds of systems.
 """
 
 from __future__ import annotations
@@ -27,27 +27,23 @@ import torch
 from torch import Tensor, nn
 
 from hybrid_id.components.base import Component
-from hybrid_id.simulation.c_code import call, compiler, library, note, noted
+from hybrid_id.simulation.c_code import address, call, compiler, library, note, noted
 from hybrid_id.simulation.parts import NAMES, Body, assigned, in_lanes, in_parts, lanes, lines, stored
 from hybrid_id.simulation.step import Engine, update_internal_states
 from hybrid_id.simulation.tracing import DECLARED, WRAPPED, record
 from hybrid_id.systems.balance import PIVOTS, Directions
 from hybrid_id.systems.chain import Channels, System, Views
 
-WIDTH = 8
-"""Lanes that go side by side."""
 FLAGS = (
-    "-O1", "-fexpensive-optimizations", "-ftree-vectorize", "-fno-predictive-commoning", "-march=native", "-std=gnu11",
-    "-fPIC", "-fopenmp-simd",
+    "-O1", "-fexpensive-optimizations", "-march=native", "-std=gnu11", "-fPIC", "-fopenmp-simd",
     "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=off", "-fno-builtin-sin", "-fno-builtin-cos",
 )  # fmt: skip
 """As exact as the reference: whether a joint sticks may hang on a difference that is zero. With -O1 alone GCC leaves
-the upper halves of vector registers dirty, and every pow, exp or sin is ten times slower. Predictive commoning finds
-nothing here and takes a tenth of the compilation."""
+the upper halves of vector registers dirty, and every pow, exp or sin is ten times slower."""
 if platform.machine() in ("x86_64", "AMD64"):  # eight lanes in one register where the processor has such
     FLAGS = (*FLAGS, "-mprefer-vector-width=512")
-SMOOTH_FLAGS = (*FLAGS, "-O2")
-"""Smooth friction needs a dozen sub-steps a sample: they earn the longer compilation."""
+ENGINE_FLAGS = (*FLAGS, "-O2")
+"""Of what is compiled once for a machine."""
 PLAIN = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
 """Numbers that belong to a formula and not to a machine."""
 NUMBER = re.compile(r"(?<![\w.])(?:\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+)(?![\w.])")
@@ -59,12 +55,12 @@ ARRAYS = {
     "rates": ("x", "u", "p", "fixed", "d", "k", "g"),
     "margins": ("x", "u", "p", "fixed", "s", "d", "side", "margin", "against"),
 }
-"""What the recorded functions read and write, as engine.c.in calls it."""
+"""What the recorded functions read and write, as equations.c.in calls it."""
 EVERY_MODULE = {*vars(nn.Module()), "specs"}
 """Attributes that tell no structure."""
 
 _STRUCTURES: WeakKeyDictionary[System, tuple[object, ...]] = WeakKeyDictionary()
-_LIBRARIES: dict[tuple[object, ...], tuple[CDLL, Tensor]] = {}
+_EQUATIONS: dict[tuple[object, ...], tuple[int, Tensor]] = {}
 """By structure, smoothing, channels and free parameters."""
 
 
@@ -103,12 +99,12 @@ def shoot(
         InputError: there is no C compiler, or the model uses an operation that has no C expression.
     """
     u, path = _arrived(system, u, theta), x.contiguous().clone()
-    code, constants = _library(system, engine, tuple(u))
+    equations, constants = _equations(system, engine, tuple(u))
     channels, step = [channel.contiguous() for channel in u.values()], (dt / engine.substeps).contiguous()
     # addresses and rows of the channels: those of few rows stay where they are, however many lanes they drive
     places, rows = (torch.tensor(list(map(f, channels)), dtype=torch.int64) for f in (Tensor.data_ptr, len))
     sizes = len(x), len(step), x.shape[1], length, engine.substeps
-    call(code, "shoot", path, places, rows, step, _values(theta, constants), *sizes)
+    call(_engine(), "shoot", equations, path, places, rows, step, _values(theta, constants), *sizes)
     return path
 
 
@@ -135,39 +131,57 @@ def linearise(
     after = torch.empty_like(x, memory_format=torch.contiguous_format)
     columns = x.shape[-1] + len(free)
     jacobian = x.new_empty(*x.shape, columns + len(late))
-    code, constants = _library(system, engine, names, tuple(free), late)
+    equations, constants = _equations(system, engine, names, tuple(free), late)
     point, sizes = _point(u, dt / engine.substeps, theta, constants), (*dt.shape, engine.substeps)
-    call(code, "linearise", after, jacobian, x.contiguous(), *point, *sizes)
+    call(_engine(), "linearise", equations, after, jacobian, x.contiguous(), *point, *sizes)
     for k, (_, column, slope) in enumerate(slopes):
         jacobian[..., x.shape[-1] + column] += jacobian[..., columns + k] * slope[..., None]
     return after, jacobian[..., :columns]
 
 
-def _library(
+def _equations(
     system: System,
     engine: Engine,
     channels: tuple[str, ...],
     free: tuple[int, ...] | None = None,
     late: tuple[int, ...] = (),
-) -> tuple[CDLL, Tensor]:
-    """The code of a system, and the constants that follow its parameters; recorded where no earlier run has done so."""
+) -> tuple[int, Tensor]:
+    """Address of a system's equations, and the constants that follow its parameters."""
     if system not in _STRUCTURES:
         _STRUCTURES[system] = structure(system)
     width = engine.width if engine.friction == "smooth" else None
-    key = (_STRUCTURES[system], width, channels, free, late)
-    if key not in _LIBRARIES:
-        flags = FLAGS if width is None else SMOOTH_FLAGS
-        names = ("shoot" if free is None else "linearise",)
-        about = (_program(), repr(key), *flags) if _is_ours(system) else None
-        found = noted(about, names) if about else None
-        if found is None:
-            text, constants = source(system, channels, free, width, late)
-            found = library(text, names, flags), constants
-            if about:
-                note(about, text, constants, flags)
-        code, constants = found
-        _LIBRARIES[key] = code, torch.tensor(constants, dtype=torch.float64)
-    return _LIBRARIES[key]
+    arguments = (system, channels, free, width, late)
+    key = (_STRUCTURES[system], *arguments[1:])
+    if key not in _EQUATIONS:
+        about, write = repr(key) if _is_ours(system) else "", functools.partial(source, *arguments)
+        code, constants = _made(about, "equations", FLAGS, write)
+        _EQUATIONS[key] = address(code, "equations"), torch.tensor(constants, dtype=torch.float64)
+    return _EQUATIONS[key]
+
+
+@functools.cache
+def _engine() -> CDLL:
+    """What steps any equations."""
+    return _made("engine", "shoot", ENGINE_FLAGS, lambda: (_sources("lanes.h", "engine.c"), []))[0]
+
+
+def _made(
+    about: str, name: str, flags: Sequence[str], write: Callable[[], tuple[str, list[float]]]
+) -> tuple[CDLL, list[float]]:
+    """A library and its constants, of which a name is looked up: its source is written where no earlier run has."""
+    parts = (_program(), about, *flags)
+    found = noted(parts, (name,)) if about else None
+    if found is None:
+        text, constants = write()
+        found = library(text, (name,), flags), constants
+        if about:
+            note(parts, text, constants, flags)
+    return found
+
+
+def _sources(*names: str) -> str:
+    folder = resources.files("hybrid_id.simulation")
+    return "\n".join(folder.joinpath(name).read_text(encoding="utf-8") for name in names)
 
 
 def _is_ours(system: System) -> bool:
@@ -260,7 +274,7 @@ def source(
     width: float | None = None,
     late: Sequence[int] = (),
 ) -> tuple[str, list[float]]:
-    """C code of one structure of system under named channels, and the machine's constants, which follow its parameters.
+    """C code of a structure's equations under named channels, and the machine's constants, which follow its parameters.
 
     Args:
         system: equations of motion.
@@ -308,17 +322,15 @@ def source(
         texts[f"{name}_parts"], texts[name] = lanes(name, ARRAYS[name], body)
     texts["rates_tangents"] = lines(code.tangents(bodies["rates"]))
     body = code.function(internal, {"h": 0}, [f"x[{i}]" for i in kept], tangents=kept, whole=True)
-    after = [f"TANGENTS x_t[{i}][c][l] = k_t[{i}][c][l];" for i in kept] if code.columns else []
-    texts["internal_lanes"] = in_lanes(lines(body.parts[0]))
+    after = [f"TANGENT_VECTORS AT(x_t[{i}][c]) = AT(k_t[{i}][c]);" for i in kept] if code.columns else []
+    texts["internal"] = in_lanes(lines(body.parts[0]))
     texts["internal_tangents"] = lines([*code.tangents(body), *after])
-    template = resources.files("hybrid_id.simulation").joinpath("engine.c.in").read_text(encoding="utf-8")
-    written = Template(template).substitute(
-        texts, functions=DECLARED, vectors=WRAPPED, width=WIDTH, internal_states=int(bool(kept)),
-        rollouts=int(free is None),
-        prepare="\n".join(code.prepare), hold_lanes=in_lanes("\n".join(code.hold)), n_x=n_x, held=len(channels),
+    written = Template(_sources("lanes.h", "equations.c.in")).substitute(
+        texts, functions=DECLARED, vectors=WRAPPED, prepare="\n".join(code.prepare),
+        hold=in_lanes("\n".join(code.hold)), n_x=n_x, channels=len(channels),
         n_p=len(system.table) + len(code.constants), n_fixed=code.n_fixed, n_columns=code.columns, n_dry=n,
         n_speeds=speeds, n_coupled=len(coupled), pivots=min(3 ** len(coupled), PIVOTS) if coupled else 0,
-        coupled=", ".join(str(int(i in coupled)) for i in range(n)) or "0",
+        internal_states=int(bool(kept)), coupled=", ".join(str(int(i in coupled)) for i in range(n)) or "0",
         rows=", ".join(str(system.speed_rows[k]) for k in dry) or "0",
     )  # fmt: skip
     return written, [float(text) for text in code.constants]

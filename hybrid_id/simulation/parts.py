@@ -90,7 +90,7 @@ def _declared(array: str) -> str:
 
 
 def in_lanes(body: str) -> str:
-    """Statements of one lane as those of a vector of lanes, as engine.c.in has them."""
+    """Statements of one lane as those of a vector of lanes, as equations.c.in has them."""
     body = FUNCTION.sub("v_", ROWS.sub(r"AT(\1[\2])", body))
     body = re.sub(r"const _Bool (\w+) = (AT\(.*\));", r"const M \1 = \2 != 0.0;", body)
     body = body.replace("const _Bool ", "const M ").replace("const double ", "const V ")

@@ -69,7 +69,7 @@ DECLARED = "\n".join(
 WRAPPED = "\n".join(
     [*(f"OF_ONE({name})" for name in (*FUNCTIONS, "sqrt")), *(f"OF_TWO({name})" for name in ("pow", "atan2"))]
 )
-"""The same of several lanes at once, by macros of engine.c.in."""
+"""The same of several lanes at once, by macros of equations.c.in."""
 
 MIXED = "mixed"
 """Name of a value that belongs to no lane."""

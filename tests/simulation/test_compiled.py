@@ -264,7 +264,7 @@ def test_a_function_in_parts_computes_the_same(name: str, monkeypatch: pytest.Mo
     whole = found()
     monkeypatch.setattr(compiled_engine, "WHOLE", 100)
     monkeypatch.setattr(compiled_engine, "PART", 60)
-    monkeypatch.setattr(compiled_engine, "_LIBRARIES", {})
+    monkeypatch.setattr(compiled_engine, "_EQUATIONS", {})
     monkeypatch.setattr(compiled_engine, "noted", lambda *_: None)
     assert "rates_2(" in source(system, ["u1", "u2"], free)[0]
     for one, other in zip(found(), whole, strict=True):
@@ -318,7 +318,7 @@ def test_compiled_steps_are_for_the_cpu_without_networks() -> None:
 def test_missing_compiler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "which", lambda _: None)
     monkeypatch.setattr("hybrid_id.simulation.compiled.library", library.__wrapped__)
-    monkeypatch.setattr("hybrid_id.simulation.compiled._LIBRARIES", {})
+    monkeypatch.setattr("hybrid_id.simulation.compiled._EQUATIONS", {})
     monkeypatch.setattr("hybrid_id.simulation.compiled.noted", lambda *_: None)
     system = rigid_drive()
     batch, theta = moved(system)
@@ -333,10 +333,11 @@ def test_a_later_run_neither_records_nor_compiles(
 ) -> None:
     system = SYSTEMS[name]
     batch, theta = moved(system)
+    rollout(system, Engine(compiled=True), batch, theta)  # compiles the engine, if nothing has
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
     def run() -> Tensor:
-        monkeypatch.setattr(compiled_engine, "_LIBRARIES", {})
+        monkeypatch.setattr(compiled_engine, "_EQUATIONS", {})
         library.cache_clear()
         return rollout(system, Engine(compiled=True), batch, theta)
 
