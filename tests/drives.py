@@ -14,7 +14,7 @@ from torch import Tensor
 from hybrid_id.components.base import Component
 from hybrid_id.records.record import Record
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.c_code import compiler
+from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.rollout import Simulation, rollout, simulate
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems import System, one_link, one_link_flexible
@@ -72,7 +72,7 @@ def run(
 ) -> dict[str, np.ndarray]:
     """States of the loop's free run of one row by state name, (T,) each; settings as for `batch_of`."""
     batch = batch_of(system, channels, **settings)
-    x = rollout(system, engine or Engine(), batch, stored(system))[0]
+    x = rollout(system, engine or compiled_for(system, Engine()), batch, stored(system))[0]
     return dict(zip(system.state_names, x.T.numpy(), strict=True))
 
 
@@ -81,7 +81,7 @@ def measure(
 ) -> dict[str, np.ndarray]:
     """Outputs of a simulation of one row by output name, (T,) each; settings as for `batch_of`."""
     batch = batch_of(system, channels, **settings)
-    simulation: Simulation = simulate(system, engine or Engine(), batch)
+    simulation: Simulation = simulate(system, engine or compiled_for(system, Engine()), batch)
     assert simulation.status == ("ok",)
     return dict(zip(batch.outputs, simulation.y[0].T.numpy(), strict=True))
 
@@ -118,9 +118,7 @@ def make_records(
     drawn from seed k unless told otherwise.
     """
     batch = batch_of(system, {"u1": np.stack(voltages)}, outputs=outputs, step=step, rows=len(voltages))
-    engine = replace(
-        engine or Engine(substeps=4), compiled=compiler() is not None
-    )  # data, however it is made
+    engine = compiled_for(system, engine or Engine(substeps=4))  # data, however it is made
     found = simulate(system, engine, batch)
     assert set(found.status) == {"ok"}
     records = []

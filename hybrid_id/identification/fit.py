@@ -24,6 +24,7 @@ from hybrid_id.identification.least_squares import (
 from hybrid_id.identification.result import FitResult, make_result
 from hybrid_id.identification.windows import hidden_links, measured_windows
 from hybrid_id.simulation.batch import Batch
+from hybrid_id.simulation.compiled import compiled_for, supports_compiled
 from hybrid_id.simulation.memory import keep_freed_memory
 from hybrid_id.simulation.rollout import rollout, simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -165,8 +166,8 @@ def fit(
         system: model with start values, bounds, priors and roles.
         batch: prepared records, or pieces of them (:meth:`hybrid_id.identification.horizons.Horizon.cut`).
         pooled: one parameter set for all rows; otherwise one for all rows of one name.
-        engine: how a sample is integrated (default: dry friction); its sub-steps are raised where stability or
-            accuracy needs it.
+        engine: how a sample is integrated (default: dry friction, compiled where it can be); its sub-steps are raised
+            where stability or accuracy needs it.
         options: settings of the minimisation.
         starts: number of start points; the first is the system's values, the others are spread around it.
         spread: half-width of the factors of the other start points, 0.5 for +-50 %.
@@ -181,7 +182,7 @@ def fit(
         InputError: nothing to estimate.
     """
     keep_freed_memory()
-    options, engine = options or Options(), engine or Engine()
+    options, engine = options or Options(), engine or compiled_for(system, Engine())
     free = free_parameters(system)
     device = batch.x.device
     rows = torch.arange(batch.rows, device=device)
@@ -293,7 +294,7 @@ def fit_records(
     """
     records = list(dict.fromkeys(batch.names))
     drawn_as = list(numbers or range(len(records)))
-    if not engine.compiled or hidden_links(system, batch):
+    if not supports_compiled(system, engine, batch.x) or hidden_links(system, batch):
         return kept_fit(kept, system, batch, engine=engine, numbers=drawn_as, progress=progress, **settings)
     costs = torch.full((len(records),), math.inf, dtype=torch.float64)
     found: list[FitResult] = []

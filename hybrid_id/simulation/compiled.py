@@ -74,11 +74,12 @@ def supports_compiled(system: System, engine: Engine, x: Tensor) -> bool:
 
 
 def compiled_for(system: System, engine: Engine) -> Engine:
-    """The engine, compiled where a robot's many joints make the plain one slow and there is a C compiler.
+    """The engine, compiled where there is a C compiler and all components are of this package.
 
-    An ODE solver, which is an engine of another type, has no compiled steps.
+    Others may use operations that have no C expression; an ODE solver, which is an engine of another type, has no
+    compiled steps.
     """
-    compilable = system.tree is not None and type(engine) is Engine
+    compilable = type(engine) is Engine and _is_ours(system)
     return replace(engine, compiled=True) if compilable and compiler() else engine
 
 

@@ -12,6 +12,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.records.excitation import design_multisine
 from hybrid_id.records.measures import DRIVES
 from hybrid_id.records.record import Record
+from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -93,7 +94,7 @@ def bands_by_gear(
             name="excitation", time=design.time, inputs=inputs, outputs=dict.fromkeys(sides, still)
         )
         batch = make_batch(system, [record], noise_std=dict.fromkeys(sides, 1.0), signal_share=0.0)
-        y = simulate(system, with_substeps(system, Engine(), batch), batch).y[0].numpy()
+        y = simulate(system, with_substeps(system, compiled_for(system, Engine()), batch), batch).y[0].numpy()
         motor, link = (
             y[:, batch.outputs.index(sides[0])] / joint.gear_ratio,
             y[:, batch.outputs.index(sides[1])],
