@@ -23,6 +23,7 @@ from hybrid_id.robots.couplings import GearCoupling
 from hybrid_id.robots.description import load_tree
 from hybrid_id.robots.tree import Body, RigidBodyTree, SpatialInertia, TreeJoint
 from hybrid_id.simulation.c_code import compiler
+from hybrid_id.simulation.compiled import compiled_for
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.step import Engine
@@ -97,7 +98,9 @@ def test_coupled_motors_move_as_mujocos_tendons(tmp_path: Path) -> None:
         for _ in range(round(STEP / model.opt.timestep)):
             mujoco.mj_step(model, data)
     system = wrist(tmp_path)
-    found = run(system, Engine("dry", 4), outputs=("q_a1", "q_a2", "q_a3", "q_m2", "q_m3"))
+    found = run(
+        system, compiled_for(system, Engine("dry", 4)), outputs=("q_a1", "q_a2", "q_a3", "q_m2", "q_m3")
+    )
     here = found.y[0].numpy()
     assert np.ptp(there, axis=0).min() > 0.1
     np.testing.assert_allclose(here[:, :3], there, atol=2e-7)
