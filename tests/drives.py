@@ -79,7 +79,7 @@ def run(
 def measure(
     system: System, channels: Mapping[str, Signal], *, engine: Engine | None = None, **settings
 ) -> dict[str, np.ndarray]:
-    """Outputs of a simulation, compiled where it can be, of one row by output name, (T,) each; settings as `batch_of`."""
+    """Outputs of a simulation, compiled where it can be, by output name, (T,) each; settings as for `batch_of`."""
     batch = batch_of(system, channels, **settings)
     simulation: Simulation = simulate(system, compiled_for(system, engine or Engine()), batch)
     assert simulation.status == ("ok",)

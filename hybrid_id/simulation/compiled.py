@@ -15,6 +15,7 @@ import hashlib
 import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from ctypes import CDLL
 from dataclasses import replace
 from importlib import resources
@@ -155,7 +156,11 @@ def _equations(
     key = (_STRUCTURES[system], *arguments[1:])
     if key not in _EQUATIONS:
         about, write = repr(key) if _is_ours(system) else "", functools.partial(source, *arguments)
-        code, constants = _made(about, "equations", FLAGS, write)
+        with ThreadPoolExecutor(1) as beside:
+            beside.submit(
+                _engine
+            )  # the first time on a machine its compilation takes longer than all else here
+            code, constants = _made(about, "equations", FLAGS, write)
         _EQUATIONS[key] = address(code, "equations"), torch.tensor(constants, dtype=torch.float64)
     return _EQUATIONS[key]
 
