@@ -15,7 +15,6 @@ import hashlib
 import platform
 import re
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from ctypes import CDLL
 from dataclasses import replace
 from importlib import resources
@@ -28,6 +27,7 @@ import torch
 from torch import Tensor, nn
 
 from hybrid_id.components.base import Component
+from hybrid_id.errors import InputError, MachineError
 from hybrid_id.simulation.c_code import address, call, compiler, library, note, noted
 from hybrid_id.simulation.parts import NAMES, Body, assigned, in_lanes, in_parts, lanes, lines, stored
 from hybrid_id.simulation.step import Engine, update_internal_states
@@ -75,13 +75,22 @@ def supports_compiled(system: System, engine: Engine, x: Tensor) -> bool:
 
 
 def compiled_for(system: System, engine: Engine) -> Engine:
-    """The engine, compiled where there is a C compiler and all components are of this package.
+    """The engine, compiled where a C compiler works here: for a robot, and for a drive whose components are ours.
 
-    Others may use operations that have no C expression; an ODE solver, which is an engine of another type, has no
-    compiled steps.
+    A drive's own components may use operations that have no C expression; an ODE solver, which is an engine of another
+    type, has no compiled steps.
     """
-    compilable = type(engine) is Engine and _is_ours(system)
-    return replace(engine, compiled=True) if compilable and compiler() else engine
+    compilable = type(engine) is Engine and (system.tree is not None or _is_ours(system))
+    return replace(engine, compiled=True) if compilable and _compiler_works() else engine
+
+
+@functools.cache
+def _compiler_works() -> bool:
+    """Whether there is a C compiler that makes a library which may be loaded: one without its headers makes none."""
+    try:
+        return compiler() is not None and _engine() is not None
+    except (InputError, MachineError):
+        return False
 
 
 def shoot(
@@ -156,11 +165,7 @@ def _equations(
     key = (_STRUCTURES[system], *arguments[1:])
     if key not in _EQUATIONS:
         about, write = repr(key) if _is_ours(system) else "", functools.partial(source, *arguments)
-        with ThreadPoolExecutor(1) as beside:
-            beside.submit(
-                _engine
-            )  # the first time on a machine its compilation takes longer than all else here
-            code, constants = _made(about, "equations", FLAGS, write)
+        code, constants = _made(about, "equations", FLAGS, write)
         _EQUATIONS[key] = address(code, "equations"), torch.tensor(constants, dtype=torch.float64)
     return _EQUATIONS[key]
 

@@ -18,8 +18,31 @@
 /* row of a state's tangent c */
 #define OF(state) ((state) * e->columns + c)
 
-/* what holds for all steps of a sample */
-typedef struct { const Equations *e; Values u, p, fixed; } Sample;
+/* what holds for all steps of a sample, and room for what they compute: tangents of a large robot overflow a stack */
+typedef struct {
+    const Equations *e;
+    Values u, p, fixed;
+    Rows x_t, stages, stages_t, after, after_t, k, k_t;
+} Sample;
+
+static Rows some_rows(Rows *room, long number)
+{
+    *room += number;
+    return *room - number;
+}
+
+/* gets room, which begins at x_t */
+static Sample sample_of(const Equations *e, Values u, Values p, Values fixed)
+{
+    const long n = e->states, n_t = n * e->columns;
+    Rows room = aligned_alloc(64, (6 * n + 7 * n_t) * sizeof *room);
+    Sample at = { e, u, p, fixed };
+    at.x_t = some_rows(&room, n_t);
+    at.stages = some_rows(&room, 4 * n), at.stages_t = some_rows(&room, 4 * n_t);
+    at.after = some_rows(&room, n), at.after_t = some_rows(&room, n_t);
+    at.k = some_rows(&room, n), at.k_t = some_rows(&room, n_t);
+    return at;
+}
 
 /* x + step k, where the step's tangent is part h_t, or none */
 static NEVER_INLINED void along(const Equations *e, Values x, Values x_t, const double *step, double part, Values h_t, Values k,
@@ -44,7 +67,8 @@ static NEVER_INLINED void rk4(const Sample *at, Values x, Values x_t, Values d, 
 {
     const Equations *e = at->e;
     const long n = e->states, n_t = n * e->columns;
-    double k ROWS(4 * n), k_t ROWS(4 * n_t), step[W] ALIGNED;
+    Rows k = at->stages, k_t = at->stages_t;
+    double step[W] ALIGNED;
     e->rates(x, x_t, at->u, at->p, at->fixed, d, k, k_t);
     for (long stage = 1; stage < 4; stage++) {
         const double part = stage < 3 ? 0.5 : 1.0;
@@ -135,8 +159,8 @@ static void step_lanes(const Sample *at, Rows x, Rows x_t, const double *step)
 {
     const Equations *e = at->e;
     const int *row = e->row;
-    double d ROWS(e->dry), released ROWS(e->dry), leaves ROWS(e->dry), when ROWS(e->dry), after ROWS(e->states);
-    double k ROWS(e->states), after_t ROWS(e->states * e->columns), k_t ROWS(e->states * e->columns);
+    Rows after = at->after, after_t = at->after_t, k = at->k, k_t = at->k_t;
+    double d ROWS(e->dry), released ROWS(e->dry), leaves ROWS(e->dry), when ROWS(e->dry);
     double h_t ROWS(e->columns), moment_t ROWS(e->columns), late_t ROWS(e->columns);
     double h[W] ALIGNED, active[W] ALIGNED, moment[W] ALIGNED, back[W] ALIGNED;
     EACH_LANE {
@@ -250,11 +274,11 @@ void shoot(const Equations *e, double *path, const double *const *u, const long 
            const double *p, long rows, long dt_rows, long samples, long length, long sub_steps)
 {
     double x ROWS(e->states), held ROWS(e->channels), fixed ROWS(e->fixed), values ROWS(e->parameters);
-    double x_t ROWS(e->states * e->columns), known[e->fixed + 1], h[W] ALIGNED;
+    double known[e->fixed + 1], h[W] ALIGNED;
     const double *own[W], *step[W], *channel[W][e->channels + 1];
     long start[W], steps[W], end[W];
     const long n = e->states, chunks = (samples + length - 1) / length, lanes = rows * chunks;
-    const Sample at = { e, held, values, fixed };
+    const Sample at = sample_of(e, held, values, fixed);
     long *moves = malloc(lanes * sizeof *moves), *order = malloc(lanes * sizeof *order);
     long *place = calloc(length, sizeof *place);
     for (long lane = 0; lane < lanes; lane++) {
@@ -294,14 +318,14 @@ void shoot(const Equations *e, double *path, const double *const *u, const long 
                 for (long i = 0; i < e->channels; i++) held[i][l] = channel[l][i][now];
             }
             e->hold(held, values, fixed);
-            sample_lanes(&at, x, x_t, h, sub_steps);
+            sample_lanes(&at, x, at.x_t, h, sub_steps);
             EACH_LANE if (t < steps[l])
                 STATES path[(start[l] + t + 1) * n + i] = x[i][l];
         }
         EACH_LANE for (long t = steps[l]; t < end[l]; t++)
             STATES path[(start[l] + t + 1) * n + i] = x[i][l];
     }
-    free(place), free(order), free(moves);
+    free(place), free(order), free(moves), free(at.x_t);
 }
 
 /* the sample after every node, and its tangents; neighbouring samples are lanes */
@@ -309,9 +333,10 @@ void linearise(const Equations *e, double *next, double *tangents, const double 
                const double *dt, const double *p, long rows, long samples, long sub_steps)
 {
     double x ROWS(e->states), held ROWS(e->channels), fixed ROWS(e->fixed), values ROWS(e->parameters);
-    double x_t ROWS(e->states * e->columns), known[e->fixed + 1], h[W] ALIGNED;
+    double known[e->fixed + 1], h[W] ALIGNED;
     const long n = e->states;
-    const Sample at = { e, held, values, fixed };
+    const Sample at = sample_of(e, held, values, fixed);
+    const Rows x_t = at.x_t;
     for (long r = 0; r < rows; r++) {
         e->prepare(p + r * e->parameters, known);
         EACH_LANE {
@@ -340,4 +365,5 @@ void linearise(const Equations *e, double *next, double *tangents, const double 
                 }
         }
     }
+    free(x_t);
 }

@@ -30,7 +30,7 @@ typedef struct {
     long states, channels, parameters, fixed, columns;
     long dry, coupled, speeds, pivots; /* dry speeds, those that share an inertia with another one, all speeds */
     const int *row, *is_coupled;       /* of each dry speed: its row of the state, whether it shares its inertia */
-    /* what depends on parameters alone, and on held inputs as well */
+    /* fill `fixed`: with what depends on parameters alone, then with what depends on held inputs as well */
     void (*prepare)(const double *p, double *fixed);
     void (*hold)(Values u, Values p, Rows fixed);
     /* time derivative k of the state for directions d of dry friction, with tangents x_t, k_t */

@@ -32,8 +32,8 @@ class Engine:
         friction: "dry" (set-valued: stick and slip are events) or "smooth" (tanh).
         substeps: RK4 steps a sample.
         width: smoothing speed [rad/s] of the smooth engine.
-        compiled: whether rollouts and sensitivities are compiled where they can be (see
-            :mod:`hybrid_id.simulation.compiled`).
+        compiled: whether rollouts and sensitivities are compiled steps (see :mod:`hybrid_id.simulation.compiled`); what
+            fits or simulates records takes these by itself where it can.
         most_substeps: that stability and accuracy may ask for.
     """
 

@@ -223,7 +223,8 @@ def replay(
     Args:
         dataset: the records.
         system: the model.
-        engine: how a sample is integrated (default: dry friction); sub-steps are raised where stability needs it.
+        engine: how a sample is integrated (default: dry friction), compiled where it can be; sub-steps are raised
+            where stability needs it.
         horizon: where the free runs begin anew from a measured state (default: nowhere).
 
     Raises:
@@ -285,7 +286,9 @@ def compare(
     best = models[min(errors, key=lambda label: errors[label])]
     horizon = Horizon(reason="they follow the records")
     if min(errors.values()) > FOLLOWED:
-        horizon = choose_horizon(best, engine or Engine(), batch_of(dataset, best, dataset.records))
+        horizon = choose_horizon(
+            best, compiled_for(best, engine or Engine()), batch_of(dataset, best, dataset.records)
+        )
     if horizon.kind == "whole":
         return Comparison(replays, horizon, outputs)
     return compare(dataset, models, engine=engine, horizon=horizon)

@@ -66,7 +66,8 @@ def identify(
         dataset: train records are fitted, test records only scored.
         system: model with start values, bounds and priors.
         pooled: one set over all train records.
-        engine: how a sample is integrated (default: dry friction, with stick and slip as events).
+        engine: how a sample is integrated (default: dry friction, with stick and slip as events), compiled where it
+            can be.
         options: settings of the fit (loss, iterations ...).
         starts: start points; the best end counts.
         seed: of start points and bootstrap.

@@ -1,5 +1,6 @@
 """The compiled engine gives what the reference gives: reversals, standstill, coupled links, memory, smooth friction."""
 
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +32,7 @@ from hybrid_id.errors import InputError
 from hybrid_id.simulation import compiled as compiled_engine
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.c_code import library
-from hybrid_id.simulation.compiled import source, structure, supports_compiled
+from hybrid_id.simulation.compiled import compiled_for, source, structure, supports_compiled
 from hybrid_id.simulation.lifted import condense, condense_reference, linearise, shoot
 from hybrid_id.simulation.prepare import make_batch
 from hybrid_id.simulation.rollout import rollout, simulate
@@ -326,6 +327,22 @@ def test_missing_compiler_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         rollout(system, Engine(compiled=True), batch, theta)
 
 
+def test_a_compiler_that_makes_nothing_is_none(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """As gcc without the C library's headers."""
+    broken = tmp_path / "gcc"
+    broken.write_text("#!/bin/sh\necho 'math.h: No such file' >&2\nexit 1\n")
+    broken.chmod(0o755)
+    assert compiled_for(rigid_drive(), Engine()).compiled
+    for once in (compiled_engine._compiler_works, compiled_engine._engine):
+        once.cache_clear()
+    with monkeypatch.context() as patched:
+        patched.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
+        patched.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
+        patched.setattr("hybrid_id.simulation.compiled.library", library.__wrapped__)
+        assert compiled_for(rigid_drive(), Engine()) == Engine()
+    compiled_engine._compiler_works.cache_clear()
+
+
 @pytest.mark.parametrize("name", ["coulomb", "arm"])
 @pytest.mark.parametrize("damage", [None, "note", "library", "program"])
 def test_a_later_run_neither_records_nor_compiles(
@@ -359,6 +376,9 @@ def test_a_later_run_neither_records_nor_compiles(
 def test_a_component_of_ones_own_is_recorded_by_every_run(monkeypatch: pytest.MonkeyPatch) -> None:
     own = type("Own", (Cogging,), {})
     system = rigid_drive().with_component("joint1/motor", own())
-    monkeypatch.setattr(compiled_engine, "noted", lambda *_: pytest.fail("not asked for"))
     batch, theta = moved(system)
+    rollout(
+        rigid_drive(), Engine(compiled=True), *moved(rigid_drive())
+    )  # compiles the engine, if nothing has
+    monkeypatch.setattr(compiled_engine, "noted", lambda *_: pytest.fail("not asked for"))
     rollout(system, Engine(compiled=True), batch, theta)
