@@ -43,8 +43,6 @@ FLAGS = (
 the upper halves of vector registers dirty, and every pow, exp or sin is ten times slower."""
 if platform.machine() in ("x86_64", "AMD64"):  # eight lanes in one register where the processor has such
     FLAGS = (*FLAGS, "-mprefer-vector-width=512")
-ENGINE_FLAGS = (*FLAGS, "-O2")
-"""Of what is compiled once for a machine."""
 PLAIN = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
 """Numbers that belong to a formula and not to a machine."""
 NUMBER = re.compile(r"(?<![\w.])(?:\d+\.\d+(?:e[-+]?\d+)?|\d+e[-+]?\d+)(?![\w.])")
@@ -165,7 +163,7 @@ def _equations(
     key = (_STRUCTURES[system], *arguments[1:])
     if key not in _EQUATIONS:
         about, write = repr(key) if _is_ours(system) else "", functools.partial(source, *arguments)
-        code, constants = _made(about, "equations", FLAGS, write)
+        code, constants = _made(about, "equations", write)
         _EQUATIONS[key] = address(code, "equations"), torch.tensor(constants, dtype=torch.float64)
     return _EQUATIONS[key]
 
@@ -173,20 +171,18 @@ def _equations(
 @functools.cache
 def _engine() -> CDLL:
     """What steps any equations."""
-    return _made("engine", "shoot", ENGINE_FLAGS, lambda: (_sources("lanes.h", "engine.c"), []))[0]
+    return _made("engine", "shoot", lambda: (_sources("lanes.h", "engine.c"), []))[0]
 
 
-def _made(
-    about: str, name: str, flags: Sequence[str], write: Callable[[], tuple[str, list[float]]]
-) -> tuple[CDLL, list[float]]:
+def _made(about: str, name: str, write: Callable[[], tuple[str, list[float]]]) -> tuple[CDLL, list[float]]:
     """A library and its constants, of which a name is looked up: its source is written where no earlier run has."""
-    parts = (_program(), about, *flags)
+    parts = (_program(), about, *FLAGS)
     found = noted(parts, (name,)) if about else None
     if found is None:
         text, constants = write()
-        found = library(text, (name,), flags), constants
+        found = library(text, (name,), FLAGS), constants
         if about:
-            note(parts, text, constants, flags)
+            note(parts, text, constants, FLAGS)
     return found
 
 

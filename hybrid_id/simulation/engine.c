@@ -8,8 +8,6 @@
 #include <stdlib.h>
 #include <string.h>
 #define NEVER_INLINED __attribute__((noinline)) /* a copy a caller would take longer to compile, and be no faster */
-/* rows of an array, of which there is one at least */
-#define ROWS(number) [(number) > 0 ? (number) : 1][W] ALIGNED
 #define STATES for (long i = 0; i < e->states; i++)
 #define DRY for (long i = 0; i < e->dry; i++)
 #define COLUMNS for (long c = 0; c < e->columns; c++)
@@ -18,30 +16,23 @@
 /* row of a state's tangent c */
 #define OF(state) ((state) * e->columns + c)
 
-/* what holds for all steps of a sample, and room for what they compute: tangents of a large robot overflow a stack */
-typedef struct {
-    const Equations *e;
-    Values u, p, fixed;
-    Rows x_t, stages, stages_t, after, after_t, k, k_t;
-} Sample;
+/* what holds for all steps of a sample */
+typedef struct { const Equations *e; Values u, p, fixed; } Sample;
 
-static Rows some_rows(Rows *room, long number)
+/* room for all rows below: on the heap, for tangents of a large robot overflow a stack */
+static Rows room_for(const Equations *e)
+{
+    const long n = e->states, columns = e->columns;
+    const long given = n * (1 + columns) + e->channels + e->fixed + e->parameters;
+    const long rows = given + 7 * n * (1 + columns) + 8 * e->dry + 3 * columns;
+    return aligned_alloc(64, rows * sizeof(double[W]));
+}
+
+/* the next rows of a room */
+static Rows some(Rows *room, long number)
 {
     *room += number;
     return *room - number;
-}
-
-/* gets room, which begins at x_t */
-static Sample sample_of(const Equations *e, Values u, Values p, Values fixed)
-{
-    const long n = e->states, n_t = n * e->columns;
-    Rows room = aligned_alloc(64, (6 * n + 7 * n_t) * sizeof *room);
-    Sample at = { e, u, p, fixed };
-    at.x_t = some_rows(&room, n_t);
-    at.stages = some_rows(&room, 4 * n), at.stages_t = some_rows(&room, 4 * n_t);
-    at.after = some_rows(&room, n), at.after_t = some_rows(&room, n_t);
-    at.k = some_rows(&room, n), at.k_t = some_rows(&room, n_t);
-    return at;
 }
 
 /* x + step k, where the step's tangent is part h_t, or none */
@@ -63,11 +54,11 @@ static void mean(Rows k, long n)
         VECTORS AT(k[i]) = AT(k[i]) + 2.0 * (AT(k[n + i]) + AT(k[2 * n + i])) + AT(k[3 * n + i]);
 }
 
-static NEVER_INLINED void rk4(const Sample *at, Values x, Values x_t, Values d, const double *h, Values h_t, Rows after, Rows after_t)
+static NEVER_INLINED void rk4(const Sample *at, Rows room, Values x, Values x_t, Values d, const double *h, Values h_t, Rows after, Rows after_t)
 {
     const Equations *e = at->e;
     const long n = e->states, n_t = n * e->columns;
-    Rows k = at->stages, k_t = at->stages_t;
+    Rows k = some(&room, 4 * n), k_t = some(&room, 4 * n_t);
     double step[W] ALIGNED;
     e->rates(x, x_t, at->u, at->p, at->fixed, d, k, k_t);
     for (long stage = 1; stage < 4; stage++) {
@@ -83,10 +74,12 @@ static NEVER_INLINED void rk4(const Sample *at, Values x, Values x_t, Values d, 
 
 /* a speed at rest goes where it is pushed beyond its level; coupled ones change their directions one at a time, the
    lowest number first, until none contradicts its balance */
-static void stick_slip(const Sample *at, Values x, const double *active, Rows d)
+static void stick_slip(const Sample *at, Rows room, Values x, const double *active, Rows d)
 {
     const Equations *e = at->e;
-    double s ROWS(e->dry), side ROWS(e->dry), margin ROWS(e->dry), against ROWS(e->dry), wrong[W] ALIGNED;
+    Rows s = some(&room, e->dry), side = some(&room, e->dry);
+    Rows margin = some(&room, e->dry), against = some(&room, e->dry);
+    double wrong[W] ALIGNED;
     memcpy(s, d, e->dry * sizeof *s);
     if (e->coupled < e->dry) {
         e->margins(x, at->u, at->p, at->fixed, s, d, side, margin, against);
@@ -110,10 +103,11 @@ static void stick_slip(const Sample *at, Values x, const double *active, Rows d)
 }
 
 /* direction in which held speeds break away within the step, else 0, and after which share of it, else 1 */
-static void breakaways(const Sample *at, Values x, Values after, Values d, const double *active, Rows leaves, Rows when)
+static void breakaways(const Sample *at, Rows room, Values x, Values after, Values d, const double *active, Rows leaves, Rows when)
 {
     const Equations *e = at->e;
-    double side ROWS(e->dry), before_it ROWS(e->dry), margin ROWS(e->dry), against ROWS(e->dry);
+    Rows side = some(&room, e->dry), before_it = some(&room, e->dry);
+    Rows margin = some(&room, e->dry), against = some(&room, e->dry);
     double rests = 0.0, any = 0.0;
     DRY EACH_LANE {
         leaves[i][l] = 0.0, when[i][l] = 1.0;
@@ -155,13 +149,15 @@ static Event next_event(const Equations *e, Values x, Values after, Values d, Va
 }
 
 /* one step of all lanes: each to the moment at which one of its speeds reaches zero or breaks away, and on from there */
-static void step_lanes(const Sample *at, Rows x, Rows x_t, const double *step)
+static void step_lanes(const Sample *at, Rows room, Rows x, Rows x_t, const double *step)
 {
     const Equations *e = at->e;
     const int *row = e->row;
-    Rows after = at->after, after_t = at->after_t, k = at->k, k_t = at->k_t;
-    double d ROWS(e->dry), released ROWS(e->dry), leaves ROWS(e->dry), when ROWS(e->dry);
-    double h_t ROWS(e->columns), moment_t ROWS(e->columns), late_t ROWS(e->columns);
+    const long n = e->states, n_t = n * e->columns;
+    Rows after = some(&room, n), after_t = some(&room, n_t), k = some(&room, n), k_t = some(&room, n_t);
+    Rows d = some(&room, e->dry), released = some(&room, e->dry);
+    Rows leaves = some(&room, e->dry), when = some(&room, e->dry);
+    Rows h_t = some(&room, e->columns), moment_t = some(&room, e->columns), late_t = some(&room, e->columns);
     double h[W] ALIGNED, active[W] ALIGNED, moment[W] ALIGNED, back[W] ALIGNED;
     EACH_LANE {
         h[l] = step[l];
@@ -176,7 +172,7 @@ static void step_lanes(const Sample *at, Rows x, Rows x_t, const double *step)
             d[i][l] = v > 0.0 ? 1.0 : v < 0.0 ? -1.0 : v;
             rests += active[l] != 0.0 && d[i][l] == 0.0;
         }
-        if (rests) stick_slip(at, x, active, d);
+        if (rests) stick_slip(at, room, x, active, d);
         DRY {
             double stays[W] ALIGNED; /* a held speed has forgotten its value */
             VECTORS {
@@ -186,8 +182,8 @@ static void step_lanes(const Sample *at, Rows x, Rows x_t, const double *step)
             }
             COLUMNS VECTORS AT(x_t[OF(row[i])]) *= AT(stays);
         }
-        rk4(at, x, x_t, d, h, fresh ? NULL : h_t, after, after_t);
-        breakaways(at, x, after, d, active, leaves, when);
+        rk4(at, room, x, x_t, d, h, fresh ? NULL : h_t, after, after_t);
+        breakaways(at, room, x, after, d, active, leaves, when);
         DRY EACH_LANE any += active[l] != 0.0 && (d[i][l] * after[row[i]][l] < 0.0 || leaves[i][l] != 0.0);
         if (!any) {
             STATES VECTORS AT(x[i]) = v_pick(AT(active) != 0.0, AT(after[i]), AT(x[i]));
@@ -221,7 +217,7 @@ static void step_lanes(const Sample *at, Rows x, Rows x_t, const double *step)
                 ? h[l] * (before * after_t[OF(f)][l] - after[f][l] * x_t[OF(f)][l]) / (drop * drop) : 0.0);
         }
         if (!left) return;
-        rk4(at, x, x_t, d, moment, moment_t, after, after_t);
+        rk4(at, room, x, x_t, d, moment, moment_t, after, after_t);
         e->rates(after, after_t, at->u, at->p, at->fixed, d, k, k_t);
         EACH_LANE {
             const long f = row[found[l].first];
@@ -255,14 +251,14 @@ static void step_lanes(const Sample *at, Rows x, Rows x_t, const double *step)
 }
 
 /* a sample of all lanes; those whose step is zero stay as they are */
-static NEVER_INLINED void sample_lanes(const Sample *at, Rows x, Rows x_t, const double *h, long sub_steps)
+static NEVER_INLINED void sample_lanes(const Sample *at, Rows room, Rows x, Rows x_t, const double *h, long sub_steps)
 {
     const Equations *e = at->e;
-    double before ROWS(e->states);
+    Rows before = some(&room, e->states);
     memcpy(before, x, e->states * sizeof *before);
     for (long s = 0; s < sub_steps; s++) {
         if (e->internal) e->internal(x, x_t, at->u, at->p, at->fixed, h);
-        step_lanes(at, x, x_t, h);
+        step_lanes(at, room, x, x_t, h);
         if (e->internal) e->internal(x, x_t, at->u, at->p, at->fixed, h);
     }
     STATES VECTORS AT(x[i]) = v_pick(AT(h) == 0.0, AT(before[i]), AT(x[i]));
@@ -273,12 +269,13 @@ static NEVER_INLINED void sample_lanes(const Sample *at, Rows x, Rows x_t, const
 void shoot(const Equations *e, double *path, const double *const *u, const long *u_rows, const double *dt,
            const double *p, long rows, long dt_rows, long samples, long length, long sub_steps)
 {
-    double x ROWS(e->states), held ROWS(e->channels), fixed ROWS(e->fixed), values ROWS(e->parameters);
+    Rows all = room_for(e), room = all, x = some(&room, e->states), x_t = some(&room, e->states * e->columns);
+    Rows held = some(&room, e->channels), fixed = some(&room, e->fixed), values = some(&room, e->parameters);
     double known[e->fixed + 1], h[W] ALIGNED;
     const double *own[W], *step[W], *channel[W][e->channels + 1];
     long start[W], steps[W], end[W];
     const long n = e->states, chunks = (samples + length - 1) / length, lanes = rows * chunks;
-    const Sample at = sample_of(e, held, values, fixed);
+    const Sample at = { e, held, values, fixed };
     long *moves = malloc(lanes * sizeof *moves), *order = malloc(lanes * sizeof *order);
     long *place = calloc(length, sizeof *place);
     for (long lane = 0; lane < lanes; lane++) {
@@ -318,25 +315,25 @@ void shoot(const Equations *e, double *path, const double *const *u, const long 
                 for (long i = 0; i < e->channels; i++) held[i][l] = channel[l][i][now];
             }
             e->hold(held, values, fixed);
-            sample_lanes(&at, x, at.x_t, h, sub_steps);
+            sample_lanes(&at, room, x, x_t, h, sub_steps);
             EACH_LANE if (t < steps[l])
                 STATES path[(start[l] + t + 1) * n + i] = x[i][l];
         }
         EACH_LANE for (long t = steps[l]; t < end[l]; t++)
             STATES path[(start[l] + t + 1) * n + i] = x[i][l];
     }
-    free(place), free(order), free(moves), free(at.x_t);
+    free(place), free(order), free(moves), free(all);
 }
 
 /* the sample after every node, and its tangents; neighbouring samples are lanes */
 void linearise(const Equations *e, double *next, double *tangents, const double *nodes, const double *u,
                const double *dt, const double *p, long rows, long samples, long sub_steps)
 {
-    double x ROWS(e->states), held ROWS(e->channels), fixed ROWS(e->fixed), values ROWS(e->parameters);
+    Rows all = room_for(e), room = all, x = some(&room, e->states), x_t = some(&room, e->states * e->columns);
+    Rows held = some(&room, e->channels), fixed = some(&room, e->fixed), values = some(&room, e->parameters);
     double known[e->fixed + 1], h[W] ALIGNED;
     const long n = e->states;
-    const Sample at = sample_of(e, held, values, fixed);
-    const Rows x_t = at.x_t;
+    const Sample at = { e, held, values, fixed };
     for (long r = 0; r < rows; r++) {
         e->prepare(p + r * e->parameters, known);
         EACH_LANE {
@@ -356,7 +353,7 @@ void linearise(const Equations *e, double *next, double *tangents, const double 
             STATES COLUMNS VECTORS AT(x_t[OF(i)]) = ALL((double)(c == i));
             if (moves) {
                 e->hold(held, values, fixed);
-                sample_lanes(&at, x, x_t, h, sub_steps);
+                sample_lanes(&at, room, x, x_t, h, sub_steps);
             }
             for (int l = 0; l < lanes; l++)
                 STATES {
@@ -365,5 +362,5 @@ void linearise(const Equations *e, double *next, double *tangents, const double 
                 }
         }
     }
-    free(x_t);
+    free(all);
 }
