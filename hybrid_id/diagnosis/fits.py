@@ -38,7 +38,7 @@ from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.windows import hidden_links
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.c_code import compiler
+from hybrid_id.simulation.compiled import compiler_works
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.simulation.rollout import simulate
 from hybrid_id.simulation.stability import with_substeps
@@ -505,4 +505,4 @@ def runs(system: System, how: Engine, batch: Batch, horizon: Horizon) -> tuple[B
 
 def engine() -> Engine:
     """How candidates are simulated: dry friction located in time, by compiled steps where there is a compiler."""
-    return Engine(compiled=compiler() is not None)
+    return Engine(compiled=compiler_works())

@@ -16,7 +16,7 @@ from torch import Tensor
 from hybrid_id.errors import InputError
 from hybrid_id.identification.objective import Evaluation, Loss, evaluate
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.c_code import compiler
+from hybrid_id.simulation.compiled import compiler_works
 from hybrid_id.simulation.step import Engine
 from hybrid_id.systems.chain import System
 
@@ -366,9 +366,7 @@ class LeastSquares:
                 break
             rows = part.take(left), e.x[left], theta[:, left], options.loss, chunk
             try:  # one sample after the other: a thousand times as fast in C
-                new = self.at(
-                    *rows, replace(self.engine, compiled=self.engine.compiled or compiler() is not None)
-                )
+                new = self.at(*rows, replace(self.engine, compiled=self.engine.compiled or compiler_works()))
             except InputError:  # a solver or an operation that has no C expression
                 new = self.at(*rows)
             e = e.with_rows(left, new)

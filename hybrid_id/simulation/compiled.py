@@ -27,7 +27,7 @@ import torch
 from torch import Tensor, nn
 
 from hybrid_id.components.base import Component
-from hybrid_id.errors import InputError, MachineError
+from hybrid_id.errors import InputError
 from hybrid_id.simulation.c_code import address, call, compiler, library, note, noted
 from hybrid_id.simulation.parts import NAMES, Body, assigned, in_lanes, in_parts, lanes, lines, stored
 from hybrid_id.simulation.step import Engine, update_internal_states
@@ -79,15 +79,15 @@ def compiled_for(system: System, engine: Engine) -> Engine:
     type, has no compiled steps.
     """
     compilable = type(engine) is Engine and (system.tree is not None or _is_ours(system))
-    return replace(engine, compiled=True) if compilable and _compiler_works() else engine
+    return replace(engine, compiled=True) if compilable and compiler_works() else engine
 
 
 @functools.cache
-def _compiler_works() -> bool:
+def compiler_works() -> bool:
     """Whether there is a C compiler that makes a library which may be loaded: one without its headers makes none."""
     try:
         return compiler() is not None and _engine() is not None
-    except (InputError, MachineError):
+    except InputError:
         return False
 
 

@@ -7,7 +7,6 @@
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
-#define NEVER_INLINED __attribute__((noinline)) /* a copy a caller would take longer to compile, and be no faster */
 #define STATES for (long i = 0; i < e->states; i++)
 #define DRY for (long i = 0; i < e->dry; i++)
 #define COLUMNS for (long c = 0; c < e->columns; c++)
@@ -36,7 +35,7 @@ static Rows some(Rows *room, long number)
 }
 
 /* x + step k, where the step's tangent is part h_t, or none */
-static NEVER_INLINED void along(const Equations *e, Values x, Values x_t, const double *step, double part, Values h_t, Values k,
+static void along(const Equations *e, Values x, Values x_t, const double *step, double part, Values h_t, Values k,
                   Values k_t, Rows to, Rows to_t)
 {
     if (h_t)
@@ -54,7 +53,7 @@ static void mean(Rows k, long n)
         VECTORS AT(k[i]) = AT(k[i]) + 2.0 * (AT(k[n + i]) + AT(k[2 * n + i])) + AT(k[3 * n + i]);
 }
 
-static NEVER_INLINED void rk4(const Sample *at, Rows room, Values x, Values x_t, Values d, const double *h, Values h_t, Rows after, Rows after_t)
+static void rk4(const Sample *at, Rows room, Values x, Values x_t, Values d, const double *h, Values h_t, Rows after, Rows after_t)
 {
     const Equations *e = at->e;
     const long n = e->states, n_t = n * e->columns;
@@ -251,7 +250,7 @@ static void step_lanes(const Sample *at, Rows room, Rows x, Rows x_t, const doub
 }
 
 /* a sample of all lanes; those whose step is zero stay as they are */
-static NEVER_INLINED void sample_lanes(const Sample *at, Rows room, Rows x, Rows x_t, const double *h, long sub_steps)
+static void sample_lanes(const Sample *at, Rows room, Rows x, Rows x_t, const double *h, long sub_steps)
 {
     const Equations *e = at->e;
     Rows before = some(&room, e->states);

@@ -333,14 +333,14 @@ def test_a_compiler_that_makes_nothing_is_none(monkeypatch: pytest.MonkeyPatch, 
     broken.write_text("#!/bin/sh\necho 'math.h: No such file' >&2\nexit 1\n")
     broken.chmod(0o755)
     assert compiled_for(rigid_drive(), Engine()).compiled
-    for once in (compiled_engine._compiler_works, compiled_engine._engine):
+    for once in (compiled_engine.compiler_works, compiled_engine._engine):
         once.cache_clear()
     with monkeypatch.context() as patched:
         patched.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
         patched.setenv("XDG_CACHE_HOME", str(tmp_path / "empty"))
         patched.setattr("hybrid_id.simulation.compiled.library", library.__wrapped__)
         assert compiled_for(rigid_drive(), Engine()) == Engine()
-    compiled_engine._compiler_works.cache_clear()
+    compiled_engine.compiler_works.cache_clear()
 
 
 @pytest.mark.parametrize("name", ["coulomb", "arm"])
