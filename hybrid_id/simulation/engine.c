@@ -53,7 +53,8 @@ static void mean(Rows k, long n)
         VECTORS AT(k[i]) = AT(k[i]) + 2.0 * (AT(k[n + i]) + AT(k[2 * n + i])) + AT(k[3 * n + i]);
 }
 
-static void rk4(const Sample *at, Rows room, Values x, Values x_t, Values d, const double *h, Values h_t, Rows after, Rows after_t)
+static void rk4(const Sample *at, Rows room, Values x, Values x_t, Values d, const double *h, Values h_t, Rows after,
+                Rows after_t)
 {
     const Equations *e = at->e;
     const long n = e->states, n_t = n * e->columns;
@@ -102,7 +103,8 @@ static void stick_slip(const Sample *at, Rows room, Values x, const double *acti
 }
 
 /* direction in which held speeds break away within the step, else 0, and after which share of it, else 1 */
-static void breakaways(const Sample *at, Rows room, Values x, Values after, Values d, const double *active, Rows leaves, Rows when)
+static void breakaways(const Sample *at, Rows room, Values x, Values after, Values d, const double *active, Rows leaves,
+                       Rows when)
 {
     const Equations *e = at->e;
     Rows side = some(&room, e->dry), before_it = some(&room, e->dry);
