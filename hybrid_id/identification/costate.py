@@ -18,7 +18,7 @@ from torch import Tensor, nn
 
 from hybrid_id.identification.objective import Loss
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.lifted import LANES, Linearisation, condense, linearise, linearise_outputs
+from hybrid_id.simulation.lifted import Linearisation, condense, lanes_at_once, linearise, linearise_outputs
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System
@@ -26,7 +26,7 @@ from hybrid_id.systems.chain import System
 NEWTON_STEPS, ADVANCE = 12, 2000
 """Steps of Newton's method, and samples for which one more is allowed: what has closed advances from the start on."""
 SHORTEST = 256
-"""Samples of a row that are worked on at once, at least; `LANES` of all rows together."""
+"""Samples of a row that are worked on at once, at least; `lanes_at_once` of all rows together."""
 
 
 @dataclass
@@ -111,7 +111,7 @@ def _held(weights: Sequence[nn.Parameter]) -> Iterator[None]:
 def _pieces(batch: Batch) -> list[slice]:
     """Pieces of the samples that are worked on one after the other, so that memory does not grow with a record."""
     rows, samples = batch.dt.shape
-    length = max(LANES // rows, SHORTEST)
+    length = max(lanes_at_once(batch.x) // rows, SHORTEST)
     return [slice(begin, min(begin + length, samples)) for begin in range(0, samples, length)]
 
 
@@ -195,13 +195,13 @@ def linearise_sorted(
         return flat_x[place], channels, flat_dt[place], theta[:, place // samples]
 
     near = []
-    for place in torch.arange(lanes, device=x.device).split(LANES):
+    for place in torch.arange(lanes, device=x.device).split(lanes_at_once(x)):
         now, u, dt, values = at(place)
         near.append(engine.near_rest(system, now.unbind(1), u, dt, system.views(list(values))))
     order = torch.cat(near).to(torch.int8).argsort(stable=True)
     found: dict[str, Tensor] = {}
     picks: tuple[int | None, ...] = ()
-    for place in order.split(LANES):
+    for place in order.split(lanes_at_once(x)):
         now, u, dt, values = at(place)
         u = {name: channel[:, None] for name, channel in u.items()}
         part = linearise(system, engine, now[:, None], u, dt[:, None], values, free, batch.outputs)
@@ -249,8 +249,9 @@ def _parameters(
     flat_x, flat_dt = x.reshape(lanes, n_x), batch.dt.reshape(lanes)
     flat_u = {name: channel.reshape(lanes) for name, channel in batch.u.items()}
     pull, push = arriving.reshape(lanes, n_x), slope.reshape(lanes, -1)
-    for begin in range(0, lanes, LANES):
-        block = slice(begin, min(begin + LANES, lanes))
+    at_once = lanes_at_once(x)
+    for begin in range(0, lanes, at_once):
+        block = slice(begin, min(begin + at_once, lanes))
         row = row_of[block]
         values = list(theta[:, row].unbind(0))
         for position, index in enumerate(free):
