@@ -26,6 +26,8 @@ from hybrid_id.diagnosis.own_values import borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
+from hybrid_id.diagnosis.told_apart import told_apart
+from hybrid_id.diagnosis.whole_robot import parts_of_gap
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
 from hybrid_id.identification.horizons import WHOLE, Horizon, shortest
@@ -34,7 +36,6 @@ from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.parameters import ParameterInfo
 from hybrid_id.records.dataset import Dataset
-from hybrid_id.records.derivatives import noise_level
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.statistics.uncertainty import robust_covariance
 from hybrid_id.study.replays import batch_of
@@ -331,6 +332,7 @@ def diagnose_arm(
     answers = {name: answer for name, (_, answer) in found.items()}
     if not stopped:  # who stops waits for no more fits
         try:
+            answers = told_apart(dataset, system, answers, seed=seed, signal_share=signal_share)
             answers = borne_out(dataset, system, answers, seed=seed, signal_share=signal_share)
         except KeyboardInterrupt:
             stopped = True
@@ -386,7 +388,8 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
-    (parts, least), known = _parts(found, horizon, signal_share), estimates_of(whole)
+    each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
+    (parts, least), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, least, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,
@@ -421,35 +424,6 @@ def fitted_coupled(
         if both[0] is not None and both[1] is not None and both[1].over_noise < both[0].over_noise:
             return again.system, again
     return system, None
-
-
-def _parts(
-    found: Mapping[str, Diagnosis], horizon: Horizon, signal_share: float
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Share of each diagnosed joint in the robot's gap on train records, and the least that it may be."""
-    gap, beyond = dict.fromkeys(found, 0.0), dict.fromkeys(found, 0.0)
-    for name, one in found.items():
-        dataset, base = one.details.dataset, one.search.base.system
-        trained = errors(dataset, base, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
-        if trained is None:
-            continue
-        for channel in dataset.outputs:
-            logged = [
-                noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs
-            ]
-            noise, error = channel.noise_std or float(np.mean(logged)), trained.rmse.get(channel.name, 0.0)
-            if error > noise:  # records in which a joint stands still are not among its own
-                square, share = trained.by_output[channel.name] ** 2, 1.0 - (noise / error) ** 2
-                beyond[name] += len(dataset.train) * square * share
-                gap[name] += len(dataset.train) * square * min(one.beyond_floor, share)
-    every, whole = sum(beyond.values()), sum(gap.values())
-    if every == 0.0:
-        even = dict.fromkeys(found, 1.0 / len(found))
-        return even, even
-    if whole == 0.0:
-        gap, whole = beyond, every
-    least = {name: size / max(size + every - beyond[name], 1e-300) for name, size in gap.items()}
-    return {name: size / whole for name, size in gap.items()}, least
 
 
 def estimates_of(whole: FitResult | None) -> dict[str, tuple[float, float]]:

@@ -193,14 +193,19 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
 
     What was tried and not selected has the base rate, which small effects have that records do not exclude. It has
     more as far as what remains at the joint is the robot's, and not the others' noise or other values in each record:
-    the rest of it is no part of the gap, and intervals of shares reach from those with it to those without it.
+    the rest of it is no part of the gap, and intervals of shares reach from those with it to those without it. As far
+    as something remains, what is selected may be the image of what the catalogue lacks, as a wave over the angle is of
+    a latch: its probability is so much nearer to the least that is asserted. Where a substantial share surely remains,
+    the catalogue lacks something.
 
     Args:
         found: of the joint by itself.
         refuted: effects that the robot has refuted.
         left: share of the structure in the joint's errors that each record's own values of the robot leave.
     """
-    rate, gap = CRITERIA.base_rate, max(1.0 - (1.0 - left) * found.remainder, 1e-12)
+    rate, least = CRITERIA.base_rate, CRITERIA.least_probability
+    gap = max(1.0 - (1.0 - left) * found.remainder, 1e-12)
+    remainder, (surely, most) = left * found.remainder / gap, found.remainder_interval
 
     def rated(c: RatedEffect) -> RatedEffect:
         if not c.selected:
@@ -209,18 +214,18 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
         low, high = c.share_interval or (0.0, 0.0)
         return replace(
             c,
+            probability=c.probability - remainder * max(c.probability - least, 0.0),
             share=c.share and c.share / gap,
             alone=c.alone and c.alone / gap,
             share_interval=c.share_interval and (low, max(high, c.share or 0.0) / gap),
         )
 
-    remainder = left * found.remainder / gap
     return replace(
         found,
         effects=_in_order(map(rated, found.effects)),
         remainder=remainder,
-        remainder_interval=(left * found.remainder_interval[0], found.remainder_interval[1]),
-        unknown=found.unknown and remainder >= CRITERIA.substantial,
+        remainder_interval=(left * surely, most),
+        unknown=max(left * surely, remainder if found.unknown else 0.0) >= CRITERIA.substantial,
         gap=gap * found.gap,
         beyond_floor=gap * found.beyond_floor,
     )
@@ -371,7 +376,9 @@ def _probabilities(step: SelectionStep) -> np.ndarray:
     present = {one: _present(one, step.before, p) for one, p in chances(step).items()}
     sure = present.get(best, 0.0)
     for k, one in enumerate(step.candidates):
-        if one is best:
+        if step.odds:
+            logs[k] = step.odds[k]
+        elif one is best:
             logs[k] = 0.0
         elif one.judged and one.error < step.before.error and not _contains(one, step):
             explains = min(max(present[one], 1e-300) / max(sure, 1e-300), 1.0)
@@ -404,11 +411,14 @@ def indistinguishable(model: FittedModel, step: SelectionStep) -> list[FittedMod
     None for what does not explain what the best does. Where it leaves structure, the errors have reasons of their own:
     what does the greater part of what the best does counts, if it is not much less probable.
     """
+    unlikely = log_odds_at(CRITERIA.distinct_z)
+    if step.odds:
+        own = step.odds[step.candidates.index(model)]
+        return [e for e, odds in zip(step.candidates, step.odds, strict=True) if abs(odds - own) < -unlikely]
     least = min(e.error for e in step.candidates if e.judged or e is model)
     open_ = CRITERIA.left_open if model.no_structure else 1.0 - CRITERIA.major_share
     closed = least + open_ * max(step.before.error - least, 0.0)
     near = 1.0 / (1.0 - CRITERIA.distinct_fall) if model.no_structure else math.inf
-    unlikely = log_odds_at(CRITERIA.distinct_z)
     if not model.judged or model.error >= closed:
         return []
     return [
@@ -433,12 +443,22 @@ def _ties(model: FittedModel, step: SelectionStep, name: Name) -> tuple[str, ...
 
 def tied_models(found: Selection) -> list[FittedModel]:
     """Models that explain the records as well as the chosen one, itself among them; empty without a rival."""
-    for step in found.compared:
+    _, equals = tied_step(found, found.compared)
+    return equals
+
+
+def tied_step(
+    found: Selection, steps: Sequence[SelectionStep]
+) -> tuple[SelectionStep | None, list[FittedModel]]:
+    """The same with the step that has compared them, of some steps; the robot's has the last word on the others'."""
+    for step in sorted(steps, key=lambda one: not one.odds):
         if step.best is not None and step.best.effects == found.chosen.effects:
             equals = indistinguishable(step.best, step)
             if len(equals) > 1:
-                return equals
-    return []
+                return step, equals
+            if step.odds:
+                break
+    return None, []
 
 
 def tied_sets(found: Sequence[RatedEffect]) -> list[tuple[str, ...]]:

@@ -17,15 +17,16 @@ from hybrid_id.components.base import Shared
 from hybrid_id.diagnosis.catalogue import CATALOGUE, brought
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, freeze
-from hybrid_id.diagnosis.fits import FULL, engine, with_priors_of, without_priors
+from hybrid_id.diagnosis.fits import FULL, engine, with_priors_of
 from hybrid_id.diagnosis.grade import of_robot
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.per_record import PerRecord, scatter, structural
 from hybrid_id.diagnosis.select import refitted_without
 from hybrid_id.diagnosis.validation import mean_square
+from hybrid_id.diagnosis.whole_robot import WholeRobot
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
-from hybrid_id.identification.horizons import Horizon, shortest
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
@@ -34,7 +35,6 @@ from hybrid_id.records.units import number_of, stem
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.study.replays import batch_of
-from hybrid_id.systems.by_joint import alone, joint_number, some, with_drive, with_others_measured
 from hybrid_id.systems.chain import System
 
 
@@ -179,22 +179,22 @@ def borne_out(
     unsure = [name for name, one in answers.items() if chosen[name].effects or one.grade.unknown]
     if not unsure or len(dataset.train) < 2:
         return _rated(answers, {})
-    robot = _Robot(dataset, nominal, answers, signal_share)
+    robot = WholeRobot(dataset, nominal, answers, signal_share)
     # without any effect first: that robot is one program, and often explains most joints
-    plain = robot.own_values({name: one.searched.base for name, one in answers.items()})
+    plain = _own_values(robot, {name: one.searched.base for name, one in answers.items()})
     nothing = [name for name in unsure if plain is not None and plain.nothing_left(robot.key(name))]
     chosen |= {name: answers[name].searched.base for name in nothing}
-    now = plain if not any(one.effects for one in chosen.values()) else robot.own_values(chosen)
+    now = plain if not any(one.effects for one in chosen.values()) else _own_values(robot, chosen)
     found = dict(answers)
     for name in unsure:
         claimed = [(e.name, e.where) for e in answers[name].grade.effects if e.selected]
         for effect in reversed(claimed):
-            models = robot.lacking(chosen, name, effect) if effect in chosen[name].effects else None
-            bare = None if models is None else robot.own_values(models)
+            models = _lacking(robot, chosen, name, effect) if effect in chosen[name].effects else None
+            bare = None if models is None else _own_values(robot, models)
             if models is None or bare is None or now is None or helps(now, bare, robot.key(name)):
                 continue
             chosen[name] = models[name]
-            now = bare if models == chosen else robot.own_values(chosen)
+            now = bare if models == chosen else _own_values(robot, chosen)
         refuted = [effect for effect in claimed if effect not in chosen[name].effects]
         seen = plain if name in nothing else now
         rest = chosen[name] if chosen[name].effects else answers[name].searched.base
@@ -230,52 +230,28 @@ def _again(
     return replace(again, rejected=tuple(dict.fromkeys((*answer.rejected, *again.rejected))))
 
 
-class _Robot:
-    """The diagnosed joints of a robot simulated together; the others, if any, move as they were measured.
+def _own_values(robot: WholeRobot, models: Mapping[str, FittedModel]) -> OwnValues | None:
+    """Each record's own values of the robot with these models of the joints, by name."""
+    effects = [name for one in models.values() for name in one.effects]
+    return own_values(
+        robot.records, robot.system(models), effects, robot.horizon, robot.signal_share, robot.kept
+    )
 
-    Attributes:
-        drives: the nominal drive of each joint by itself, by name.
-    """
 
-    def __init__(
-        self, dataset: Dataset, nominal: System, answers: Mapping[str, Answer], signal_share: float
-    ) -> None:
-        self.nominal, self.answers, self.signal_share = nominal, answers, signal_share
-        self.numbers = {name: joint_number(nominal, name) for name in answers}
-        self.drives = {name: alone(nominal, number) for name, number in self.numbers.items()}
-        self.every = len(self.numbers) == len(nominal.joints)
-        some_joints = self.numbers.values()
-        self.records = dataset if self.every else with_others_measured(dataset, nominal, *some_joints)
-        self.horizon = shortest([one.fits.horizon for one in answers.values()])
-        self.kept = next(iter(answers.values())).fits.kept
-
-    def key(self, name: str) -> str:
-        """Where a joint's components stand."""
-        return f"joint{self.numbers[name] + 1}"
-
-    def own_values(self, models: Mapping[str, FittedModel]) -> OwnValues | None:
-        """Each record's own values of the robot with these models of the joints, by name, held no longer."""
-        robot = self.nominal
-        for name, one in models.items():
-            robot = with_drive(robot, without_priors(one.system, self.drives[name]))
-        robot = robot if self.every else some(robot, list(self.numbers.values()))
-        effects = [name for one in models.values() for name in one.effects]
-        return own_values(self.records, robot, effects, self.horizon, self.signal_share, self.kept)
-
-    def lacking(
-        self, models: Mapping[str, FittedModel], name: str, effect: Name
-    ) -> dict[str, FittedModel] | None:
-        """The models without an effect of a joint: of one that acts on several joints, wherever it is claimed."""
-        shared = any(issubclass(law, Shared) for law in CATALOGUE[effect[0]].laws)
-        found = dict(models)
-        for joint, model in models.items():
-            for one in model.effects:
-                if (joint, one) == (name, effect) or (shared and one[0] == effect[0]):
-                    rest = _rest(self.answers[joint], found[joint], one)
-                    if rest is None:
-                        return None
-                    found[joint] = rest
-        return found
+def _lacking(
+    robot: WholeRobot, models: Mapping[str, FittedModel], name: str, effect: Name
+) -> dict[str, FittedModel] | None:
+    """The models without an effect of a joint: of one that acts on several joints, wherever it is claimed."""
+    shared = any(issubclass(law, Shared) for law in CATALOGUE[effect[0]].laws)
+    found = dict(models)
+    for joint, model in models.items():
+        for one in model.effects:
+            if (joint, one) == (name, effect) or (shared and one[0] == effect[0]):
+                rest = _rest(robot.answers[joint], found[joint], one)
+                if rest is None:
+                    return None
+                found[joint] = rest
+    return found
 
 
 def _rest(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | None:

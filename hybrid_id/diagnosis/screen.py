@@ -36,11 +36,14 @@ class SelectionStep:
         before: the model that they are added to.
         candidates: with one more effect each.
         swap: whether an effect and its rivals are compared once more, beside those that were found after it.
+        odds: logarithm of the odds of each candidate against the best, where other records than the models' own have
+            compared them: those of a whole robot; empty elsewhere.
     """
 
     before: FittedModel
     candidates: tuple[FittedModel, ...]
     swap: bool = False
+    odds: tuple[float, ...] = ()
 
     @property
     def best(self) -> FittedModel | None:

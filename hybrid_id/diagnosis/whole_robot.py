@@ -1,0 +1,85 @@
+"""The diagnosed joints of a robot simulated together, and what each is of the robot's gap."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hybrid_id.diagnosis.diagnose import Answer
+from hybrid_id.diagnosis.errors_on_test import errors
+from hybrid_id.diagnosis.fits import engine, without_priors
+from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.identification.horizons import Horizon, shortest
+from hybrid_id.records.dataset import Dataset
+from hybrid_id.records.derivatives import noise_level
+from hybrid_id.systems.by_joint import alone, joint_number, some, with_drive, with_others_measured
+from hybrid_id.systems.chain import System
+
+
+class WholeRobot:
+    """The diagnosed joints of a robot simulated together; the others, if any, move as they were measured.
+
+    Attributes:
+        drives: the nominal drive of each joint by itself, by name.
+        records: of the joints that are simulated.
+        horizon: how long free runs are, the shortest that any joint asks for.
+        kept: fits that an earlier run has kept, and where further ones are kept.
+    """
+
+    def __init__(
+        self, dataset: Dataset, nominal: System, answers: Mapping[str, Answer], signal_share: float
+    ) -> None:
+        self.nominal, self.answers, self.signal_share = nominal, answers, signal_share
+        self.numbers = {name: joint_number(nominal, name) for name in answers}
+        self.drives = {name: alone(nominal, number) for name, number in self.numbers.items()}
+        self.every = len(self.numbers) == len(nominal.joints)
+        some_joints = self.numbers.values()
+        self.records = dataset if self.every else with_others_measured(dataset, nominal, *some_joints)
+        self.horizon = shortest([one.fits.horizon for one in answers.values()])
+        self.kept = next(iter(answers.values())).fits.kept
+
+    def key(self, name: str) -> str:
+        """Where a joint's components stand."""
+        return f"joint{self.numbers[name] + 1}"
+
+    def system(self, models: Mapping[str, FittedModel]) -> System:
+        """The robot with these models of the joints, by name, held no longer."""
+        robot = self.nominal
+        for name, one in models.items():
+            robot = with_drive(robot, without_priors(one.system, self.drives[name]))
+        return robot if self.every else some(robot, list(self.numbers.values()))
+
+
+def parts_of_gap(
+    found: Mapping[str, tuple[Dataset, System, float]], horizon: Horizon, signal_share: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Share of each diagnosed joint in the robot's gap on train records, and the least that it may be.
+
+    Args:
+        found: by a joint's name its records, its re-fitted model, and what is beyond the floor of what that leaves.
+        horizon: how long free runs are.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    """
+    gap, beyond = dict.fromkeys(found, 0.0), dict.fromkeys(found, 0.0)
+    for name, (dataset, base, beyond_floor) in found.items():
+        trained = errors(dataset, base, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
+        if trained is None:
+            continue
+        for channel in dataset.outputs:
+            logged = [
+                noise_level(r.outputs[channel.name]) for r in dataset.train if channel.name in r.outputs
+            ]
+            noise, error = channel.noise_std or float(np.mean(logged)), trained.rmse.get(channel.name, 0.0)
+            if error > noise:  # records in which a joint stands still are not among its own
+                square, share = trained.by_output[channel.name] ** 2, 1.0 - (noise / error) ** 2
+                beyond[name] += len(dataset.train) * square * share
+                gap[name] += len(dataset.train) * square * min(beyond_floor, share)
+    every, whole = sum(beyond.values()), sum(gap.values())
+    if every == 0.0:
+        even = dict.fromkeys(found, 1.0 / len(found))
+        return even, even
+    if whole == 0.0:
+        gap, whole = beyond, every
+    least = {name: size / max(size + every - beyond[name], 1e-300) for name, size in gap.items()}
+    return {name: size / whole for name, size in gap.items()}, least
