@@ -99,8 +99,7 @@ class ArmDiagnosis:
         parts: share of each diagnosed joint in the robot's gap, on train records, the others moving as they were
             measured (mean squares over the signal's variance): simulated, an error of one joint would be one of all
             that feel it. Where nothing is missing at any joint, in what the re-fitted robot leaves beyond noise.
-        least_parts: the same if whatever the other joints leave beyond noise were gap: other values in each record may
-            hide that something is missing.
+        part_bounds: the least and the most that these may be (:func:`~hybrid_id.diagnosis.whole_robot.parts_of_gap`).
         estimates: parameters of the corrected robot with their standard errors, by name, from the fit of all joints;
             empty where that fit was not better than the joints' own, or the search was stopped before it.
         common: parameters of effects that several joints have.
@@ -116,7 +115,7 @@ class ArmDiagnosis:
     skipped: Mapping[str, str]
     horizon: Horizon
     parts: Mapping[str, float]
-    least_parts: Mapping[str, float]
+    part_bounds: Mapping[str, tuple[float, float]]
     estimates: Mapping[str, tuple[float, float]]
     common: tuple[CommonSize, ...]
     refit: System
@@ -149,7 +148,7 @@ class ArmDiagnosis:
 
     def _of_robot(self, one: RatedEffect, joint: str) -> RatedEffect:
         """An effect of a joint as the whole robot has it: its place, its share of that gap, its model's values."""
-        part, least = self.parts[joint], self.least_parts[joint]
+        part, (least, most) = self.parts[joint], self.part_bounds[joint]
         where, sizes = self._placed(one.where, joint), one.parameters
         if one.selected:
             infos = brought(self.model, one.name, one.where)
@@ -160,7 +159,7 @@ class ArmDiagnosis:
             tied_with=tuple(self._placed(tie, joint) for tie in one.tied_with),
             share=None if one.share is None else one.share * part,
             share_interval=one.share_interval
-            and (one.share_interval[0] * least, one.share_interval[1] * part),
+            and (one.share_interval[0] * least, one.share_interval[1] * most),
             alone=None if one.alone is None else one.alone * part,
             parameters=sizes,
         )
@@ -389,9 +388,10 @@ def _of_whole_robot(
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
     each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
-    (parts, least), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
+    parts, least, most = parts_of_gap(each, horizon, signal_share)
+    bounds, known = {name: (least[name], most[name]) for name in parts}, estimates_of(whole)
     return ArmDiagnosis(
-        dataset, found, skipped, horizon, parts, least, known, common_sizes(found, model, known), refit, model,
+        dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,
     )  # fmt: skip
 

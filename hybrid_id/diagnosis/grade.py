@@ -193,10 +193,12 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
 
     What was tried and not selected has the base rate, which small effects have that records do not exclude. It has
     more as far as what remains at the joint is the robot's, and not the others' noise or other values in each record:
-    the rest of it is no part of the gap, and intervals of shares reach from those with it to those without it. As far
-    as something remains, what is selected may be the image of what the catalogue lacks, as a wave over the angle is of
-    a latch: its probability is so much nearer to the least that is asserted. Where a substantial share surely remains,
-    the catalogue lacks something.
+    the rest of it is no part of the gap, and intervals of shares reach from those with it to those without it, and to
+    those without any of what remains where that may be next to nothing.
+
+    As far as something remains, what is selected may be the image of what the catalogue lacks, as a wave over the angle
+    is of a latch: its probability is so much nearer to the least that is asserted. Where a substantial share surely
+    remains, the catalogue lacks something.
 
     Args:
         found: of the joint by itself.
@@ -206,18 +208,20 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
     rate, least = CRITERIA.base_rate, CRITERIA.least_probability
     gap = max(1.0 - (1.0 - left) * found.remainder, 1e-12)
     remainder, (surely, most) = left * found.remainder / gap, found.remainder_interval
+    bare = gap if left * surely >= CRITERIA.substantial else max(1.0 - found.remainder, 1e-12)
 
     def rated(c: RatedEffect) -> RatedEffect:
         if not c.selected:
             known = (c.name, c.where) in refuted
             return c if known else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
         low, high = c.share_interval or (0.0, 0.0)
+        high = max(high, c.share or 0.0)
         return replace(
             c,
             probability=c.probability - remainder * max(c.probability - least, 0.0),
             share=c.share and c.share / gap,
             alone=c.alone and c.alone / gap,
-            share_interval=c.share_interval and (low, max(high, c.share or 0.0) / gap),
+            share_interval=c.share_interval and (low, min(high / bare, max(high, 1.0))),
         )
 
     return replace(

@@ -62,7 +62,7 @@ def told_apart(
     each = {
         n: (one.fits.dataset, one.found.base.system, one.grade.beyond_floor) for n, one in answers.items()
     }
-    parts, _ = parts_of_gap(each, robot.horizon, signal_share)
+    parts, *_ = parts_of_gap(each, robot.horizon, signal_share)
     for name, (step, equals) in sorted(open_.items(), key=lambda one: -parts[one[0]]):
         answer = found[name]
         if step is None or parts[name] * answer.grade.explained < CRITERIA.substantial:

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.errors_on_test import errors
 from hybrid_id.diagnosis.fits import engine, without_priors
@@ -53,8 +54,11 @@ class WholeRobot:
 
 def parts_of_gap(
     found: Mapping[str, tuple[Dataset, System, float]], horizon: Horizon, signal_share: float
-) -> tuple[dict[str, float], dict[str, float]]:
-    """Share of each diagnosed joint in the robot's gap on train records, and the least that it may be.
+) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+    """Share of each diagnosed joint in the robot's gap on train records, and the least and the most that it may be.
+
+    The least if whatever the others leave beyond noise were gap: other values in each record may hide that something is
+    missing. The most if no part of the gap that is not substantial were one: other values may look like it, too.
 
     Args:
         found: by a joint's name its records, its re-fitted model, and what is beyond the floor of what that leaves.
@@ -78,8 +82,11 @@ def parts_of_gap(
     every, whole = sum(beyond.values()), sum(gap.values())
     if every == 0.0:
         even = dict.fromkeys(found, 1.0 / len(found))
-        return even, even
+        return even, even, even
     if whole == 0.0:
         gap, whole = beyond, every
     least = {name: size / max(size + every - beyond[name], 1e-300) for name, size in gap.items()}
-    return {name: size / whole for name, size in gap.items()}, least
+    parts = {name: size / whole for name, size in gap.items()}
+    large = sum(part for part in parts.values() if part >= CRITERIA.substantial)
+    most = {n: part / max(large + part * (part < CRITERIA.substantial), 1e-300) for n, part in parts.items()}
+    return parts, least, most

@@ -53,7 +53,7 @@ def test_a_missing_spring_is_found_at_its_joint_and_mends_the_whole_robot(
     right = {one.verdict for name, one in found.joints.items() if name != "elbow"}
     assert right <= {"no_gap", "parameters_only"}
     assert found.parts["elbow"] > 0.9 and sum(found.parts.values()) == pytest.approx(1.0)
-    assert all(0.0 <= least <= found.parts[name] for name, least in found.least_parts.items())
+    assert all(0.0 <= least <= found.parts[n] <= most for n, (least, most) in found.part_bounds.items())
     # one that lacks something lacks more than its records can show
     assert all(one.selected or one.probability >= CRITERIA.base_rate for one in found.effects)
     assert found.shrink is not None and found.shrink.share > 0.9

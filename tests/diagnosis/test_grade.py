@@ -291,13 +291,26 @@ def test_what_other_values_in_each_record_explain_is_no_part_of_a_robots_gap() -
     """Shares are of a smaller gap then; their intervals reach from the old to the new one."""
     spring = RatedEffect(*SPRING, 0.97, True, (), {}, share=0.6, share_interval=(0.5, 0.65), alone=0.6)
     found = Grade((spring,), 0.4, (0.3, 0.5), True, 10.0, 0.9)
-    part, whole = of_robot(found, (), 0.25), of_robot(found, (), 1.0)
-    assert (whole.remainder, whole.gap, whole.unknown, whole.effects) == (0.4, 10.0, True, (spring,))
+    part, whole = of_robot(found, (), 0.4), of_robot(found, (), 1.0)
+    assert (whole.remainder, whole.gap, whole.unknown) == (0.4, 10.0, True)
+    # what remains may have made it look like what it is not
+    assert whole.effects == (replace(spring, probability=0.97 - 0.4 * 0.47),)
     (one,) = part.effects
     assert one.share is not None and one.share + part.remainder == pytest.approx(1.0)
-    assert part.gap == pytest.approx(7.0) and part.remainder == pytest.approx(0.1 / 0.7)
-    assert one.share_interval == pytest.approx((0.5, 0.65 / 0.7)) and part.beyond_floor == pytest.approx(0.63)
+    assert part.gap == pytest.approx(7.6) and part.remainder == pytest.approx(0.16 / 0.76)
+    assert one.share_interval == pytest.approx((0.5, 0.65 / 0.76)) and part.beyond_floor == pytest.approx(
+        0.684
+    )
     assert of_robot(found, (), 0.0).remainder == 0.0 and not of_robot(found, (), 0.0).unknown
+
+
+@pytest.mark.parametrize(("surely", "most", "unknown"), [(0.02, 0.6 / 0.85, False), (0.12, 0.6, True)])
+def test_a_robot_lacks_what_surely_remains_and_a_remainder_that_may_be_none_widens_the_shares(
+    surely: float, most: float, unknown: bool
+) -> None:
+    spring = RatedEffect(*SPRING, 0.97, True, (), {}, share=0.55, share_interval=(0.5, 0.6))
+    found = of_robot(Grade((spring,), 0.15, (surely, 0.4), False, 10.0, 0.9), (), 1.0)
+    assert found.effects[0].share_interval == pytest.approx((0.5, most)) and found.unknown is unknown
 
 
 def leaving(residual: np.ndarray, share: float, **components: None) -> Any:

@@ -1,0 +1,98 @@
+"""What a joint's own records cannot distinguish, all joints simulated can."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from gapcase import only
+from servo_arm import described, records_of
+
+from hybrid_id import Dataset
+from hybrid_id.components import REGISTRY, Component
+from hybrid_id.diagnosis.diagnose import Answer, answered
+from hybrid_id.diagnosis.grade import tied_models, tied_sets, tied_step
+from hybrid_id.diagnosis.told_apart import told_apart
+from hybrid_id.systems.by_joint import alone, moving_records, with_others_measured
+from hybrid_id.systems.chain import System
+
+pytest.importorskip("mujoco")
+ZERO, TORQUE = ("encoder_zero", "joint2/sensor"), ("constant_torque", "joint2/load")
+LAWS: Mapping[tuple[str, str], Component] = {
+    ZERO: REGISTRY["motor_log"](offset=0.05),
+    TORQUE: REGISTRY["constant_torque"](T_0=0.4),
+}
+
+
+@pytest.fixture
+def nominal(tmp_path: Path) -> System:
+    return described(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def both() -> Iterator[None]:
+    with only("encoder_zero", "constant_torque"):
+        yield
+
+
+def of_joint(dataset: Dataset, nominal: System, joint: int) -> Answer:
+    return answered(
+        with_others_measured(moving_records(dataset, joint), nominal, joint), alone(nominal, joint)
+    )[1]
+
+
+def wrong_first(answer: Answer) -> Answer:
+    """The answer as a few records less could have made it: its only rival before it."""
+    step, (best, rival) = tied_step(answer.found, answer.searched.steps)
+    assert step is not None
+    turned = replace(step, candidates=(rival, best))
+    return replace(
+        answer,
+        searched=replace(answer.searched, steps=(turned,), chosen=rival),
+        found=replace(answer.found, steps=(turned,), chosen=rival),
+    )
+
+
+@pytest.mark.parametrize("right", [ZERO, TORQUE])
+def test_a_wrong_zero_and_a_torque_at_the_load_are_two_things_to_the_neighbours(
+    nominal: System, right: tuple[str, str]
+) -> None:
+    dataset = records_of(nominal.with_component(right[1], LAWS[right]))
+    lift, elbow = (of_joint(dataset, nominal, joint) for joint in (1, 2))
+    assert {model.effects for model in tied_models(lift.found)} == {(ZERO,), (TORQUE,)}
+    found = told_apart(dataset, nominal, {"lift": wrong_first(lift), "elbow": elbow})
+    (one,) = (effect for effect in found["lift"].grade.effects if effect.selected)
+    assert (one.name, one.where) == right and found["lift"].found.chosen.effects == (right,)
+    assert one.probability > 0.95 and not tied_sets(found["lift"].grade.effects)
+    assert all(other.probability < 0.05 for other in found["lift"].grade.effects if other is not one)
+    assert not tied_models(found["lift"].found)
+    assert found["elbow"] is elbow
+
+
+def test_a_joint_without_neighbours_keeps_its_ties(nominal: System) -> None:
+    lift = of_joint(records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE])), nominal, 1)
+    assert told_apart(records_of(nominal, 2), nominal, {"lift": lift}) == {"lift": lift}
+
+
+def test_what_is_a_small_part_of_the_robots_gap_is_not_asked(
+    nominal: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A fit of all joints costs as much as the search of one."""
+    dataset = records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE]))
+    answers = {name: of_joint(dataset, nominal, joint) for name, joint in (("lift", 1), ("elbow", 2))}
+    parts = {"lift": 0.05, "elbow": 0.95}
+    monkeypatch.setattr("hybrid_id.diagnosis.told_apart.parts_of_gap", lambda *_: (parts, parts, parts))
+    assert told_apart(dataset, nominal, answers) == answers
+
+
+def test_where_no_robot_can_be_fitted_the_joint_keeps_its_ties(
+    nominal: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset = records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE]))
+    answers = {name: of_joint(dataset, nominal, joint) for name, joint in (("lift", 1), ("elbow", 2))}
+
+    def fails(*_: object, **__: object) -> None:
+        raise RuntimeError("diverged")
+
+    monkeypatch.setattr("hybrid_id.diagnosis.told_apart.kept_fit", fails)
+    assert told_apart(dataset, nominal, answers) == answers
