@@ -197,10 +197,16 @@ class ArmDiagnosis:
     @property
     def unknown(self) -> bool:
         """Whether what the catalogue lacks explains a substantial share of the robot's gap at any joint."""
-        return any(
-            found.unknown and self.parts[joint] >= CRITERIA.substantial
+        return bool(self.unknown_at)
+
+    @property
+    def unknown_at(self) -> list[str]:
+        """The joints at which it does."""
+        return [
+            joint
             for joint, found in self.joints.items()
-        )
+            if found.unknown and self.parts[joint] >= CRITERIA.substantial
+        ]
 
     @property
     def verdict(self) -> str:

@@ -71,7 +71,8 @@ class Grade:
         effects: every effect that was tried, the selected ones by share, then the others by probability.
         remainder: structural share of the gap that stays unexplained.
         remainder_interval: 95 % interval, for the chosen model as it is: its draws know no rivals.
-        unknown: whether what remains is at least a tenth of the gap and surely as much as all that is explained.
+        unknown: whether what remains is at least a tenth of the gap and surely as much as all that is explained; at a
+            joint of a robot, surely a tenth (:func:`of_robot`).
         gap: mean square of weighted errors, in noise variances.
         beyond_floor: the same as a share of what the re-fitted model leaves.
 

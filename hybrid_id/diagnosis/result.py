@@ -49,7 +49,7 @@ class Diagnosis:
         effects: every effect that was tried, the selected ones first, by their share of the gap.
         ties: groups of effects that these records cannot distinguish.
         unknown: whether something that the catalogue lacks explains at least a tenth of the gap and surely as much as
-            all selected effects.
+            all selected effects; at a joint of a robot, surely a tenth.
         remainder: structural share of the gap that stays unexplained, on records left out.
         remainder_interval: 95 % interval.
         beyond_floor: share of the re-fitted model's mean square error on records left out that is the gap.

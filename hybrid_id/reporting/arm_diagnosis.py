@@ -103,6 +103,11 @@ def arm_headline(found: ArmDiagnosis) -> str:
         sentence += (
             f"{percent(rest)} remains unexplained." if rest >= NEGLIGIBLE else "nothing structural remains."
         )
+        if found.unknown:
+            there = joined(found.unknown_at)
+            sentence += (
+                f" What remains at {there} has a cause that the catalogue lacks, or several small ones."
+            )
         if small:
             said = [
                 f"{words_of(one.name)} at {joint} ({percent(own.share or 0.0)} of that joint's own gap; "

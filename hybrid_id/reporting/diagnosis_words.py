@@ -63,7 +63,10 @@ def _effects(diagnosis: Diagnosis) -> str:
     ]
     sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
     if diagnosis.unknown:
-        sentence += f" More remains than is explained: {_CAUSES}."
+        more = diagnosis.remainder >= sum(one.share or 0.0 for one in diagnosis.selected)
+        sentence += (
+            f" {'More remains than is explained' if more else 'So much surely has a cause'}: {_CAUSES}."
+        )
     if unsure := [
         words_of(c.name) for c in chosen if c.share_interval is not None and c.share_interval[0] <= 0.0
     ]:
