@@ -67,7 +67,7 @@ def told_apart(
         answer = found[name]
         if step is None or parts[name] * answer.grade.explained < CRITERIA.substantial:
             continue
-        chosen = {joint: one.found.chosen for joint, one in found.items()}
+        chosen = {joint: one.searched.chosen for joint, one in found.items()}
         compared = _compared(step, equals, [_fitted(robot, chosen | {name: one}) for one in equals])
         if compared is None:
             continue
@@ -80,9 +80,12 @@ def told_apart(
 
 
 def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel | None:
-    """The whole robot with these models of its joints, fitted to the train records; None where that fails."""
+    """The whole robot with these models of its joints, fitted to the train records; None where that fails.
+
+    Held by the priors of the search: free, its drives take much of what a wrong explanation leaves.
+    """
     try:
-        system = robot.system(models)
+        system = robot.system(models, held=True)
         batch = batch_of(robot.records, system, robot.records.train, robot.signal_share, "cpu")
         batch = robot.horizon.cut(system, engine(), batch)
         options = Options(max_iterations=FULL)

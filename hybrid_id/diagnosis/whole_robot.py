@@ -44,11 +44,12 @@ class WholeRobot:
         """Where a joint's components stand."""
         return f"joint{self.numbers[name] + 1}"
 
-    def system(self, models: Mapping[str, FittedModel]) -> System:
-        """The robot with these models of the joints, by name, held no longer."""
+    def system(self, models: Mapping[str, FittedModel], *, held: bool = False) -> System:
+        """The robot with these models of the joints, by name, held as they were in the search or no longer."""
         robot = self.nominal
         for name, one in models.items():
-            robot = with_drive(robot, without_priors(one.system, self.drives[name]))
+            own = one.system if held else without_priors(one.system, self.drives[name])
+            robot = with_drive(robot, own)
         return robot if self.every else some(robot, list(self.numbers.values()))
 
 
