@@ -202,13 +202,15 @@ SERVOS = {
     ),
 }
 """What servos and descriptions get wrong: the joint that shows it, and the machine that has it."""
+RIVALS = ("constant_torque", "spring_load", "joint_flexibility", "electrical_lag", "stribeck_friction")
 
 
 @pytest.mark.parametrize("effect", SERVOS)
 def test_what_servos_and_descriptions_get_wrong_is_named(nominal: System, effect: str) -> None:
     joint, altered = SERVOS[effect]
     machine = altered(nominal)
-    found = diagnose_arm(records_of(machine), nominal, joints=[joint], max_effects=1)
+    with only(*SERVOS, *RIVALS):
+        found = diagnose_arm(records_of(machine), nominal, joints=[joint], max_effects=1)
     (best,) = found.selected
     alike = {best.name, *(tie.split("@")[0] for tie in best.tied_with)}
     assert effect in alike and best.probability > 0.3, found.joints[joint].summary()

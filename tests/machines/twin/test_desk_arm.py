@@ -5,13 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hybrid_id.machines.twin import desk_arm
 from hybrid_id.machines.twin.desk_arm import SPREAD, write_arm
 from hybrid_id.systems.model_file import load_model
 
 pytest.importorskip("mujoco")
 
 
-def test_an_arm_is_drawn_and_moved_the_same_way_again(tmp_path: Path) -> None:
+def test_an_arm_is_drawn_and_moved_the_same_way_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(desk_arm, "RECORDS", 2)
+    monkeypatch.setattr(desk_arm, "LENGTH", 2.0)
     (one, truth), (other, again) = (write_arm(tmp_path / name, seed=3) for name in ("one", "other"))
     assert truth == again
     for first, second in zip(one.records, other.records, strict=True):
