@@ -25,8 +25,9 @@ def errors(
     friction: str = "dry",
     finer: int = 16,
 ) -> np.ndarray:
-    """Largest difference of the motor's angle to a run with a step ``finer`` times smaller."""
-    finest = run(system, {"u1": u}, start=start, engine=Engine(friction, finer * substeps[-1]))["q_m1"]
+    """Largest difference of the motor's angle to a run with a step ``finer`` times smaller, compiled."""
+    finest_engine = Engine(friction, finer * substeps[-1], compiled=True)
+    finest = run(system, {"u1": u}, start=start, engine=finest_engine)["q_m1"]
     runs = [run(system, {"u1": u}, start=start, engine=Engine(friction, n))["q_m1"] for n in substeps]
     return np.array([np.abs(q - finest).max() for q in runs])
 
@@ -80,7 +81,8 @@ def test_both_masses_stop_in_one_step_and_turn() -> None:
     system = one_link_flexible(r).with_values(values).with_component(LINK, Coulomb(F_c=1e-4))
     start = {"q_m1": 0.1 * r, "q_a1": -0.1}
     coarse, fine = (
-        run(system, {"u1": np.zeros(120)}, start=start, engine=Engine(substeps=n)) for n in (1, 32)
+        run(system, {"u1": np.zeros(120)}, start=start, engine=Engine(substeps=n, compiled=n > 1))
+        for n in (1, 32)
     )
     for name in coarse:
         np.testing.assert_allclose(coarse[name], fine[name], atol=2e-4 * np.ptp(fine[name]))
@@ -113,10 +115,11 @@ def test_agrees_with_an_independent_event_exact_integrator(law: str) -> None:
 
 def test_smooth_engine_tends_to_the_dry_one() -> None:
     system, u = rigid_drive(), 6.0 * np.sin(0.05 * np.arange(120))
-    dry = run(system, {"u1": u}, engine=Engine(substeps=8))["q_m1"]
+    dry = run(system, {"u1": u}, engine=Engine(substeps=8, compiled=True))["q_m1"]
     gaps = []
     for width in (2.0, 0.5, 0.125):
-        smooth = run(system, {"u1": u}, engine=Engine("smooth", round(16 / width**0.5), width))["q_m1"]
+        engine = Engine("smooth", round(16 / width**0.5), width, compiled=True)
+        smooth = run(system, {"u1": u}, engine=engine)["q_m1"]
         gaps.append(np.abs(smooth - dry).max())
     assert gaps[0] > 2.5 * gaps[1] > 2.5**2 * gaps[2], gaps
     assert gaps[2] < 1e-3 * np.ptp(dry)
