@@ -13,8 +13,8 @@ from hybrid_id.components.base import LoadTorque
 from hybrid_id.errors import InputError
 from hybrid_id.identification import costate
 from hybrid_id.identification.costate import gradient
-from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation import lifted
+from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.lifted import condense, linearise
 from hybrid_id.simulation.rollout import rollout, simulate
 from hybrid_id.simulation.solvers import ADAPTIVE, HeldField, OdeEngine, extra_parameters
