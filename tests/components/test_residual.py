@@ -21,7 +21,7 @@ from hybrid_id.systems import System, two_link
 from hybrid_id.systems.model_file import load_model, save_model
 
 PLACES = ResidualNetwork.places
-U = {"u1": multisine(0, samples=40, rest=5)}
+U = {"u1": multisine(0, samples=20, rest=5)}
 
 
 def awake(part: ResidualNetwork, size: float = 0.3) -> ResidualNetwork:
