@@ -19,6 +19,7 @@ from hybrid_id.components.base import Shared
 from hybrid_id.diagnosis.catalogue import brought, effect
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, Measured, answered, reported
+from hybrid_id.diagnosis.distinguish import distinguished
 from hybrid_id.diagnosis.errors_on_test import Errors, Shrink, errors, shrink
 from hybrid_id.diagnosis.fits import engine
 from hybrid_id.diagnosis.grade import RatedEffect, tied_sets
@@ -26,7 +27,6 @@ from hybrid_id.diagnosis.own_values import borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
-from hybrid_id.diagnosis.told_apart import told_apart
 from hybrid_id.diagnosis.whole_robot import parts_of_gap
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
@@ -197,10 +197,10 @@ class ArmDiagnosis:
     @property
     def unknown(self) -> bool:
         """Whether what the catalogue lacks explains a substantial share of the robot's gap at any joint."""
-        return bool(self.unknown_at)
+        return bool(self.joints_with_unknown)
 
     @property
-    def unknown_at(self) -> list[str]:
+    def joints_with_unknown(self) -> list[str]:
         """The joints at which it does."""
         return [
             joint
@@ -332,13 +332,14 @@ def diagnose_arm(
             stopped = True
             break
     _raise_without_any(found, skipped)
-    if progress is not None:
-        progress("the whole robot", 0, 1)
     answers = {name: answer for name, (_, answer) in found.items()}
     if not stopped:  # who stops waits for no more fits
+        if progress is not None:
+            progress("the whole robot", 0, 1)
+        both: dict[str, Any] = {"seed": seed, "signal_share": signal_share}
         try:
-            answers = told_apart(dataset, system, answers, seed=seed, signal_share=signal_share)
-            answers = borne_out(dataset, system, answers, seed=seed, signal_share=signal_share)
+            answers = distinguished(dataset, system, answers, **both, progress=progress)
+            answers = borne_out(dataset, system, answers, **both)
         except KeyboardInterrupt:
             stopped = True
     done = dict[str, Diagnosis]()

@@ -383,7 +383,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     The last effect that is not sure enough is dropped, and both are done again for the rest.
     """
     searched, before = found, tuple(locate(fits, found.base))
-    rejected = [_in_words(name) for name in found.refuted]
+    rejected = [in_words(name) for name in found.refuted]
     while True:
         chosen = found.chosen
         after = before if chosen is found.base else tuple(locate(fits, chosen))
@@ -398,7 +398,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         if not unsure:
             break
         name = unsure[-1]
-        rejected.append(_in_words(name))
+        rejected.append(in_words(name))
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
         found = replace(found, chosen=rest or found.base)
     nothing = not found.chosen.effects and not graded.unknown and not varying
@@ -411,7 +411,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     )
 
 
-def _in_words(name: Name) -> str:
+def in_words(name: Name) -> str:
     """An effect and its place."""
     return f"{name[0]} at {name[1]}"
 

@@ -73,6 +73,7 @@ class Grade:
         remainder_interval: 95 % interval, for the chosen model as it is: its draws know no rivals.
         unknown: whether what remains is at least a tenth of the gap and surely as much as all that is explained; at a
             joint of a robot, surely a tenth (:func:`of_robot`).
+        coloured: whether what the chosen model leaves is structural for more than small random torques.
         gap: mean square of weighted errors, in noise variances.
         beyond_floor: the same as a share of what the re-fitted model leaves.
 
@@ -85,6 +86,7 @@ class Grade:
     unknown: bool
     gap: float
     beyond_floor: float
+    coloured: bool = True
 
     @property
     def explained(self) -> float:
@@ -149,9 +151,9 @@ def grade(fits: Fits, found: Selection, structural: float, *, seed: int = 0) -> 
     interval = _interval(draws[:, -1])
     # a remainder that other records could have made the smaller part says nothing of the catalogue
     surely = remainder >= CRITERIA.substantial and interval[0] >= explained
-    unknown = surely and structural > CRITERIA.coloured
+    coloured = structural > CRITERIA.coloured
     beyond_floor = min(max(1.0 - floor / max(first.error, 1e-300), 0.0), 1.0)
-    return Grade(_in_order(rated), remainder, interval, unknown, gap, beyond_floor)
+    return Grade(_in_order(rated), remainder, interval, surely and coloured, gap, beyond_floor, coloured)
 
 
 def _with_share(
@@ -206,34 +208,47 @@ def of_robot(found: Grade, refuted: Collection[Name], left: float) -> Grade:
         refuted: effects that the robot has refuted.
         left: share of the structure in the joint's errors that each record's own values of the robot leave.
     """
-    rate, least = CRITERIA.base_rate, CRITERIA.least_probability
-    gap = max(1.0 - (1.0 - left) * found.remainder, 1e-12)
-    remainder, (surely, most) = left * found.remainder / gap, found.remainder_interval
-    bare = gap if left * surely >= CRITERIA.substantial else max(1.0 - found.remainder, 1e-12)
+    rate, gap = CRITERIA.base_rate, max(1.0 - (1.0 - left) * found.remainder, 1e-12)
+    remainder, surely, most = (left * r / gap for r in (found.remainder, *found.remainder_interval))
+    lacks = found.coloured and left > CRITERIA.coloured and surely >= CRITERIA.substantial
+    bare = gap if lacks else max(1.0 - found.remainder, 1e-12)
+    doubt = _of_an_image(found.effects, remainder)
 
     def rated(c: RatedEffect) -> RatedEffect:
+        known = (c.name, c.where) in refuted
+        c = replace(c, probability=doubt.get(f"{c.name}@{c.where}", 1.0) * c.probability)
         if not c.selected:
-            known = (c.name, c.where) in refuted
             return c if known else replace(c, probability=rate + left * max(c.probability - rate, 0.0))
         low, high = c.share_interval or (0.0, 0.0)
-        high = max(high, c.share or 0.0)
+        share = None if c.share is None else c.share / gap
         return replace(
             c,
-            probability=c.probability - remainder * max(c.probability - least, 0.0),
-            share=c.share and c.share / gap,
+            share=share,
             alone=c.alone and c.alone / gap,
-            share_interval=c.share_interval and (low, min(high / bare, max(high, 1.0))),
+            share_interval=c.share_interval
+            and (low, min(max(high, c.share or 0.0) / bare, max(high, share or 0.0, 1.0))),
         )
 
     return replace(
         found,
         effects=_in_order(map(rated, found.effects)),
         remainder=remainder,
-        remainder_interval=(left * surely, most),
-        unknown=max(left * surely, remainder if found.unknown else 0.0) >= CRITERIA.substantial,
+        remainder_interval=(surely, min(most, max(found.remainder_interval[1], remainder))),
+        unknown=lacks or (found.unknown and remainder >= CRITERIA.substantial),
         gap=gap * found.gap,
         beyond_floor=gap * found.beyond_floor,
     )
+
+
+def _of_an_image(effects: Sequence[RatedEffect], remainder: float) -> dict[str, float]:
+    """Factors on the probabilities of selected effects and what they are tied with, ``name@where``, by what remains."""
+    found: dict[str, float] = {}
+    for c in effects:
+        if c.selected:
+            every = together(c, effects)
+            factor = 1.0 - remainder * max(every - CRITERIA.least_probability, 0.0) / max(every, 1e-12)
+            found |= dict.fromkeys((f"{c.name}@{c.where}", *c.tied_with), factor)
+    return found
 
 
 def _in_order(effects: Iterable[RatedEffect]) -> tuple[RatedEffect, ...]:
@@ -455,14 +470,16 @@ def tied_models(found: Selection) -> list[FittedModel]:
 def tied_step(
     found: Selection, steps: Sequence[SelectionStep]
 ) -> tuple[SelectionStep | None, list[FittedModel]]:
-    """The same with the step that has compared them, of some steps; the robot's has the last word on the others'."""
+    """The same with the step that has compared them, of some steps; the whole robot's has the last word on its own."""
+    known = set[tuple[Name, ...]]()
     for step in sorted(steps, key=lambda one: not one.odds):
-        if step.best is not None and step.best.effects == found.chosen.effects:
-            equals = indistinguishable(step.best, step)
-            if len(equals) > 1:
-                return step, equals
-            if step.odds:
-                break
+        if step.best is None or step.best.effects != found.chosen.effects:
+            continue
+        equals = [e for e in indistinguishable(step.best, step) if e is step.best or e.effects not in known]
+        if step.odds:
+            known |= {e.effects for e in step.candidates}
+        if len(equals) > 1:
+            return step, equals
     return None, []
 
 

@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from hybrid_id.diagnosis.arm import NOT_ASKED, ArmDiagnosis, CommonSize
+from hybrid_id.diagnosis.arm import NOT_ASKED, STOPPED, ArmDiagnosis, CommonSize
 from hybrid_id.diagnosis.catalogue import brought
 from hybrid_id.diagnosis.errors_on_test import Errors
 from hybrid_id.diagnosis.grade import NEGLIGIBLE, RatedEffect
@@ -62,16 +62,18 @@ _REJECTED = "improbable, of a size that may be zero, or no help beside values of
 _DIFFERS = "nothing; values differ from record to record"
 _HOW = (
     "Each joint is searched by itself while the others move as they were measured, so that what a joint lacks shows in "
-    "its own motion. Shares and probabilities are those of the joint's own page. Then all joints are simulated, driven "
-    "by their commands alone: the re-fitted and the corrected robot are fitted once more as a whole, and the test "
-    "records measure them."
+    "its own motion. What its records cannot distinguish is then compared with all joints simulated, where it is a "
+    "tenth of the robot's gap or more, and what is claimed has to help there. As far as something remains at a joint, "
+    "what is named there may be the image of something else, which lowers its probability. Last, the re-fitted and the "
+    "corrected robot are fitted once more as a whole, driven by commands alone, and the test records measure them."
 )
 _PART = (
     "The gap is what the nominal model leaves of the train records after a re-fit of its parameters, beyond noise and "
     "what other values in each record explain: mean squares, the other joints moving as they were measured, each "
     "joint's errors taken relative to how far it moves. One joint often has nearly all of it, for a third of another's "
     "error is a ninth of its part. The interval of an effect's share reaches down to what it would be if values of "
-    "each record's own hid a gap at other joints. RMSE is of all joints simulated, so that what mends one joint may "
+    "each record's own hid a gap at other joints, and up to what it would be if small parts of other joints were none. "
+    "RMSE is of all joints simulated, so that what mends one joint may "
     "lower the errors of others."
 )
 _OF_ALL = (
@@ -104,7 +106,7 @@ def arm_headline(found: ArmDiagnosis) -> str:
             f"{percent(rest)} remains unexplained." if rest >= NEGLIGIBLE else "nothing structural remains."
         )
         if found.unknown:
-            there = joined(found.unknown_at)
+            there = joined(found.joints_with_unknown)
             sentence += (
                 f" What remains at {there} has a cause that the catalogue lacks, or several small ones."
             )
@@ -118,7 +120,9 @@ def arm_headline(found: ArmDiagnosis) -> str:
     else:
         sentence = _nothing_named(found)
     if found.interrupted:
-        sentence += " The search was interrupted: not all joints were diagnosed to the end."
+        lacking = STOPPED in found.skipped.values() or any(one.interrupted for one in found.joints.values())
+        what = "not all joints were diagnosed to the end" if lacking else "the whole robot was not checked"
+        sentence += f" The search was interrupted: {what}."
     return sentence
 
 

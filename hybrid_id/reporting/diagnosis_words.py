@@ -64,9 +64,8 @@ def _effects(diagnosis: Diagnosis) -> str:
     sentence = f"{capital(joined(said))} of the gap; {_remains(diagnosis)}."
     if diagnosis.unknown:
         more = diagnosis.remainder >= sum(one.share or 0.0 for one in diagnosis.selected)
-        sentence += (
-            f" {'More remains than is explained' if more else 'So much surely has a cause'}: {_CAUSES}."
-        )
+        least = f"At least {percent(diagnosis.remainder_interval[0])} of the gap has another cause"
+        sentence += f" {'More remains than is explained' if more else least}: {_CAUSES}."
     if unsure := [
         words_of(c.name) for c in chosen if c.share_interval is not None and c.share_interval[0] <= 0.0
     ]:

@@ -22,6 +22,7 @@ from hybrid_id.diagnosis.grade import (
     structural_share,
     tied_models,
     tied_sets,
+    together,
 )
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.screen import SelectionStep
@@ -302,6 +303,24 @@ def test_what_other_values_in_each_record_explain_is_no_part_of_a_robots_gap() -
         0.684
     )
     assert of_robot(found, (), 0.0).remainder == 0.0 and not of_robot(found, (), 0.0).unknown
+
+
+@pytest.mark.parametrize("left", [1.0, 0.3])
+@pytest.mark.parametrize("structural", [0.02, 0.29])
+def test_a_quiet_joint_of_a_robot_lacks_nothing_that_is_unknown(structural: float, left: float) -> None:
+    """All of what it leaves is its remainder, and next to nothing of that is structural."""
+    start = model(100.0)
+    quiet = grade(NONE, search((start, model(99.9, BIAS, seed=5)), chosen=start), structural)
+    assert not quiet.unknown and not of_robot(quiet, (), left).unknown
+
+
+def test_an_image_of_something_else_is_as_doubtful_with_a_rival_as_without() -> None:
+    alone = RatedEffect(*SPRING, 0.96, True, (), {}, share=0.6, share_interval=(0.5, 0.65))
+    tie = replace(alone, probability=0.5, tied_with=("@".join(WEIGHT),))
+    rival = RatedEffect(*WEIGHT, 0.46, False, ("@".join(SPRING),), {})
+    one = of_robot(Grade((alone,), 0.4, (0.3, 0.5), True, 10.0, 0.9), (), 1.0)
+    two = of_robot(Grade((tie, rival), 0.4, (0.3, 0.5), True, 10.0, 0.9), (), 1.0)
+    assert together(two.effects[0], two.effects) == pytest.approx(one.effects[0].probability)
 
 
 @pytest.mark.parametrize(("surely", "most", "unknown"), [(0.02, 0.6 / 0.85, False), (0.12, 0.6, True)])

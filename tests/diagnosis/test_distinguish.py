@@ -3,7 +3,10 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from gapcase import only
 from servo_arm import described, records_of
@@ -11,8 +14,11 @@ from servo_arm import described, records_of
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY, Component
 from hybrid_id.diagnosis.diagnose import Answer, answered
+from hybrid_id.diagnosis.distinguish import _compared, distinguished
 from hybrid_id.diagnosis.grade import tied_models, tied_sets, tied_step
-from hybrid_id.diagnosis.told_apart import told_apart
+from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.diagnosis.screen import SelectionStep
+from hybrid_id.diagnosis.validation import Validation
 from hybrid_id.systems.by_joint import alone, moving_records, with_others_measured
 from hybrid_id.systems.chain import System
 
@@ -45,9 +51,11 @@ def wrong_first(answer: Answer) -> Answer:
     """The answer as a few records less could have made it: its only rival before it."""
     step, (best, rival) = tied_step(answer.found, answer.searched.steps)
     assert step is not None
-    turned = replace(step, candidates=(rival, best))
+    turned, (leading,) = replace(step, candidates=(rival, best)), rival.effects
+    effects = tuple(replace(c, share=1.0 * ((c.name, c.where) == leading)) for c in answer.grade.effects)
     return replace(
         answer,
+        grade=replace(answer.grade, effects=effects),
         searched=replace(answer.searched, steps=(turned,), chosen=rival),
         found=replace(answer.found, steps=(turned,), chosen=rival),
     )
@@ -60,7 +68,7 @@ def test_a_wrong_zero_and_a_torque_at_the_load_are_two_things_to_the_neighbours(
     dataset = records_of(nominal.with_component(right[1], LAWS[right]))
     lift, elbow = (of_joint(dataset, nominal, joint) for joint in (1, 2))
     assert {model.effects for model in tied_models(lift.found)} == {(ZERO,), (TORQUE,)}
-    found = told_apart(dataset, nominal, {"lift": wrong_first(lift), "elbow": elbow})
+    found = distinguished(dataset, nominal, {"lift": wrong_first(lift), "elbow": elbow})
     (one,) = (effect for effect in found["lift"].grade.effects if effect.selected)
     assert (one.name, one.where) == right and found["lift"].found.chosen.effects == (right,)
     assert one.probability > 0.95 and not tied_sets(found["lift"].grade.effects)
@@ -71,7 +79,7 @@ def test_a_wrong_zero_and_a_torque_at_the_load_are_two_things_to_the_neighbours(
 
 def test_a_joint_without_neighbours_keeps_its_ties(nominal: System) -> None:
     lift = of_joint(records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE])), nominal, 1)
-    assert told_apart(records_of(nominal, 2), nominal, {"lift": lift}) == {"lift": lift}
+    assert distinguished(records_of(nominal, 2), nominal, {"lift": lift}) == {"lift": lift}
 
 
 def test_what_is_a_small_part_of_the_robots_gap_is_not_asked(
@@ -81,8 +89,8 @@ def test_what_is_a_small_part_of_the_robots_gap_is_not_asked(
     dataset = records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE]))
     answers = {name: of_joint(dataset, nominal, joint) for name, joint in (("lift", 1), ("elbow", 2))}
     parts = {"lift": 0.05, "elbow": 0.95}
-    monkeypatch.setattr("hybrid_id.diagnosis.told_apart.parts_of_gap", lambda *_: (parts, parts, parts))
-    assert told_apart(dataset, nominal, answers) == answers
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.parts_of_gap", lambda *_: (parts, parts, parts))
+    assert distinguished(dataset, nominal, answers) == answers
 
 
 def test_where_no_robot_can_be_fitted_the_joint_keeps_its_ties(
@@ -94,5 +102,30 @@ def test_where_no_robot_can_be_fitted_the_joint_keeps_its_ties(
     def fails(*_: object, **__: object) -> None:
         raise RuntimeError("diverged")
 
-    monkeypatch.setattr("hybrid_id.diagnosis.told_apart.kept_fit", fails)
-    assert told_apart(dataset, nominal, answers) == answers
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.kept_fit", fails)
+    assert distinguished(dataset, nominal, answers) == answers
+
+
+def test_a_rival_whose_records_do_not_accept_it_is_none(
+    nominal: System, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It could not stand alone, and the joint would be left with nothing."""
+    dataset = records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE]))
+    answers = {name: of_joint(dataset, nominal, joint) for name, joint in (("lift", 1), ("elbow", 2))}
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.accepted_ones", lambda step: [step.best])
+    assert distinguished(dataset, nominal, answers) == answers
+
+
+def test_fewer_parameters_are_no_merit_of_a_robot_that_errs_clearly_more() -> None:
+    def robot(error: float, parameters: int) -> Any:
+        blocks = error * (1.0 + 0.5 * np.random.default_rng(parameters).uniform(size=40))
+        found = Validation(blocks, np.ones(40), np.arange(40) // 10, 3000.0, np.arange(40) // 10)
+        names = tuple(map(str, range(parameters)))
+        return FittedModel((), SimpleNamespace(names=names, residual=[np.ones((9, 1))]), found, judged=False)  # type: ignore[arg-type]
+
+    step: Any = SelectionStep(robot(9.0, 3), ("rich", "poor"))  # type: ignore[arg-type]
+    best = _compared(step, ["rich", "poor"], [robot(1.0, 5), robot(8.0, 3)])  # type: ignore[list-item]
+    alike = _compared(step, ["rich", "poor"], [robot(1.0, 5), robot(1.02, 3)])  # type: ignore[list-item]
+    assert best is not None and best.candidates[0] == "rich"
+    assert alike is not None and alike.candidates[0] == "poor"
+    assert best.odds[0] == alike.odds[0] == 0.0 and best.odds[1] < 0.0 and alike.odds[1] < 0.0

@@ -1,4 +1,4 @@
-"""Explanations that a joint's own records cannot distinguish, told apart by the motion of all joints.
+"""Explanations that a joint's own records cannot distinguish, distinguished by the motion of all joints.
 
 A joint by itself takes the others as they were measured. To it a wrong zero of its encoder and a torque at its load may
 be one and the same: either shifts the angle that is measured. To its neighbours they are two things: with the torque
@@ -15,11 +15,12 @@ from dataclasses import replace
 import numpy as np
 
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer, freeze
-from hybrid_id.diagnosis.fits import FULL, engine
+from hybrid_id.diagnosis.diagnose import Answer, freeze, in_words
+from hybrid_id.diagnosis.fits import FULL, engine, with_priors_of
 from hybrid_id.diagnosis.grade import tied_step
-from hybrid_id.diagnosis.model import FittedModel
-from hybrid_id.diagnosis.screen import SelectionStep, log_odds_at
+from hybrid_id.diagnosis.model import FittedModel, added_effect
+from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds_at
+from hybrid_id.diagnosis.select import accepted_ones
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.diagnosis.whole_robot import WholeRobot, parts_of_gap
 from hybrid_id.errors import InputError
@@ -31,17 +32,19 @@ from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
 
-def told_apart(
+def distinguished(
     dataset: Dataset,
     nominal: System,
     answers: Mapping[str, Answer],
     *,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
+    progress: Progress | None = None,
 ) -> dict[str, Answer]:
     """The joints' answers, each with that of its indistinguishable explanations which all joints make most probable.
 
-    Of what explains a substantial share of the robot's gap: a fit of a whole robot costs as much as a joint's search.
+    Of one tie a joint, where it explains a substantial share of the robot's gap: a fit of a whole robot costs as much
+    as a joint's search. Joints whose search has gone over short runs and then whole ones keep their ties.
 
     Args:
         dataset: of the whole robot.
@@ -49,41 +52,60 @@ def told_apart(
         answers: of the joints by themselves, by name.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+        progress: called with (stage, done, total).
     """
-    found = dict(answers)
-    open_ = {
-        name: tied
-        for name, one in answers.items()
-        if (tied := tied_step(one.found, one.searched.steps))[0] is not None and one.searched.near is None
-    }
-    if not open_ or len(answers) < 2:
+    found, ties = dict(answers), {name: tie for name, one in answers.items() if (tie := _tie(one))}
+    if not ties or len(answers) < 2:
         return found
     robot = WholeRobot(dataset, nominal, answers, signal_share)
     each = {
         n: (one.fits.dataset, one.found.base.system, one.grade.beyond_floor) for n, one in answers.items()
     }
     parts, *_ = parts_of_gap(each, robot.horizon, signal_share)
-    for name, (step, equals) in sorted(open_.items(), key=lambda one: -parts[one[0]]):
-        answer = found[name]
-        if step is None or parts[name] * answer.grade.explained < CRITERIA.substantial:
-            continue
-        chosen = {joint: one.searched.chosen for joint, one in found.items()}
+    large = [name for name, (_, share, _) in ties.items() if parts[name] * share >= CRITERIA.substantial]
+    for k, name in enumerate(sorted(large, key=lambda name: -parts[name])):
+        if progress is not None:
+            progress("the whole robot", k, len(large) + 1)
+        answer, (step, _, equals) = found[name], ties[name]
+        chosen = {joint: _held(one) for joint, one in found.items()}
         compared = _compared(step, equals, [_fitted(robot, chosen | {name: one}) for one in equals])
         if compared is None:
             continue
-        first, before = compared.candidates[0], answer.searched
-        chosen_now = before.chosen if first.effects == before.chosen.effects else first
-        searched = replace(before, chosen=chosen_now, steps=(*before.steps, compared))
+        first, searched = compared.candidates[0], answer.searched
+        now = searched.chosen if first.effects == searched.chosen.effects else first
+        searched = replace(searched, chosen=now, steps=(*searched.steps, compared))
         again = freeze(answer.fits, searched, robot.drives[name], seed=seed)
-        found[name] = replace(again, rejected=tuple(dict.fromkeys((*answer.rejected, *again.rejected))))
+        if again.found.chosen.effects == first.effects:
+            rejected = dict.fromkeys((*answer.rejected, *again.rejected))
+            kept = tuple(words for words in rejected if words not in map(in_words, first.effects))
+            found[name] = replace(again, rejected=kept)
     return found
 
 
-def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel | None:
-    """The whole robot with these models of its joints, fitted to the train records; None where that fails.
+def _tie(answer: Answer) -> tuple[SelectionStep, float, list[FittedModel]] | None:
+    """The step that has left a joint's explanations open, the share of that which leads, and these; None without any.
 
-    Held by the priors of the search: free, its drives take much of what a wrong explanation leaves.
+    Of those that its records accept by themselves: another is none that could stand alone.
     """
+    step, equals = tied_step(answer.found, answer.searched.steps)
+    if step is None or step.best is None or answer.searched.near is not None:
+        return None
+    accepted = accepted_ones(step)
+    able = [one for one in equals if one in accepted]
+    lead = added_effect(step.best, step.before)
+    share = next((c.share for c in answer.grade.effects if (c.name, c.where) == lead), None)
+    return (step, share or 0.0, able) if len(able) > 1 and step.best in able else None
+
+
+def _held(answer: Answer) -> FittedModel:
+    """A joint's asserted model, held by the priors of the search: free, drives take much of what a wrong one leaves."""
+    model = answer.found.chosen
+    held = with_priors_of(model.system, answer.searched.base.system)
+    return replace(model, result=replace(model.result, system=held))
+
+
+def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel | None:
+    """The whole robot with these models of its joints, fitted to the train records; None where that fails."""
     try:
         system = robot.system(models, held=True)
         batch = batch_of(robot.records, system, robot.records.train, robot.signal_share, "cpu")
@@ -110,6 +132,8 @@ def _compared(
 
     def odds(robot: FittedModel) -> float:
         further = len(robot.result.names) - len(best.result.names)
+        if best.validation.fall(robot.validation) > CRITERIA.distinct_fall:
+            further = max(further, 0)  # fewer parameters are no merit of what errs clearly more
         cost = 0.5 * further * math.log(max(best.validation.effective, 1.0))
         return (log_odds_at(max(best.ahead_of(robot), 0.0)) if robot is not best else 0.0) - cost
 
