@@ -175,7 +175,7 @@ class ArmDiagnosis:
 
     @property
     def tied(self) -> dict[str, tuple[tuple[str, ...], ...]]:
-        """Groups of effects that a joint's records cannot distinguish, by joint, as the joint by itself has them.
+        """Groups of effects that the records cannot distinguish, by joint, as the joint by itself has them.
 
         Of what explains more than next to nothing of the robot's gap: for less nobody records anew.
         """
@@ -334,12 +334,8 @@ def diagnose_arm(
     _raise_without_any(found, skipped)
     answers = {name: answer for name, (_, answer) in found.items()}
     if not stopped:  # who stops waits for no more fits
-        if progress is not None:
-            progress("the whole robot", 0, 1)
-        both: dict[str, Any] = {"seed": seed, "signal_share": signal_share}
         try:
-            answers = distinguished(dataset, system, answers, **both, progress=progress)
-            answers = borne_out(dataset, system, answers, **both)
+            answers = _checked(dataset, system, answers, seed, signal_share, progress)
         except KeyboardInterrupt:
             stopped = True
     done = dict[str, Diagnosis]()
@@ -353,6 +349,21 @@ def diagnose_arm(
             skipped[name] = str(error).removesuffix(".")
     _raise_without_any(done, skipped)
     return _of_whole_robot(dataset, system, done, skipped, stopped, seed, signal_share)
+
+
+def _checked(
+    dataset: Dataset,
+    system: System,
+    answers: Mapping[str, Answer],
+    seed: int,
+    signal_share: float,
+    progress: Progress | None,
+) -> dict[str, Answer]:
+    """The joints' answers as the whole robot leaves them: ties that it settles, and claims that help there."""
+    if progress is not None:
+        progress("the whole robot", 0, 1)
+    settled = distinguished(dataset, system, answers, seed=seed, signal_share=signal_share, progress=progress)
+    return borne_out(dataset, system, settled, seed=seed, signal_share=signal_share)
 
 
 def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:
@@ -395,8 +406,7 @@ def _of_whole_robot(
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
     each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
-    parts, least, most = parts_of_gap(each, horizon, signal_share)
-    bounds, known = {name: (least[name], most[name]) for name in parts}, estimates_of(whole)
+    (parts, bounds), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,
         nominal_errors, before, after, gap, contradiction, stopped,

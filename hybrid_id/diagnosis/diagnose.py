@@ -383,7 +383,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     The last effect that is not sure enough is dropped, and both are done again for the rest.
     """
     searched, before = found, tuple(locate(fits, found.base))
-    rejected = [in_words(name) for name in found.refuted]
+    rejected = [_in_words(name) for name in found.refuted]
     while True:
         chosen = found.chosen
         after = before if chosen is found.base else tuple(locate(fits, chosen))
@@ -398,7 +398,7 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
         if not unsure:
             break
         name = unsure[-1]
-        rejected.append(in_words(name))
+        rejected.append(_in_words(name))
         rest = refitted_without(fits, found.base, found.chosen, name) if len(chosen.effects) > 1 else None
         found = replace(found, chosen=rest or found.base)
     nothing = not found.chosen.effects and not graded.unknown and not varying
@@ -411,7 +411,18 @@ def freeze(fits: Fits, found: Selection, system: System, *, seed: int = 0) -> An
     )
 
 
-def in_words(name: Name) -> str:
+def frozen_again(answer: Answer, searched: Selection, system: System, *, seed: int = 0) -> Answer:
+    """A joint's answer frozen once more, by a search that the whole robot has changed; what was rejected stays so.
+
+    But for what the robot has chosen instead.
+    """
+    again = freeze(answer.fits, searched, system, seed=seed)
+    chosen = [_in_words(name) for name in again.found.chosen.effects]
+    words = dict.fromkeys((*answer.rejected, *again.rejected))
+    return replace(again, rejected=tuple(one for one in words if one not in chosen))
+
+
+def _in_words(name: Name) -> str:
     """An effect and its place."""
     return f"{name[0]} at {name[1]}"
 

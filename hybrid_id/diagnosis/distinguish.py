@@ -12,23 +12,16 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer, freeze, in_words
-from hybrid_id.diagnosis.fits import FULL, engine, with_priors_of
+from hybrid_id.diagnosis.diagnose import Answer, frozen_again
 from hybrid_id.diagnosis.grade import tied_step
 from hybrid_id.diagnosis.model import FittedModel, added_effect
 from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds_at
 from hybrid_id.diagnosis.select import accepted_ones
 from hybrid_id.diagnosis.validation import validation
-from hybrid_id.diagnosis.whole_robot import WholeRobot, parts_of_gap
-from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import kept_fit
-from hybrid_id.identification.least_squares import Options
+from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, parts_of_gap, train_rows
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
 
@@ -61,24 +54,22 @@ def distinguished(
     each = {
         n: (one.fits.dataset, one.found.base.system, one.grade.beyond_floor) for n, one in answers.items()
     }
-    parts, *_ = parts_of_gap(each, robot.horizon, signal_share)
+    parts, _ = parts_of_gap(each, robot.horizon, signal_share)
     large = [name for name, (_, share, _) in ties.items() if parts[name] * share >= CRITERIA.substantial]
     for k, name in enumerate(sorted(large, key=lambda name: -parts[name])):
         if progress is not None:
             progress("the whole robot", k, len(large) + 1)
         answer, (step, _, equals) = found[name], ties[name]
-        chosen = {joint: _held(one) for joint, one in found.items()}
+        chosen = {joint: held(one.found.chosen, one.searched.base) for joint, one in found.items()}
         compared = _compared(step, equals, [_fitted(robot, chosen | {name: one}) for one in equals])
         if compared is None:
             continue
         first, searched = compared.candidates[0], answer.searched
         now = searched.chosen if first.effects == searched.chosen.effects else first
         searched = replace(searched, chosen=now, steps=(*searched.steps, compared))
-        again = freeze(answer.fits, searched, robot.drives[name], seed=seed)
+        again = frozen_again(answer, searched, robot.drives[name], seed=seed)
         if again.found.chosen.effects == first.effects:
-            rejected = dict.fromkeys((*answer.rejected, *again.rejected))
-            kept = tuple(words for words in rejected if words not in map(in_words, first.effects))
-            found[name] = replace(again, rejected=kept)
+            found[name] = again
     return found
 
 
@@ -97,28 +88,18 @@ def _tie(answer: Answer) -> tuple[SelectionStep, float, list[FittedModel]] | Non
     return (step, share or 0.0, able) if len(able) > 1 and step.best in able else None
 
 
-def _held(answer: Answer) -> FittedModel:
-    """A joint's asserted model, held by the priors of the search: free, drives take much of what a wrong one leaves."""
-    model = answer.found.chosen
-    held = with_priors_of(model.system, answer.searched.base.system)
-    return replace(model, result=replace(model.result, system=held))
-
-
 def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel | None:
-    """The whole robot with these models of its joints, fitted to the train records; None where that fails."""
+    """The whole robot with these models of its joints, fitted to the train records; None where that fails.
+
+    Held by the priors of the search: free, its drives take much of what a wrong explanation leaves.
+    """
     try:
         system = robot.system(models, held=True)
-        batch = batch_of(robot.records, system, robot.records.train, robot.signal_share, "cpu")
-        batch = robot.horizon.cut(system, engine(), batch)
-        options = Options(max_iterations=FULL)
-        fit = kept_fit(robot.kept, system, batch, pooled=True, engine=engine(), options=options, warm=False)[
-            0
-        ]
-    except (InputError, RuntimeError, np.linalg.LinAlgError):
+        rows = train_rows(robot.records, system, robot.horizon, robot.signal_share)
+        fit = fitted(system, rows, robot.kept)
+    except UNFITTED:
         return None
-    if not all(np.isfinite(piece).all() for piece in fit.residual):
-        return None
-    return FittedModel((), fit, validation(fit.residual, batch.sample_time, batch.names), judged=False)
+    return FittedModel((), fit, validation(fit.residual, rows.sample_time, rows.names), judged=False)
 
 
 def _compared(

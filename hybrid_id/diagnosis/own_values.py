@@ -7,7 +7,7 @@ joint takes a part of it for something missing. An effect that a robot lacks sho
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,25 +16,19 @@ import torch
 from hybrid_id.components.base import Shared
 from hybrid_id.diagnosis.catalogue import CATALOGUE, brought
 from hybrid_id.diagnosis.criteria import CRITERIA
-from hybrid_id.diagnosis.diagnose import Answer, freeze
-from hybrid_id.diagnosis.fits import FULL, engine, with_priors_of
+from hybrid_id.diagnosis.diagnose import Answer, frozen_again
 from hybrid_id.diagnosis.grade import of_robot
 from hybrid_id.diagnosis.model import FittedModel, Name
 from hybrid_id.diagnosis.per_record import PerRecord, scatter, structural
 from hybrid_id.diagnosis.select import refitted_without
 from hybrid_id.diagnosis.validation import mean_square
-from hybrid_id.diagnosis.whole_robot import WholeRobot
-from hybrid_id.errors import InputError
-from hybrid_id.identification.fit import kept_fit
+from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, train_rows
 from hybrid_id.identification.horizons import Horizon
 from hybrid_id.identification.keep import Kept
-from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.units import number_of, stem
-from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
-from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.chain import System
 
 
@@ -120,17 +114,12 @@ def own_values(
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         kept: fits that an earlier run has kept, and where these are kept.
     """
-
-    def fitted(one: System, some_rows: Batch) -> FitResult:
-        options = Options(max_iterations=FULL)
-        return kept_fit(kept, one, some_rows, pooled=True, engine=engine(), options=options, warm=False)[0]
-
     found = list[FitResult]()
     try:
-        batch = horizon.cut(system, engine(), batch_of(dataset, system, dataset.train, signal_share, "cpu"))
-        common, names = fitted(system, batch), np.array(batch.names)
+        batch = train_rows(dataset, system, horizon, signal_share)
+        common, names = fitted(system, batch, kept), np.array(batch.names)
         # by bounds that meet, so that compiled steps, which are made for what a fit estimates, are those of `common`
-        held = {
+        fixed = {
             info.name: replace(
                 info.spec, lower=info.spec.value, upper=info.spec.value, prior_mean=None, prior_std=None
             )
@@ -139,11 +128,10 @@ def own_values(
         }
         for name in dict.fromkeys(batch.names):
             rows = torch.as_tensor(np.flatnonzero(names == name))
-            found.append(fitted(common.system.with_specs(held), batch.take(rows)))
-    except (InputError, RuntimeError, np.linalg.LinAlgError):
+            found.append(fitted(common.system.with_specs(fixed), batch.take(rows), kept))
+    except UNFITTED:
         return None
-    sound = all(np.isfinite(piece).all() for one in (common, *found) for piece in one.residual)
-    return OwnValues(common, tuple(found), tuple(batch.outputs)) if sound else None
+    return OwnValues(common, tuple(found), tuple(batch.outputs))
 
 
 def helps(richer: OwnValues, simpler: OwnValues, joint: str) -> bool:
@@ -202,7 +190,8 @@ def borne_out(
         if seen is not None and not rest.effects and seen.explain(robot.key(name)):
             own = PerRecord(rest, 0.0, scatter(seen.of_joint(robot.key(name))), True)
         if refuted or own is not None:
-            found[name] = _again(answers[name], rest, own, refuted, robot.drives[name], seed)
+            searched = replace(answers[name].searched, chosen=rest, own=own, refuted=tuple(refuted))
+            found[name] = frozen_again(answers[name], searched, robot.drives[name], seed=seed)
     return _rated(found, {} if now is None else {name: now.left(robot.key(name)) for name in found})
 
 
@@ -214,20 +203,6 @@ def _rated(answers: Mapping[str, Answer], left: Mapping[str, float]) -> dict[str
         name: replace(one, grade=of_robot(one.grade, one.searched.refuted, left.get(name, 1.0)))
         for name, one in answers.items()
     }
-
-
-def _again(
-    answer: Answer,
-    chosen: FittedModel,
-    own: PerRecord | None,
-    refuted: Sequence[Name],
-    nominal: System,
-    seed: int,
-) -> Answer:
-    """A joint's answer frozen once more, with what the robot has refuted."""
-    found = replace(answer.searched, chosen=chosen, own=own, refuted=tuple(refuted))
-    again = freeze(answer.fits, found, nominal, seed=seed)
-    return replace(again, rejected=tuple(dict.fromkeys((*answer.rejected, *again.rejected))))
 
 
 def _own_values(robot: WholeRobot, models: Mapping[str, FittedModel]) -> OwnValues | None:
@@ -259,5 +234,4 @@ def _rest(answer: Answer, model: FittedModel, effect: Name) -> FittedModel | Non
     base = answer.searched.base
     if len(model.effects) == 1:
         return base
-    held = replace(model, result=replace(model.result, system=with_priors_of(model.system, base.system)))
-    return refitted_without(answer.fits, base, held, effect)
+    return refitted_without(answer.fits, base, held(model, base), effect)

@@ -3,19 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.errors_on_test import errors
-from hybrid_id.diagnosis.fits import engine, without_priors
+from hybrid_id.diagnosis.fits import FULL, engine, with_priors_of, without_priors
 from hybrid_id.diagnosis.model import FittedModel
+from hybrid_id.errors import InputError
+from hybrid_id.identification.fit import kept_fit
 from hybrid_id.identification.horizons import Horizon, shortest
+from hybrid_id.identification.keep import Kept
+from hybrid_id.identification.least_squares import Options
+from hybrid_id.identification.result import FitResult
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.records.derivatives import noise_level
+from hybrid_id.simulation.batch import Batch
+from hybrid_id.study.replays import batch_of
 from hybrid_id.systems.by_joint import alone, joint_number, some, with_drive, with_others_measured
 from hybrid_id.systems.chain import System
+
+UNFITTED = InputError, RuntimeError, np.linalg.LinAlgError
+"""What :func:`train_rows` and :func:`fitted` raise where a robot cannot be fitted."""
 
 
 class WholeRobot:
@@ -53,9 +64,32 @@ class WholeRobot:
         return robot if self.every else some(robot, list(self.numbers.values()))
 
 
+def train_rows(dataset: Dataset, system: System, horizon: Horizon, signal_share: float) -> Batch:
+    """The train records of a robot as its fits take them."""
+    return horizon.cut(system, engine(), batch_of(dataset, system, dataset.train, signal_share, "cpu"))
+
+
+def fitted(system: System, rows: Batch, kept: Kept | None) -> FitResult:
+    """One set of a robot's values for all rows, fitted to the end.
+
+    Raises:
+        RuntimeError: its free runs diverge, or run away from the end of the fit.
+    """
+    options = Options(max_iterations=FULL)
+    found = kept_fit(kept, system, rows, pooled=True, engine=engine(), options=options, warm=False)[0]
+    if not all(np.isfinite(piece).all() for piece in found.residual):
+        raise RuntimeError("The fitted robot runs away.")
+    return found
+
+
+def held(model: FittedModel, base: FittedModel) -> FittedModel:
+    """A joint's model held by the priors of the search, as its base is."""
+    return replace(model, result=replace(model.result, system=with_priors_of(model.system, base.system)))
+
+
 def parts_of_gap(
     found: Mapping[str, tuple[Dataset, System, float]], horizon: Horizon, signal_share: float
-) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
+) -> tuple[dict[str, float], dict[str, tuple[float, float]]]:
     """Share of each diagnosed joint in the robot's gap on train records, and the least and the most that it may be.
 
     The least if whatever the others leave beyond noise were gap: other values in each record may hide that something is
@@ -83,11 +117,14 @@ def parts_of_gap(
     every, whole = sum(beyond.values()), sum(gap.values())
     if every == 0.0:
         even = dict.fromkeys(found, 1.0 / len(found))
-        return even, even, even
+        return even, {name: (share, share) for name, share in even.items()}
     if whole == 0.0:
         gap, whole = beyond, every
-    least = {name: size / max(size + every - beyond[name], 1e-300) for name, size in gap.items()}
     parts = {name: size / whole for name, size in gap.items()}
     large = sum(part for part in parts.values() if part >= CRITERIA.substantial)
-    most = {n: part / max(large + part * (part < CRITERIA.substantial), 1e-300) for n, part in parts.items()}
-    return parts, least, most
+
+    def bounds(name: str, part: float) -> tuple[float, float]:
+        least = gap[name] / max(gap[name] + every - beyond[name], 1e-300)
+        return least, part / max(large + part * (part < CRITERIA.substantial), 1e-300)
+
+    return parts, {name: bounds(name, part) for name, part in parts.items()}

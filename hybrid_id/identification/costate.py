@@ -18,7 +18,14 @@ from torch import Tensor, nn
 
 from hybrid_id.identification.objective import Loss
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.lifted import Linearisation, condense, lanes_at_once, linearise, linearise_outputs
+from hybrid_id.simulation.lifted import (
+    Linearisation,
+    condense,
+    lanes_at_once,
+    linearise,
+    linearise_outputs,
+    slices,
+)
 from hybrid_id.simulation.rollout import rollout
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System
@@ -111,8 +118,7 @@ def _held(weights: Sequence[nn.Parameter]) -> Iterator[None]:
 def _pieces(batch: Batch) -> list[slice]:
     """Pieces of the samples that are worked on one after the other, so that memory does not grow with a record."""
     rows, samples = batch.dt.shape
-    length = max(lanes_at_once(batch.x) // rows, SHORTEST)
-    return [slice(begin, min(begin + length, samples)) for begin in range(0, samples, length)]
+    return slices(samples, max(lanes_at_once(batch.x) // rows, SHORTEST))
 
 
 def _cut(batch: Batch, piece: slice) -> Batch:
@@ -249,9 +255,7 @@ def _parameters(
     flat_x, flat_dt = x.reshape(lanes, n_x), batch.dt.reshape(lanes)
     flat_u = {name: channel.reshape(lanes) for name, channel in batch.u.items()}
     pull, push = arriving.reshape(lanes, n_x), slope.reshape(lanes, -1)
-    at_once = lanes_at_once(x)
-    for begin in range(0, lanes, at_once):
-        block = slice(begin, min(begin + at_once, lanes))
+    for block in slices(lanes, lanes_at_once(x)):
         row = row_of[block]
         values = list(theta[:, row].unbind(0))
         for position, index in enumerate(free):

@@ -18,7 +18,7 @@ from hybrid_id.components.bristle import relax
 from hybrid_id.components.residual import ResidualNetwork
 from hybrid_id.identification.costate import linearise_sorted
 from hybrid_id.simulation.batch import Batch
-from hybrid_id.simulation.lifted import Linearisation
+from hybrid_id.simulation.lifted import Linearisation, slices
 from hybrid_id.simulation.solvers import OdeEngine
 from hybrid_id.systems.chain import System
 from hybrid_id.systems.networks import HARMONIC, LINK_PLACES, Networks
@@ -155,12 +155,11 @@ def linearise_with_weights(
     rows, samples, n_x = x.shape
     flat, dt = x.reshape(-1, n_x), batch.dt.reshape(-1)
     u, spread = {n: c.reshape(-1) for n, c in batch.u.items()}, theta.repeat_interleave(samples, 1)
-    blocks = [slice(k, k + LANES) for k in range(0, len(dt), LANES)]
     found = [
         _by_weights(
             system, engine, flat[b], {n: c[b] for n, c in u.items()}, dt[b], spread[:, b], batch.outputs
         )
-        for b in blocks
+        for b in slices(len(dt), LANES)
     ]
     later, now = (torch.cat(part).unflatten(0, (rows, samples)) for part in zip(*found, strict=True))
     return replace(lin, b=torch.cat([lin.b, later], -1), d=torch.cat([lin.d, now], -1))

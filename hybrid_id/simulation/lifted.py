@@ -45,6 +45,11 @@ def lanes_at_once(x: Tensor) -> int:
     return LANES if x.device.type == "cpu" else ON_GPU
 
 
+def slices(count: int, length: int) -> list[slice]:
+    """Blocks of so many at most, one after the other."""
+    return [slice(begin, min(begin + length, count)) for begin in range(0, count, length)]
+
+
 @dataclass(frozen=True)
 class Outputs:
     """Simulated outputs at all nodes, with their Jacobians.
@@ -120,9 +125,7 @@ def linearise(
     jacobian = x.new_zeros(n_x, columns, lanes)
     row_of = torch.arange(rows, device=x.device).repeat_interleave(samples)
     theta_rows = theta[:, :1] if bool((theta == theta[:, :1]).all()) else theta
-    at_once = lanes_at_once(x)
-    for start in range(0, lanes, at_once):
-        block = slice(start, min(start + at_once, lanes))
+    for block in slices(lanes, lanes_at_once(x)):
         row = row_of[block]
         leaves = [column.contiguous().requires_grad_() for column in flat_x[block].unbind(1)]
         values: list[Tensor] = [t if t.shape[0] == 1 else t[row] for t in theta_rows]

@@ -47,6 +47,17 @@ def of_joint(dataset: Dataset, nominal: System, joint: int) -> Answer:
     )[1]
 
 
+@pytest.fixture(scope="module")
+def biased(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, dict[str, Answer]]:
+    """Records of an arm with a torque at one joint, and what that and its neighbour say by themselves."""
+    nominal = described(tmp_path_factory.mktemp("biased"))
+    dataset = records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE]))
+    with only("encoder_zero", "constant_torque"):
+        return dataset, {
+            name: of_joint(dataset, nominal, joint) for name, joint in (("lift", 1), ("elbow", 2))
+        }
+
+
 def wrong_first(answer: Answer) -> Answer:
     """The answer as a few records less could have made it: its only rival before it."""
     step, (best, rival) = tied_step(answer.found, answer.searched.steps)
@@ -77,41 +88,41 @@ def test_a_wrong_zero_and_a_torque_at_the_load_are_two_things_to_the_neighbours(
     assert found["elbow"] is elbow
 
 
-def test_a_joint_without_neighbours_keeps_its_ties(nominal: System) -> None:
-    lift = of_joint(records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE])), nominal, 1)
-    assert distinguished(records_of(nominal, 2), nominal, {"lift": lift}) == {"lift": lift}
+def test_a_joint_without_neighbours_keeps_its_ties(
+    nominal: System, biased: tuple[Dataset, dict[str, Answer]]
+) -> None:
+    dataset, answers = biased
+    lift = {"lift": answers["lift"]}
+    assert distinguished(dataset, nominal, lift) == lift
 
 
 def test_what_is_a_small_part_of_the_robots_gap_is_not_asked(
-    nominal: System, monkeypatch: pytest.MonkeyPatch
+    nominal: System, biased: tuple[Dataset, dict[str, Answer]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A fit of all joints costs as much as the search of one."""
-    dataset = records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE]))
-    answers = {name: of_joint(dataset, nominal, joint) for name, joint in (("lift", 1), ("elbow", 2))}
+    dataset, answers = biased
     parts = {"lift": 0.05, "elbow": 0.95}
-    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.parts_of_gap", lambda *_: (parts, parts, parts))
+    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.parts_of_gap", lambda *_: (parts, {}))
     assert distinguished(dataset, nominal, answers) == answers
 
 
 def test_where_no_robot_can_be_fitted_the_joint_keeps_its_ties(
-    nominal: System, monkeypatch: pytest.MonkeyPatch
+    nominal: System, biased: tuple[Dataset, dict[str, Answer]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    dataset = records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE]))
-    answers = {name: of_joint(dataset, nominal, joint) for name, joint in (("lift", 1), ("elbow", 2))}
+    dataset, answers = biased
 
     def fails(*_: object, **__: object) -> None:
         raise RuntimeError("diverged")
 
-    monkeypatch.setattr("hybrid_id.diagnosis.distinguish.kept_fit", fails)
+    monkeypatch.setattr("hybrid_id.diagnosis.whole_robot.kept_fit", fails)
     assert distinguished(dataset, nominal, answers) == answers
 
 
 def test_a_rival_whose_records_do_not_accept_it_is_none(
-    nominal: System, monkeypatch: pytest.MonkeyPatch
+    nominal: System, biased: tuple[Dataset, dict[str, Answer]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It could not stand alone, and the joint would be left with nothing."""
-    dataset = records_of(nominal.with_component(TORQUE[1], LAWS[TORQUE]))
-    answers = {name: of_joint(dataset, nominal, joint) for name, joint in (("lift", 1), ("elbow", 2))}
+    dataset, answers = biased
     monkeypatch.setattr("hybrid_id.diagnosis.distinguish.accepted_ones", lambda step: [step.best])
     assert distinguished(dataset, nominal, answers) == answers
 

@@ -13,7 +13,7 @@ from servo_arm import described, records_of
 from hybrid_id import Dataset
 from hybrid_id.components import REGISTRY
 from hybrid_id.components.load.base_tilt import BaseTilt
-from hybrid_id.diagnosis import own_values as module
+from hybrid_id.diagnosis import whole_robot
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import answered
 from hybrid_id.diagnosis.fits import FULL, Task
@@ -56,7 +56,7 @@ def test_a_robot_that_runs_away_decides_nothing(nominal: System, monkeypatch: py
         (one,) = kept_fit(*given, **settings)
         return [replace(one, residual=(*one.residual[:-1], np.full_like(one.residual[-1], np.nan)))]
 
-    monkeypatch.setattr(module, "kept_fit", lost)
+    monkeypatch.setattr(whole_robot, "kept_fit", lost)
     assert own_values(records_of(nominal), nominal, (), WHOLE) is None
 
 
