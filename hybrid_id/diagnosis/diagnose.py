@@ -276,11 +276,11 @@ def search(
                 if not best.no_structure and (own := _own_values(fits, base, system)) is not None:
                     return fits, Selection(base, (first,), base, own=own)
             if _adds_up(fits, base, best, system):
-                few = None if first is None else _rivals(first) or None
+                few = None if first is None or _left(first) > CRITERIA.left_open else _rivals(first) or None
                 short = _short_runs(fits, system)
                 if short is not None:
                     step = selection_step(*short, system, among=few, progress=progress)
-                    if first is None or _rivalry(step) < _rivalry(first):
+                    if first is None or _shows_more(step, first):
                         whole = None if first is None else (fits, base, first)
                         (fits, base), first = short, step
         found = select(
@@ -345,6 +345,24 @@ def _short_runs(fits: Fits, system: System) -> tuple[Fits, FittedModel] | None:
         if not start.no_structure and mean_square(start.result.residual) >= CRITERIA.negligible**2:
             return pieces, start
     return None
+
+
+def _shows_more(short: SelectionStep, whole: SelectionStep) -> bool:
+    """Whether short runs say more of what is missing than whole ones: surer which it is, or next to all of it.
+
+    Where no fit over whole runs follows the records, the least wrong one may have no rival: it has lost its way.
+    """
+    if _left(short) < CRITERIA.left_open * _left(whole):
+        return True
+    few = _rivals(whole)
+    alike = [e for e in short.candidates if not few or added_effect(e, short.before) in few]
+    return _rivalry(replace(short, candidates=tuple(alike))) < _rivalry(whole)
+
+
+def _left(step: SelectionStep) -> float:
+    """Share of the simpler model's mean square that the best candidate leaves, on records left out."""
+    best = min((e.error for e in step.candidates if e.judged), default=step.before.error)
+    return best / max(step.before.error, 1e-300)
 
 
 def _rivalry(step: SelectionStep) -> float:

@@ -12,6 +12,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer, frozen_again
 from hybrid_id.diagnosis.grade import tied_step
@@ -96,10 +98,13 @@ def _fitted(robot: WholeRobot, models: Mapping[str, FittedModel]) -> FittedModel
     try:
         system = robot.system(models, held=True)
         rows = train_rows(robot.records, system, robot.horizon, robot.signal_share)
-        fit = fitted(system, rows, robot.kept)
+        fit, names = fitted(system, rows, robot.kept), list(dict.fromkeys(rows.names))
     except UNFITTED:
         return None
-    return FittedModel((), fit, validation(fit.residual, rows.sample_time, rows.names), judged=False)
+    # windows of a record err for the same reasons: records are the witnesses
+    whole = [[fit.residual[k] for k in np.flatnonzero(np.array(rows.names) == name)] for name in names]
+    seen = validation([np.concatenate(own) for own in whole], rows.sample_time, names)
+    return FittedModel((), fit, seen, judged=False)
 
 
 def _compared(

@@ -36,6 +36,7 @@ from hybrid_id.identification.leave_one_out import folds, leave_one_out, started
 from hybrid_id.identification.restarts import confirmed, perturbed_restarts
 from hybrid_id.identification.result import FitResult
 from hybrid_id.identification.windows import hidden_links
+from hybrid_id.parameters import Bounded
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.batch import Batch
 from hybrid_id.simulation.compiled import compiler_works
@@ -272,7 +273,7 @@ def with_priors_of(system: System, other: System) -> System:
     """The same model with its parameters held as another one holds those that both have."""
     given = {(info.component, info.symbol): info.spec for info in other.table}
     held = {
-        info.name: replace(info.spec, prior_mean=spec.prior_mean, prior_std=spec.prior_std)
+        info.name: _held(info.spec, spec.prior_mean, spec.prior_std)
         for info in system.table
         if (spec := given.get((info.component, info.symbol))) is not None
     }
@@ -289,8 +290,14 @@ def _prior_on_known(
         if spec is None or not spec.estimate or spec.value == 0.0 or "_friction/" in info.component:
             continue
         mean, std = prior(spec.value)
-        priors[info.name] = replace(info.spec, prior_mean=mean, prior_std=std)
+        priors[info.name] = _held(info.spec, mean, std)
     return system.with_specs(priors)
+
+
+def _held(spec: Bounded, mean: float | None, std: float | None) -> Bounded:
+    """A parameter with a prior, or without: from where no fit could bring it back it begins at the prior's mean."""
+    far = mean is not None and std is not None and std < NARROWEST * abs(spec.value)
+    return replace(spec.at(mean) if far else spec, prior_mean=mean, prior_std=std)
 
 
 def _kept(fits: Fits, task: Task, iterations: int, halting: bool) -> FittedModel | Unfitted:
