@@ -27,10 +27,10 @@ from hybrid_id.diagnosis.own_values import borne_out
 from hybrid_id.diagnosis.result import Diagnosis, effect_entry, gap_entry
 from hybrid_id.diagnosis.screen import Progress
 from hybrid_id.diagnosis.select import MAX_EFFECTS
-from hybrid_id.diagnosis.whole_robot import parts_of_gap
+from hybrid_id.diagnosis.whole_robot import common_horizon, parts_of_gap
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import fit
-from hybrid_id.identification.horizons import WHOLE, Horizon, shortest
+from hybrid_id.identification.horizons import WHOLE, Horizon
 from hybrid_id.identification.keep import Kept
 from hybrid_id.identification.least_squares import Options
 from hybrid_id.identification.result import FitResult
@@ -94,8 +94,8 @@ class ArmDiagnosis:
         dataset: the records, of all joints.
         joints: the diagnosis of each joint by the joint's name, the others moving as they were measured.
         skipped: joints that were not diagnosed, each with the reason.
-        horizon: how long the free runs are over which the joints' parts and the whole robot are measured: the shortest
-            that a joint's records call for.
+        horizon: how long the free runs are over which the joints' parts and the whole robot are measured
+            (:func:`~hybrid_id.diagnosis.whole_robot.common_horizon`).
         parts: share of each diagnosed joint in the robot's gap, on train records, the others moving as they were
             measured (mean squares over the signal's variance): simulated, an error of one joint would be one of all
             that feel it. Where nothing is missing at any joint, in what the re-fitted robot leaves beyond noise.
@@ -335,7 +335,7 @@ def diagnose_arm(
     answers = {name: answer for name, (_, answer) in found.items()}
     if not stopped:  # who stops waits for no more fits
         try:
-            answers = _checked(dataset, system, answers, seed, signal_share, progress)
+            answers = _checked(dataset, system, answers, horizon, seed, signal_share, progress)
         except KeyboardInterrupt:
             stopped = True
     done = dict[str, Diagnosis]()
@@ -348,13 +348,14 @@ def diagnose_arm(
                 raise
             skipped[name] = str(error).removesuffix(".")
     _raise_without_any(done, skipped)
-    return _of_whole_robot(dataset, system, done, skipped, stopped, seed, signal_share)
+    return _of_whole_robot(dataset, system, done, skipped, stopped, horizon, seed, signal_share)
 
 
 def _checked(
     dataset: Dataset,
     system: System,
     answers: Mapping[str, Answer],
+    horizon: Horizon | None,
     seed: int,
     signal_share: float,
     progress: Progress | None,
@@ -362,8 +363,9 @@ def _checked(
     """The joints' answers as the whole robot leaves them: ties that it settles, and claims that help there."""
     if progress is not None:
         progress("the whole robot", 0, 1)
-    settled = distinguished(dataset, system, answers, seed=seed, signal_share=signal_share, progress=progress)
-    return borne_out(dataset, system, settled, seed=seed, signal_share=signal_share)
+    how: dict[str, Any] = {"horizon": horizon, "seed": seed, "signal_share": signal_share}
+    settled = distinguished(dataset, system, answers, progress=progress, **how)
+    return borne_out(dataset, system, settled, **how)
 
 
 def _raise_without_any(found: Mapping[str, object], skipped: Mapping[str, str]) -> None:
@@ -378,6 +380,7 @@ def _of_whole_robot(
     found: Mapping[str, Diagnosis],
     skipped: Mapping[str, str],
     stopped: bool,
+    horizon: Horizon | None,
     seed: int,
     signal_share: float,
 ) -> ArmDiagnosis:
@@ -389,7 +392,8 @@ def _of_whole_robot(
     if now.seats is not None:
         refit, model = some(refit, now.seats), some(model, now.seats)
     whole, lacking = None, any(one.search.chosen.effects for one in found.values())
-    horizon = shortest([one.horizon for one in found.values()])
+    bases = {name: (one.details.dataset, one.search.base.system) for name, one in found.items()}
+    horizon = horizon or common_horizon([one.horizon for one in found.values()], bases, signal_share)
     if not stopped:  # who stops waits for no more fits
         refit, whole = fitted_coupled(moving, refit, horizon, signal_share)
         model, whole = fitted_coupled(moving, model, horizon, signal_share) if lacking else (refit, whole)
@@ -405,7 +409,7 @@ def _of_whole_robot(
         gap = shrink(before, after, min(max(after.noise, rest), after.nrmse), seed=seed)
         if lacking and gap.interval[1] <= 0.0:
             contradiction = "On the test records the corrected robot predicts worse than the re-fitted one."
-    each = {n: (one.details.dataset, one.search.base.system, one.beyond_floor) for n, one in found.items()}
+    each = {name: (*bases[name], one.beyond_floor) for name, one in found.items()}
     (parts, bounds), known = parts_of_gap(each, horizon, signal_share), estimates_of(whole)
     return ArmDiagnosis(
         dataset, found, skipped, horizon, parts, bounds, known, common_sizes(found, model, known), refit, model,

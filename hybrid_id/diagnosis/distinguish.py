@@ -22,6 +22,7 @@ from hybrid_id.diagnosis.screen import Progress, SelectionStep, log_odds_at
 from hybrid_id.diagnosis.select import accepted_ones
 from hybrid_id.diagnosis.validation import validation
 from hybrid_id.diagnosis.whole_robot import UNFITTED, WholeRobot, fitted, held, parts_of_gap, train_rows
+from hybrid_id.identification.horizons import Horizon
 from hybrid_id.records.dataset import Dataset
 from hybrid_id.simulation.prepare import SIGNAL_SHARE
 from hybrid_id.systems.chain import System
@@ -32,6 +33,7 @@ def distinguished(
     nominal: System,
     answers: Mapping[str, Answer],
     *,
+    horizon: Horizon | None = None,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
     progress: Progress | None = None,
@@ -45,6 +47,7 @@ def distinguished(
         dataset: of the whole robot.
         nominal: the nominal robot.
         answers: of the joints by themselves, by name.
+        horizon: how long free runs are; None for what the joints' records ask for.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
         progress: called with (stage, done, total).
@@ -52,7 +55,7 @@ def distinguished(
     found, ties = dict(answers), {name: tie for name, one in answers.items() if (tie := _tie(one))}
     if not ties or len(answers) < 2:
         return found
-    robot = WholeRobot(dataset, nominal, answers, signal_share)
+    robot = WholeRobot(dataset, nominal, answers, signal_share, horizon)
     each = {
         n: (one.fits.dataset, one.found.base.system, one.grade.beyond_floor) for n, one in answers.items()
     }

@@ -146,6 +146,7 @@ def borne_out(
     nominal: System,
     answers: Mapping[str, Answer],
     *,
+    horizon: Horizon | None = None,
     seed: int = 0,
     signal_share: float = SIGNAL_SHARE,
 ) -> dict[str, Answer]:
@@ -160,6 +161,7 @@ def borne_out(
         dataset: of the whole robot.
         nominal: the nominal robot.
         answers: of the joints by themselves, by name.
+        horizon: how long free runs are; None for what the joints' records ask for.
         seed: of the resampling.
         signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
     """
@@ -167,7 +169,7 @@ def borne_out(
     unsure = [name for name, one in answers.items() if chosen[name].effects or one.grade.unknown]
     if not unsure or len(dataset.train) < 2:
         return _rated(answers, {})
-    robot = WholeRobot(dataset, nominal, answers, signal_share)
+    robot = WholeRobot(dataset, nominal, answers, signal_share, horizon)
     # without any effect first: that robot is one program, and often explains most joints
     plain = _own_values(robot, {name: one.searched.base for name, one in answers.items()})
     nothing = [name for name in unsure if plain is not None and plain.nothing_left(robot.key(name))]

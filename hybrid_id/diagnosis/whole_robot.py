@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from hybrid_id.diagnosis.criteria import CRITERIA
 from hybrid_id.diagnosis.diagnose import Answer
 from hybrid_id.diagnosis.errors_on_test import errors
-from hybrid_id.diagnosis.fits import FULL, engine, with_priors_of, without_priors
+from hybrid_id.diagnosis.fits import FULL, WINDOW, engine, with_priors_of, without_priors
 from hybrid_id.diagnosis.model import FittedModel
 from hybrid_id.errors import InputError
 from hybrid_id.identification.fit import kept_fit
@@ -35,12 +35,17 @@ class WholeRobot:
     Attributes:
         drives: the nominal drive of each joint by itself, by name.
         records: of the joints that are simulated.
-        horizon: how long free runs are, the shortest that any joint asks for.
+        horizon: how long free runs are.
         kept: fits that an earlier run has kept, and where further ones are kept.
     """
 
     def __init__(
-        self, dataset: Dataset, nominal: System, answers: Mapping[str, Answer], signal_share: float
+        self,
+        dataset: Dataset,
+        nominal: System,
+        answers: Mapping[str, Answer],
+        signal_share: float,
+        horizon: Horizon | None = None,
     ) -> None:
         self.nominal, self.answers, self.signal_share = nominal, answers, signal_share
         self.numbers = {name: joint_number(nominal, name) for name in answers}
@@ -48,7 +53,9 @@ class WholeRobot:
         self.every = len(self.numbers) == len(nominal.joints)
         some_joints = self.numbers.values()
         self.records = dataset if self.every else with_others_measured(dataset, nominal, *some_joints)
-        self.horizon = shortest([one.fits.horizon for one in answers.values()])
+        each = {n: (one.fits.dataset, one.found.base.system) for n, one in answers.items()}
+        asked = [one.fits.horizon for one in answers.values()]
+        self.horizon = horizon or common_horizon(asked, each, signal_share)
         self.kept = next(iter(answers.values())).fits.kept
 
     def key(self, name: str) -> str:
@@ -62,6 +69,29 @@ class WholeRobot:
             own = one.system if held else without_priors(one.system, self.drives[name])
             robot = with_drive(robot, own)
         return robot if self.every else some(robot, list(self.numbers.values()))
+
+
+def common_horizon(
+    asked: Sequence[Horizon], found: Mapping[str, tuple[Dataset, System]], signal_share: float
+) -> Horizon:
+    """How long free runs of a whole robot are: the shortest that any joint asks for, or less.
+
+    A free run that has lost its record says how far it strays, and not how much is missing: where that of a re-fitted
+    joint does, runs begin again from measured states.
+
+    Args:
+        asked: the joints' own.
+        found: by a joint's name its records and its re-fitted model.
+        signal_share: see :func:`hybrid_id.simulation.prepare.make_batch`.
+    """
+    horizon = shortest(asked)
+    if horizon.kind == "windows" and horizon.seconds <= WINDOW:
+        return horizon
+    for name, (dataset, base) in found.items():
+        seen = errors(dataset, base, engine(), dataset.train, horizon=horizon, signal_share=signal_share)
+        if seen is not None and max(seen.by_output.values()) > CRITERIA.lost_refit:
+            return Horizon("windows", WINDOW, f"longer ones lose the records of {name}")
+    return horizon
 
 
 def train_rows(dataset: Dataset, system: System, horizon: Horizon, signal_share: float) -> Batch:

@@ -3,12 +3,21 @@
 import math
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
+import pytest
 from gapcase import small_case
 
 from hybrid_id.components import Cogging
-from hybrid_id.diagnosis.screen import _judged_below, best_of_each, effects_of, promising, simplest_first
+from hybrid_id.diagnosis.diagnose import _shows_more
+from hybrid_id.diagnosis.screen import (
+    SelectionStep,
+    _judged_below,
+    best_of_each,
+    effects_of,
+    promising,
+    simplest_first,
+)
 
 
 @dataclass(eq=False)
@@ -131,3 +140,23 @@ def test_beside_an_effect_nothing_is_fitted_to_the_end_that_cannot_be_accepted()
     small, done = one(0.94, "gravity_load", "spring_load"), one(0.94, "gravity_load", "spring_load")
     done.no_structure = True
     assert promising(done, weight) and not promising(small, weight)
+
+
+def test_short_runs_are_taken_where_they_say_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    def step(*errors: float, rivalry: float = -math.inf) -> Any:
+        names = ("asymmetric_friction", "load_dependent_friction")
+        found: list[Any] = [
+            Fitted(((n, "joint1/motor_friction"),), e) for n, e in zip(names, errors, strict=False)
+        ]
+        found.sort(key=lambda one: one.error)
+        found[0].z = rivalry
+        return SelectionStep(cast(Any, Fitted((), 100.0)), tuple(found))
+
+    monkeypatch.setattr("hybrid_id.diagnosis.diagnose._rivalry", lambda one: one.candidates[0].z)
+    # over whole records one is fitted and the other lost; over short ones the other explains next to all
+    assert _shows_more(step(10.0, 0.5), step(12.0))
+    # where whole records are followed, and nothing rivals what leads there, they have the say
+    assert not _shows_more(step(10.0, 0.5), step(1.0))
+    # what explains the records over both is told apart over those that are surer
+    assert _shows_more(step(1.1, 1.0, rivalry=-5.0), step(1.0, 1.1, rivalry=-1.0))
+    assert not _shows_more(step(1.1, 1.0, rivalry=-1.0), step(1.0, 1.1, rivalry=-5.0))

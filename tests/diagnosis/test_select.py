@@ -125,3 +125,13 @@ def test_parameters_are_held_as_those_of_another_model() -> None:
     spec = with_priors_of(richer, held).parameter(name).spec
     assert (spec.prior_mean, spec.prior_std) == (1e-5, 1e-6)
     assert with_priors_of(with_priors_of(richer, held), nominal).table == richer.table
+
+
+def test_a_value_from_where_no_fit_comes_back_begins_where_it_is_held() -> None:
+    _, nominal = small_case()
+    (name,) = (info.name for info in nominal.table if info.symbol == "J")
+    spec = nominal.parameter(name).spec
+    held = nominal.with_specs({name: replace(spec, prior_mean=spec.value, prior_std=1e-5 * spec.value)})
+    for factor, begins in ((2.0, 2.0), (1e6, 1.0)):  # a fit without the prior had run away
+        far = nominal.with_specs({name: replace(spec, upper=1e9).at(factor * spec.value)})
+        assert with_priors_of(far, held).parameter(name).spec.value == begins * spec.value
